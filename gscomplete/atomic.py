@@ -47,14 +47,14 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         UserError: the folder cannot be written, the disk is full, or ``path`` is a folder.
     """
     destination = Path(path)
-    if destination.is_symlink():
-        destination = destination.resolve()  # replace the file behind a link, not the link
     temporary: Path | None = None
     try:
+        if destination.is_symlink():
+            destination = destination.resolve()  # replace the file behind a link, not the link
         if destination.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
         handle, name = tempfile.mkstemp(
-            dir=destination.parent, prefix=f".{destination.name[:64]}.", suffix=destination.suffix
+            dir=destination.parent, prefix=f".{destination.name[:32]}.", suffix=destination.suffix
         )
         os.close(handle)
         temporary = Path(name)
@@ -66,8 +66,9 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         _flush_to_disk(destination.parent)
     except OSError as error:
         reason = _OS_REASONS.get(error.errno or 0)
-        if reason is None:
-            raise
+        ours = {None, str(temporary), str(destination), str(destination.parent)}
+        if reason is None or (error.filename not in ours and temporary is not None):
+            raise  # the block failed over some other file
         raise UserError(f"{path}: cannot write: {reason} ({destination.parent})") from error
     finally:
         if temporary is not None:
