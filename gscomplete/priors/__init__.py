@@ -1,0 +1,1 @@
+"""Priors: models that know what objects look like, behind one interface (``base``)."""

@@ -1,0 +1,181 @@
+"""The interface of priors: what the completion loop may ask of a model of objects.
+
+Conventions
+-----------
+* A prior sees rings of four views: one elevation, one radius, one field of view, azimuth
+  increasing by 90 degrees from view to view (``gscomplete.views.cameras.four_view_orbit``).
+* Images are in [0, 1] at whatever size they were rendered; the prior resizes them to its own
+  resolution, differentiably. ``color`` is premultiplied by alpha, which is the same as rendered
+  over black.
+* Lengths are in units of the object frame: the object's largest side is about 1.
+* A timestep runs from 0 (clean) to ``num_timesteps - 1`` (pure noise) and may be fractional.
+* Random numbers come only from the generator that is passed in.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from gscomplete.render.record import Render
+from gscomplete.views.cameras import Cameras, radius_to_fit
+
+
+@dataclass(frozen=True, slots=True)
+class FourViews:
+    """Renders of one ring of four views."""
+
+    color: Tensor  # [4, H, W, 3] in [0, 1], premultiplied (over black)
+    alpha: Tensor  # [4, H, W] in [0, 1]
+    depth: Tensor  # [4, H, W] camera-space z of what is seen, 0 where alpha is 0
+    cameras: Cameras  # 4 cameras, azimuth increasing by 90 degrees
+
+    def __post_init__(self) -> None:
+        """Check shapes.
+
+        Raises:
+            ValueError: the fields do not describe four square views of one size.
+        """
+        height, width = self.alpha.shape[-2:]
+        expected = {"color": (4, height, width, 3), "alpha": (4, height, width)}
+        expected["depth"] = (4, height, width)
+        for name, shape in expected.items():
+            found = tuple(getattr(self, name).shape)
+            if found != shape:
+                raise ValueError(f"FourViews.{name}: expected shape {shape}, found {found}")
+        if height != width:
+            raise ValueError(f"FourViews: expected square images, found {width} x {height}")
+        if len(self.cameras) != 4:
+            raise ValueError(f"FourViews.cameras: expected 4 cameras, found {len(self.cameras)}")
+
+    @classmethod
+    def from_render(cls, render: Render, cameras: Cameras) -> FourViews:
+        """Wrap a render that was made over a black background (the renderer's default)."""
+        return cls(render.color, render.alpha, render.depth, cameras)
+
+    def detach(self) -> FourViews:
+        """Return the views cut from the autograd graph."""
+        return dataclasses.replace(
+            self,
+            color=self.color.detach(),
+            alpha=self.alpha.detach(),
+            depth=self.depth.detach(),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class PriorViews:
+    """The framing a prior was trained on, which runs must keep to."""
+
+    fov_deg: float  # vertical field of view
+    extent_range: tuple[float, float]  # visible extent at the target, object frame units
+    elevation_range_deg: tuple[float, float]
+    resolution_px: int  # side of the images the prior works on
+
+    def radius_range(self) -> tuple[float, float]:
+        """Return the camera distances that show the least and the largest extent."""
+        low, high = self.extent_range
+        return radius_to_fit(low, self.fov_deg), radius_to_fit(high, self.fov_deg)
+
+
+@dataclass(frozen=True, slots=True)
+class Guidance:
+    """How strongly each condition pulls the denoised image away from the unconditional one.
+
+    With denoised images x(input?, text?): ``x(-,-) + input_scale (x(P,-) - x(-,-)) +
+    text_scale (x(P,y) - x(P,-))``. A scale of 1 for both is plain conditional denoising, one pass.
+    """
+
+    text_scale: float = 1.0
+    input_scale: float = 1.0  # unused by priors that cannot see the input, and without input
+    rescale: float = 0.0  # 0 to 1: pull the contrast back to the conditional image's
+
+
+class Conditioning(Protocol):
+    """A prompt as a prior understood it; opaque but for its report."""
+
+    @property
+    def report(self) -> tuple[str, ...]:
+        """Lines that tell the user how the prompt was understood."""
+        ...
+
+
+class Prior(Protocol):
+    """A model of what objects look like from four sides."""
+
+    @property
+    def name(self) -> str:
+        """Name for reports, such as ``embedded``."""
+        ...
+
+    @property
+    def views(self) -> PriorViews:
+        """Framing that renders shown to the prior must have."""
+        ...
+
+    @property
+    def sees_input(self) -> bool:
+        """Whether ``input_views`` (renders of P) makes a difference."""
+        ...
+
+    @property
+    def num_timesteps(self) -> int:
+        """Length of the noise schedule."""
+        ...
+
+    def condition(self, prompt: str, negative_prompt: str | None = None) -> Conditioning:
+        """Encode a prompt once for a whole run.
+
+        Args:
+            prompt: free text; empty means no text.
+            negative_prompt: what guidance leads away from; None = no text.
+        """
+        ...
+
+    def distill(
+        self,
+        views: FourViews,
+        timestep: float,
+        conditioning: Conditioning,
+        generator: torch.Generator,
+        input_views: FourViews | None = None,
+        guidance: Guidance | None = None,
+    ) -> Tensor:  # []
+        """Score distillation loss of the renders (paper, Equation 2; x0-reconstruction form).
+
+        With x the renders at the prior's resolution in the prior's own range and x0 the guided
+        denoised image of x noised to ``timestep``, the loss is ``0.5 * sum((x - stop(x0))^2) / 4``:
+        summed over pixels and channels, averaged over the four views. Its graph leads to
+        ``views``; the denoiser itself is never differentiated.
+
+        Args:
+            views: renders of the current splats, with graph.
+            timestep: noise level, in [0, num_timesteps).
+            conditioning: from :meth:`condition` of the same prior.
+            generator: the source of the noise.
+            input_views: renders of P by the same cameras; None withholds P (text-only mode).
+            guidance: scales; None = the prior's default.
+        """
+        ...
+
+    def reconstruct(
+        self,
+        views: FourViews,
+        timestep: float,
+        conditioning: Conditioning,
+        generator: torch.Generator,
+        input_views: FourViews | None = None,
+        guidance: Guidance | None = None,
+        num_steps: int = 8,
+    ) -> tuple[Tensor, Tensor]:  # [4, h, w, 3] premultiplied, [4, h, w]
+        """Noise the renders to ``timestep`` and denoise them in ``num_steps`` to clean targets.
+
+        Iterative reconstruction in the manner of MicroDreamer. A timestep of
+        ``num_timesteps - 1`` or more starts from pure noise, so that ``views`` gives only the
+        cameras. The result has the prior's resolution and no graph.
+        """
+        ...
