@@ -8,12 +8,16 @@ from gscomplete.views.cameras import (
     orbit_cameras,
     radius_to_fit,
 )
+from gscomplete.views.distribution import ViewDistribution, six_preview_azimuths, spherical_views
 
 __all__ = [
     "Cameras",
+    "ViewDistribution",
     "focal_from_fov",
     "four_view_orbit",
     "join_cameras",
     "orbit_cameras",
     "radius_to_fit",
+    "six_preview_azimuths",
+    "spherical_views",
 ]

@@ -1,0 +1,179 @@
+"""View distributions: where the partial object must keep its looks, and sets of views to show it.
+
+Conventions
+-----------
+* Angles in degrees in the object frame: azimuth 0 looks from +x, 90 from +y; positive elevation
+  looks down (see ``cameras``). Azimuths returned here are not wrapped to a period.
+* A distribution is uniform in azimuth and in elevation about the input view c.
+* Elevations are clamped to +/-``MAX_ELEVATION_DEG``: a view never crosses a pole.
+* Random views are a function of (seed, step): a resumed run draws what the first would have drawn.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from gscomplete import jsonio
+from gscomplete.errors import UserError
+from gscomplete.views.cameras import Cameras, orbit_cameras
+
+SCHEMA = "gscomplete.view_distribution"
+"""Name of the JSON form, shared by object folders and run folders."""
+SCHEMA_VERSION = 1
+"""Version of the JSON form; other versions are refused."""
+MAX_ELEVATION_DEG = 85.0
+"""Largest absolute elevation that a distribution gives."""
+
+_PHILOX_STREAM = 0x5649455753
+"""Second key word of the generator, so that views share no random numbers with other uses."""
+_PLASTIC = 1.3247179572447460
+"""Real root of x^3 = x + 1, the base of the two-dimensional R2 sequence."""
+
+Angles = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Azimuths and elevations in degrees, [count] each."""
+
+
+@dataclass(frozen=True, slots=True)
+class ViewDistribution:
+    """The viewpoints V about the input view c (paper, sections 3.2 and 4, "Comparison")."""
+
+    azimuth_deg: float
+    """Azimuth of the input view c."""
+    elevation_deg: float
+    """Elevation of the input view c."""
+    azimuth_range_deg: float = 50.0
+    """Views reach this far to either side of c (the paper's +/-50 degrees)."""
+    elevation_range_deg: float = 15.0
+    """Views reach this far above and below c. The paper names no range; 15 degrees is what a
+    person walking round an object sees, and 0 gives the ring at c's elevation."""
+    radius: float = 2.2
+    """Distance of the cameras from the target in object sizes; 1.6 sizes are visible there."""
+    fov_deg: float = 40.0
+    """Vertical field of view."""
+    target: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Point in the object frame that every view looks at."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ValueError: a value lies outside its range; the message names the field.
+        """
+        for name, value, low, high in (
+            ("azimuth_deg", self.azimuth_deg, -1e6, 1e6),
+            ("elevation_deg", self.elevation_deg, -90.0, 90.0),
+            ("azimuth_range_deg", self.azimuth_range_deg, 0.0, 180.0),
+            ("elevation_range_deg", self.elevation_range_deg, 0.0, 90.0),
+            ("radius", self.radius, 1e-6, 1e6),
+            ("fov_deg", self.fov_deg, 0.1, 170.0),
+        ):
+            if not low <= value <= high:
+                raise ValueError(f"{name}: expected a number in [{low:g}, {high:g}], found {value}")
+        if len(self.target) != 3 or not all(math.isfinite(t) for t in self.target):
+            raise ValueError(f"target: expected three finite numbers, found {self.target}")
+
+    def sample(self, seed: int, step: int, count: int) -> Angles:
+        """Draw ``count`` views, a pure function of (seed, step).
+
+        The first views of a larger draw are the views of a smaller one.
+        """
+        words = np.array([seed % 2**64, _PHILOX_STREAM], dtype=np.uint64)
+        counter = np.array([0, 0, step % 2**64, 0], dtype=np.uint64)
+        generator = np.random.Generator(np.random.Philox(key=words, counter=counter))
+        return self._place(generator.random((count, 2)))
+
+    def low_discrepancy(self, count: int) -> Angles:
+        """Return ``count`` evenly spread views of V, the first of which is c itself.
+
+        The R2 sequence (additive recurrence on the plastic number) started at the middle: every
+        prefix covers the ranges evenly, so scores over 8 and over 32 views are comparable.
+        """
+        index = np.arange(count)[:, None]
+        steps = np.array([1.0 / _PLASTIC, 1.0 / _PLASTIC**2])
+        return self._place((0.5 + index * steps) % 1.0)
+
+    def cameras(self, angles: Angles, size_px: int) -> Cameras:
+        """Place square cameras at the given views with this distribution's radius and lens."""
+        azimuths, elevations = (torch.from_numpy(np.asarray(a, dtype=np.float64)) for a in angles)
+        return orbit_cameras(
+            azimuths,
+            elevations,
+            radius=self.radius,
+            fov_deg=self.fov_deg,
+            size_px=size_px,
+            target=torch.tensor(self.target, dtype=torch.float64),
+        )
+
+    def input_camera(self, size_px: int) -> Cameras:
+        """Place one camera at the input view c."""
+        return self.cameras(self.low_discrepancy(1), size_px)
+
+    def preview_cameras(self, size_px: int) -> Cameras:
+        """Place six cameras round the object at c's elevation, c first."""
+        azimuths = six_preview_azimuths(self.azimuth_deg)
+        elevations = np.full(len(azimuths), _clamp_elevations(self.elevation_deg))
+        return self.cameras((azimuths, elevations), size_px)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the distribution as plain JSON values with schema name and version."""
+        return {"schema": SCHEMA, "version": SCHEMA_VERSION, **jsonio.to_json(self)}
+
+    @classmethod
+    def from_json(cls, data: Any, source: str) -> ViewDistribution:
+        """Read the distribution from plain JSON values; ``source`` names the file in errors.
+
+        Raises:
+            UserError: another schema or version, or a field missing, unknown or out of range.
+        """
+        if not isinstance(data, dict):
+            raise UserError(f"{source}: view distribution: expected an object")
+        for field, expected in (("schema", SCHEMA), ("version", SCHEMA_VERSION)):
+            if field not in data:
+                raise UserError(f"{source}: view distribution: missing field {field!r}")
+            if data[field] != expected:
+                raise UserError(f"{source}: {field}: expected {expected!r}, found {data[field]!r}")
+        values = {key: value for key, value in data.items() if key not in ("schema", "version")}
+        return jsonio.from_json(cls, values, source)
+
+    def _place(self, unit: NDArray[np.float64]) -> Angles:  # [count, 2] in [0, 1)
+        """Map points of the unit square to views."""
+        offset = 2.0 * unit - 1.0
+        azimuths = self.azimuth_deg + self.azimuth_range_deg * offset[:, 0]
+        elevations = self.elevation_deg + self.elevation_range_deg * offset[:, 1]
+        return azimuths, _clamp_elevations(elevations)
+
+
+def spherical_views(
+    count: int, *, min_elevation_deg: float = -30.0, max_elevation_deg: float = 60.0
+) -> Angles:
+    """Spread ``count`` views evenly by area over a band of the sphere (Fibonacci lattice).
+
+    Raises:
+        ValueError: the elevations are not ordered within +/-90.
+    """
+    if not -90.0 <= min_elevation_deg < max_elevation_deg <= 90.0:
+        raise ValueError(
+            "spherical_views: expected -90 <= min_elevation_deg < max_elevation_deg <= 90, "
+            f"found {min_elevation_deg} and {max_elevation_deg}"
+        )
+    index = np.arange(count) + 0.5
+    low, high = np.sin(np.deg2rad([min_elevation_deg, max_elevation_deg]))
+    elevations = np.rad2deg(np.arcsin(low + (high - low) * index / count))
+    golden_angle_deg = 180.0 * (3.0 - math.sqrt(5.0))
+    return (index * golden_angle_deg) % 360.0, _clamp_elevations(elevations)
+
+
+def six_preview_azimuths(azimuth_deg: float) -> NDArray[np.float64]:  # [6]
+    """Return six azimuths 60 degrees apart, beginning with the given one."""
+    return azimuth_deg + 60.0 * np.arange(6)
+
+
+def _clamp_elevations(elevations_deg: Any) -> Any:
+    """Keep elevations off the poles."""
+    return np.clip(elevations_deg, -MAX_ELEVATION_DEG, MAX_ELEVATION_DEG)

@@ -1,0 +1,146 @@
+"""Views are reproducible, in range, evenly spread, and survive JSON."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gscomplete.errors import UserError
+from gscomplete.views import ViewDistribution, six_preview_azimuths, spherical_views
+from gscomplete.views.distribution import MAX_ELEVATION_DEG
+
+distributions = st.builds(
+    ViewDistribution,
+    azimuth_deg=st.floats(-720, 720),
+    elevation_deg=st.floats(-90, 90),
+    azimuth_range_deg=st.floats(0, 180),
+    elevation_range_deg=st.floats(0, 90),
+)
+
+
+@given(distributions, st.integers(0, 2**63), st.integers(0, 2**40), st.integers(0, 50))
+@settings(max_examples=60)
+def test_samples_depend_only_on_seed_and_step(
+    views: ViewDistribution, seed: int, step: int, count: int
+) -> None:
+    first = views.sample(seed, step, count)
+    views.sample(seed + 1, step, 3)
+    again = views.sample(seed, step, count + 2)
+    np.testing.assert_array_equal(first[0], again[0][:count])
+    np.testing.assert_array_equal(first[1], again[1][:count])
+    assert np.all(np.abs(first[0] - views.azimuth_deg) <= views.azimuth_range_deg + 1e-9)
+    assert np.all(np.abs(first[1]) <= MAX_ELEVATION_DEG)
+
+
+def test_seeds_and_steps_differ() -> None:
+    views = ViewDistribution(10, 20)
+    draws = [views.sample(seed, step, 1)[0][0] for seed in range(20) for step in range(20)]
+    assert len(set(draws)) == 400
+
+
+def test_samples_fill_the_ranges_uniformly() -> None:
+    views = ViewDistribution(30, 10, 50, 15)
+    draws = [views.sample(1, step, 4) for step in range(2000)]
+    azimuths = np.concatenate([draw[0] for draw in draws])
+    elevations = np.concatenate([draw[1] for draw in draws])
+    for values, center, reach in ((azimuths, 30, 50), (elevations, 10, 15)):
+        unit = np.sort((values - center + reach) / (2 * reach))
+        assert unit[0] >= 0
+        assert unit[-1] <= 1
+        assert np.abs(unit - np.linspace(0, 1, len(unit))).max() < 0.02  # Kolmogorov distance
+    assert abs(np.corrcoef(azimuths, elevations)[0, 1]) < 0.03
+
+
+@given(distributions, st.integers(1, 64))
+@settings(max_examples=40)
+def test_low_discrepancy_starts_at_c_and_stays_in_range(
+    views: ViewDistribution, count: int
+) -> None:
+    azimuths, elevations = views.low_discrepancy(count)
+    limit = np.clip(views.elevation_deg, -MAX_ELEVATION_DEG, MAX_ELEVATION_DEG)
+    assert azimuths[0] == pytest.approx(views.azimuth_deg)
+    assert elevations[0] == pytest.approx(limit)
+    assert np.all(np.abs(azimuths - views.azimuth_deg) <= views.azimuth_range_deg + 1e-9)
+    assert np.all(np.abs(elevations) <= MAX_ELEVATION_DEG)
+
+
+def test_low_discrepancy_is_more_even_than_random() -> None:
+    views = ViewDistribution(0, 0, 50, 15)
+    count = 64
+    cells = [np.histogram2d(*views.low_discrepancy(count), bins=4, range=[[-50, 50], [-15, 15]])[0]]
+    cells += [
+        np.histogram2d(*views.sample(0, step, count), bins=4, range=[[-50, 50], [-15, 15]])[0]
+        for step in range(8)
+    ]
+    spread = [cell.std() for cell in cells]
+    assert spread[0] < 0.6 * min(spread[1:])
+
+
+def test_cameras_look_at_the_target_from_the_right_side() -> None:
+    views = ViewDistribution(0, 0, radius=3.0, target=(1.0, 2.0, 3.0))
+    camera = views.input_camera(32)
+    torch.testing.assert_close(camera.positions, torch.tensor([[4.0, 2.0, 3.0]]))
+    cameras = views.preview_cameras(32)
+    target = torch.tensor([1.0, 2.0, 3.0, 1.0])
+    seen = cameras.camera_from_world @ target
+    torch.testing.assert_close(
+        seen[:, :3], torch.tensor([0.0, 0.0, 3.0]).expand(6, 3), atol=1e-5, rtol=0
+    )
+
+
+def test_six_previews_begin_with_c() -> None:
+    np.testing.assert_allclose(six_preview_azimuths(20), [20, 80, 140, 200, 260, 320])
+
+
+@given(st.integers(1, 200))
+@settings(max_examples=20)
+def test_spherical_views_are_distinct_and_in_band(count: int) -> None:
+    azimuths, elevations = spherical_views(count)
+    assert len(set(zip(azimuths, elevations, strict=True))) == count
+    assert np.all((elevations >= -30) & (elevations <= 60))
+    with pytest.raises(ValueError, match="min_elevation_deg"):
+        spherical_views(count, min_elevation_deg=10, max_elevation_deg=5)
+
+
+@given(distributions)
+@settings(max_examples=30)
+def test_json_round_trip(views: ViewDistribution) -> None:
+    assert ViewDistribution.from_json(views.to_json(), "object.json") == views
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"version": 2}, ["version", "expected 1", "found 2"]),
+        ({"schema": "x"}, ["schema", "found 'x'"]),
+        ({"azimuth": 1}, ["unknown field 'azimuth'"]),
+        ({"fov_deg": 0}, ["fov_deg", "found 0"]),
+        ({"target": [0, 0]}, ["target", "3 values"]),
+    ],
+)
+def test_json_errors_name_the_field(change: dict, words: list[str]) -> None:
+    data = ViewDistribution(0, 0).to_json() | change
+    with pytest.raises(UserError) as caught:
+        ViewDistribution.from_json(data, "object.json")
+    for word in ["object.json", *words]:
+        assert word in str(caught.value)
+
+
+def test_json_missing_field_and_wrong_kind() -> None:
+    data = ViewDistribution(0, 0).to_json()
+    for field in ("schema", "radius"):
+        with pytest.raises(UserError, match=f"missing field '{field}'"):
+            ViewDistribution.from_json({k: v for k, v in data.items() if k != field}, "f")
+    with pytest.raises(UserError, match="expected an object"):
+        ViewDistribution.from_json([], "f")
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("radius", float("nan")), ("radius", 0.0), ("elevation_deg", 91.0), ("fov_deg", 180.0)],
+)
+def test_values_out_of_range_are_refused(field: str, value: float) -> None:
+    values = {"azimuth_deg": 0.0, "elevation_deg": 0.0} | {field: value}
+    with pytest.raises(ValueError, match=field):
+        ViewDistribution(**values)
