@@ -1,0 +1,218 @@
+"""Depth order and exact tile lists of one view.
+
+Conventions
+-----------
+* Tiles are TILE x TILE pixels, numbered row by row.
+* ``order`` lists the visible splats front to back; a splat's place in it is its rank.
+* Tile lists hold ranks in ascending order. A splat is in a tile's list when its ellipse at
+  ``alpha_min`` reaches the rectangle of that tile's pixel centres (grown by MARGIN pixels, so
+  that rounding can only add an entry that draws nothing, never lose one).
+* ``slots`` number the entries of trainable splats splat by splat, so that gradients written per
+  entry are summed in an order that does not depend on threads.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+
+from gscomplete.render.cpu.project import (
+    P_HALF_H,
+    P_HALF_W,
+    P_LA,
+    P_LB,
+    P_LC,
+    P_OPACITY,
+    P_U,
+    P_V,
+)
+
+TILE = 8
+MARGIN = 1e-3
+CHUNKS = 16
+"""The ordered splats are binned in this many runs; fixed, so lists never depend on threads."""
+
+_JIT = {"cache": True, "error_model": "numpy"}
+_RADIX_BITS = 11
+
+
+@numba.njit(**_JIT)
+def depth_order(visible: Any, keys: Any) -> Any:  # [N] uint8, [N] uint32: depths' bits
+    """Return indices of visible splats sorted by depth, ties by index (stable radix sort)."""
+    count = 0
+    for i in range(visible.shape[0]):
+        count += visible[i]
+    index, index2 = np.empty(count, np.int32), np.empty(count, np.int32)
+    key, key2 = np.empty(count, np.uint32), np.empty(count, np.uint32)
+    buckets = 1 << _RADIX_BITS
+    histogram = np.zeros((3, buckets), np.int64)
+    n = 0
+    for i in range(visible.shape[0]):
+        if visible[i]:
+            k = keys[i]
+            index[n], key[n] = i, k
+            histogram[0, k & np.uint32(buckets - 1)] += 1
+            histogram[1, (k >> np.uint32(11)) & np.uint32(buckets - 1)] += 1
+            histogram[2, k >> np.uint32(22)] += 1
+            n += 1
+    for sweep in range(3):
+        shift = np.uint32(sweep * _RADIX_BITS)
+        running = 0
+        constant = False
+        for b in range(buckets):
+            here = histogram[sweep, b]
+            constant = constant or here == count
+            histogram[sweep, b] = running
+            running += here
+        if constant:
+            continue
+        for j in range(count):
+            b = (key[j] >> shift) & np.uint32(buckets - 1)
+            place = histogram[sweep, b]
+            histogram[sweep, b] = place + 1
+            index2[place], key2[place] = index[j], key[j]
+        index, index2 = index2, index
+        key, key2 = key2, key
+    return index
+
+
+@numba.njit(**_JIT)
+def _row_span(row: Any, u: float, v: float, reach: float, y0: float, y1: float) -> Any:
+    """Return the x range of the ellipse within y0 <= y <= y1 (empty when low > high)."""
+    half_w = np.float64(row[P_HALF_W])
+    half_h = np.float64(row[P_HALF_H])
+    la, lb, lc = np.float64(row[P_LA]), np.float64(row[P_LB]), np.float64(row[P_LC])
+    low_y, high_y = y0 - v, y1 - v
+    if low_y > half_h + MARGIN or high_y < -half_h - MARGIN:
+        return 1.0, 0.0
+    turn = -la * lb / (lb * lb + lc * lc) * half_w  # y offset of the right-most point
+    dy = min(max(turn, low_y), high_y)
+    right = u + (-lb * dy + math.sqrt(max(reach - lc * lc * dy * dy, 0.0))) / la
+    dy = min(max(-turn, low_y), high_y)
+    left = u + (-lb * dy - math.sqrt(max(reach - lc * lc * dy * dy, 0.0))) / la
+    return max(left, u - half_w) - MARGIN, min(right, u + half_w) + MARGIN
+
+
+@numba.njit(**_JIT)
+def _tile_span(low: float, high: float, tiles: int) -> Any:
+    """Return the first and one-past-last tile whose pixel centres lie within [low, high]."""
+    # The last centre of tile k is at TILE * k + TILE - 0.5, its first at TILE * k + 0.5.
+    first = int(math.ceil((low - TILE + 0.5) / TILE))
+    last = int(math.floor((high - 0.5) / TILE))
+    return max(first, 0), min(last + 1, tiles)
+
+
+@numba.njit(parallel=True, **_JIT)
+def count_entries(
+    ranked: Any,  # [M, PACKED] in depth order
+    tiles_x: int,
+    tiles_y: int,
+    alpha_min: float,
+    per_chunk: Any,  # [CHUNKS, tiles] int32, zeros, written
+    per_rank: Any,  # [M] int32, written
+) -> None:
+    """Count the entries of every (chunk, tile) and of every rank."""
+    total = ranked.shape[0]
+    size = (total + CHUNKS - 1) // CHUNKS
+    for chunk in numba.prange(CHUNKS):
+        for rank in range(chunk * size, min(total, chunk * size + size)):
+            row = ranked[rank]
+            u, v = np.float64(row[P_U]), np.float64(row[P_V])
+            reach = 2.0 * math.log(np.float64(row[P_OPACITY]) / alpha_min)
+            first_y, last_y = _tile_span(
+                v - row[P_HALF_H] - MARGIN, v + row[P_HALF_H] + MARGIN, tiles_y
+            )
+            entries = 0
+            for ty in range(first_y, last_y):
+                left, right = _row_span(row, u, v, reach, ty * TILE + 0.5, ty * TILE + TILE - 0.5)
+                if left > right:
+                    continue
+                first_x, last_x = _tile_span(left, right, tiles_x)
+                for tx in range(first_x, last_x):
+                    per_chunk[chunk, ty * tiles_x + tx] += 1
+                entries += max(last_x - first_x, 0)
+            per_rank[rank] = entries
+
+
+@numba.njit(**_JIT)
+def place_entries(
+    per_chunk: Any,  # [CHUNKS, tiles] int32 counts, overwritten by write positions
+    per_rank: Any,  # [M]
+    order: Any,  # [M]
+    first: int,
+    trainable: int,
+    tile_start: Any,  # [tiles + 1] int64, written
+    slot_start: Any,  # [trainable + 1] int64, written
+) -> None:
+    """Turn counts into positions: lists tile by tile, slots trainable splat by splat."""
+    tiles = per_chunk.shape[1]
+    running = 0
+    for tile in range(tiles):
+        tile_start[tile] = running
+        for chunk in range(per_chunk.shape[0]):
+            here = per_chunk[chunk, tile]
+            per_chunk[chunk, tile] = running
+            running += here
+    tile_start[tiles] = running
+    slot_start[:] = 0
+    if trainable > 0:
+        for rank in range(order.shape[0]):
+            if order[rank] >= first:
+                slot_start[order[rank] - first + 1] = per_rank[rank]
+        for j in range(trainable):
+            slot_start[j + 1] += slot_start[j]
+
+
+@numba.njit(parallel=True, **_JIT)
+def fill_entries(
+    ranked: Any,  # [M, PACKED]
+    order: Any,  # [M] int32
+    tiles_x: int,
+    tiles_y: int,
+    alpha_min: float,
+    cursor: Any,  # [CHUNKS, tiles] write positions from place_entries, advanced
+    first: int,
+    slot_start: Any,
+    entries: Any,  # [E] int32 ranks, written
+    slots: Any,  # [E] int32 slot or -1 for frozen, written
+) -> None:
+    """Write every tile's list of ranks, and the gradient slot of every entry."""
+    total = order.shape[0]
+    size = (total + CHUNKS - 1) // CHUNKS
+    for chunk in numba.prange(CHUNKS):
+        for rank in range(chunk * size, min(total, chunk * size + size)):
+            splat = order[rank]
+            row = ranked[rank]
+            u, v = np.float64(row[P_U]), np.float64(row[P_V])
+            reach = 2.0 * math.log(np.float64(row[P_OPACITY]) / alpha_min)
+            first_y, last_y = _tile_span(
+                v - row[P_HALF_H] - MARGIN, v + row[P_HALF_H] + MARGIN, tiles_y
+            )
+            slot = slot_start[splat - first] if splat >= first else -1
+            for ty in range(first_y, last_y):
+                left, right = _row_span(row, u, v, reach, ty * TILE + 0.5, ty * TILE + TILE - 0.5)
+                if left > right:
+                    continue
+                first_x, last_x = _tile_span(left, right, tiles_x)
+                for tx in range(first_x, last_x):
+                    place = cursor[chunk, ty * tiles_x + tx]
+                    cursor[chunk, ty * tiles_x + tx] = place + 1
+                    entries[place] = rank
+                    slots[place] = slot
+                    if slot >= 0:
+                        slot += 1
+
+
+@numba.njit(parallel=True, **_JIT)
+def gather_ranked(packed: Any, order: Any, ranked: Any) -> None:
+    """Copy packed rows into depth order, so that compositing reads memory forwards."""
+    total = order.shape[0]
+    for chunk in numba.prange((total + 4095) // 4096):
+        for rank in range(chunk * 4096, min(total, chunk * 4096 + 4096)):
+            source = order[rank]
+            for k in range(packed.shape[1]):
+                ranked[rank, k] = packed[source, k]
+

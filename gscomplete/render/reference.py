@@ -1,0 +1,137 @@
+"""The slow, obvious float64 twin of the renderer, in plain PyTorch.
+
+It follows the definition in ``settings`` term by term, with no tiles, no early stop and autograd for
+the gradients. Pixels are taken in blocks only to bound memory; a block considers the splats whose
+pixel box at alpha_min reaches it, which leaves out nothing that the definition draws.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.utils.checkpoint import checkpoint
+
+from gscomplete.render.settings import RenderSettings
+from gscomplete.splats import Splats, concatenate
+from gscomplete.splats.sh import evaluate_sh
+from gscomplete.views import Cameras
+
+BLOCK_PX = 32
+EDGE_SLACK = 0.15
+
+
+def rotation_matrices(quaternions: Tensor) -> Tensor:  # [N, 4] wxyz -> [N, 3, 3]
+    """Rotation matrices of quaternions, normalised first; a zero quaternion is the identity."""
+    norm = quaternions.norm(dim=1, keepdim=True)
+    w, x, y, z = torch.where(norm > 0, quaternions / norm.clamp_min(1e-300), 0.0).unbind(1)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return torch.stack([torch.stack(row, dim=1) for row in rows], dim=1)
+
+
+def _project(
+    splats: Splats, matrix: Tensor, focal: Tensor, center: Tensor, size: Tensor, blur: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return screen centres [N, 2], blurred covariances [N, 2, 2] and camera-space z [N]."""
+    world = matrix[:3, :3]
+    points = splats.means @ world.T + matrix[:3, 3]
+    depth = points[:, 2]
+    safe = torch.where(depth > 0, depth, 1.0)
+    ratio = points[:, :2] / safe[:, None]
+    low, high = (-center - EDGE_SLACK * size) / focal, (size - center + EDGE_SLACK * size) / focal
+    clamped = torch.minimum(torch.maximum(ratio, low), high)
+    slope = focal / safe[:, None]  # [N, 2]
+    jacobian = torch.zeros(len(splats), 2, 3, dtype=depth.dtype)
+    jacobian = torch.stack(
+        [
+            torch.stack([slope[:, 0], jacobian[:, 0, 1], -slope[:, 0] * clamped[:, 0]], dim=1),
+            torch.stack([jacobian[:, 1, 0], slope[:, 1], -slope[:, 1] * clamped[:, 1]], dim=1),
+        ],
+        dim=1,
+    )
+    factor = jacobian @ world @ rotation_matrices(splats.quaternions) @ torch.diag_embed(splats.scales)
+    covariance = factor @ factor.transpose(1, 2) + blur * torch.eye(2, dtype=depth.dtype)
+    return ratio * focal + center, covariance, depth
+
+
+def _block(
+    pixels: Tensor,  # [B, 2]
+    centers: Tensor,  # [M, 2] in depth order
+    inverse: Tensor,  # [M, 2, 2]
+    opacities: Tensor,  # [M]
+    values: Tensor,  # [M, 5] colour, depth, 1
+    alpha_min: float,
+    alpha_max: float,
+) -> Tensor:  # [B, 5]
+    """Composite M ordered splats over B pixels."""
+    offset = pixels[:, None] - centers[None]
+    power = 0.5 * torch.einsum("bmi,mij,bmj->bm", offset, inverse, offset)
+    alpha = (opacities * torch.exp(-power)).clamp_max(alpha_max)
+    alpha = torch.where(alpha >= alpha_min, alpha, 0.0)
+    through = torch.cumprod(1.0 - alpha, dim=1)
+    before = torch.cat([torch.ones_like(through[:, :1]), through[:, :-1]], dim=1)
+    return (alpha * before) @ values
+
+
+def rasterize(
+    splats: Splats,
+    cameras: Cameras,
+    frozen: Splats | None,
+    offsets: Tensor | None,  # [V, N, 2]
+    settings: RenderSettings,
+) -> Tensor:  # [V, H, W, 5] float64
+    """Draw in float64: red, green, blue, sum of w * depth, alpha."""
+    first = 0 if frozen is None else len(frozen)
+    everything = splats if frozen is None else concatenate([frozen.detach(), splats])
+    everything = everything.to("cpu", torch.float64)
+    cameras = cameras.to("cpu", torch.float64)
+    return torch.stack(
+        [
+            _view(everything, cameras[v], None if offsets is None else offsets[v], first, settings)
+            for v in range(len(cameras))
+        ]
+    )
+
+
+def _view(
+    splats: Splats,
+    camera: Cameras,
+    offsets: Tensor | None,  # [N, 2] for splats from ``first`` on
+    first: int,
+    settings: RenderSettings,
+) -> Tensor:  # [H, W, 5]
+    """Draw one view block by block."""
+    size = torch.tensor([camera.width, camera.height], dtype=torch.float64)
+    matrix, focal, center = camera.camera_from_world[0], camera.focal_px[0], camera.center_px[0]
+    centers, covariance, depth = _project(splats, matrix, focal, center, size, settings.blur_px2)
+    if offsets is not None:
+        shift = torch.cat([torch.zeros(first, 2, dtype=torch.float64), offsets.double()])
+        centers = centers + shift
+    direction = torch.nn.functional.normalize(splats.means - camera.positions[0], dim=1)
+    colors = (evaluate_sh(splats.sh, direction) + 0.5).clamp_min(0.0)
+    values = torch.cat([colors, depth[:, None], torch.ones_like(depth)[:, None]], dim=1)
+    shown = (depth > settings.near) & (splats.opacities >= settings.alpha_min)
+    order = torch.argsort(torch.where(shown, depth, torch.inf), stable=True)[: int(shown.sum())]
+    reach = 2 * torch.log((splats.opacities / settings.alpha_min).clamp_min(1.0))
+    half = (reach[:, None] * torch.diagonal(covariance, dim1=1, dim2=2)).sqrt().detach() + 1e-6
+    rows = []
+    for top in range(0, camera.height, BLOCK_PX):
+        row = []
+        for left in range(0, camera.width, BLOCK_PX):
+            ys = torch.arange(top, min(top + BLOCK_PX, camera.height), dtype=torch.float64) + 0.5
+            xs = torch.arange(left, min(left + BLOCK_PX, camera.width), dtype=torch.float64) + 0.5
+            grid = torch.stack(torch.meshgrid(ys, xs, indexing="ij"), dim=-1).flip(-1)
+            low, high = grid[0, 0], grid[-1, -1]
+            near = ((centers + half >= low) & (centers - half <= high)).all(dim=1)
+            chosen = order[near[order]]
+            block = checkpoint(
+                _block, grid.reshape(-1, 2), centers[chosen], torch.linalg.inv(covariance[chosen]),
+                splats.opacities[chosen], values[chosen], settings.alpha_min, settings.alpha_max,
+                use_reentrant=False,
+            )
+            row.append(block.reshape(len(ys), len(xs), 5))
+        rows.append(torch.cat(row, dim=1))
+    return torch.cat(rows, dim=0)

@@ -1,0 +1,47 @@
+"""Every knob of the renderer, and the definition of the picture that all backends draw.
+
+Definition (after Kerbl et al. 2023; all backends and the float64 twin follow it)
+---------------------------------------------------------------------------------
+A splat with camera-space centre (x, y, z), z > near, covers the pixel at p with
+    alpha = min(alpha_max, opacity * exp(-0.5 (p - u)^T K (p - u)))
+where u is the projected centre, K the inverse of J W Sigma W^T J^T + blur_px2 * I, and alphas below
+``alpha_min`` count as zero. Splats are composited front to back in order of z (ties by index).
+A backend may stop once the remaining transmittance is below ``transmittance_min``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class RenderSettings:
+    """Constants of the image formation; the defaults are those of the original 3DGS."""
+
+    near: float = 0.01
+    """Splats with camera-space z at or below this are not drawn (world units)."""
+    blur_px2: float = 0.3
+    """Variance added to both screen axes (pixels squared), the 3DGS low-pass filter."""
+    alpha_min: float = 1.0 / 255.0
+    """A pixel's alpha below this is zero. At least 1e-5, so that tile lists stay finite."""
+    alpha_max: float = 0.99
+    """A pixel's alpha is clamped to this; clamped pixels pass no gradient to shape or opacity."""
+    transmittance_min: float = 1e-4
+    """Compositing of a tile stops when every pixel's transmittance is below this; 0 = never."""
+
+    def __post_init__(self) -> None:
+        """Check ranges.
+
+        Raises:
+            ValueError: a value is outside the range its backend can draw.
+        """
+        if not 1e-5 <= self.alpha_min < self.alpha_max < 1.0:
+            raise ValueError(
+                "RenderSettings: expected 1e-5 <= alpha_min < alpha_max < 1, found "
+                f"alpha_min={self.alpha_min}, alpha_max={self.alpha_max}"
+            )
+        if self.near <= 0 or self.blur_px2 <= 0 or not 0 <= self.transmittance_min < 1:
+            raise ValueError(
+                "RenderSettings: expected near > 0, blur_px2 > 0 and 0 <= transmittance_min < 1, "
+                f"found {self.near}, {self.blur_px2}, {self.transmittance_min}"
+            )
