@@ -1,0 +1,288 @@
+"""The denoiser: a U-Net over four views that attend to each other and to the prompt.
+
+Conventions
+-----------
+* B rings of four views, images of S x S pixels. Noisy images are premultiplied RGBA mapped to
+  [-1, 1]; the input map is P seen by the same cameras (``prior.input_map``), zeros when withheld.
+* The output is v = alpha_t * noise - sigma_t * x0 (``diffusion``).
+* Inside, views are folded into the batch, [4B, C, h, w] in channels-last memory, so that turning
+  a level into tokens [B, 4hw, C] copies nothing.
+* Nothing tells the views apart but their Plucker rays: permuting views with their rays permutes
+  the output.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from gscomplete.priors.embedded.rays import RAY_CHANNELS, camera_vector, ring_rays
+
+IMAGE_CHANNELS = 4
+INPUT_CHANNELS = 5
+VIEWS = 4
+_PATCH = 2
+
+
+@dataclass(frozen=True, slots=True)
+class ModelConfig:
+    """Size of the denoiser. Widths are channels at 1/2, 1/4 and 1/8 of the image size."""
+
+    resolution_px: int = 64
+    widths: tuple[int, int, int] = (128, 224, 320)
+    blocks: tuple[int, int, int] = (2, 2, 1)  # residual blocks per level, each way
+    transformers: tuple[int, int] = (1, 3)  # joint-attention blocks at levels 1/4 and 1/8
+    head_width: int = 32
+    groups: int = 16  # of the group norms
+    embedding: int = 256  # width of the time + camera + text vector
+    text_width: int = 128
+    text_length: int = 16  # longest prompt in tokens
+    vocabulary_size: int = 512
+
+
+class TextEncoder(nn.Module):
+    """Learned words, two transformer layers: token states and one pooled vector."""
+
+    def __init__(self, config: ModelConfig) -> None:
+        super().__init__()
+        width = config.text_width
+        self.words = nn.Embedding(config.vocabulary_size, width)
+        self.positions = nn.Parameter(torch.randn(config.text_length, width) * 0.02)
+        self.layers = nn.ModuleList(
+            nn.TransformerEncoderLayer(
+                width, 4, 2 * width, dropout=0.0, activation="gelu", batch_first=True,
+                norm_first=True,
+            )
+            for _ in range(2)
+        )  # fmt: skip
+        self.norm = nn.LayerNorm(width)
+
+    def forward(self, tokens: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Encode token ids.
+
+        Args:
+            tokens: [B, L] with 0 for padding and at least one other id per row.
+
+        Returns:
+            States [B, L, D], pooled [B, D], and the mask [B, L] of real tokens.
+        """
+        mask = tokens != 0
+        states = self.words(tokens) + self.positions[: tokens.shape[1]]
+        for layer in self.layers:
+            states = layer(states, src_key_padding_mask=~mask)
+        states = self.norm(states) * mask[..., None]
+        pooled = states.sum(1) / mask.sum(1, keepdim=True).clamp(min=1)
+        return states, pooled, mask
+
+
+class ResidualBlock(nn.Module):
+    """Two 3 x 3 convolutions with group norm, modulated by the embedding (FiLM)."""
+
+    def __init__(self, width: int, embedding: int, groups: int) -> None:
+        super().__init__()
+        self.norm_in = nn.GroupNorm(groups, width)
+        self.conv_in = nn.Conv2d(width, width, 3, padding=1)
+        self.film = nn.Linear(embedding, 2 * width)
+        self.norm_out = nn.GroupNorm(groups, width)
+        self.conv_out = nn.Conv2d(width, width, 3, padding=1)
+        nn.init.zeros_(self.conv_out.weight)
+        nn.init.zeros_(self.film.weight)
+        nn.init.zeros_(self.film.bias)
+
+    def forward(self, x: Tensor, embedding: Tensor) -> Tensor:  # [4B, C, h, w], [4B, E]
+        """Return the features after the block."""
+        scale, shift = self.film(embedding)[:, :, None, None].chunk(2, dim=1)
+        h = self.conv_in(F.silu(self.norm_in(x)))
+        h = F.silu(torch.addcmul(shift.to(h.dtype), self.norm_out(h), 1 + scale.to(h.dtype)))
+        return x + self.conv_out(h)
+
+
+class JointTransformer(nn.Module):
+    """Attention among the tokens of all four views, to the prompt, then an MLP.
+
+    With ``pool`` 2 the keys and values are averaged over 2 x 2 cells: a quarter of the work where
+    tokens are many, and positions are still told apart by the queries.
+    """
+
+    def __init__(self, width: int, config: ModelConfig, *, pool: int, with_text: bool) -> None:
+        super().__init__()
+        self.heads = width // config.head_width
+        self.pool = pool
+        self.rays = nn.Linear(RAY_CHANNELS, width)
+        self.norm_self = nn.LayerNorm(width)
+        self.query = nn.Linear(width, width)
+        self.key_value = nn.Linear(width, 2 * width)
+        self.out_self = nn.Linear(width, width)
+        self.with_text = with_text
+        if with_text:
+            self.norm_text = nn.LayerNorm(width)
+            self.query_text = nn.Linear(width, width)
+            self.key_value_text = nn.Linear(config.text_width, 2 * width)
+            self.out_text = nn.Linear(width, width)
+            nn.init.zeros_(self.out_text.weight)
+        self.norm_mlp = nn.LayerNorm(width)
+        self.mlp_in = nn.Linear(width, 3 * width)
+        self.mlp_out = nn.Linear(3 * width, width)
+        nn.init.zeros_(self.out_self.weight)
+        nn.init.zeros_(self.mlp_out.weight)
+
+    def forward(
+        self,
+        x: Tensor,  # [4B, C, h, w]
+        rays: Tensor,  # [4B, h, w, 6]
+        states: Tensor,  # [B, L, D]
+        mask: Tensor,  # [B, L]
+    ) -> Tensor:  # [4B, C, h, w]
+        """Return the features after the block."""
+        batch, width, height, _ = x.shape
+        tokens = x.permute(0, 2, 3, 1)  # [4B, h, w, C]
+        normed = self.norm_self(tokens + self.rays(rays))
+        keyed = normed
+        if self.pool > 1:
+            keyed = F.avg_pool2d(normed.permute(0, 3, 1, 2), self.pool).permute(0, 2, 3, 1)
+        joint = (batch // VIEWS, -1, width)
+        attended = self._attend(
+            self.query(normed.reshape(joint)), self.key_value(keyed.reshape(joint)), None
+        )
+        flat = tokens.reshape(joint) + self.out_self(attended)
+        if self.with_text:
+            query = self.query_text(self.norm_text(flat))
+            read = self._attend(query, self.key_value_text(states), mask[:, None, None, :])
+            flat = flat + self.out_text(read)
+        flat = flat + self.mlp_out(F.gelu(self.mlp_in(self.norm_mlp(flat)), approximate="tanh"))
+        return flat.reshape(batch, height, height, width).permute(0, 3, 1, 2)
+
+    def _attend(self, query: Tensor, key_value: Tensor, mask: Tensor | None) -> Tensor:
+        batch, count, width = query.shape
+        key, value = key_value.chunk(2, dim=-1)
+        split = (batch, -1, self.heads, width // self.heads)
+        mixed = F.scaled_dot_product_attention(
+            query.reshape(split).transpose(1, 2),
+            key.reshape(split).transpose(1, 2),
+            value.reshape(split).transpose(1, 2),
+            attn_mask=mask,
+        )
+        return mixed.transpose(1, 2).reshape(batch, count, width)
+
+
+class Level(nn.Module):
+    """Residual blocks, each followed by a joint transformer while there are any left."""
+
+    def __init__(
+        self, width: int, config: ModelConfig, *, blocks: int, transformers: int, deep: bool
+    ) -> None:
+        super().__init__()
+        self.blocks = nn.ModuleList(
+            ResidualBlock(width, config.embedding, config.groups) for _ in range(blocks)
+        )
+        self.transformers = nn.ModuleList(
+            JointTransformer(width, config, pool=1 if deep else 2, with_text=deep)
+            for _ in range(transformers)
+        )
+
+    def forward(
+        self, x: Tensor, embedding: Tensor, rays: Tensor, states: Tensor, mask: Tensor
+    ) -> Tensor:
+        """Return the features after the level."""
+        for block in self.blocks:
+            x = block(x, embedding)
+        for transformer in self.transformers:
+            x = transformer(x, rays, states, mask)
+        return x
+
+
+class FourViewDenoiser(nn.Module):
+    """Predict v of four noisy views from P's views, the ring, the timestep and the prompt."""
+
+    def __init__(self, config: ModelConfig) -> None:
+        super().__init__()
+        self.config = config
+        w, e = config.widths, config.embedding
+        self.text = TextEncoder(config)
+        self.time = nn.Sequential(nn.Linear(2 * _FREQUENCIES, e), nn.SiLU(), nn.Linear(e, e))
+        self.camera = nn.Sequential(nn.Linear(3, e), nn.SiLU(), nn.Linear(e, e))
+        self.pooled = nn.Linear(config.text_width, e)
+        folded = (IMAGE_CHANNELS + INPUT_CHANNELS) * _PATCH**2 + RAY_CHANNELS
+        self.stem = nn.Conv2d(folded, w[0], 3, padding=1)
+        n_mid, n_deep = config.transformers
+        shallow = {"blocks": config.blocks[0], "transformers": 0, "deep": False}
+        middle = {"blocks": config.blocks[1], "deep": False}
+        self.down = nn.ModuleList(
+            [
+                Level(w[0], config, **shallow),
+                Level(w[1], config, transformers=n_mid, **middle),
+                Level(w[2], config, blocks=config.blocks[2], transformers=n_deep, deep=True),
+            ]
+        )
+        self.up = nn.ModuleList(
+            [
+                Level(w[0], config, **shallow),
+                Level(w[1], config, transformers=0, **middle),
+                Level(w[2], config, blocks=config.blocks[2], transformers=0, deep=True),
+            ]
+        )
+        self.shrink = nn.ModuleList(
+            nn.Conv2d(w[i], w[i + 1], _PATCH, stride=_PATCH) for i in range(2)
+        )
+        self.grow = nn.ModuleList(nn.Conv2d(w[i + 1], w[i], 1) for i in range(2))
+        self.norm = nn.GroupNorm(config.groups, w[0])
+        self.head = nn.Conv2d(w[0], IMAGE_CHANNELS * _PATCH**2, 3, padding=1)
+        nn.init.zeros_(self.head.weight)
+        nn.init.zeros_(self.head.bias)
+        self.to(memory_format=torch.channels_last)
+
+    def forward(
+        self,
+        noisy: Tensor,  # [B, 4, 4, S, S] views, channels
+        input_map: Tensor,  # [B, 4, 5, S, S], zeros where P is withheld
+        timestep: Tensor,  # [B] in 0 .. 999, may be fractional
+        ring: Tensor,  # [B, 3] elevation_deg, radius, fov_deg
+        tokens: Tensor,  # [B, L] word ids
+        rays: Tensor | None = None,  # [B, 4, 6, S/2, S/2], None = computed from ring
+    ) -> Tensor:  # [B, 4, 4, S, S]
+        """Predict v."""
+        states, pooled, mask = self.text(tokens)
+        embedding = self.time(_time_features(timestep)) + self.camera(camera_vector(ring))
+        embedding = F.silu(embedding + self.pooled(pooled)).repeat_interleave(VIEWS, dim=0)
+        if rays is None:
+            rays = ring_rays(ring, self.config.resolution_px // _PATCH)
+        rays = rays.flatten(0, 1)
+        ray_levels = [
+            F.avg_pool2d(rays, 2**level).permute(0, 2, 3, 1) if level else rays.permute(0, 2, 3, 1)
+            for level in range(3)
+        ]
+        images = torch.cat([noisy, input_map], dim=2).flatten(0, 1)
+        x = torch.cat([F.pixel_unshuffle(images, _PATCH), rays], dim=1)
+        x = self.stem(x.contiguous(memory_format=torch.channels_last))
+        kept = []
+        for level in range(3):
+            x = self.down[level](x, embedding, ray_levels[level], states, mask)
+            if level < 2:
+                kept.append(x)
+                x = self.shrink[level](x)
+        for level in (2, 1, 0):
+            if level < 2:
+                x = F.interpolate(self.grow[level](x), scale_factor=2.0, mode="nearest")
+                x = x + kept[level]
+            x = self.up[level](x, embedding, ray_levels[level], states, mask)
+        folded = self.head(F.silu(self.norm(x)))
+        return F.pixel_shuffle(folded, _PATCH).unflatten(0, (-1, VIEWS)).float()
+
+
+_FREQUENCIES = 64
+
+
+def _time_features(timestep: Tensor) -> Tensor:  # [B] -> [B, 2 * _FREQUENCIES]
+    exponents = torch.arange(_FREQUENCIES, device=timestep.device, dtype=torch.float32)
+    frequencies = torch.exp(exponents * (-math.log(10000.0) / _FREQUENCIES))
+    angles = timestep.float()[:, None] * frequencies
+    return torch.cat([torch.cos(angles), torch.sin(angles)], dim=1)
+
+
+def count_parameters(model: nn.Module) -> int:
+    """Return the number of learned scalars."""
+    return sum(parameter.numel() for parameter in model.parameters())
