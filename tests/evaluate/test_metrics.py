@@ -122,14 +122,8 @@ def ball(center: tuple[float, float, float], color: tuple[float, float, float]) 
     offsets = torch.randn(400, 3, generator=generator)
     means = torch.tensor(center) + 0.2 * offsets / offsets.norm(dim=1, keepdim=True)
     quaternions = torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(400, 4).clone()
-    colors = torch.tensor(color).expand(400, 3)
-    return Splats(
-        means,
-        quaternions,
-        torch.full((400, 3), 0.03),
-        torch.full((400,), 0.9),
-        colors_to_sh(colors),
-    )
+    sh = colors_to_sh(torch.tensor(color).expand(400, 3))
+    return Splats(means, quaternions, torch.full((400, 3), 0.03), torch.full((400,), 0.9), sh)
 
 
 def test_covering_the_input_costs_and_adding_behind_it_does_not() -> None:
