@@ -1,5 +1,17 @@
 """Splat sets: the record, its file form, transforms and validation."""
 
+from gscomplete.splats.ply import SplatFile, append_splats, read_splats, write_splats
+from gscomplete.splats.ply_header import PlyError
 from gscomplete.splats.record import SH_C0, Splats, colors_to_sh, concatenate
 
-__all__ = ["SH_C0", "Splats", "colors_to_sh", "concatenate"]
+__all__ = [
+    "SH_C0",
+    "PlyError",
+    "SplatFile",
+    "Splats",
+    "append_splats",
+    "colors_to_sh",
+    "concatenate",
+    "read_splats",
+    "write_splats",
+]

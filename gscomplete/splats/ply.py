@@ -1,0 +1,185 @@
+"""Splat PLY files: read, write, and append while passing the old records on byte for byte.
+
+Conventions
+-----------
+* ``read_splats`` takes binary little- or big-endian and ASCII files with the properties of the
+  original 3DGS in any order and of any scalar type (``ply_layout``); everything else in a file
+  (comments, foreign properties, other elements) is tolerated and kept.
+* ``write_splats`` writes the layout of the original 3DGS: little-endian float32, with the unused
+  normals ``nx ny nz`` as zeros, since viewers exist that read its records by position.
+* ``append_splats`` never decodes and encodes the source's records; their bytes are copied.
+* Logits, logarithms and the channel-major order exist in the file only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from gscomplete.atomic import atomic_path
+from gscomplete.errors import UserError
+from gscomplete.splats.ply_header import Element, PlyError, PlyHeader, Property, read_header
+from gscomplete.splats.ply_layout import REQUIRED, decode, encode, find_layout
+from gscomplete.splats.ply_payload import Payload, format_rows, parse_records, read_payload
+from gscomplete.splats.record import Splats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SplatFile:
+    """A splat PLY as read: its splats, and its bytes for passing on."""
+
+    path: Path
+    splats: Splats  # activated, float32, on the CPU, in the file frame
+    header: PlyHeader
+    payload: Payload = field(repr=False)
+    warnings: tuple[str, ...]  # oddities that did not stop the reading
+
+    @property
+    def n_rows(self) -> int:
+        """Number of vertex records."""
+        return len(self.splats)
+
+    @property
+    def comments(self) -> tuple[str, ...]:
+        """Texts of the file's comments."""
+        return self.header.comments
+
+
+def read_splats(path: str | Path) -> SplatFile:
+    """Read a splat PLY file.
+
+    Rows with NaN or infinite values are read as they are; ``filters.usable_rows`` finds them.
+
+    Raises:
+        PlyError: (a ``UserError``) the file is missing, something else than splats, malformed or
+            truncated; the message names the file, the field, what was expected and found.
+    """
+    path = Path(path)
+    header = read_header(path)
+    element = splat_element(header, path)
+    layout = find_layout(element, path)
+    payload = read_payload(path, header, element)
+    records = parse_records(path, header, element, payload)
+    warnings = list(payload.warnings)
+    if layout.dropped_bands:
+        warnings.append("spherical harmonics above degree 3 are kept in the file but not used")
+    if layout.integer:
+        warnings.append(f"integer-typed splat properties: {', '.join(layout.integer)}")
+    if element.count == 0:
+        warnings.append("no splats: element vertex has 0 rows")
+    return SplatFile(path, decode(records, layout), header, payload, tuple(warnings))
+
+
+def splat_element(header: PlyHeader, path: Path) -> Element:
+    """Return the vertex element of a header that may hold splats.
+
+    Raises:
+        PlyError: there is no vertex element, the file is SuperSplat's compressed form, or the
+            vertices belong to a mesh.
+    """
+    element = header.find("vertex")
+    if element is None:
+        names = ", ".join(e.name for e in header.elements) or "none"
+        message = f"expected an element 'vertex', found elements: {names}"
+        raise PlyError(path, "not_a_splat_file", message)
+    if "packed_position" in element.names:
+        message = (
+            "a SuperSplat compressed PLY (packed_position, packed_rotation, ...), expected plain "
+            "splats; convert it first: `splat-transform in.compressed.ply out.ply`, or the SuperSplat "
+            "editor's export as plain PLY"
+        )
+        raise PlyError(path, "compressed_splat_file", message)
+    faces = header.find("face")
+    if faces is not None and not set(REQUIRED) <= set(element.names):
+        message = f"a mesh PLY ({element.count} vertices, {faces.count} faces), expected splats"
+        raise PlyError(path, "not_a_splat_file", message)
+    return element
+
+
+def write_splats(path: str | Path, splats: Splats, comments: Sequence[str] = ()) -> None:
+    """Write splats as a new binary little-endian PLY file in the layout of the original 3DGS.
+
+    Opacities of 0 and 1 and scales of 0 are clamped to finite logits and logarithms.
+
+    Args:
+        path: the file to create or replace, atomically.
+        splats: finite splats, in the file frame.
+        comments: texts of comment lines; line breaks in them become spaces.
+
+    Raises:
+        UserError: the file cannot be written.
+        ValueError: a value is not finite, or a scale is negative.
+    """
+    names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
+    names += [f"f_rest_{i}" for i in range(3 * (splats.sh.shape[1] - 1))]
+    names += [name for name in REQUIRED if name not in names]  # opacity, scale, rot
+    element = Element("vertex", len(splats), tuple(Property(name, "f4") for name in names), 0)
+    layout = find_layout(element, Path(path))
+    lines = ["ply", "format binary_little_endian 1.0", *_comment_lines(comments)]
+    lines += [f"element vertex {len(splats)}", *(f"property float {name}" for name in names)]
+    with atomic_path(path) as temporary, temporary.open("wb") as stream:
+        stream.write("\n".join([*lines, "end_header\n"]).encode())
+        for block in encode(splats, layout, element.row_dtype("<")):
+            stream.write(block.data)
+
+
+def append_splats(
+    path: str | Path, source: SplatFile, new: Splats, comments: Sequence[str] = ()
+) -> None:
+    """Write a file with the records of ``source`` first, byte for byte, and new splats after.
+
+    Format, property list, comments and other elements are those of the source. Foreign
+    properties of the new records are 0, as are SH bands that the new splats lack.
+
+    Args:
+        path: the file to create or replace, atomically; may be the source's own path.
+        source: a file as read.
+        new: finite splats in the file frame.
+        comments: texts to add after the source's comments, such as ``gscomplete new_splats 5000``.
+
+    Raises:
+        UserError: the source's records cannot hold the new splats (fewer SH bands, integer
+            types), or the file cannot be written.
+        ValueError: a new value is not finite, or a scale is negative.
+    """
+    element = splat_element(source.header, source.path)
+    layout = find_layout(element, source.path)
+    if layout.integer:
+        fields = ", ".join(layout.integer)
+        raise UserError(f"{source.path}: cannot append splats to integer-typed properties {fields}")
+    if new.sh.shape[1] > layout.coefficients:
+        raise UserError(
+            f"{source.path}: has {layout.coefficients} SH coefficients per channel, cannot append "
+            f"splats with {new.sh.shape[1]}; expected new.with_sh_degree({source.splats.sh_degree})"
+        )
+    dtype = element.row_dtype(source.header.byte_order)
+    payload = source.payload
+    ascii_rows = source.header.format == "ascii"
+    with atomic_path(path) as temporary, temporary.open("wb") as stream:
+        count = element.count + len(new)
+        stream.write(_extended_header(source.header, element, count, comments))
+        stream.write(payload.before)
+        stream.write(payload.records.data)
+        if ascii_rows and payload.records.size and payload.records[-1] != ord("\n"):
+            stream.write(source.header.newline)
+        for block in encode(new, layout, dtype):
+            stream.write(format_rows(block) if ascii_rows else block.data)
+        stream.write(payload.after)
+
+
+def _comment_lines(comments: Sequence[str]) -> list[str]:
+    """Comment lines without ending, each on one line whatever the text holds."""
+    return [f"comment {' '.join(text.split())}" for text in comments]
+
+
+def _extended_header(
+    header: PlyHeader, element: Element, count: int, comments: Sequence[str]
+) -> bytes:
+    """The header's own lines with another vertex count, and comments before the first element."""
+    ending = header.newline
+    lines = list(header.lines)
+    lines[element.line] = f"element {element.name} {count}".encode() + ending
+    first = min(other.line for other in header.elements)
+    added = [line.encode() + ending for line in _comment_lines(comments)]
+    return b"".join([*lines[:first], *added, *lines[first:]])
