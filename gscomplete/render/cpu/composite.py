@@ -2,8 +2,10 @@
 
 Conventions
 -----------
-* Images are tiled: [tiles, CHANNELS, TILE * TILE] float32, channels as ``C_*``; pixel k of a tile
+* Images are tiled: [tiles, CHANNELS * TILE * TILE] float32, channels as ``C_*``; pixel k of a tile
   is at row k // TILE, column k % TILE. Tiling keeps every inner loop over 64 contiguous floats.
+* A tile's per-pixel state lives in one flat float32 buffer, plane after plane (``B_*``), because
+  LLVM can then tell that its planes do not overlap; separate arrays would need run-time checks.
 * Inner loops have no branches and no calls: alphas below the threshold are multiplied by zero, and
   ``exp`` is a polynomial, so that LLVM turns them into vector code.
 * A tile stops once all its pixels' transmittances are below ``transmittance_min``; ``done`` keeps
@@ -38,6 +40,12 @@ from gscomplete.render.cpu.tiles import TILE
 C_RED, C_GREEN, C_BLUE, C_DEPTH, C_ALPHA = range(5)
 CHANNELS = 5
 PIXELS = TILE * TILE
+B_X, B_Y, B_THROUGH, B_0, B_1, B_2, B_3, B_4, B_5 = (np.uint64(k * PIXELS) for k in range(9))
+"""Offsets in a tile's buffer: pixel centre, transmittance, then accumulators (forward: the colour
+and depth sums) or upstream gradients and the sum of w_j A_j not yet passed (backward). Unsigned,
+as all pixel indices are: a signed index may be negative in Python, and the test for it stops LLVM
+from vectorising the loop."""
+FIRST, LAST = np.uint64(0), np.uint64(PIXELS)
 STOP_EVERY = 8
 """Entries between two looks at a tile's largest transmittance."""
 MAX_POWER = 12.0
@@ -78,7 +86,17 @@ def _pixel_rows(v: Any, half_h: Any, tile_y: int) -> Any:
     bottom = v + half_h - np.float32(tile_y * TILE) - np.float32(0.49)
     first = int(max(min(top, np.float32(TILE)), np.float32(0.0))) & ~1
     last = (int(max(min(bottom, np.float32(TILE - 1)), np.float32(0.0))) | 1) + 1
-    return first * TILE, last * TILE
+    return np.uint64(first * TILE), np.uint64(last * TILE)
+
+
+@numba.njit(**_JIT)
+def _start_tile(buffer: Any, tile: int, tiles_x: int) -> None:
+    """Write pixel centres and full transmittance into a tile's buffer."""
+    for p in range(FIRST, LAST):
+        row, column = np.int64(p) // TILE, np.int64(p) % TILE
+        buffer[B_X + p] = np.float32((tile % tiles_x) * TILE + column) + np.float32(0.5)
+        buffer[B_Y + p] = np.float32((tile // tiles_x) * TILE + row) + np.float32(0.5)
+        buffer[B_THROUGH + p] = np.float32(1.0)
 
 
 @numba.njit(parallel=True, **_JIT)
@@ -90,55 +108,66 @@ def composite(
     alpha_min: Any,  # float32
     alpha_max: Any,
     transmittance_min: Any,
-    image: Any,  # [tiles, CHANNELS, PIXELS] written
+    image: Any,  # [tiles, CHANNELS * PIXELS] written
     done: Any,  # [tiles] int32 written
 ) -> None:
     """Draw every tile: premultiplied colour, sum of w * depth, and alpha."""
     tiles = tile_start.shape[0] - 1
     for tile in numba.prange(tiles):
-        column = np.empty(PIXELS, np.float32)
-        line = np.empty(PIXELS, np.float32)
-        through = np.empty(PIXELS, np.float32)
-        tile_y = tile // tiles_x
-        for p in range(PIXELS):
-            column[p] = np.float32((tile % tiles_x) * TILE + p % TILE) + np.float32(0.5)
-            line[p] = np.float32(tile_y * TILE + p // TILE) + np.float32(0.5)
-            through[p] = np.float32(1.0)
-        red, green, blue = image[tile, C_RED], image[tile, C_GREEN], image[tile, C_BLUE]
-        deep, alphas = image[tile, C_DEPTH], image[tile, C_ALPHA]
-        for p in range(PIXELS):
-            red[p] = green[p] = blue[p] = deep[p] = np.float32(0.0)
-        start, stop = tile_start[tile], tile_start[tile + 1]
-        drawn = stop - start
-        for e in range(start, stop):
-            row = ranked[entries[e]]
-            u, v, opacity = row[P_U], row[P_V], row[P_OPACITY]
-            la, lb, lc = row[P_LA], row[P_LB], row[P_LC]
-            cr, cg, cb, cd = row[P_RED], row[P_GREEN], row[P_BLUE], row[P_DEPTH]
-            low, high = _pixel_rows(v, row[P_HALF_H], tile_y)
-            for p in range(low, high):
-                dy = line[p] - v
-                wx = la * (column[p] - u) + lb * dy
-                wy = lc * dy
-                power = min(np.float32(0.5) * (wx * wx + wy * wy), np.float32(MAX_POWER))
-                alpha = min(opacity * exp_neg(power), alpha_max)
-                alpha = alpha if alpha >= alpha_min else np.float32(0.0)
-                w = alpha * through[p]
-                red[p] += w * cr
-                green[p] += w * cg
-                blue[p] += w * cb
-                deep[p] += w * cd
-                through[p] -= w
-            if (e - start) % STOP_EVERY == STOP_EVERY - 1:
-                largest = np.float32(0.0)
-                for p in range(PIXELS):
-                    largest = max(largest, through[p])
-                if largest < transmittance_min:
-                    drawn = e - start + 1
-                    break
-        for p in range(PIXELS):
-            alphas[p] = np.float32(1.0) - through[p]
-        done[tile] = drawn
+        buffer = np.zeros(7 * PIXELS, np.float32)
+        _start_tile(buffer, tile, tiles_x)
+        done[tile] = _tile_forward(
+            ranked, entries, tile_start[tile], tile_start[tile + 1], tile // tiles_x,
+            alpha_min, alpha_max, transmittance_min, buffer,
+        )
+        for p in range(FIRST, LAST):
+            image[tile, np.uint64(C_RED * PIXELS) + p] = buffer[B_0 + p]
+            image[tile, np.uint64(C_GREEN * PIXELS) + p] = buffer[B_1 + p]
+            image[tile, np.uint64(C_BLUE * PIXELS) + p] = buffer[B_2 + p]
+            image[tile, np.uint64(C_DEPTH * PIXELS) + p] = buffer[B_3 + p]
+            image[tile, np.uint64(C_ALPHA * PIXELS) + p] = np.float32(1.0) - buffer[B_THROUGH + p]
+
+
+@numba.njit(**_JIT)
+def _tile_forward(
+    ranked: Any,
+    entries: Any,
+    start: int,
+    stop: int,
+    tile_y: int,
+    alpha_min: Any,
+    alpha_max: Any,
+    transmittance_min: Any,
+    buffer: Any,
+) -> int:
+    """Composite one tile's entries into its buffer; return how many were drawn."""
+    zero, half = np.float32(0.0), np.float32(0.5)
+    for e in range(start, stop):
+        row = ranked[entries[e]]
+        u, v, opacity = row[P_U], row[P_V], row[P_OPACITY]
+        la, lb, lc = row[P_LA], row[P_LB], row[P_LC]
+        cr, cg, cb, cd = row[P_RED], row[P_GREEN], row[P_BLUE], row[P_DEPTH]
+        low, high = _pixel_rows(v, row[P_HALF_H], tile_y)
+        for p in range(low, high):
+            dy = buffer[B_Y + p] - v
+            wx = la * (buffer[B_X + p] - u) + lb * dy
+            wy = lc * dy
+            power = min(half * (wx * wx + wy * wy), np.float32(MAX_POWER))
+            alpha = min(opacity * exp_neg(power), alpha_max)
+            alpha = alpha if alpha >= alpha_min else zero
+            w = alpha * buffer[B_THROUGH + p]
+            buffer[B_0 + p] += w * cr
+            buffer[B_1 + p] += w * cg
+            buffer[B_2 + p] += w * cb
+            buffer[B_3 + p] += w * cd
+            buffer[B_THROUGH + p] -= w
+        if (e - start) % STOP_EVERY == STOP_EVERY - 1:
+            largest = zero
+            for p in range(FIRST, LAST):
+                largest = max(largest, buffer[B_THROUGH + p])
+            if largest < transmittance_min:
+                return e - start + 1
+    return stop - start
 
 
 @numba.njit(parallel=True, **_JIT)
@@ -150,9 +179,9 @@ def composite_backward(
     tiles_x: int,
     alpha_min: Any,
     alpha_max: Any,
-    image: Any,  # [tiles, CHANNELS, PIXELS] of the forward pass
+    image: Any,  # [tiles, CHANNELS * PIXELS] of the forward pass
     done: Any,  # [tiles]
-    upstream: Any,  # [tiles, CHANNELS, PIXELS] dL/dimage
+    upstream: Any,  # [tiles, CHANNELS * PIXELS] dL/dimage
     sums: Any,  # [slots, SUMS] zeros, written
 ) -> None:
     """Write, for every (trainable splat, tile) entry, the sums that its gradient is made of."""
@@ -165,14 +194,23 @@ def composite_backward(
                 last = e
                 break
         loudest = np.float32(0.0)
-        for c in range(CHANNELS):
-            for p in range(PIXELS):
-                loudest = max(loudest, abs(upstream[tile, c, p]))
-        if last >= start and loudest > np.float32(0.0):
-            _tile_backward(
-                ranked, entries, slots, tiles_x, alpha_min, alpha_max, image[tile],
-                upstream[tile], sums, tile, start, last,
-            )
+        for k in range(CHANNELS * PIXELS):
+            loudest = max(loudest, abs(upstream[tile, k]))
+        if last < start or loudest == np.float32(0.0):
+            continue
+        buffer = np.empty(9 * PIXELS, np.float32)
+        _start_tile(buffer, tile, tiles_x)
+        for p in range(FIRST, LAST):
+            total = np.float32(0.0)
+            for c in range(CHANNELS):
+                gradient = upstream[tile, np.uint64(c * PIXELS) + p]
+                buffer[B_0 + np.uint64(c * PIXELS) + p] = gradient
+                total += gradient * image[tile, np.uint64(c * PIXELS) + p]
+            buffer[B_5 + p] = total
+        _tile_backward(
+            ranked, entries, slots, start, last, tile // tiles_x, alpha_min, alpha_max, buffer,
+            sums,
+        )
 
 
 @numba.njit(**_JIT)
@@ -180,36 +218,16 @@ def _tile_backward(
     ranked: Any,
     entries: Any,
     slots: Any,
-    tiles_x: int,
-    alpha_min: Any,
-    alpha_max: Any,
-    image: Any,  # [CHANNELS, PIXELS]
-    upstream: Any,  # [CHANNELS, PIXELS]
-    sums: Any,
-    tile: int,
     start: int,
     last: int,
+    tile_y: int,
+    alpha_min: Any,
+    alpha_max: Any,
+    buffer: Any,
+    sums: Any,
 ) -> None:
     """Walk one tile's entries front to back up to the last trainable one."""
-    column = np.empty(PIXELS, np.float32)
-    line = np.empty(PIXELS, np.float32)
-    through = np.empty(PIXELS, np.float32)
-    behind = np.empty(PIXELS, np.float32)  # sum of w_j A_j not yet passed
-    gr, gg, gb = upstream[C_RED], upstream[C_GREEN], upstream[C_BLUE]
-    gd, ga = upstream[C_DEPTH], upstream[C_ALPHA]
-    tile_y = tile // tiles_x
-    for p in range(PIXELS):
-        column[p] = np.float32((tile % tiles_x) * TILE + p % TILE) + np.float32(0.5)
-        line[p] = np.float32(tile_y * TILE + p // TILE) + np.float32(0.5)
-        through[p] = np.float32(1.0)
-        behind[p] = (
-            image[C_RED, p] * gr[p]
-            + image[C_GREEN, p] * gg[p]
-            + image[C_BLUE, p] * gb[p]
-            + image[C_DEPTH, p] * gd[p]
-            + image[C_ALPHA, p] * ga[p]
-        )
-    zero, one = np.float32(0.0), np.float32(1.0)
+    zero, half, one = np.float32(0.0), np.float32(0.5), np.float32(1.0)
     for e in range(start, last + 1):
         row = ranked[entries[e]]
         u, v, opacity = row[P_U], row[P_V], row[P_OPACITY]
@@ -219,41 +237,47 @@ def _tile_backward(
         slot = slots[e]
         if slot < 0:
             for p in range(low, high):
-                dy = line[p] - v
-                wx = la * (column[p] - u) + lb * dy
+                dy = buffer[B_Y + p] - v
+                wx = la * (buffer[B_X + p] - u) + lb * dy
                 wy = lc * dy
-                power = min(np.float32(0.5) * (wx * wx + wy * wy), np.float32(MAX_POWER))
+                power = min(half * (wx * wx + wy * wy), np.float32(MAX_POWER))
                 alpha = min(opacity * exp_neg(power), alpha_max)
-                w = (alpha if alpha >= alpha_min else zero) * through[p]
-                behind[p] -= w * (cr * gr[p] + cg * gg[p] + cb * gb[p] + cd * gd[p] + ga[p])
-                through[p] -= w
+                w = (alpha if alpha >= alpha_min else zero) * buffer[B_THROUGH + p]
+                value = cr * buffer[B_0 + p] + cg * buffer[B_1 + p] + cb * buffer[B_2 + p]
+                value += cd * buffer[B_3 + p] + buffer[B_4 + p]
+                buffer[B_5 + p] -= w * value
+                buffer[B_THROUGH + p] -= w
             continue
         s1 = sx = sy = sxx = sxy = syy = sr = sg = sb = sd = zero
         for p in range(low, high):
-            dy = line[p] - v
-            wx = la * (column[p] - u) + lb * dy
+            dy = buffer[B_Y + p] - v
+            wx = la * (buffer[B_X + p] - u) + lb * dy
             wy = lc * dy
-            power = min(np.float32(0.5) * (wx * wx + wy * wy), np.float32(MAX_POWER))
+            power = min(half * (wx * wx + wy * wy), np.float32(MAX_POWER))
             raw = opacity * exp_neg(power)
             alpha = min(raw, alpha_max)
             alpha = alpha if alpha >= alpha_min else zero
             free = alpha if raw < alpha_max else zero
-            w = alpha * through[p]
-            value = cr * gr[p] + cg * gg[p] + cb * gb[p] + cd * gd[p] + ga[p]
-            rest = behind[p] - w * value
-            gradient = -free * (through[p] * value - rest / (one - alpha))
-            behind[p] = rest
-            through[p] -= w
+            through = buffer[B_THROUGH + p]
+            gr, gg, gb, gd = buffer[B_0 + p], buffer[B_1 + p], buffer[B_2 + p], buffer[B_3 + p]
+            w = alpha * through
+            value = cr * gr + cg * gg + cb * gb + cd * gd + buffer[B_4 + p]
+            rest = buffer[B_5 + p] - w * value
+            gradient = free * (rest / (one - alpha) - through * value)
+            buffer[B_5 + p] = rest
+            buffer[B_THROUGH + p] = through - w
             s1 += gradient
-            sx += gradient * wx
-            sy += gradient * wy
-            sxx += gradient * wx * wx
-            sxy += gradient * wx * wy
-            syy += gradient * wy * wy
-            sr += w * gr[p]
-            sg += w * gg[p]
-            sb += w * gb[p]
-            sd += w * gd[p]
+            gx = gradient * wx
+            gy = gradient * wy
+            sx += gx
+            sy += gy
+            sxx += gx * wx
+            sxy += gx * wy
+            syy += gy * wy
+            sr += w * gr
+            sg += w * gg
+            sb += w * gb
+            sd += w * gd
         sums[slot, 0], sums[slot, 1], sums[slot, 2] = s1, sx, sy
         sums[slot, 3], sums[slot, 4], sums[slot, 5] = sxx, sxy, syy
         sums[slot, 6], sums[slot, 7], sums[slot, 8], sums[slot, 9] = sr, sg, sb, sd

@@ -78,7 +78,7 @@ def _draw_view(
         ranked, order, tiles_x, tiles_y, settings.alpha_min, cursor, first, slot_start,
         entries, slots,
     )
-    image = np.empty((tiles_x * tiles_y, comp.CHANNELS, comp.PIXELS), np.float32)
+    image = np.empty((tiles_x * tiles_y, comp.CHANNELS * comp.PIXELS), np.float32)
     done = np.empty(tiles_x * tiles_y, np.int32)
     comp.composite(
         ranked, tile_start, entries, tiles_x, np.float32(settings.alpha_min),
@@ -87,7 +87,7 @@ def _draw_view(
     return _View(camera, packed, ranked, tile_start, entries, slots, slot_start, image, done)
 
 
-def _untile(image: Tensor, width: int, height: int) -> Tensor:  # [tiles, C, 64] -> [H, W, C]
+def _untile(image: Tensor, width: int, height: int) -> Tensor:  # [tiles, C * 64] -> [H, W, C]
     """Put tiles side by side and cut the image out."""
     tiles_x, tiles_y = -(-width // tiles.TILE), -(-height // tiles.TILE)
     grid = image.view(tiles_y, tiles_x, comp.CHANNELS, tiles.TILE, tiles.TILE)
@@ -95,14 +95,14 @@ def _untile(image: Tensor, width: int, height: int) -> Tensor:  # [tiles, C, 64]
     return flat[:height, :width]
 
 
-def _tile(image: Tensor) -> Tensor:  # [H, W, C] -> [tiles, C, 64]
+def _tile(image: Tensor) -> Tensor:  # [H, W, C] -> [tiles, C * 64]
     """Cut an image into tiles, padding with zeros."""
     height, width, channels = image.shape
     tiles_x, tiles_y = -(-width // tiles.TILE), -(-height // tiles.TILE)
     padded = image.new_zeros(tiles_y * tiles.TILE, tiles_x * tiles.TILE, channels)
     padded[:height, :width] = image
     grid = padded.view(tiles_y, tiles.TILE, tiles_x, tiles.TILE, channels)
-    return grid.permute(0, 2, 4, 1, 3).reshape(tiles_y * tiles_x, channels, -1)
+    return grid.permute(0, 2, 4, 1, 3).reshape(tiles_y * tiles_x, -1)
 
 
 class _Rasterize(torch.autograd.Function):
