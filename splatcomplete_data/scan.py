@@ -1,0 +1,213 @@
+"""Scans in the Point Cloud Library's PCD format, organised or not.
+
+Conventions
+-----------
+* Points keep the file's frame and units; rows with a coordinate that is not finite are dropped.
+* ``rgb`` and ``rgba`` are one 32-bit word per point, 0xAARRGGBB, whatever scalar type the header
+  gives it; colours become sRGB in [0, 1]. A cloud without colour is grey.
+* Read: ASCII, binary, and ``binary_compressed`` (LZF, one field after the other).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gscomplete.errors import UserError
+
+GREY = 0.6
+"""Colour of points without any."""
+_TYPES = {"F": "f", "U": "u", "I": "i"}
+_MAX_POINTS = 2**31
+
+
+@dataclass(frozen=True, slots=True)
+class PointCloud:
+    """N coloured points."""
+
+    points: NDArray[np.float64]  # [N, 3]
+    colors: NDArray[np.float32]  # [N, 3] sRGB in [0, 1]
+    labels: NDArray[np.int64] | None = None  # [N], None = the file has none
+
+    def __len__(self) -> int:
+        """Return the number of points."""
+        return len(self.points)
+
+    def select(self, index: NDArray[np.generic]) -> PointCloud:
+        """Return the points picked by a mask or by indices."""
+        labels = None if self.labels is None else self.labels[index]
+        return PointCloud(self.points[index], self.colors[index], labels)
+
+
+@dataclass(frozen=True, slots=True)
+class _Header:
+    """What a PCD header says."""
+
+    names: tuple[str, ...]
+    dtypes: tuple[np.dtype, ...]
+    counts: tuple[int, ...]
+    points: int
+    data: str
+    offset: int
+
+    def record(self) -> np.dtype:
+        """Return the structured type of one point."""
+        fields = zip(self.names, self.dtypes, self.counts, strict=True)
+        unique = [(f"{i}:{name}", dtype, (count,)) for i, (name, dtype, count) in enumerate(fields)]
+        return np.dtype(unique)
+
+
+def read_pcd(path: Path) -> PointCloud:
+    """Read a PCD file.
+
+    Raises:
+        UserError: it is not a PCD file, lacks coordinates, or its data end early.
+    """
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise UserError(f"{path}: cannot read it ({error})") from error
+    header = _parse_header(raw, path)
+    columns = _columns(raw[header.offset :], header, path)
+    missing = [axis for axis in "xyz" if axis not in columns]
+    if missing:
+        raise UserError(f"{path}: expected fields x, y, z; found {', '.join(columns)}")
+    points = np.stack([columns[axis].astype(np.float64) for axis in "xyz"], axis=1)
+    packed = columns.get("rgba", columns.get("rgb"))
+    colors = np.full(points.shape, GREY, np.float32) if packed is None else _unpack(packed)
+    labels = columns["label"].astype(np.int64) if "label" in columns else None
+    return PointCloud(points, colors, labels).select(np.isfinite(points).all(axis=1))
+
+
+def lzf_decompress(packed: bytes, size: int) -> bytes:
+    """Expand LZF data to exactly ``size`` bytes.
+
+    A control byte below 32 announces a run of literals; otherwise its top three bits are a length
+    and the rest, with the next byte, a distance back into what has been written.
+
+    Raises:
+        ValueError: the data end early or expand to another size.
+    """
+    out = bytearray()
+    position, end = 0, len(packed)
+    try:
+        while position < end:
+            control = packed[position]
+            position += 1
+            if control < 32:
+                out += packed[position : position + control + 1]
+                position += control + 1
+                continue
+            length = control >> 5
+            if length == 7:
+                length += packed[position]
+                position += 1
+            start = len(out) - ((control & 31) << 8) - packed[position] - 1
+            position += 1
+            _copy_back(out, start, length + 2)
+    except IndexError as error:
+        raise ValueError("lzf_decompress: the data end within a back reference") from error
+    if len(out) != size:
+        raise ValueError(f"lzf_decompress: expected {size} bytes, found {len(out)}")
+    return bytes(out)
+
+
+def _copy_back(out: bytearray, start: int, length: int) -> None:
+    """Append ``length`` bytes from ``start`` on; the source may overlap what is being written."""
+    if start < 0:
+        raise ValueError("lzf_decompress: a back reference points before the beginning")
+    period = len(out) - start
+    if period >= length:
+        out += out[start : start + length]
+    else:
+        out += (out[start:] * (length // period + 1))[:length]
+
+
+def _parse_header(raw: bytes, path: Path) -> _Header:
+    """Read the lines up to and including DATA."""
+    entries: dict[str, list[str]] = {}
+    offset = 0
+    while "DATA" not in entries:
+        end = raw.find(b"\n", offset, offset + 4096)
+        if end < 0:
+            raise UserError(f"{path}: expected a PCD header ending in a DATA line, found none")
+        words = raw[offset:end].decode("ascii", "replace").split()
+        offset = end + 1
+        if words and not words[0].startswith("#"):
+            entries[words[0]] = words[1:]
+    try:
+        names = tuple(entries["FIELDS"])
+        sizes = [int(word) for word in entries["SIZE"]]
+        kinds = [_TYPES[word] for word in entries["TYPE"]]
+        counts = tuple(int(word) for word in entries.get("COUNT", ["1"] * len(names)))
+        points = int(entries["POINTS"][0])
+        shapes = zip(kinds, sizes, strict=True)
+        dtypes = tuple(np.dtype(f"<{kind}{size}") for kind, size in shapes)
+        data = entries["DATA"][0]
+    except (KeyError, ValueError, IndexError, TypeError) as error:
+        raise UserError(f"{path}: PCD header: missing or malformed entry ({error})") from error
+    if not len(names) == len(dtypes) == len(counts) or not 0 <= points < _MAX_POINTS:
+        raise UserError(f"{path}: PCD header: FIELDS, SIZE, TYPE, COUNT and POINTS do not agree")
+    if min(counts, default=0) < 1:
+        raise UserError(f"{path}: PCD header: COUNT: expected positive numbers")
+    return _Header(names, dtypes, counts, points, data, offset)
+
+
+def _columns(body: bytes, header: _Header, path: Path) -> dict[str, NDArray[np.generic]]:
+    """Split the data into one array per field (the first value of fields with several)."""
+    record = header.record()
+    expected = header.points * record.itemsize
+    if header.data == "ascii":
+        return _ascii_columns(body, header, path)
+    if header.data == "binary":
+        if len(body) < expected:
+            raise UserError(f"{path}: data: expected {expected} bytes, found {len(body)}")
+        rows = np.frombuffer(body, record, header.points)
+        return {
+            name: rows[key][:, 0]
+            for name, key in zip(header.names, record.names or (), strict=True)
+        }
+    if header.data != "binary_compressed":
+        raise UserError(
+            f"{path}: DATA: expected ascii, binary or binary_compressed, found {header.data}"
+        )
+    sizes = np.frombuffer(body[:8], "<u4")
+    if len(sizes) < 2 or len(body) < 8 + int(sizes[0]) or int(sizes[1]) != expected:
+        raise UserError(f"{path}: compressed data: {expected} bytes do not fit what is there")
+    try:
+        plain = lzf_decompress(body[8 : 8 + int(sizes[0])], expected)
+    except ValueError as error:
+        raise UserError(f"{path}: {error}") from error
+    columns, start = {}, 0
+    for name, dtype, count in zip(header.names, header.dtypes, header.counts, strict=True):
+        values = np.frombuffer(plain, dtype, header.points * count, start)
+        columns[name] = values[::count]
+        start += values.nbytes
+    return columns
+
+
+def _ascii_columns(body: bytes, header: _Header, path: Path) -> dict[str, NDArray[np.generic]]:
+    """Parse one line of numbers per point."""
+    words = body.split()
+    width = sum(header.counts)
+    if len(words) < header.points * width:
+        raise UserError(
+            f"{path}: data: expected {header.points * width} numbers, found {len(words)}"
+        )
+    try:
+        table = np.array(words[: header.points * width], np.float64).reshape(-1, width)
+    except ValueError as error:
+        raise UserError(f"{path}: data: expected numbers ({error})") from error
+    starts = np.cumsum([0, *header.counts[:-1]])
+    fields = zip(header.names, header.dtypes, starts, strict=True)
+    return {name: table[:, start].astype(dtype) for name, dtype, start in fields}
+
+
+def _unpack(packed: NDArray[np.generic]) -> NDArray[np.float32]:  # [N] -> [N, 3]
+    """Split 0xAARRGGBB words into sRGB in [0, 1]."""
+    words = np.ascontiguousarray(packed).view(np.uint32)
+    channels = [(words >> shift) & 255 for shift in (16, 8, 0)]
+    return (np.stack(channels, axis=1) / 255.0).astype(np.float32)
