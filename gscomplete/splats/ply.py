@@ -86,8 +86,8 @@ def splat_element(header: PlyHeader, path: Path) -> Element:
     if "packed_position" in element.names:
         message = (
             "a SuperSplat compressed PLY (packed_position, packed_rotation, ...), expected plain "
-            "splats; convert it first: `splat-transform in.compressed.ply out.ply`, or the SuperSplat "
-            "editor's export as plain PLY"
+            "splats; convert it first: `splat-transform in.compressed.ply out.ply`, or export "
+            "a plain PLY from SuperSplat"
         )
         raise PlyError(path, "compressed_splat_file", message)
     faces = header.find("face")
@@ -109,7 +109,7 @@ def write_splats(path: str | Path, splats: Splats, comments: Sequence[str] = ())
 
     Raises:
         UserError: the file cannot be written.
-        ValueError: a value is not finite, or a scale is negative.
+        ValueError: a value is not finite or out of range (``encode``).
     """
     names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
     names += [f"f_rest_{i}" for i in range(3 * (splats.sh.shape[1] - 1))]
@@ -141,7 +141,7 @@ def append_splats(
     Raises:
         UserError: the source's records cannot hold the new splats (fewer SH bands, integer
             types), or the file cannot be written.
-        ValueError: a new value is not finite, or a scale is negative.
+        ValueError: a new value is not finite or out of range (``encode``).
     """
     element = splat_element(source.header, source.path)
     layout = find_layout(element, source.path)

@@ -47,8 +47,7 @@ class SplatLayout:
     """Indices of the splat properties within a vertex record."""
 
     means: tuple[int, ...]  # 3
-    base: tuple[int, ...]  # 3: f_dc
-    higher: tuple[tuple[int, ...], ...]  # K - 1 coefficients x 3 channels: f_rest
+    sh: tuple[int, ...]  # 3 K: f_dc and f_rest in the order of Splats.sh, channels innermost
     opacity: int
     scales: tuple[int, ...]  # 3
     quaternion: tuple[int, ...]  # 4
@@ -59,7 +58,7 @@ class SplatLayout:
     @property
     def coefficients(self) -> int:
         """Number K of SH coefficients per channel that are read."""
-        return 1 + len(self.higher)
+        return len(self.sh) // 3
 
 
 def find_layout(element: Element, path: Path) -> SplatLayout:
@@ -99,10 +98,8 @@ def find_layout(element: Element, path: Path) -> SplatLayout:
     kept = min(per_channel, 15)
     return SplatLayout(
         means=tuple(index[name] for name in "xyz"),
-        base=tuple(index[f"f_dc_{c}"] for c in range(3)),
-        higher=tuple(
-            tuple(index[f"f_rest_{c * per_channel + k}"] for c in range(3)) for k in range(kept)
-        ),
+        sh=tuple(index[f"f_dc_{c}"] for c in range(3))
+        + tuple(index[f"f_rest_{c * per_channel + k}"] for k in range(kept) for c in range(3)),
         opacity=index["opacity"],
         scales=tuple(index[f"scale_{i}"] for i in range(3)),
         quaternion=tuple(index[f"rot_{i}"] for i in range(4)),
@@ -153,42 +150,45 @@ def decode(records: NDArray[np.void], layout: SplatLayout) -> Splats:
     quaternions = np.empty((count, 4), np.float32)
     scales = np.empty((count, 3), np.float32)
     opacities = np.empty(count, np.float32)
-    sh = np.empty((count, layout.coefficients, 3), np.float32)
+    sh = np.empty((count, 3 * layout.coefficients), np.float32)
     with np.errstate(all="ignore"):
         for rows in blocks(count):
-            block = records[rows]
-            _gather(block, layout.means, means[rows])
-            _gather(block, layout.scales, scales[rows])
-            np.exp(scales[rows], out=scales[rows])
-            opacities[rows] = block[f"p{layout.opacity}"]
-            opacities[rows] = 1 / (1 + np.exp(-opacities[rows]))
-            _gather(block, layout.quaternion, quaternions[rows])
-            quaternions[rows] = unit_quaternions(quaternions[rows])
-            _gather(block, layout.base, sh[rows, 0])
-            for k, channels in enumerate(layout.higher, start=1):
-                _gather(block, channels, sh[rows, k])
-    arrays = (means, quaternions, scales, opacities, sh)
+            table = value_table(records[rows])
+            means[rows] = table.take(layout.means, axis=1)
+            np.exp(table.take(layout.scales, axis=1), out=scales[rows])
+            opacities[rows] = 1 / (1 + np.exp(-table[:, layout.opacity]))
+            quaternions[rows] = unit_quaternions(table.take(layout.quaternion, axis=1))
+            sh[rows] = table.take(layout.sh, axis=1)
+    arrays = (means, quaternions, scales, opacities, sh.reshape(count, layout.coefficients, 3))
     return Splats(*(torch.from_numpy(array) for array in arrays))
 
 
-def _gather(
-    block: NDArray[np.void],  # [B] records
-    columns: tuple[int, ...],  # [C]
-    out: NDArray[np.float32],  # [B, C]
-) -> None:
-    """Copy some columns of a block of records."""
-    for i, column in enumerate(columns):
-        out[:, i] = block[f"p{column}"]
+def value_table(records: NDArray[np.void]) -> NDArray[np.float32]:  # [B, P]
+    """All values of some records as a float32 table; a view where they are stored as one."""
+    if _is_uniform(records.dtype):
+        return records.view(np.float32).reshape(len(records), -1)
+    names = records.dtype.names or ()
+    table = np.empty((len(records), len(names)), np.float32)
+    for i, name in enumerate(names):
+        table[:, i] = records[name]
+    return table
+
+
+def _is_uniform(dtype: np.dtype) -> bool:
+    """True when records of this type are float32 numbers in the machine's byte order only."""
+    kinds = {dtype[name] for name in dtype.names or ()}
+    return kinds == {np.dtype("=f4")}
 
 
 def unit_quaternions(quaternions: NDArray[np.float32]) -> NDArray[np.float32]:  # [B, 4]
     """Normalise without overflow or underflow; zero quaternions become the identity."""
-    largest = np.abs(quaternions).max(axis=1, keepdims=True)
-    zero = largest[:, 0] == 0
-    scaled = quaternions / np.where(largest == 0, 1, largest)
-    unit = scaled / np.sqrt((scaled * scaled).sum(axis=1, keepdims=True))
-    unit[zero] = (1, 0, 0, 0)
-    return unit
+    columns = np.ascontiguousarray(quaternions.T)
+    largest = np.abs(columns).max(axis=0)
+    zero = largest == 0
+    columns /= np.where(zero, 1, largest)
+    columns[0, zero] = 1
+    columns /= np.sqrt((columns * columns).sum(axis=0))
+    return columns.T
 
 
 def encode(
@@ -202,47 +202,56 @@ def encode(
     ``LOG_SCALE_LIMIT``).
 
     Raises:
-        ValueError: a value is NaN or infinite, a scale is negative, or the splats have more SH
-            bands than the records.
+        ValueError: a value is NaN or infinite, a scale is negative, an opacity is outside
+            [0, 1], or the splats have more SH bands than the records.
     """
-    if splats.sh.shape[1] > layout.coefficients:
-        raise ValueError(f"encode: {splats.sh.shape[1]} SH coefficients, room for fewer")
-    arrays = {name: value.detach().cpu().numpy() for name, value in splats.fields()}
+    written = 3 * splats.sh.shape[1]
+    if written > len(layout.sh):
+        raise ValueError(f"encode: {written} SH values per splat, room for {len(layout.sh)}")
+    columns = [*layout.means, *layout.scales, layout.opacity, *layout.quaternion]
+    columns += layout.sh[:written]
+    source = np.full(
+        len(dtype.names or ()), len(columns)
+    )  # per property: a column of values, or the zeros
+    source[columns] = np.arange(len(columns))
+    arrays = [value.detach().cpu().numpy() for _, value in splats.fields()]
+    names = [name for name, _ in splats.fields()]
     for rows in blocks(len(splats)):
-        part = {name: value[rows] for name, value in arrays.items()}
-        for name, value in part.items():
-            if not np.isfinite(value).all():
-                bad = int((~np.isfinite(value)).sum())
-                raise ValueError(f"splats.{name}: expected finite values, found {bad} others")
-        if part["scales"].min() < 0:
-            raise ValueError("splats.scales: expected values >= 0, found negative ones")
-        yield _encode_block(part, layout, dtype)
+        part = {name: array[rows] for name, array in zip(names, arrays, strict=True)}
+        yield _records(_file_values(part).take(source, axis=1), dtype)
 
 
-def _encode_block(
-    part: dict[str, NDArray], layout: SplatLayout, dtype: np.dtype
-) -> NDArray[np.void]:
-    """Fill the records of one block of checked values."""
-    records = np.zeros(len(part["means"]), dtype)
+def _file_values(part: dict[str, NDArray]) -> NDArray[np.float32]:  # [B, 12 + 3 K]
+    """Check one block of splats and turn it into the numbers files hold, a zero column last."""
+    for name, value in part.items():
+        if not np.isfinite(value).all():
+            bad = int((~np.isfinite(value)).sum())
+            raise ValueError(f"splats.{name}: expected finite values, found {bad} others")
+    if part["scales"].min() < 0:
+        raise ValueError("splats.scales: expected values >= 0, found negative ones")
+    if part["opacities"].min() < 0 or part["opacities"].max() > 1:
+        raise ValueError("splats.opacities: expected values in [0, 1], found others")
+    count = len(part["means"])
+    opacities = part["opacities"].astype(np.float64)
     with np.errstate(divide="ignore"):
-        opacities = part["opacities"].astype(np.float64)
         logits = np.log(opacities) - np.log1p(-opacities)
         logs = np.log(part["scales"])
-    records[f"p{layout.opacity}"] = np.clip(logits, -LOGIT_LIMIT, LOGIT_LIMIT)
-    _scatter(np.maximum(logs, LOG_SCALE_LIMIT), records, layout.scales)
-    _scatter(part["means"], records, layout.means)
-    _scatter(part["quaternions"], records, layout.quaternion)
-    _scatter(part["sh"][:, 0], records, layout.base)
-    for k in range(1, part["sh"].shape[1]):
-        _scatter(part["sh"][:, k], records, layout.higher[k - 1])
+    columns = [
+        part["means"],
+        np.maximum(logs, LOG_SCALE_LIMIT),
+        np.clip(logits, -LOGIT_LIMIT, LOGIT_LIMIT)[:, None],
+        part["quaternions"],
+        part["sh"].reshape(count, -1),
+        np.zeros((count, 1)),
+    ]
+    return np.concatenate(columns, axis=1, dtype=np.float32, casting="same_kind")
+
+
+def _records(table: NDArray[np.float32], dtype: np.dtype) -> NDArray[np.void]:  # [B, P] -> [B]
+    """Turn a table of all values into records."""
+    if _is_uniform(dtype):
+        return table.view(dtype)[:, 0]
+    records = np.empty(len(table), dtype)
+    for i, name in enumerate(dtype.names or ()):
+        records[name] = table[:, i]
     return records
-
-
-def _scatter(
-    values: NDArray,  # [B, C]
-    records: NDArray[np.void],  # [B]
-    columns: tuple[int, ...],  # [C]
-) -> None:
-    """Copy values into some columns of a block of records."""
-    for i, column in enumerate(columns):
-        records[f"p{column}"] = values[:, i]

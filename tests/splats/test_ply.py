@@ -1,0 +1,402 @@
+"""Splat PLY files: round trips, byte-exact appending, odd layouts, bad files."""
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from gscomplete.errors import UserError
+from gscomplete.splats import PlyError, Splats, append_splats, read_splats, write_splats
+from gscomplete.splats.ply_header import SCALAR_CODES
+
+DATA = (Path(__file__).resolve().parents[2] / "../shared/data").resolve()
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="shared/data is absent")
+FORMATS = ("ascii", "binary_little_endian", "binary_big_endian")
+
+
+def make_splats(count: int, degree: int = 0, seed: int = 0) -> Splats:
+    generator = torch.Generator().manual_seed(seed)
+    quaternions = torch.randn(count, 4, generator=generator)
+    return Splats(
+        torch.randn(count, 3, generator=generator),
+        torch.nn.functional.normalize(quaternions, dim=1),
+        torch.rand(count, 3, generator=generator) + 0.01,
+        torch.rand(count, generator=generator),
+        torch.randn(count, (degree + 1) ** 2, 3, generator=generator),
+    )
+
+
+def schema(rest: int) -> list[str]:
+    names = [*"xyz", "f_dc_0", "f_dc_1", "f_dc_2", *(f"f_rest_{i}" for i in range(rest))]
+    return [*names, "opacity", "scale_0", "scale_1", "scale_2", *(f"rot_{i}" for i in range(4))]
+
+
+def make_ply(
+    table: dict[str, np.ndarray],
+    form: str = "binary_little_endian",
+    types: dict[str, str] | None = None,
+    comments: tuple[str, ...] = (),
+    before: tuple[str, bytes] = ("", b""),
+    after: tuple[str, bytes] = ("", b""),
+    newline: str = "\n",
+) -> bytes:
+    """The slow obvious writer: one value at a time."""
+    types = types or {}
+    count = len(next(iter(table.values())))
+    lines = ["ply", f"format {form} 1.0", *(f"comment {text}" for text in comments)]
+    lines += [*before[0].splitlines(), f"element vertex {count}"]
+    lines += [f"property {types.get(name, 'float')} {name}" for name in table]
+    lines += [*after[0].splitlines(), "end_header", ""]
+    body = bytearray()
+    order = ">" if form == "binary_big_endian" else "<"
+    for i in range(count):
+        for j, (name, values) in enumerate(table.items()):
+            code = SCALAR_CODES[types.get(name, "float")]
+            value = np.array(values[i]).astype(order + code)
+            if form == "ascii":
+                body += (" " if j else "").encode() + str(value.item()).encode()
+            else:
+                body += value.tobytes()
+        if form == "ascii":
+            body += newline.encode()
+    return newline.join(lines).encode() + before[1] + bytes(body) + after[1]
+
+
+def random_table(count: int, rest: int, seed: int = 0) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return {name: rng.normal(size=count).astype(np.float32) for name in schema(rest)}
+
+
+def activated(table: dict[str, np.ndarray], row: int) -> dict[str, np.ndarray]:
+    """The slow obvious decoder of one row, in float64."""
+    value = {name: float(column[row]) for name, column in table.items()}
+    rest = sum(name.startswith("f_rest_") for name in table) // 3
+    kept = min(rest, 15)
+    sh = [[value[f"f_dc_{c}"] for c in range(3)]]
+    sh += [[value[f"f_rest_{c * rest + k}"] for c in range(3)] for k in range(kept)]
+    quaternion = np.array([value[f"rot_{i}"] for i in range(4)])
+    return {
+        "means": np.array([value[a] for a in "xyz"]),
+        "quaternions": quaternion / np.linalg.norm(quaternion),
+        "scales": np.exp([value[f"scale_{i}"] for i in range(3)]),
+        "opacities": np.array(1 / (1 + np.exp(-value["opacity"]))),
+        "sh": np.array(sh),
+    }
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_write_then_read(tmp_path, degree):
+    splats = make_splats(5000, degree)  # more than one block
+    write_splats(tmp_path / "a.ply", splats, ["one", "two\nlines"])
+    file = read_splats(tmp_path / "a.ply")
+    assert file.comments == ("one", "two lines")
+    assert file.warnings == ()
+    assert file.n_rows == 5000
+    for (name, wrote), (_, read) in zip(splats.fields(), file.splats.fields(), strict=True):
+        assert read.dtype == torch.float32
+        assert torch.allclose(wrote, read, rtol=1e-5, atol=1e-6), name
+
+
+def test_written_header_is_the_original_layout(tmp_path):
+    write_splats(tmp_path / "a.ply", make_splats(1, 3))
+    reference = DATA / "splats/metalsplatter/test-splat.3-points-from-train.ply"
+    names = read_splats(tmp_path / "a.ply").header.elements[0].names
+    assert names[:9] == [*"xyz", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
+    assert len(names) == 62
+    if reference.exists():
+        assert names == read_splats(reference).header.elements[0].names
+
+
+def test_extreme_values_stay_finite(tmp_path):
+    splats = make_splats(4)
+    splats.opacities[:] = torch.tensor([0.0, 1.0, 1e-30, 0.5])
+    splats.scales[0] = torch.tensor([0.0, 1e-30, 1e30])
+    write_splats(tmp_path / "a.ply", splats)
+    file = read_splats(tmp_path / "a.ply")
+    assert np.isfinite(file.payload.records.view("<f4")).all()
+    assert file.splats.opacities[1] == 1.0
+    assert (file.splats.opacities - splats.opacities).abs().max() < 1e-7
+    assert file.splats.scales[0, :2].max() < 2e-20
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("means", np.nan), ("scales", -1.0), ("opacities", 1.5), ("sh", np.inf)],
+)
+def test_values_that_cannot_be_written(tmp_path, field, value):
+    splats = make_splats(3)
+    getattr(splats, field)[1] = value
+    (tmp_path / "a.ply").write_bytes(b"old")
+    with pytest.raises(ValueError, match=field):
+        write_splats(tmp_path / "a.ply", splats)
+    assert (tmp_path / "a.ply").read_bytes() == b"old"
+
+
+@pytest.mark.parametrize("form", FORMATS)
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+@settings(
+    max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(data=st.data())
+def test_any_order_and_type_reads_and_appends(tmp_path, form, newline, data):
+    rest = data.draw(st.sampled_from([0, 9, 24, 45, 72]))
+    table = random_table(3, rest, seed=data.draw(st.integers(0, 99)))
+    table["confidence"] = np.arange(3)
+    order = data.draw(st.permutations(list(table)))
+    table = {name: table[name] for name in order}
+    types = {name: data.draw(st.sampled_from(["float", "double", "float32"])) for name in order}
+    types["confidence"] = data.draw(st.sampled_from(["uchar", "int", "short", "float64"]))
+    raw = make_ply(table, form, types, ("made by", "a test"), newline=newline)
+    path, out = tmp_path / "in.ply", tmp_path / "out.ply"
+    path.write_bytes(raw)
+    file = read_splats(path)
+    for row in range(3):
+        for name, expected in activated(table, row).items():
+            found = getattr(file.splats, name)[row].numpy()
+            np.testing.assert_allclose(found, expected, rtol=2e-5, atol=1e-6, err_msg=name)
+
+    new = make_splats(2500, file.splats.sh_degree)
+    append_splats(out, file, new, ["gscomplete new_splats 2500"])
+    joined = read_splats(out)
+    assert joined.n_rows == 2503
+    assert joined.comments == ("made by", "a test", "gscomplete new_splats 2500")
+    body = raw[file.header.size :]
+    assert out.read_bytes()[joined.header.size :].startswith(body)
+    for (name, value), (_, read) in zip(new.fields(), joined.splats.fields(), strict=True):
+        assert torch.allclose(value, read[3:], rtol=1e-5, atol=1e-6), name
+
+
+def test_other_elements_pass_through(tmp_path):
+    table = random_table(4, 0)
+    before = ("element extrinsic 2\nproperty float v\nproperty list uchar short w\n",
+              b"\0\0\x80\x3f\x02abcd" + b"\0\0\x80\x3f\x00")  # fmt: skip
+    after = ("element face 1\nproperty list uchar int i\nelement image_size 2\nproperty uint s\n",
+             b"\x03" + bytes(12) + bytes(8))  # fmt: skip
+    raw = make_ply(table, before=before, after=after)
+    path = tmp_path / "a.ply"
+    path.write_bytes(raw)
+    file = read_splats(path)
+    np.testing.assert_array_equal(file.splats.means[:, 0], table["x"])
+    append_splats(path, file, make_splats(3))  # onto itself
+    joined = read_splats(path)
+    assert joined.n_rows == 7
+    assert joined.payload.before == before[1]
+    assert joined.payload.after == after[1]
+    np.testing.assert_array_equal(joined.payload.records[: 14 * 16], file.payload.records)
+
+
+def test_ascii_elements_around_and_no_last_newline(tmp_path):
+    table = random_table(2, 0)
+    raw = make_ply(table, "ascii", before=("element note 1\nproperty int a\n", b"7\n"))
+    (tmp_path / "a.ply").write_bytes(raw[:-1])
+    file = read_splats(tmp_path / "a.ply")
+    append_splats(tmp_path / "b.ply", file, make_splats(1))
+    assert read_splats(tmp_path / "b.ply").n_rows == 3
+    assert (tmp_path / "b.ply").read_bytes().count(b"\n7\n") == 1
+
+
+def test_odd_values_read_without_a_crash(tmp_path):
+    table = random_table(5, 0)
+    table["opacity"][:] = [np.inf, -np.inf, np.nan, 1e30, 0]
+    table["scale_0"][:] = [-np.inf, np.inf, np.nan, 1e30, 0]
+    for i in range(4):
+        table[f"rot_{i}"][:] = [0, np.nan, 1e38, 1e-40, np.inf]
+    for form in FORMATS:
+        (tmp_path / "a.ply").write_bytes(make_ply(table, form))
+        splats = read_splats(tmp_path / "a.ply").splats
+        assert splats.opacities[:2].tolist() == [1, 0]
+        assert splats.scales[0, 0] == 0
+        assert splats.quaternions[0].tolist() == [1, 0, 0, 0]
+        assert torch.allclose(splats.quaternions[2:4], torch.tensor(0.5))
+        assert splats.quaternions[[1, 4]].isnan().any(dim=1).all()
+
+
+def test_no_rows(tmp_path):
+    table = random_table(0, 0)
+    for form in FORMATS:
+        (tmp_path / "a.ply").write_bytes(make_ply(table, form))
+        file = read_splats(tmp_path / "a.ply")
+        assert file.n_rows == 0
+        assert "no splats" in file.warnings[0]
+        append_splats(tmp_path / "b.ply", file, make_splats(2))
+        assert read_splats(tmp_path / "b.ply").n_rows == 2
+    write_splats(tmp_path / "c.ply", file.splats)
+    assert read_splats(tmp_path / "c.ply").n_rows == 0
+
+
+def test_append_refusals(tmp_path):
+    write_splats(tmp_path / "a.ply", make_splats(2, 1))
+    file = read_splats(tmp_path / "a.ply")
+    with pytest.raises(UserError, match=r"4 SH coefficients.*with_sh_degree\(1\)"):
+        append_splats(tmp_path / "b.ply", file, make_splats(2, 2))
+    append_splats(tmp_path / "b.ply", file, make_splats(2, 0))
+    assert (read_splats(tmp_path / "b.ply").splats.sh[2:, 1:] == 0).all()
+    (tmp_path / "c.ply").write_bytes(make_ply(random_table(2, 0), types={"opacity": "uchar"}))
+    file = read_splats(tmp_path / "c.ply")
+    assert "opacity" in file.warnings[0]
+    with pytest.raises(UserError, match="opacity"):
+        append_splats(tmp_path / "b.ply", file, make_splats(2))
+
+
+BAD = {
+    "empty": (b"", "not_a_splat_file", "an empty file"),
+    "gzip": (gzip.compress(b"x"), "not_a_splat_file", "gzip"),
+    "spz": (b"NGSP\x04\0\0\0", "not_a_splat_file", "SPZ"),
+    "html": (b"<!DOCTYPE html><html>", "not_a_splat_file", "HTML"),
+    "lfs": (b"version https://git-lfs.github.com/spec/v1\n", "not_a_splat_file", "git-lfs"),
+    "zeros": (bytes(100), "not_a_splat_file", "zero bytes"),
+    "no end": (b"ply\nformat ascii 1.0\nelement vertex 1\n", "bad_header", "end_header"),
+    "no format": (b"ply\nelement vertex 1\nend_header\n", "bad_header", "format"),
+    "format": (b"ply\nformat middle 1.0\nend_header\n", "bad_header", "line 2"),
+    "count": (b"ply\nformat ascii 1.0\nelement vertex -1\nend_header\n", "bad_header", "line 3"),
+    "type": (
+        b"ply\nformat ascii 1.0\nelement vertex 1\nproperty half x\nend_header\n",
+        "bad_header",
+        "known type",
+    ),
+    "no vertex": (
+        b"ply\nformat ascii 1.0\nelement face 0\nend_header\n",
+        "not_a_splat_file",
+        "elements: face",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_files(tmp_path, name):
+    content, finding, message = BAD[name]
+    path = tmp_path / "bad.ply"
+    path.write_bytes(content)
+    with pytest.raises(PlyError, match=message) as caught:
+        read_splats(path)
+    assert caught.value.finding == finding
+    assert str(path) in str(caught.value)
+
+
+def test_missing_file_and_folder(tmp_path):
+    for path in (tmp_path / "absent.ply", tmp_path):
+        with pytest.raises(PlyError) as caught:
+            read_splats(path)
+        assert caught.value.finding == "unreadable_file"
+
+
+def without(name: str) -> dict[str, np.ndarray]:
+    table = random_table(2, 45)
+    del table[name]
+    return table
+
+
+@pytest.mark.parametrize("name", ["x", "opacity", "f_dc_1", "scale_2", "rot_0", "f_rest_7"])
+def test_missing_property_is_named(tmp_path, name):
+    (tmp_path / "a.ply").write_bytes(make_ply(without(name)))
+    with pytest.raises(PlyError, match=name) as caught:
+        read_splats(tmp_path / "a.ply")
+    assert caught.value.finding == "missing_property"
+
+
+def test_wrong_sh_count_and_list_property(tmp_path):
+    (tmp_path / "a.ply").write_bytes(make_ply(without("f_rest_44")))
+    with pytest.raises(PlyError, match="found 44") as caught:
+        read_splats(tmp_path / "a.ply")
+    assert caught.value.finding == "sh_layout"
+    raw = make_ply(random_table(2, 0)).replace(b"float opacity", b"list uchar float opacity")
+    (tmp_path / "a.ply").write_bytes(raw)
+    with pytest.raises(PlyError, match="opacity") as caught:
+        read_splats(tmp_path / "a.ply")
+    assert caught.value.finding == "mistyped_property"
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_truncated_payload(tmp_path, form):
+    raw = make_ply(random_table(50, 0), form)
+    (tmp_path / "a.ply").write_bytes(raw[: len(raw) - 700])
+    with pytest.raises(PlyError, match=r"expected.*found") as caught:
+        read_splats(tmp_path / "a.ply")
+    assert caught.value.finding == "truncated_payload"
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_absurd_count_allocates_nothing(tmp_path, form):
+    raw = make_ply(random_table(2, 0), form)
+    raw = raw.replace(b"vertex 2", b"vertex 999999999999999")
+    (tmp_path / "a.ply").write_bytes(raw)
+    with pytest.raises(PlyError) as caught:
+        read_splats(tmp_path / "a.ply")
+    assert caught.value.finding == "truncated_payload"
+
+
+MUTATIONS = st.lists(
+    st.one_of(
+        st.tuples(st.just("cut"), st.integers(0, 3000), st.integers(0, 300)),
+        st.tuples(st.just("set"), st.integers(0, 3000), st.integers(0, 255)),
+        st.tuples(
+            st.just("put"),
+            st.integers(0, 800),
+            st.sampled_from(
+                [
+                    b"\n", b"\r", b"\0", b"end_header\n", b"list uchar ", b"99999999999", b"-1",
+                    b"element vertex 3\n", b"property float x\n", b"nan ", b"1e999 ", b"comment ",
+                    b"element z 9\nproperty list int int q\n", b"\xff\xfe", b"format ascii 1.0\n",
+                ]
+            ),
+        ),
+    ),
+    min_size=1,
+    max_size=4,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("form", FORMATS)
+@settings(max_examples=120, deadline=None, suppress_health_check=list(HealthCheck))
+@given(mutations=MUTATIONS)
+def test_mutated_files_read_or_give_a_user_error(tmp_path, form, mutations):
+    raw = make_ply(random_table(8, 9), form, after=("element e 1\nproperty uchar u\n", b"1"))
+    for kind, place, value in mutations:
+        if kind == "cut":
+            raw = raw[:place] + raw[place + value :]
+        elif kind == "put":
+            raw = raw[:place] + value + raw[place:]
+        elif place < len(raw):
+            raw = raw[:place] + bytes([value]) + raw[place + 1 :]
+    (tmp_path / "m.ply").write_bytes(raw)
+    try:
+        file = read_splats(tmp_path / "m.ply")
+    except UserError:
+        return
+    if not any("integer" in warning for warning in file.warnings):
+        append_splats(tmp_path / "n.ply", file, make_splats(1))
+        assert read_splats(tmp_path / "n.ply").n_rows == file.n_rows + 1
+
+
+@needs_data
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("splats/playcanvas/biker.compressed.ply", "SuperSplat compressed"),
+        ("splats/playcanvas/biker.spz", "SPZ"),
+        ("splats/brush/init.ply", "coloured point cloud"),
+        ("lidar/cupoch_redwood/frag_115.ply", "mesh PLY"),
+        ("multiview/snowmiku_plush/sparse/0/points3D.ply", "coloured point cloud"),
+        ("splats/splat-transform-fixtures/splat/minimal.splat", ".splat"),
+    ],
+)
+def test_real_files_that_are_not_splats(name, message):
+    with pytest.raises(PlyError, match=message):
+        read_splats(DATA / name)
+
+
+@needs_data
+def test_real_splats_pass_through_byte_for_byte(tmp_path):
+    path = DATA / "splats/metalsplatter/test-splat.3-points-from-train.ply"
+    file = read_splats(path)
+    assert (file.n_rows, file.splats.sh_degree) == (3, 3)
+    append_splats(tmp_path / "a.ply", file, file.splats)
+    body = path.read_bytes()[file.header.size :]
+    joined = read_splats(tmp_path / "a.ply")
+    assert joined.payload.records[: len(body)].tobytes() == body
+    for _, value in joined.splats.fields():
+        assert torch.allclose(value[:3], value[3:], atol=1e-6)
