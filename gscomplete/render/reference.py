@@ -13,23 +13,12 @@ from torch.utils.checkpoint import checkpoint
 
 from gscomplete.render.settings import RenderSettings
 from gscomplete.splats import Splats, concatenate
+from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.splats.sh import evaluate_sh
 from gscomplete.views import Cameras
 
 BLOCK_PX = 32
 EDGE_SLACK = 0.15
-
-
-def rotation_matrices(quaternions: Tensor) -> Tensor:  # [N, 4] wxyz -> [N, 3, 3]
-    """Rotation matrices of quaternions, normalised first; a zero quaternion is the identity."""
-    norm = quaternions.norm(dim=1, keepdim=True)
-    w, x, y, z = torch.where(norm > 0, quaternions / norm.clamp_min(1e-300), 0.0).unbind(1)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return torch.stack([torch.stack(row, dim=1) for row in rows], dim=1)
 
 
 def _project(

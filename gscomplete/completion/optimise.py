@@ -1,0 +1,271 @@
+"""The loop: P frozen, new splats moved by the prior and the preservation loss (paper section 3).
+
+Conventions
+-----------
+* Everything is in the object frame. ``partial`` (P) is drawn in every render and never changes.
+* A step is a function of (state, seed, step number): nothing else is random, so a run that is
+  stopped and resumed takes the same steps.
+* Views of one step are rendered in one call: the ring of four for the prior, then views of V.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from gscomplete.completion import schedules
+from gscomplete.completion.densify import GradientStatistics, prune_mask, subdivide
+from gscomplete.completion.initialise import initial_splats
+from gscomplete.completion.losses import fit_loss, preservation_loss, random_background
+from gscomplete.completion.parameters import Bounds, SplatParameters
+from gscomplete.completion.randomness import generator_for, uniform
+from gscomplete.completion.rings import Ring, RingMemory, inside_distribution, random_ring
+from gscomplete.completion.settings import CompletionSettings
+from gscomplete.errors import UserError
+from gscomplete.priors.base import Conditioning, FourViews, Guidance, Prior
+from gscomplete.render import Render, render
+from gscomplete.splats import Splats
+from gscomplete.views import Cameras, ViewDistribution, join_cameras
+
+
+@dataclass(frozen=True, slots=True)
+class StepReport:
+    """What one step did."""
+
+    step: int
+    timestep: float
+    guidance_loss: float
+    preservation_loss: float | None  # None: the loss took no part in this step
+    new_splats: int
+    seconds: float
+
+
+class NonFiniteError(UserError):
+    """A loss, gradient or parameter stopped being finite; the last checkpoint is still good."""
+
+    exit_code = 3
+
+
+class Completion:
+    """A completion under way: the new splats, their optimiser and the current targets."""
+
+    def __init__(
+        self,
+        partial: Splats,
+        prior: Prior,
+        conditioning: Conditioning,
+        distribution: ViewDistribution,
+        settings: CompletionSettings,
+        initial_diameter: float = 1.0,
+    ) -> None:
+        """Set up step 0.
+
+        Args:
+            partial: P in the object frame.
+            prior: the model that guides.
+            conditioning: the prompt as that prior encoded it.
+            distribution: V, from which P must keep its looks.
+            settings: every knob.
+            initial_diameter: of the sphere of new splats, object-frame units; the paper takes the
+                largest side of P's box.
+        """
+        self.partial = partial.detach()
+        self.settings = settings
+        self.step_number = 0
+        self._prior, self._conditioning, self._distribution = prior, conditioning, distribution
+        self._size_px = settings.resolution_px or prior.views.resolution_px
+        extent = sum(prior.views.extent_range) / 2
+        self._max_radius = settings.max_radius or extent / 2
+        bounds = Bounds(settings.min_scale_px * extent / self._size_px, settings.max_scale)
+        start = initial_splats(
+            self.partial,
+            settings.new_splats,
+            initial_diameter,
+            settings.seed,
+            min_scale=bounds.min_scale,
+            max_scale=bounds.max_scale,
+        )
+        self.parameters = SplatParameters(start, bounds, settings.learning_rates)
+        self._statistics = GradientStatistics(len(self.parameters))
+        self._rings = RingMemory(settings.ring_memory)
+
+    @property
+    def finished(self) -> bool:
+        """Whether all steps are done."""
+        return self.step_number >= self.settings.steps
+
+    def new_splats(self) -> Splats:
+        """Return the current new splats, object frame, without P."""
+        return self.parameters.splats().detach()
+
+    def step(self) -> StepReport:
+        """Take one optimiser step.
+
+        Raises:
+            NonFiniteError: a loss, gradient or parameter is not finite.
+        """
+        started = time.perf_counter()
+        settings, step = self.settings, self.step_number
+        timestep = schedules.timestep_at(settings, step)
+        if settings.mode == "reconstruct" and schedules.is_round_start(settings, step):
+            self._rings.add(self._denoised_ring(timestep))
+        ring_cameras, ring = self._guidance_views()
+        views = ring_cameras
+        preserving = schedules.has_preservation(settings, step)
+        if preserving:
+            angles = self._distribution.sample(settings.seed, step, 1)
+            preservation_cameras = self._distribution.cameras(angles, self._size_px)
+            views = join_cameras([ring_cameras, preservation_cameras])
+        splats = self.parameters.splats()
+        offsets = torch.zeros(len(views), len(splats), 2, requires_grad=True)
+        drawn = render(splats, views, frozen=self.partial, screen_offsets=offsets)
+        background = random_background(generator_for(settings.seed, step, "background"))
+        guidance = self._guidance_loss(_part(drawn, 0, 4), ring_cameras, ring, timestep, background)
+        total, preservation = guidance, None
+        if preserving:
+            with torch.no_grad():
+                target = render(self.partial, preservation_cameras)
+            masked = not schedules.is_warmup(settings, step)
+            preservation = preservation_loss(
+                _part(drawn, 4, len(views)), target, background, masked=masked
+            )
+            total = total + settings.preservation_weight * preservation
+        total.backward()
+        self._check_finite(step, guidance, preservation)
+        if offsets.grad is not None:
+            self._statistics.add(offsets.grad, self._size_px)
+        self.parameters.step(step / settings.steps)
+        self._edit_splats(step)
+        self.step_number += 1
+        return StepReport(
+            step,
+            timestep,
+            float(guidance.detach()),
+            None if preservation is None else float(preservation.detach()),
+            len(self.parameters),
+            time.perf_counter() - started,
+        )
+
+    def state(self) -> dict[str, Tensor]:
+        """Return everything a resumed run needs, as named tensors."""
+        return {
+            "step": torch.tensor(self.step_number),
+            "statistics.total": self._statistics.total,
+            "statistics.views": self._statistics.views,
+            **self.parameters.state(),
+            **self._rings.state(),
+        }
+
+    def restore(self, state: dict[str, Tensor]) -> None:
+        """Continue from :meth:`state`."""
+        self.step_number = int(state["step"])
+        self.parameters.restore(state)
+        self._statistics.total = state["statistics.total"].clone()
+        self._statistics.views = state["statistics.views"].clone()
+        self._rings.restore(state)
+
+    def _guidance_scales(self) -> Guidance | None:
+        """Return the guidance asked for, or None for the prior's own default."""
+        asked = {
+            name: getattr(self.settings, name)
+            for name in ("text_scale", "input_scale", "rescale")
+            if getattr(self.settings, name) is not None
+        }
+        return Guidance(**asked) if asked else None
+
+    def _input_views(self, cameras: Cameras) -> FourViews | None:
+        """Return P's renders for priors that can see them."""
+        if not (self.settings.see_input and self._prior.sees_input):
+            return None
+        with torch.no_grad():
+            return FourViews.from_render(render(self.partial, cameras), cameras)
+
+    def _denoised_ring(self, timestep: float) -> Ring:
+        """Render a fresh ring, let the prior denoise it, and keep P where V sees it."""
+        settings, step = self.settings, self.step_number
+        cameras = random_ring(self._prior.views, self._size_px, settings.seed, step)
+        splats = self.new_splats()
+        with torch.no_grad():
+            drawn = render(splats, cameras, frozen=self.partial)
+            color, alpha = self._prior.reconstruct(
+                FourViews.from_render(drawn, cameras),
+                timestep,
+                self._conditioning,
+                generator_for(settings.seed, step, "denoise"),
+                self._input_views(cameras),
+                self._guidance_scales(),
+                settings.denoise_steps,
+            )
+            target = cameras.resized(color.shape[2], color.shape[1])
+            partial = render(self.partial, target)
+            trusted = inside_distribution(target, self._distribution)
+            mask = torch.where(trusted[:, None, None], partial.alpha, 0.0)
+            color = color * (1 - mask)[..., None] + partial.color * trusted[:, None, None, None]
+            alpha = torch.maximum(alpha * (1 - mask) + mask, mask)
+        return Ring(target, color, alpha)
+
+    def _guidance_views(self) -> tuple[Cameras, Ring | None]:
+        """Return the ring of this step: a fresh one, or one of those with targets."""
+        settings, step = self.settings, self.step_number
+        if settings.mode == "distill":
+            return random_ring(self._prior.views, self._size_px, settings.seed, step), None
+        pick = uniform(generator_for(settings.seed, step, "ring"), 0, len(self._rings))
+        ring = self._rings[int(pick)]
+        return ring.cameras.resized(self._size_px, self._size_px), ring
+
+    def _guidance_loss(
+        self,
+        drawn: Render,
+        cameras: Cameras,
+        ring: Ring | None,
+        timestep: float,
+        background: Tensor,  # [3]
+    ) -> Tensor:
+        """Return the prior's loss (distill) or the distance to its targets (reconstruct)."""
+        if ring is not None:
+            color, alpha = ring.resized(self._size_px)
+            return fit_loss(drawn, color, alpha, background)
+        return self._prior.distill(
+            FourViews.from_render(drawn, cameras),
+            timestep,
+            self._conditioning,
+            generator_for(self.settings.seed, self.step_number, "noise"),
+            self._input_views(cameras),
+            self._guidance_scales(),
+        )
+
+    def _edit_splats(self, step: int) -> None:
+        """Subdivide and prune when the schedule says so; statistics start anew."""
+        settings = self.settings
+        if schedules.is_densify_step(settings, step):
+            subdivide(self.parameters, self._statistics, settings.densify, settings.seed, step)
+        if schedules.is_prune_step(settings, step):
+            keep, report = prune_mask(
+                self.new_splats(), settings.densify.prune_opacity, self._max_radius
+            )
+            if report.total and bool(keep.any()):
+                self.parameters.keep(keep)
+            self._statistics = GradientStatistics(len(self.parameters))
+
+    def _check_finite(self, step: int, guidance: Tensor, preservation: Tensor | None) -> None:
+        """Stop the run before a non-finite value reaches the parameters."""
+        culprit = None
+        if not bool(torch.isfinite(guidance)):
+            culprit = "the prior's loss"
+        elif preservation is not None and not bool(torch.isfinite(preservation)):
+            culprit = "the preservation loss"
+        else:
+            culprit = self.parameters.first_nonfinite()
+        if culprit is not None:
+            raise NonFiniteError(
+                f"step {step}: {culprit} is not finite; the run stops here and its last "
+                "checkpoint is kept"
+            )
+
+
+def _part(drawn: Render, start: int, stop: int) -> Render:
+    """Return some of a render's views."""
+    return Render(drawn.color[start:stop], drawn.alpha[start:stop], drawn.depth[start:stop])

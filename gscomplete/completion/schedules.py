@@ -1,0 +1,53 @@
+"""What happens at which step (paper section 3.3, "Optimization").
+
+Steps count from 0 here; the paper's step 1 is step 0.
+"""
+
+from __future__ import annotations
+
+from gscomplete.completion.randomness import generator_for, uniform
+from gscomplete.completion.settings import CompletionSettings
+
+
+def timestep_at(settings: CompletionSettings, step: int) -> float:
+    """Draw the diffusion time of a step: uniform within the stage that the step lies in."""
+    progress = (step + 0.5) / settings.steps
+    for stage in settings.timesteps:
+        if progress <= stage.until:
+            break
+    return uniform(generator_for(settings.seed, step, "timestep"), stage.low, stage.high)
+
+
+def is_warmup(settings: CompletionSettings, step: int) -> bool:
+    """Whether the preservation loss is unmasked at this step."""
+    return step < settings.warmup_steps
+
+
+def has_preservation(settings: CompletionSettings, step: int) -> bool:
+    """Whether the preservation loss joins this step; every warm-up step has it."""
+    if settings.preservation_weight == 0:
+        return False
+    return is_warmup(settings, step) or step % settings.preservation_every == (
+        settings.preservation_every - 1
+    )
+
+
+def round_length(settings: CompletionSettings) -> int:
+    """Steps per round of iterative reconstruction."""
+    return max(1, settings.steps // settings.rounds)
+
+
+def is_round_start(settings: CompletionSettings, step: int) -> bool:
+    """Whether new targets are made before this step."""
+    return step % round_length(settings) == 0
+
+
+def is_densify_step(settings: CompletionSettings, step: int) -> bool:
+    """Whether splats are subdivided after this step."""
+    within = step < settings.densify.until * settings.steps
+    return within and step > 0 and step % settings.densify.every == 0
+
+
+def is_prune_step(settings: CompletionSettings, step: int) -> bool:
+    """Whether splats are pruned after this step."""
+    return step > 0 and step % settings.densify.every == 0

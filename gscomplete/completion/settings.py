@@ -1,0 +1,195 @@
+"""Every knob of a completion, and the presets.
+
+Conventions
+-----------
+* Lengths are in the object frame (largest side of the object = 1), angles in degrees.
+* A stage of a schedule ends at a fraction of all steps, so that one schedule fits any step count.
+* Timesteps are those of the prior (0 = clean, 1000 steps); the paper's T is 980.
+* ``PAPER`` is the paper to the letter; presets differ from it only in what they list.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Literal
+
+from gscomplete.errors import UserError
+
+Mode = Literal["distill", "reconstruct"]
+"""``distill``: score distillation, one denoising per step (paper, Equation 2).
+``reconstruct``: denoise a ring of views for several steps, then fit the splats to it for many
+cheap steps (after MicroDreamer); the preservation loss is the same."""
+
+PresetName = Literal["default", "fast", "distill", "paper"]
+"""``default``: the best of time and quality for the prior. ``fast``: fewer rounds.
+``distill``: the paper's method in fewer steps, for small priors. ``paper``: the paper's settings."""
+
+
+@dataclass(frozen=True, slots=True)
+class TimestepStage:
+    """Timesteps are uniform in [low, high] until ``until`` of all steps."""
+
+    until: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class LearningRates:
+    """Adam's step sizes per parameter."""
+
+    means: float = 1e-3
+    """Positions at the first step; decays exponentially to ``means_final``."""
+    means_final: float = 2e-5
+    quaternions: float = 5e-3
+    log_scales: float = 5e-3
+    opacity_logits: float = 5e-2
+    sh: float = 1e-2
+
+
+@dataclass(frozen=True, slots=True)
+class DensifySettings:
+    """Adaptive subdivision of new splats (paper section 3.3, Kerbl et al. 2023)."""
+
+    until: float = 0.25
+    """Fraction of all steps after which splats are no longer subdivided."""
+    every: int = 50
+    """Steps between subdivisions, and between prunings (which go on to the end)."""
+    gradient: float | None = None
+    """Subdivide only splats whose mean screen gradient is above this; None = the largest ones."""
+    growth: float = 0.15
+    """Largest share of the splats subdivided at once."""
+    max_new: int = 150_000
+    """Hard cap on new splats."""
+    split_scale: float = 0.02
+    """Splats with a larger scale are split in two smaller ones, others are cloned."""
+    prune_opacity: float = 0.01
+    """Splats with a lower opacity are removed."""
+
+
+@dataclass(frozen=True, slots=True)
+class CompletionSettings:
+    """How to complete an object. Defaults are the paper's."""
+
+    mode: Mode = "distill"
+    steps: int = 6000
+    """Optimiser steps."""
+    seed: int = 0
+    new_splats: int = 5000
+    """New splats at the start, uniform in the sphere about the object (section 3.3)."""
+    warmup_steps: int = 50
+    """Steps at the start whose preservation loss is unmasked (n_init, section 3.3)."""
+    preservation_weight: float = 2.0
+    """lambda of section 3.3; 0 = no preservation loss."""
+    preservation_every: int = 2
+    """The preservation loss joins every k-th step (after the warm-up); 1 = always."""
+    timesteps: tuple[TimestepStage, ...] = (
+        TimestepStage(0.5, 392.0, 588.0),
+        TimestepStage(0.75, 20.0, 343.0),
+        TimestepStage(1.0, 20.0, 245.0),
+    )
+    """Schedule of the diffusion time (section 3.3, with T = 980)."""
+    text_scale: float | None = None
+    """Guidance towards the prompt; None = the prior's own default."""
+    input_scale: float | None = None
+    """Guidance towards the renders of P; None = the prior's own default."""
+    rescale: float | None = None
+    """Guidance rescale; None = the prior's own default."""
+    see_input: bool = True
+    """Show the renders of P to priors that can see them; False = text only."""
+    resolution_px: int | None = None
+    """Side of the renders; None = the prior's resolution."""
+    rounds: int = 12
+    """``reconstruct``: how many times targets are made."""
+    denoise_steps: int = 10
+    """``reconstruct``: denoising steps per round."""
+    ring_memory: int = 3
+    """``reconstruct``: rings of targets that the fit draws from, the newest included."""
+    learning_rates: LearningRates = LearningRates()
+    densify: DensifySettings = DensifySettings()
+    min_scale_px: float = 0.0
+    """Smallest scale of a new splat in pixels of the run's resolution (at the centre); splats
+    smaller than a pixel's footprint turn to dust at any other resolution. 0 = no bound."""
+    max_scale: float = 0.4
+    """Largest scale of a new splat."""
+    max_radius: float | None = None
+    """New splats farther than this from the origin are removed; None = the visible extent."""
+    checkpoint_every: int = 500
+    """Steps between checkpoints; 0 = only at the end."""
+
+    def __post_init__(self) -> None:
+        """Check ranges.
+
+        Raises:
+            UserError: a value is outside its range.
+        """
+        least = {
+            "steps": 1,
+            "new_splats": 1,
+            "warmup_steps": 0,
+            "preservation_weight": 0,
+            "preservation_every": 1,
+            "rounds": 1,
+            "denoise_steps": 1,
+            "ring_memory": 1,
+            "min_scale_px": 0,
+            "checkpoint_every": 0,
+        }
+        for name, low in least.items():
+            if not getattr(self, name) >= low:
+                raise UserError(f"{name}: expected at least {low}, found {getattr(self, name)}")
+        if self.resolution_px is not None and not 8 <= self.resolution_px <= 4096:
+            raise UserError(f"resolution_px: expected 8 to 4096, found {self.resolution_px}")
+        if not self.timesteps or self.timesteps[-1].until < 1.0:
+            raise UserError("timesteps: the last stage must end at 1.0")
+
+
+PAPER = CompletionSettings()
+"""The paper's settings (sections 3.1 to 3.3)."""
+
+SMALL_PRIOR = dataclasses.replace(
+    PAPER,
+    steps=600,
+    min_scale_px=0.5,
+    max_scale=0.1,
+    learning_rates=LearningRates(means=4e-3, means_final=4e-4, sh=2e-2, log_scales=1e-2),
+    densify=DensifySettings(every=25, growth=0.2, max_new=20_000, split_scale=0.03),
+    checkpoint_every=100,
+)
+"""The paper's method for a prior of 64 pixels: fewer and larger steps, sizes bound to a pixel."""
+
+RECONSTRUCT = dataclasses.replace(
+    SMALL_PRIOR,
+    mode="reconstruct",
+    steps=640,
+    rounds=16,
+    preservation_every=1,
+    timesteps=(
+        TimestepStage(0.15, 999.0, 999.0),
+        TimestepStage(0.6, 700.0, 850.0),
+        TimestepStage(1.0, 300.0, 600.0),
+    ),
+    checkpoint_every=80,
+)
+"""Iterative reconstruction: a few denoised rings, many cheap fitting steps."""
+
+FAST = dataclasses.replace(RECONSTRUCT, steps=240, rounds=8, denoise_steps=6)
+
+
+def preset(name: PresetName, prior_name: str) -> CompletionSettings:
+    """Return the settings of a preset for a prior.
+
+    Raises:
+        UserError: there is no such preset.
+    """
+    small = prior_name == "embedded"
+    table = {
+        "default": RECONSTRUCT if small else PAPER,
+        "fast": FAST,
+        "distill": SMALL_PRIOR if small else PAPER,
+        "paper": PAPER,
+    }
+    if name not in table:
+        raise UserError(f"preset: expected one of {', '.join(table)}, found {name!r}")
+    return table[name]

@@ -1,0 +1,19 @@
+"""Quaternions (w, x, y, z) to rotation matrices."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def rotation_matrices(quaternions: Tensor) -> Tensor:  # [N, 4] wxyz -> [N, 3, 3]
+    """Rotation matrices of quaternions, normalised first; a zero quaternion is the identity."""
+    norm = quaternions.norm(dim=1, keepdim=True)
+    tiny = torch.finfo(quaternions.dtype).tiny
+    w, x, y, z = torch.where(norm > 0, quaternions / norm.clamp_min(tiny), 0.0).unbind(1)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return torch.stack([torch.stack(row, dim=1) for row in rows], dim=1)
