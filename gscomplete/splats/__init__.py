@@ -3,15 +3,18 @@
 from gscomplete.splats.ply import SplatFile, append_splats, read_splats, write_splats
 from gscomplete.splats.ply_header import PlyError
 from gscomplete.splats.record import SH_C0, Splats, colors_to_sh, concatenate
+from gscomplete.splats.transform import Similarity, transform_splats
 
 __all__ = [
     "SH_C0",
     "PlyError",
+    "Similarity",
     "SplatFile",
     "Splats",
     "append_splats",
     "colors_to_sh",
     "concatenate",
     "read_splats",
+    "transform_splats",
     "write_splats",
 ]

@@ -1,0 +1,131 @@
+"""Similarity transforms: group laws, JSON, and splats that look the same in the new frame."""
+
+import json
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gscomplete.splats.record import Splats
+from gscomplete.splats.sh import view_colors
+from gscomplete.splats.transform import (
+    Similarity,
+    multiply_quaternions,
+    quaternion_from_rotation,
+    transform_splats,
+)
+
+HALF_TURNS = [torch.diag(torch.tensor(d)) for d in ([1.0, -1, -1], [-1.0, 1, -1], [-1.0, -1, 1])]
+
+
+def matrix_of(quaternion: torch.Tensor) -> torch.Tensor:
+    """Rotate the three axes by q v q*: the slow obvious matrix."""
+    conjugate = quaternion * torch.tensor([1, -1, -1, -1])
+    columns = []
+    for axis in range(3):
+        vector = torch.zeros(4, dtype=quaternion.dtype)
+        vector[1 + axis] = 1
+        columns.append(multiply_quaternions(multiply_quaternions(quaternion, vector), conjugate))
+    return torch.stack(columns, dim=1)[1:]
+
+
+def random_similarity(seed: int) -> Similarity:
+    generator = torch.Generator().manual_seed(seed)
+    quaternion = torch.randn(4, generator=generator, dtype=torch.float64)
+    scale = 10 ** (4 * torch.rand(1, generator=generator).item() - 2)
+    translation = torch.randn(3, generator=generator, dtype=torch.float64) * 10
+    return Similarity(scale, matrix_of(quaternion / quaternion.norm()), translation)
+
+
+def random_splats(count: int, seed: int) -> Splats:
+    generator = torch.Generator().manual_seed(seed)
+
+    def normal(*shape: int) -> torch.Tensor:
+        return torch.randn(*shape, generator=generator, dtype=torch.float64)
+
+    quaternions = torch.nn.functional.normalize(normal(count, 4), dim=1)
+    sh = normal(count, 16, 3)
+    return Splats(normal(count, 3), quaternions, normal(count, 3).exp(), sh[:, 0, 0].sigmoid(), sh)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_group_laws(seed):
+    a, b = random_similarity(seed), random_similarity(seed + 1)
+    points = torch.randn(7, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+    assert torch.allclose(a.compose(b).apply(points), a.apply(b.apply(points)), atol=1e-9)
+    assert torch.allclose(a.inverse().apply(a.apply(points)), points, atol=1e-9)
+
+
+def test_apply_keeps_dtype_and_is_exact_in_float32():
+    far = Similarity(1.0, torch.eye(3), torch.tensor([1e6, 0.0, 0.0]))
+    point = torch.tensor([[-1e6, 0.25, 0.0]])
+    moved = far.apply(point)
+    assert moved.dtype == torch.float32
+    assert moved.tolist() == [[0.0, 0.25, 0.0]]
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_json_gives_the_same_bits(seed):
+    similarity = random_similarity(seed)
+    again = Similarity.from_json(json.loads(json.dumps(similarity.to_json())))
+    assert again.scale == similarity.scale
+    assert torch.equal(again.rotation, similarity.rotation)
+    assert torch.equal(again.translation, similarity.translation)
+
+
+@pytest.mark.parametrize(
+    ("scale", "rotation", "translation"),
+    [
+        (0.0, torch.eye(3), torch.zeros(3)),
+        (float("inf"), torch.eye(3), torch.zeros(3)),
+        (1.0, -torch.eye(3), torch.zeros(3)),
+        (1.0, 2 * torch.eye(3), torch.zeros(3)),
+        (1.0, torch.eye(3) * float("nan"), torch.zeros(3)),
+        (1.0, torch.eye(4), torch.zeros(3)),
+        (1.0, torch.eye(3), torch.full((3,), float("nan"))),
+    ],
+)
+def test_what_is_no_similarity(scale, rotation, translation):
+    with pytest.raises(ValueError, match="Similarity"):
+        Similarity(scale, rotation, translation)
+
+
+def test_json_that_is_no_similarity():
+    with pytest.raises(ValueError, match="similarity"):
+        Similarity.from_json({"scale": 1.0})
+    with pytest.raises(ValueError, match="similarity"):
+        Similarity.from_json({"scale": None, "rotation": torch.eye(3).tolist(), "translation": []})
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_quaternion_and_matrix_agree(seed):
+    rotation = random_similarity(seed).rotation
+    assert torch.allclose(matrix_of(quaternion_from_rotation(rotation)), rotation, atol=1e-12)
+
+
+@pytest.mark.parametrize("rotation", [torch.eye(3), *HALF_TURNS])
+def test_quaternion_of_half_turns(rotation):
+    found = matrix_of(quaternion_from_rotation(rotation))
+    assert torch.allclose(found, rotation.double(), atol=1e-12)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_transformed_splats_look_the_same(seed):
+    splats, similarity = random_splats(6, seed), random_similarity(seed)
+    moved = transform_splats(splats, similarity)
+    camera = torch.tensor([3.0, -2.0, 5.0], dtype=torch.float64)
+    before = view_colors(splats.means, splats.sh, camera)
+    after = view_colors(moved.means, moved.sh, similarity.apply(camera))
+    assert torch.allclose(before, after, atol=1e-8)
+    for i in range(6):
+        axes = matrix_of(splats.quaternions[i]) * splats.scales[i]
+        expected = similarity.scale * similarity.rotation @ axes
+        found = matrix_of(moved.quaternions[i]) * moved.scales[i]
+        assert torch.allclose(found @ found.T, expected @ expected.T, rtol=1e-9)
+    back = transform_splats(moved, similarity.inverse())
+    for (name, a), (_, b) in zip(splats.fields(), back.fields(), strict=True):
+        assert torch.allclose(a, b, atol=1e-8) or name == "quaternions", name
