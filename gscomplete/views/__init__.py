@@ -9,9 +9,12 @@ from gscomplete.views.cameras import (
     radius_to_fit,
 )
 from gscomplete.views.distribution import ViewDistribution, six_preview_azimuths, spherical_views
+from gscomplete.views.frame import ObjectFrame, UpAxis, up_rotation
 
 __all__ = [
     "Cameras",
+    "ObjectFrame",
+    "UpAxis",
     "ViewDistribution",
     "focal_from_fov",
     "four_view_orbit",
@@ -20,4 +23,5 @@ __all__ = [
     "radius_to_fit",
     "six_preview_azimuths",
     "spherical_views",
+    "up_rotation",
 ]

@@ -1,0 +1,117 @@
+"""The object frame: z up, centred on the object, largest side 1.
+
+Conventions
+-----------
+* The file frame is whatever the splat file uses; ``up`` names the file axis that points up.
+* ``object point = R_up (file point - center_file) / size_file``, so lengths in the object frame are
+  multiples of the object's largest side. Arithmetic is float64.
+* R_up is the shortest rotation that lifts the named axis to +z, about x wherever possible:
+
+  ====  =======================  ==================
+  up    object (x, y, z) =       rotation
+  ====  =======================  ==================
+  Z     file ( x,  y,  z)        none
+  -Z    file ( x, -y, -z)        180 degrees about x
+  Y     file ( x, -z,  y)        90 degrees about x (the usual glTF reading)
+  -Y    file ( x,  z, -y)        -90 degrees about x
+  X     file (-z,  y,  x)        -90 degrees about y
+  -X    file ( z,  y, -x)        90 degrees about y
+  ====  =======================  ==================
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+from gscomplete import jsonio
+from gscomplete.splats.transform import Similarity
+
+UpAxis = Literal["X", "Y", "Z", "-X", "-Y", "-Z"]
+"""The file axis that points up."""
+
+_OBJECT_ROWS: dict[str, tuple[tuple[float, float, float], ...]] = {
+    "Z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    "-Z": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
+    "Y": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
+    "-Y": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+    "X": ((0, 0, -1), (0, 1, 0), (1, 0, 0)),
+    "-X": ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
+}
+
+
+def up_rotation(up: UpAxis) -> Tensor:  # [3, 3]
+    """Return the proper rotation (float64) that takes file axes to z-up axes.
+
+    Raises:
+        ValueError: ``up`` is not one of the six axes.
+    """
+    if up not in _OBJECT_ROWS:
+        raise ValueError(f"up: expected one of {', '.join(_OBJECT_ROWS)}, found {up!r}")
+    return torch.tensor(_OBJECT_ROWS[up], dtype=torch.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectFrame:
+    """How the object frame lies in the file frame."""
+
+    up: UpAxis
+    """File axis that points up."""
+    center_file: tuple[float, float, float]
+    """Object-frame origin, in file coordinates."""
+    size_file: float
+    """Length in file units that is 1 in the object frame (the object's largest side)."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ValueError: an unknown axis, a centre that is not three finite numbers, or a size that
+                is not finite and positive.
+        """
+        up_rotation(self.up)
+        if len(self.center_file) != 3 or not all(math.isfinite(c) for c in self.center_file):
+            raise ValueError(
+                f"center_file: expected three finite numbers, found {self.center_file}"
+            )
+        if not (math.isfinite(self.size_file) and self.size_file > 0):
+            raise ValueError(f"size_file: expected a positive number, found {self.size_file}")
+
+    @classmethod
+    def from_z_up(
+        cls, up: UpAxis, center_z_up: tuple[float, float, float], size_file: float
+    ) -> ObjectFrame:
+        """Build the frame from a centre given in z-up file units (``up_rotation`` applied)."""
+        center = up_rotation(up).T @ torch.tensor(center_z_up, dtype=torch.float64)
+        x, y, z = center.tolist()
+        return cls(up, (x, y, z), float(size_file))
+
+    @property
+    def object_from_file(self) -> Similarity:
+        """Similarity that takes file coordinates to object coordinates."""
+        rotation = up_rotation(self.up)
+        center = torch.tensor(self.center_file, dtype=torch.float64)
+        return Similarity(1.0 / self.size_file, rotation, -(rotation @ center) / self.size_file)
+
+    @property
+    def file_from_object(self) -> Similarity:
+        """Similarity that takes object coordinates to file coordinates."""
+        center = torch.tensor(self.center_file, dtype=torch.float64)
+        return Similarity(self.size_file, up_rotation(self.up).T.contiguous(), center)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the frame as plain JSON values."""
+        return jsonio.to_json(self)
+
+    @classmethod
+    def from_json(cls, data: Any, source: str) -> ObjectFrame:
+        """Read the frame from plain JSON values; ``source`` names the file in errors.
+
+        Raises:
+            UserError: a field is missing, unknown or wrong.
+        """
+        return jsonio.from_json(cls, data, source)

@@ -1,0 +1,81 @@
+"""The object frame is exact for any up axis, place and size."""
+
+import math
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gscomplete.errors import UserError
+from gscomplete.views import ObjectFrame, up_rotation
+
+AXES = ["X", "Y", "Z", "-X", "-Y", "-Z"]
+far = st.floats(-1e6, 1e6)
+frames = st.builds(
+    ObjectFrame,
+    up=st.sampled_from(AXES),
+    center_file=st.tuples(far, far, far),
+    size_file=st.floats(-6, 6).map(lambda power: 10.0**power),
+)
+
+
+@pytest.mark.parametrize("up", AXES)
+def test_rotation_is_proper_and_lifts_the_axis_to_z(up: str) -> None:
+    rotation = up_rotation(up)
+    assert torch.equal(rotation @ rotation.T, torch.eye(3, dtype=torch.float64))
+    assert torch.linalg.det(rotation) == pytest.approx(1.0)
+    axis = torch.zeros(3, dtype=torch.float64)
+    axis["XYZ".index(up[-1])] = -1.0 if up[0] == "-" else 1.0
+    assert torch.equal(rotation @ axis, torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
+
+
+def test_documented_table() -> None:
+    point = torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64)
+    table = {"Z": [1, 2, 3], "-Z": [1, -2, -3], "Y": [1, -3, 2], "-Y": [1, 3, -2]}
+    table |= {"X": [-3, 2, 1], "-X": [3, 2, -1]}
+    for up, expected in table.items():
+        assert (up_rotation(up) @ point).tolist() == expected
+
+
+@given(frames, st.tuples(*[st.floats(-0.5, 0.5)] * 3))
+@settings(max_examples=80)
+def test_center_and_size_map_to_origin_and_one(
+    frame: ObjectFrame, offset: tuple[float, float, float]
+) -> None:
+    center = torch.tensor(frame.center_file, dtype=torch.float64)
+    step = torch.tensor(offset, dtype=torch.float64)
+    points = torch.stack([center, center + frame.size_file * step])
+    found = frame.object_from_file.apply(points)
+    # What remains is the rounding of file coordinates themselves in float64.
+    rounding = 1e-15 * (1.0 + float(center.abs().max()) / frame.size_file)
+    assert found[0].abs().max() <= 4 * rounding
+    expected = up_rotation(frame.up) @ step
+    assert (found[1] - expected).abs().max() <= 8 * rounding
+    back = frame.file_from_object.apply(found)
+    assert (back - points).abs().max() <= 16 * rounding * frame.size_file
+
+
+@given(frames)
+@settings(max_examples=40)
+def test_json_round_trip(frame: ObjectFrame) -> None:
+    assert ObjectFrame.from_json(frame.to_json(), "run.json") == frame
+
+
+@given(frames)
+@settings(max_examples=40)
+def test_from_z_up_center(frame: ObjectFrame) -> None:
+    center = up_rotation(frame.up) @ torch.tensor(frame.center_file, dtype=torch.float64)
+    x, y, z = center.tolist()
+    assert ObjectFrame.from_z_up(frame.up, (x, y, z), frame.size_file) == frame
+
+
+def test_bad_values_are_named() -> None:
+    with pytest.raises(ValueError, match="size_file"):
+        ObjectFrame("Z", (0.0, 0.0, 0.0), 0.0)
+    with pytest.raises(ValueError, match="center_file"):
+        ObjectFrame("Z", (0.0, math.nan, 0.0), 1.0)
+    with pytest.raises(ValueError, match="up"):
+        ObjectFrame("W", (0.0, 0.0, 0.0), 1.0)
+    with pytest.raises(UserError, match=r"run\.json: up: expected one of"):
+        ObjectFrame.from_json({"up": "z", "center_file": [0, 0, 0], "size_file": 1}, "run.json")
