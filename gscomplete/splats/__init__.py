@@ -1,5 +1,7 @@
 """Splat sets: the record, its file form, transforms and validation."""
 
+from gscomplete.splats.compressed_ply import read_compressed_ply
+from gscomplete.splats.filters import usable_rows
 from gscomplete.splats.ply import SplatFile, append_splats, read_splats, write_splats
 from gscomplete.splats.ply_header import PlyError
 from gscomplete.splats.record import SH_C0, Splats, colors_to_sh, concatenate
@@ -14,7 +16,9 @@ __all__ = [
     "append_splats",
     "colors_to_sh",
     "concatenate",
+    "read_compressed_ply",
     "read_splats",
     "transform_splats",
+    "usable_rows",
     "write_splats",
 ]
