@@ -41,7 +41,8 @@ def _project(
         ],
         dim=1,
     )
-    factor = jacobian @ world @ rotation_matrices(splats.quaternions) @ torch.diag_embed(splats.scales)
+    factor = jacobian @ world @ rotation_matrices(splats.quaternions)
+    factor = factor * splats.scales[:, None, :]
     covariance = factor @ factor.transpose(1, 2) + blur * torch.eye(2, dtype=depth.dtype)
     return ratio * focal + center, covariance, depth
 
