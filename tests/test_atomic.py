@@ -9,6 +9,11 @@ from gscomplete.atomic import atomic_path
 from gscomplete.errors import UserError
 
 
+def write_half_and_stop(path):
+    path.write_bytes(b"half")
+    raise KeyboardInterrupt
+
+
 def test_success_replaces_and_leaves_no_temporary(tmp_path):
     target = tmp_path / "a.bin"
     target.write_bytes(b"old")
@@ -27,8 +32,7 @@ def test_failure_keeps_the_old_file(tmp_path):
     target = tmp_path / "a.bin"
     target.write_bytes(b"old")
     with pytest.raises(KeyboardInterrupt), atomic_path(target) as temporary:
-        temporary.write_bytes(b"half")
-        raise KeyboardInterrupt
+        write_half_and_stop(temporary)
     assert target.read_bytes() == b"old"
     assert os.listdir(tmp_path) == ["a.bin"]
 

@@ -52,7 +52,7 @@ def read_payload(path: Path, header: PlyHeader, vertex: Element) -> Payload:
     except OSError as error:
         message = f"cannot read: {error.strerror or type(error).__name__}"
         raise PlyError(path, "unreadable_file", message) from error
-    return Payload(before, records, after, tuple(_check_rest(header, vertex, len(after))))
+    return Payload(before, records, after, tuple(check_rest(header, vertex, len(after))))
 
 
 def locate_records(
@@ -107,8 +107,14 @@ def _skip_list_rows(path: Path, stream: BinaryIO, start: int, element: Element, 
     return stream.tell()
 
 
-def _check_rest(header: PlyHeader, vertex: Element, found: int) -> Iterator[str]:
-    """Warn when what follows the vertex records has not the size the header says."""
+def check_rest(header: PlyHeader, vertex: Element, found: int) -> Iterator[str]:
+    """Warn when what follows the vertex records has not the size the header says.
+
+    Args:
+        header: the file's header.
+        vertex: its vertex element.
+        found: number of bytes behind the vertex records.
+    """
     rest = [element for element in header.elements if element.line > vertex.line]
     if any(element.has_lists for element in rest):
         return
@@ -117,6 +123,42 @@ def _check_rest(header: PlyHeader, vertex: Element, found: int) -> Iterator[str]
         yield f"truncated after the vertices: expected {expected} more bytes, found {found}"
     elif found > expected:
         yield f"{found - expected} bytes after the last element that the header does not mention"
+
+
+def stream_records(
+    path: Path, header: PlyHeader, vertex: Element, rows: int
+) -> Iterator[NDArray[np.void]]:
+    """Yield the vertex records in blocks; a binary file is never in memory as a whole.
+
+    Args:
+        path: the file.
+        header: its header.
+        vertex: its vertex element.
+        rows: number of records in a block.
+
+    Raises:
+        PlyError: as ``read_payload`` and ``parse_records``.
+    """
+    if header.format == "ascii":
+        records = parse_records(path, header, vertex, read_payload(path, header, vertex))
+        yield from (records[start : start + rows] for start in range(0, len(records), rows))
+        return
+    dtype = vertex.row_dtype(header.byte_order)
+    with path.open("rb") as stream:
+        start, _ = locate_records(path, stream, header, vertex)
+        stream.seek(start)
+        for first in range(0, vertex.count, rows):
+            yield np.fromfile(stream, dtype, min(rows, vertex.count - first))
+
+
+def payload_warnings(path: Path, header: PlyHeader, vertex: Element) -> tuple[str, ...]:
+    """Return what ``read_payload`` would warn about, without reading the payload."""
+    if header.format == "ascii":
+        return ()
+    with path.open("rb") as stream:
+        start, size = locate_records(path, stream, header, vertex)
+        end = os.fstat(stream.fileno()).st_size
+    return tuple(check_rest(header, vertex, end - start - size))
 
 
 def _cut_lines(path: Path, data: bytes, header: PlyHeader, vertex: Element) -> Payload:

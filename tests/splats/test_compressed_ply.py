@@ -105,7 +105,7 @@ def test_other_files_are_refused(tmp_path):
     write_splats(tmp_path / "a.ply", one)
     with pytest.raises(PlyError, match="chunk"):
         read_compressed_ply(tmp_path / "a.ply")
-    raw = pack(one, True)
+    raw = pack(one, False)
     cases = [
         raw[:-13],
         raw.replace(b"chunk 1", b"chunk 2"),

@@ -1,0 +1,63 @@
+"""The command ``gscomplete validate``: is this file a sound splat PLY, and what is odd about it.
+
+Conventions
+-----------
+* Exit code 0: no file has an error (warnings are allowed); 1: at least one has.
+* ``--json`` prints one object: ``ok`` for all files, and one report per file under ``files``.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+
+from gscomplete.splats.validation import ValidationReport, validate_file
+
+_STYLES = {"error": "bold red", "warning": "yellow", "info": "dim"}
+
+
+@dataclass(frozen=True)
+class ValidateOptions:
+    """Check splat files and name what is wrong or odd, with counts and a verdict."""
+
+    files: list[Path]
+    """PLY files to check."""
+
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+
+def run(options: ValidateOptions) -> int:
+    """Check the files and print the reports.
+
+    Returns:
+        0 when no file has an error, else 1.
+    """
+    reports = [validate_file(path) for path in options.files]
+    ok = all(report.ok for report in reports)
+    if options.json:
+        data = {"ok": ok, "files": [report.to_json() for report in reports]}
+        sys.stdout.write(json.dumps(data, indent=2) + "\n")
+    else:
+        console = Console(highlight=False, soft_wrap=True)
+        for report in reports:
+            _print_report(console, report)
+    return 0 if ok else 1
+
+
+def _print_report(console: Console, report: ValidationReport) -> None:
+    """Print one report as text: the verdict, then a line for each finding."""
+    verdict = "[green]ok[/green]" if report.ok else "[bold red]not ok[/bold red]"
+    what = ""
+    if report.sh_degree is not None:
+        what = f", {report.n_splats} splats, SH degree {report.sh_degree}"
+    console.print(f"{escape(report.path)}: {verdict}{what}")
+    for finding in report.findings:
+        style = _STYLES[finding.severity]
+        label = f"[{style}]{finding.severity:7}[/{style}] {finding.name}"
+        console.print(f"  {label} ({finding.count}): {escape(finding.message)}")

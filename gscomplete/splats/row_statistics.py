@@ -1,0 +1,170 @@
+"""One pass over the vertex records of a splat file: counts of odd rows, and what ranges need.
+
+Conventions
+-----------
+* Values are those the file holds (logits, logarithms, raw quaternions), as float32.
+* Rows are read in blocks; per row only the position, the largest log scale and a hash are kept.
+* A row with a NaN or an infinity takes part in the counts, but not in ranges and quantiles.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gscomplete.splats.filters import MAX_MAGNITUDE
+from gscomplete.splats.ply_header import Element, PlyHeader
+from gscomplete.splats.ply_layout import SplatLayout, value_table
+from gscomplete.splats.ply_payload import payload_warnings, stream_records
+
+_BLOCK_ROWS = 8192
+_SH_SAMPLE_ROWS = 20_000
+_HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)  # odd, bits well spread (2^64 / golden ratio)
+
+COUNTS = (
+    "nan",
+    "infinite",
+    "infinite_opacity",
+    "infinite_scale",
+    "too_large",
+    "zero_rows",
+    "zero_quaternions",
+    "unnormalised_quaternions",
+    "duplicates",
+)
+"""Names of the row counts."""
+
+
+@dataclass(slots=True)
+class Range:
+    """Smallest and largest of the values seen."""
+
+    low: float = float("inf")
+    high: float = float("-inf")
+
+    def add(self, values: NDArray[np.float32]) -> None:
+        """Widen the range to some values."""
+        if values.size:
+            self.low = min(self.low, float(values.min()))
+            self.high = max(self.high, float(values.max()))
+
+
+@dataclass(slots=True)
+class RowStatistics:
+    """What one pass over the rows gives."""
+
+    warnings: tuple[str, ...]
+    counts: Counter[str] = field(default_factory=Counter)  # by the names in COUNTS
+    opacity: Range = field(default_factory=Range)  # of the finite rows, as are all below
+    scale: Range = field(default_factory=Range)
+    base: Range = field(default_factory=Range)  # f_dc
+    means: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
+    largest_scales: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
+    higher_sample: NDArray[np.float32] = field(  # [M, 3 (K - 1)] in the order of Splats.sh
+        default_factory=lambda: np.zeros((0, 0), np.float32)
+    )
+
+    def bounds(self) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
+        """Corners of the finite positions, None without any."""
+        if not len(self.means):
+            return None
+        low, high = self.means.min(axis=0), self.means.max(axis=0)
+        return tuple(low.tolist()), tuple(high.tolist())
+
+
+def gather_statistics(
+    path: Path,
+    header: PlyHeader,
+    element: Element,
+    layout: SplatLayout,
+    quaternion_tolerance: float,
+) -> RowStatistics:
+    """Read the records once and gather what validation needs.
+
+    Args:
+        path: the file.
+        header: its header.
+        element: its vertex element.
+        layout: where the values are.
+        quaternion_tolerance: largest difference of a length from 1 that counts as unit.
+
+    Raises:
+        PlyError: the payload is truncated or cannot be parsed.
+    """
+    result = RowStatistics(payload_warnings(path, header, element))
+    columns = [*layout.means, *layout.sh[:3], layout.opacity, *layout.scales, *layout.quaternion]
+    step = max(1, element.count // _SH_SAMPLE_ROWS)
+    means, scales, hashes, samples = [], [], [], []
+    with np.errstate(all="ignore"):
+        for records in stream_records(path, header, element, _BLOCK_ROWS):
+            table = value_table(records)
+            values = table.take(columns, axis=1)
+            higher = table.take(layout.sh[3:], axis=1)
+            finite = _count_rows(values, higher, quaternion_tolerance, result.counts)
+            zero = ~values.any(axis=1)
+            result.counts["zero_rows"] += int(zero.sum())
+            hashes.append(hash_rows(values[~zero]))
+            kept = values[finite]
+            means.append(kept[:, :3])
+            result.base.add(kept[:, 3:6])
+            result.opacity.add(kept[:, 6])
+            result.scale.add(kept[:, 7:10])
+            scales.append(kept[:, 7:10].max(axis=1, initial=-np.inf))
+            samples.append(higher[::step].copy())
+    if means:
+        result.means = np.concatenate(means)
+        result.largest_scales = np.concatenate(scales)
+        result.higher_sample = np.concatenate(samples)
+        result.counts["duplicates"] = _count_repeats(np.concatenate(hashes))
+    return result
+
+
+def _count_rows(
+    values: NDArray[np.float32],  # [B, 14]: mean, f_dc, opacity, scales, quaternion
+    higher: NDArray[np.float32],  # [B, 3 (K - 1)]: f_rest
+    quaternion_tolerance: float,
+    counts: Counter[str],
+) -> NDArray[np.bool_]:  # [B]
+    """Count odd rows of a block; return which rows are finite throughout."""
+    opacity, scales, quaternions = values[:, 6], values[:, 7:10], values[:, 10:]
+    large = (np.abs(values[:, :3]) >= MAX_MAGNITUDE).any(axis=1)
+    large |= (scales >= np.log(MAX_MAGNITUDE)).any(axis=1)
+    usual, usual_higher = np.isfinite(values), np.isfinite(higher).all(axis=1)
+    finite: NDArray[np.bool_] = np.logical_and(usual.all(axis=1), usual_higher)
+    counts["too_large"] += int((large & finite).sum())
+    if not finite.all():
+        nan = np.isnan(values).any(axis=1) | np.isnan(higher).any(axis=1)
+        opaque, flat = opacity == np.inf, scales == -np.inf
+        usual[:, 6] |= opaque
+        usual[:, 7:10] |= flat
+        counts["nan"] += int(nan.sum())
+        counts["infinite"] += int((~(usual.all(axis=1) & usual_higher) & ~nan).sum())
+        counts["infinite_opacity"] += int(opaque.sum())
+        counts["infinite_scale"] += int(flat.any(axis=1).sum())
+    zero = ~quaternions.any(axis=1)
+    lengths = np.sqrt(np.square(quaternions, dtype=np.float64).sum(axis=1))
+    off = (np.abs(lengths - 1) > quaternion_tolerance) & ~zero & np.isfinite(lengths)
+    counts["zero_quaternions"] += int(zero.sum())
+    counts["unnormalised_quaternions"] += int(off.sum())
+    return finite
+
+
+def hash_rows(values: NDArray[np.float32]) -> NDArray[np.uint64]:  # [B, C] -> [B]
+    """Hash each row's bits; different rows agree with a chance of about 2^-64."""
+    columns = np.ascontiguousarray(values.T).view(np.uint32)
+    result = np.zeros(len(values), np.uint64)
+    for column in columns:
+        result ^= column
+        result *= _HASH_FACTOR
+        result ^= result >> np.uint64(32)
+    return result
+
+
+def _count_repeats(hashes: NDArray[np.uint64]) -> int:
+    """Number of entries equal to another one counted before."""
+    hashes.sort()
+    return int((hashes[1:] == hashes[:-1]).sum())
