@@ -6,5 +6,36 @@ from gscomplete.evaluate.metrics import (
     against_truth,
     preservation,
 )
+from gscomplete.evaluate.perceptual import Unavailable
+from gscomplete.evaluate.pictures import (
+    TurntableSettings,
+    contact_sheet,
+    preview_sheet,
+    render_images,
+    save_image,
+    save_turntable,
+)
+from gscomplete.evaluate.report import (
+    EvaluationReport,
+    EvaluationSettings,
+    evaluate,
+    report_table,
+)
 
-__all__ = ["PreservationErrors", "TruthErrors", "against_truth", "preservation"]
+__all__ = [
+    "EvaluationReport",
+    "EvaluationSettings",
+    "PreservationErrors",
+    "TruthErrors",
+    "TurntableSettings",
+    "Unavailable",
+    "against_truth",
+    "contact_sheet",
+    "evaluate",
+    "preservation",
+    "preview_sheet",
+    "render_images",
+    "report_table",
+    "save_image",
+    "save_turntable",
+]

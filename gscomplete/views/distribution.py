@@ -35,7 +35,7 @@ _PHILOX_STREAM = 0x5649455753
 _PLASTIC = 1.3247179572447460
 """Real root of x^3 = x + 1, the base of the two-dimensional R2 sequence."""
 
-Angles = tuple[NDArray[np.float64], NDArray[np.float64]]
+Angles = tuple[NDArray[np.floating], NDArray[np.floating]]
 """Azimuths and elevations in degrees, [count] each."""
 
 
@@ -114,11 +114,15 @@ class ViewDistribution:
         """Place one camera at the input view c."""
         return self.cameras(self.low_discrepancy(1), size_px)
 
-    def preview_cameras(self, size_px: int) -> Cameras:
-        """Place six cameras round the object at c's elevation, c first."""
-        azimuths = six_preview_azimuths(self.azimuth_deg)
-        elevations = np.full(len(azimuths), _clamp_elevations(self.elevation_deg))
+    def ring(self, count: int, size_px: int) -> Cameras:
+        """Place cameras evenly round the object at c's elevation, c first, azimuth rising."""
+        azimuths = self.azimuth_deg + 360.0 / count * np.arange(count)
+        elevations = np.full(count, _clamp_elevations(self.elevation_deg))
         return self.cameras((azimuths, elevations), size_px)
+
+    def preview_cameras(self, size_px: int) -> Cameras:
+        """Place the six cameras of a run's preview."""
+        return self.ring(len(six_preview_azimuths(self.azimuth_deg)), size_px)
 
     def to_json(self) -> dict[str, Any]:
         """Return the distribution as plain JSON values with schema name and version."""
@@ -141,7 +145,7 @@ class ViewDistribution:
         values = {key: value for key, value in data.items() if key not in ("schema", "version")}
         return jsonio.from_json(cls, values, source)
 
-    def _place(self, unit: NDArray[np.float64]) -> Angles:  # [count, 2] in [0, 1)
+    def _place(self, unit: NDArray[np.floating]) -> Angles:  # [count, 2] in [0, 1)
         """Map points of the unit square to views."""
         offset = 2.0 * unit - 1.0
         azimuths = self.azimuth_deg + self.azimuth_range_deg * offset[:, 0]
@@ -169,7 +173,7 @@ def spherical_views(
     return (index * golden_angle_deg) % 360.0, _clamp_elevations(elevations)
 
 
-def six_preview_azimuths(azimuth_deg: float) -> NDArray[np.float64]:  # [6]
+def six_preview_azimuths(azimuth_deg: float) -> NDArray[np.floating]:  # [6]
     """Return six azimuths 60 degrees apart, beginning with the given one."""
     return azimuth_deg + 60.0 * np.arange(6)
 

@@ -1,0 +1,185 @@
+"""Contact sheets and turntables.
+
+Conventions
+-----------
+* Splats and cameras are in the object frame; pictures are 8-bit sRGB over one background.
+* The background is light grey, so that neither white nor black objects vanish.
+* Files are written atomically.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+from torch import Tensor
+
+from gscomplete.atomic import atomic_path
+from gscomplete.errors import UserError
+from gscomplete.render import render
+from gscomplete.splats import Splats
+from gscomplete.views import Cameras, ViewDistribution
+
+LIGHT_GREY = (0.78, 0.78, 0.78)
+"""Background of pictures made for people."""
+_INK = (40, 40, 40)
+_PAPER = (245, 245, 245)
+_MARGIN_PX = 4
+
+
+@dataclass(frozen=True, slots=True)
+class TurntableSettings:
+    """How a turntable is drawn."""
+
+    frames: int = 36
+    """Pictures in one full turn."""
+    size_px: int = 256
+    """Side of a picture."""
+    frame_ms: int = 80
+    """Time for which a picture is shown."""
+    quality: int = 80
+    """WebP quality, 1 to 100; other formats ignore it."""
+
+
+def render_images(
+    splats: Splats, cameras: Cameras, background: tuple[float, float, float] = LIGHT_GREY
+) -> list[Image.Image]:
+    """Render splats from every camera as pictures."""
+    with torch.no_grad():
+        color = render(splats, cameras, splats.means.new_tensor(background)).color
+    return [to_image(view) for view in color]
+
+
+def to_image(color: Tensor) -> Image.Image:  # [H, W, 3] in [0, 1]
+    """Turn colours into an 8-bit picture, rounding to nearest."""
+    pixels: NDArray[np.uint8] = (
+        (color.detach().cpu().clamp(0.0, 1.0) * 255.0 + 0.5).to(torch.uint8).numpy()
+    )
+    return Image.fromarray(pixels)
+
+
+def contact_sheet(
+    rows: Sequence[Sequence[Image.Image]],
+    *,
+    row_labels: Sequence[str] = (),
+    column_labels: Sequence[str] = (),
+    title: str = "",
+) -> Image.Image:
+    """Lay pictures out in rows with labels above columns and at the left end of rows.
+
+    Args:
+        rows: pictures, row by row; rows may differ in length, pictures should not in size.
+        row_labels: one per row, or none at all.
+        column_labels: one per column, or none at all.
+        title: one line above everything.
+
+    Raises:
+        ValueError: there is no picture, or the number of labels fits neither.
+    """
+    pictures = [picture for row in rows for picture in row]
+    columns = max((len(row) for row in rows), default=0)
+    if not pictures:
+        raise ValueError("contact_sheet: expected at least one picture, found none")
+    for name, labels, count in (
+        ("row_labels", row_labels, len(rows)),
+        ("column_labels", column_labels, columns),
+    ):
+        if len(labels) not in (0, count):
+            raise ValueError(f"contact_sheet: {name}: expected {count}, found {len(labels)}")
+    font = ImageFont.load_default(13)
+    cell_width = max(picture.width for picture in pictures) + _MARGIN_PX
+    cell_height = max(picture.height for picture in pictures) + _MARGIN_PX
+    left = _MARGIN_PX + (max(_text_width(label, font) for label in row_labels) + 8) * bool(
+        row_labels
+    )
+    line = 20
+    top = _MARGIN_PX + line * bool(title) + line * bool(column_labels)
+    width = max(left + columns * cell_width, _text_width(title, font) + 2 * _MARGIN_PX)
+    sheet = Image.new("RGB", (width, top + len(rows) * cell_height), _PAPER)
+    draw = ImageDraw.Draw(sheet)
+    draw.text((_MARGIN_PX, _MARGIN_PX), title, _INK, font)
+    for column, label in enumerate(column_labels):
+        draw.text((left + column * cell_width, top - line), label, _INK, font)
+    for row, images in enumerate(rows):
+        y = top + row * cell_height
+        if row_labels:
+            draw.text((_MARGIN_PX, y + cell_height // 2 - 8), row_labels[row], _INK, font)
+        for column, picture in enumerate(images):
+            sheet.paste(picture, (left + column * cell_width, y))
+    return sheet
+
+
+def preview_sheet(
+    partial: Splats,
+    completed: Splats,
+    views: ViewDistribution,
+    *,
+    size_px: int = 256,
+    title: str = "",
+) -> Image.Image:
+    """Show input and completion from the same six views, the input view c first."""
+    cameras = views.preview_cameras(size_px)
+    offsets = [f"c + {60 * index}" if index else "c (input view)" for index in range(6)]
+    return contact_sheet(
+        [render_images(partial, cameras), render_images(completed, cameras)],
+        row_labels=["input", "completion"],
+        column_labels=offsets,
+        title=title,
+    )
+
+
+def save_image(image: Image.Image, path: Path) -> None:
+    """Write a picture in the format of its suffix, replacing ``path`` in one step.
+
+    Raises:
+        UserError: the suffix names no picture format, or the folder cannot be written.
+    """
+    _require_format(path)
+    with atomic_path(path) as temporary:
+        image.save(temporary)
+
+
+def save_turntable(
+    splats: Splats, views: ViewDistribution, path: Path, settings: TurntableSettings | None = None
+) -> None:
+    """Write an endless animation of one turn about the object, starting at the input view c.
+
+    Args:
+        splats: what to show, in the object frame.
+        views: gives the start, elevation, distance and lens.
+        path: destination; WebP, GIF or animated PNG by its suffix.
+        settings: knobs; None = defaults.
+
+    Raises:
+        UserError: the suffix names no animated format, or the folder cannot be written.
+    """
+    chosen = settings or TurntableSettings()
+    if path.suffix.lower() not in (".webp", ".gif", ".png"):
+        raise UserError(f"{path}: turntable: expected .webp, .gif or .png, found {path.suffix!r}")
+    frames = render_images(splats, views.ring(chosen.frames, chosen.size_px))
+    with atomic_path(path) as temporary:
+        frames[0].save(
+            temporary,
+            save_all=True,
+            append_images=frames[1:],
+            duration=chosen.frame_ms,
+            loop=0,
+            quality=chosen.quality,
+        )
+
+
+def _require_format(path: Path) -> None:
+    """Refuse a suffix that Pillow cannot write."""
+    writable = Image.registered_extensions()
+    if writable.get(path.suffix.lower()) not in Image.SAVE:
+        raise UserError(f"{path}: expected a picture such as .png, found suffix {path.suffix!r}")
+
+
+def _text_width(text: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont) -> int:
+    """Width of a line of text in pixels, rounded up."""
+    return int(font.getlength(text)) + 1

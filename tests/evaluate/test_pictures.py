@@ -1,0 +1,97 @@
+"""Pictures have the right size and content, and files appear whole or not at all."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from gscomplete.errors import UserError
+from gscomplete.evaluate import (
+    TurntableSettings,
+    contact_sheet,
+    preview_sheet,
+    render_images,
+    save_image,
+    save_turntable,
+)
+from gscomplete.evaluate.pictures import LIGHT_GREY, to_image
+from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.views import ViewDistribution
+
+
+def red_blob() -> Splats:
+    quaternions = torch.zeros(50, 4)
+    quaternions[:, 0] = 1.0
+    means = 0.2 * torch.randn(50, 3, generator=torch.Generator().manual_seed(0))
+    red = torch.tensor([1.0, 0.0, 0.0]).expand(50, 3)
+    return Splats(means, quaternions, torch.full((50, 3), 0.1), torch.ones(50), colors_to_sh(red))
+
+
+def test_to_image_rounds_and_clamps() -> None:
+    colors = torch.tensor([[[-1.0, 0.0, 2.0], [0.5, 1 / 255, 0.9999]]])
+    assert np.asarray(to_image(colors)).tolist() == [[[0, 0, 255], [128, 1, 255]]]
+
+
+def test_sheet_holds_every_picture_unchanged() -> None:
+    pictures = [Image.new("RGB", (30, 20), (10 * i, 0, 0)) for i in range(6)]
+    sheet = contact_sheet(
+        [pictures[:3], pictures[3:]],
+        row_labels=["input", "a longer label"],
+        column_labels=["a", "b", "c"],
+        title="title",
+    )
+    colors = sheet.getcolors(100_000) or []
+    counts = {color: count for count, color in colors}
+    for index in range(1, 6):
+        assert counts[(10 * index, 0, 0)] == 600
+
+
+def test_sheet_checks_its_labels() -> None:
+    picture = Image.new("RGB", (8, 8))
+    with pytest.raises(ValueError, match="row_labels: expected 1, found 2"):
+        contact_sheet([[picture]], row_labels=["a", "b"])
+    with pytest.raises(ValueError, match="none"):
+        contact_sheet([[]])
+
+
+def test_preview_shows_input_and_completion_from_six_views(tmp_path: Path) -> None:
+    blob = red_blob()
+    sheet = preview_sheet(
+        blob.select(torch.arange(10)), blob, ViewDistribution(30, 15), size_px=32, title="x"
+    )
+    assert sheet.width > 6 * 32
+    assert sheet.height > 2 * 32
+    path = tmp_path / "preview.png"
+    save_image(sheet, path)
+    assert Image.open(path).size == sheet.size
+
+
+def test_rendered_background_is_light_grey() -> None:
+    image = render_images(red_blob(), ViewDistribution(0, 0).input_camera(32))[0]
+    expected = tuple(round(255 * c) for c in LIGHT_GREY)
+    assert image.getpixel((0, 0)) == expected
+    red, green, _ = image.getpixel((16, 16))  # type: ignore[misc]
+    assert red > green + 50
+
+
+@pytest.mark.parametrize("suffix", [".webp", ".gif"])
+def test_turntable_turns_once_and_loops(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"turntable{suffix}"
+    save_turntable(red_blob(), ViewDistribution(0, 0), path, TurntableSettings(5, 32))
+    with Image.open(path) as animation:
+        assert animation.n_frames == 5  # type: ignore[attr-defined]
+        assert animation.size == (32, 32)
+        assert animation.info["loop"] == 0
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_unknown_suffixes_are_user_errors(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"\.mp4"):
+        save_turntable(red_blob(), ViewDistribution(0, 0), tmp_path / "a.mp4")
+    with pytest.raises(UserError, match=r"\.xyz"):
+        save_image(Image.new("RGB", (2, 2)), tmp_path / "a.xyz")
+    with pytest.raises(UserError, match="folder"):
+        save_image(Image.new("RGB", (2, 2)), tmp_path / "none" / "a.png")
+    assert list(tmp_path.iterdir()) == []

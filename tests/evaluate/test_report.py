@@ -1,0 +1,117 @@
+"""Reports hold the paper's metrics, survive JSON, and admit what is missing."""
+
+import dataclasses
+import importlib
+import io
+import json
+import types
+from typing import Any
+
+import pytest
+import torch
+from rich.console import Console
+
+from gscomplete import jsonio
+from gscomplete.evaluate import (
+    EvaluationReport,
+    EvaluationSettings,
+    Unavailable,
+    evaluate,
+    preservation,
+    report_table,
+)
+from gscomplete.evaluate.perceptual import clip_similarity, lpips_error
+from gscomplete.splats import Splats, colors_to_sh, concatenate
+from gscomplete.views import ViewDistribution
+
+VIEWS = ViewDistribution(0.0, 0.0)
+SETTINGS = EvaluationSettings(views=4, truth_views=4, size_px=32)
+
+
+def blob(x: float) -> Splats:
+    generator = torch.Generator().manual_seed(0)
+    quaternions = torch.zeros(80, 4)
+    quaternions[:, 0] = 1.0
+    means = 0.1 * torch.randn(80, 3, generator=generator) + torch.tensor([x, 0.0, 0.0])
+    colors = colors_to_sh(torch.rand(80, 3, generator=generator))
+    return Splats(means, quaternions, torch.full((80, 3), 0.05), torch.full((80,), 0.9), colors)
+
+
+@pytest.fixture(autouse=True)
+def _no_optional_packages(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = importlib.import_module
+
+    def without(name: str) -> Any:
+        if name in ("lpips", "transformers"):
+            raise ImportError(name)
+        return real(name)
+
+    monkeypatch.setattr(importlib, "import_module", without)
+
+
+def test_report_round_trips_and_prints() -> None:
+    partial, whole = blob(0.2), concatenate([blob(0.2), blob(-0.2)])
+    report = evaluate(whole, partial, VIEWS, truth=whole, settings=SETTINGS)
+    assert report.input_view.views == 1
+    assert report.all_views.views == 4
+    assert report.truth is not None
+    assert report.truth.hidden_iou == 1.0
+    back = jsonio.from_json(EvaluationReport, json.loads(jsonio.dumps(report)), "run.json")
+    assert back == report
+    console = Console(width=160, record=True, file=io.StringIO())
+    console.print(report_table(report))
+    text = console.export_text()
+    for word in ("E_color", "E_depth", "E_LPIPS", "S_CLIP", "unavailable", "IoU"):
+        assert word in text
+
+
+def test_unknown_truth_is_left_out() -> None:
+    report = evaluate(blob(0.0), blob(0.0), VIEWS, settings=SETTINGS)
+    assert report.truth is None
+    assert report.all_views.color == 0.0
+
+
+def test_missing_packages_are_named() -> None:
+    camera = VIEWS.input_camera(16)
+    lpips = lpips_error(blob(0.0), blob(0.0), camera)
+    clip = clip_similarity(blob(0.0), blob(0.0), camera, VIEWS.ring(4, 16))
+    assert isinstance(lpips, Unavailable)
+    assert isinstance(clip, Unavailable)
+    assert "lpips" in lpips.reason
+    assert "transformers" in clip.reason
+
+
+def test_missing_weights_are_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
+    def refuse(model: str, local_files_only: bool) -> None:
+        assert local_files_only  # evaluation must never download
+        raise OSError("no such model")
+
+    loader = types.SimpleNamespace(from_pretrained=refuse)
+    fake = types.SimpleNamespace(CLIPModel=loader, CLIPImageProcessor=loader)
+    monkeypatch.setattr(importlib, "import_module", lambda name: fake)
+    monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
+    camera = VIEWS.input_camera(16)
+    lpips = lpips_error(blob(0.0), blob(0.0), camera)
+    clip = clip_similarity(blob(0.0), blob(0.0), camera, VIEWS.ring(4, 16))
+    assert isinstance(lpips, Unavailable)
+    assert "AlexNet weights" in lpips.reason
+    assert isinstance(clip, Unavailable)
+    assert "CLIP weights" in clip.reason
+
+
+def test_lpips_map_is_weighted_by_the_mask(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
+    """With squared differences in the network's place, E_LPIPS is four times E_color."""
+
+    def network(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+        return ((a - b) ** 2).mean(dim=1, keepdim=True)
+
+    fake = types.SimpleNamespace(LPIPS=lambda **options: network)
+    monkeypatch.setattr(importlib, "import_module", lambda name: fake)
+    monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
+    (tmp_path / "checkpoints").mkdir()
+    (tmp_path / "checkpoints" / "alexnet-owt-7be5be79.pth").touch()
+    partial = blob(0.0)
+    other = dataclasses.replace(partial, sh=1.2 * partial.sh)
+    camera = VIEWS.input_camera(32)
+    expected = 4 * preservation(other, partial, camera).color
+    assert lpips_error(other, partial, camera) == pytest.approx(expected, rel=1e-4)
