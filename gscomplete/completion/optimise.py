@@ -243,9 +243,9 @@ class Completion:
         if schedules.is_densify_step(settings, step):
             subdivide(self.parameters, self._statistics, settings.densify, settings.seed, step)
         if schedules.is_prune_step(settings, step):
-            keep, report = prune_mask(
-                self.new_splats(), settings.densify.prune_opacity, self._max_radius
-            )
+            late = step >= settings.densify.final_from * settings.steps
+            opacity = settings.densify.final_opacity if late else settings.densify.prune_opacity
+            keep, report = prune_mask(self.new_splats(), opacity, self._max_radius)
             if report.total and bool(keep.any()):
                 self.parameters.keep(keep)
             self._statistics = GradientStatistics(len(self.parameters))

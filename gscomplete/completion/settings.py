@@ -66,6 +66,10 @@ class DensifySettings:
     """Splats with a larger scale are split in two smaller ones, others are cloned."""
     prune_opacity: float = 0.01
     """Splats with a lower opacity are removed."""
+    final_from: float = 1.0
+    """From this fraction of all steps on, ``final_opacity`` takes the place of
+    ``prune_opacity``, so that what is left of failed splats does not stay as dust."""
+    final_opacity: float = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +119,8 @@ class CompletionSettings:
     """Largest scale of a new splat."""
     max_radius: float | None = None
     """New splats farther than this from the origin are removed; None = the visible extent."""
+    max_working_splats: int | None = 250_000
+    """Most splats of P that are drawn while optimising (all are in the output); None = all."""
     checkpoint_every: int = 500
     """Steps between checkpoints; 0 = only at the end."""
 
@@ -154,7 +160,7 @@ SMALL_PRIOR = dataclasses.replace(
     min_scale_px=0.5,
     max_scale=0.1,
     learning_rates=LearningRates(means=4e-3, means_final=4e-4, sh=2e-2, log_scales=1e-2),
-    densify=DensifySettings(every=25, growth=0.2, max_new=20_000, split_scale=0.03),
+    densify=DensifySettings(every=25, growth=0.2, max_new=20_000, split_scale=0.03, final_from=0.8),
     checkpoint_every=100,
 )
 """The paper's method for a prior of 64 pixels: fewer and larger steps, sizes bound to a pixel."""

@@ -1,0 +1,304 @@
+"""A completion as a user runs it: file in, run folder out.
+
+A run folder holds ``completed.ply`` (P's records first and byte for byte), ``run.json`` (everything
+that decided the result, and what came of it), ``preview.png``, ``turntable.webp``, ``log.jsonl``
+(one line per step) and ``checkpoints/``. All but the log are written atomically.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import platform
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+import gscomplete
+from gscomplete import jsonio
+from gscomplete.atomic import atomic_path
+from gscomplete.completion.checkpoint import load_checkpoint, save_checkpoint
+from gscomplete.completion.framing import guess_framing
+from gscomplete.completion.optimise import Completion, StepReport
+from gscomplete.completion.settings import CompletionSettings
+from gscomplete.completion.working_set import WorkingSet, working_set
+from gscomplete.errors import UserError
+from gscomplete.evaluate.metrics import preservation
+from gscomplete.evaluate.pictures import preview_sheet, turntable
+from gscomplete.priors.base import Prior
+from gscomplete.splats import Splats, concatenate
+from gscomplete.splats.ply import SplatFile, append_splats, read_splats
+from gscomplete.splats.transform import Similarity, transform_splats
+from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution, radius_to_fit, up_rotation
+
+RUN_FILE = "run.json"
+OUTPUT_FILE = "completed.ply"
+LOG_FILE = "log.jsonl"
+CHECKPOINTS = "checkpoints"
+METRIC_VIEWS = 16
+"""Views of V, spread evenly, that the errors are averaged over."""
+METRIC_SIZE_PX = 256
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What a user asked for; None means that a heuristic decides, and its reasons are recorded."""
+
+    partial_path: Path
+    prompt: str
+    out: Path
+    settings: CompletionSettings
+    negative_prompt: str | None = None
+    up: UpAxis = "Z"
+    view_deg: tuple[float, float] | None = None  # azimuth, elevation of the input view c
+    azimuth_range_deg: float = 50.0
+    center_file: tuple[float, float, float] | None = None
+    size_file: float | None = None
+    resume: bool = False
+
+
+@dataclass(slots=True)
+class Run:
+    """A completion set up and ready to go, with all that decides its result."""
+
+    request: Request
+    source: SplatFile
+    working: WorkingSet
+    frame: ObjectFrame
+    distribution: ViewDistribution
+    notes: tuple[str, ...]
+    completion: Completion
+    identity: dict[str, Any]
+    timings: dict[str, float] = field(default_factory=dict)
+
+
+def prepare(request: Request, prior: Prior) -> Run:
+    """Read P, decide the frame and views, and set up step 0 or the step of the last checkpoint.
+
+    Raises:
+        UserError: the input, an option or the output folder is wrong.
+    """
+    started = time.perf_counter()
+    if request.resume and not (request.out / RUN_FILE).exists():
+        raise UserError(f"{request.out}: nothing to resume: there is no {RUN_FILE}")
+    source = read_splats(request.partial_path)
+    chosen = working_set(
+        source.splats, request.settings.max_working_splats, str(request.partial_path)
+    )
+    frame, distribution, notes = _decide_frame(request, chosen.splats, prior)
+    conditioning = prior.condition(request.prompt, request.negative_prompt)
+    partial = transform_splats(chosen.splats, frame.object_from_file)
+    completion = Completion(
+        partial,
+        prior,
+        conditioning,
+        distribution,
+        request.settings,
+        _largest_side(chosen.splats) / frame.size_file,
+    )
+    identity = {
+        "input_sha256": hashlib.sha256(request.partial_path.read_bytes()).hexdigest(),
+        "prompt": request.prompt,
+        "negative_prompt": request.negative_prompt,
+        "prior": prior.name,
+        "frame": frame.to_json(),
+        "views": distribution.to_json(),
+        "settings": jsonio.to_json(request.settings),
+    }
+    notes = (*notes, chosen.summary(), *conditioning.report)
+    run = Run(request, source, chosen, frame, distribution, notes, completion, identity)
+    if request.resume:
+        _check_identity(request.out / RUN_FILE, identity)
+        state = load_checkpoint(request.out / CHECKPOINTS)
+        if state is not None:
+            completion.restore(state)
+    else:
+        _make_folder(request.out)
+    run.timings["prepare_s"] = time.perf_counter() - started
+    _write_run_file(run, "running", None)
+    return run
+
+
+def execute(run: Run, on_step: Callable[[StepReport], None]) -> dict[str, Any]:
+    """Take all remaining steps, write the results, and return the content of ``run.json``.
+
+    A run that is interrupted (also by Ctrl-C) can be resumed from its last checkpoint.
+
+    Raises:
+        UserError: a value stopped being finite, or a file cannot be written.
+    """
+    out, completion = run.request.out, run.completion
+    every = run.request.settings.checkpoint_every
+    started = time.perf_counter()
+    _trim_log(out / LOG_FILE, completion.step_number)
+    with (out / LOG_FILE).open("a", encoding="utf-8") as log:
+        try:
+            while not completion.finished:
+                report = completion.step()
+                log.write(json.dumps(dataclasses.asdict(report)) + "\n")
+                on_step(report)
+                if every and completion.step_number % every == 0:
+                    log.flush()
+                    save_checkpoint(out / CHECKPOINTS, completion.state())
+        except KeyboardInterrupt:
+            save_checkpoint(out / CHECKPOINTS, completion.state())
+            raise
+    save_checkpoint(out / CHECKPOINTS, completion.state())
+    run.timings["optimise_s"] = time.perf_counter() - started
+    return _finish(run)
+
+
+def _finish(run: Run) -> dict[str, Any]:
+    """Write the completed splats, measure, and draw the pictures."""
+    out = run.request.out
+    started = time.perf_counter()
+    new = run.completion.new_splats()
+    in_file = transform_splats(new, run.frame.file_from_object)
+    append_splats(
+        out / OUTPUT_FILE,
+        run.source,
+        in_file,
+        (
+            f"gscomplete version {gscomplete.__version__}",
+            f"gscomplete new_splats {len(new)}",
+        ),
+    )
+    run.timings["write_s"] = time.perf_counter() - started
+    partial = run.completion.partial
+    whole = concatenate([partial, new])
+    started = time.perf_counter()
+    metrics = {
+        "input_view": jsonio.to_json(
+            preservation(whole, partial, run.distribution.input_camera(METRIC_SIZE_PX))
+        ),
+        "over_views": jsonio.to_json(
+            preservation(
+                whole,
+                partial,
+                run.distribution.cameras(
+                    run.distribution.low_discrepancy(METRIC_VIEWS), METRIC_SIZE_PX
+                ),
+            )
+        ),
+    }
+    run.timings["measure_s"] = time.perf_counter() - started
+    started = time.perf_counter()
+    with atomic_path(out / "preview.png") as temporary:
+        preview_sheet(partial, whole, run.distribution.preview_cameras(256)).save(temporary)
+    turntable(whole, out / "turntable.webp", run.distribution)
+    run.timings["pictures_s"] = time.perf_counter() - started
+    return _write_run_file(run, "finished", {"metrics": metrics, "new_splats": len(new)})
+
+
+def _decide_frame(
+    request: Request, splats: Splats, prior: Prior
+) -> tuple[ObjectFrame, ViewDistribution, tuple[str, ...]]:
+    """Take the frame and the input view from the request, and from the heuristic what is missing."""
+    notes: list[str] = []
+    rotation = up_rotation(request.up)
+    anchor = splats.means.double().median(dim=0).values
+    level = transform_splats(splats, Similarity(1.0, rotation, -(rotation @ anchor)))
+    center_file, size_file, view_deg = request.center_file, request.size_file, request.view_deg
+    if center_file is None or size_file is None or view_deg is None:
+        guess = guess_framing(level)
+        notes += guess.reasons
+        if center_file is None:
+            lifted = rotation.T @ torch.tensor(guess.center, dtype=torch.float64) + anchor
+            x, y, z = lifted.tolist()
+            center_file = (x, y, z)
+        size_file = guess.size if size_file is None else size_file
+        if view_deg is None:
+            view_deg = guess.view_azimuth_deg, guess.view_elevation_deg
+    frame = ObjectFrame(request.up, center_file, size_file)
+    fov_deg = prior.views.fov_deg
+    distribution = ViewDistribution(
+        *view_deg,
+        azimuth_range_deg=request.azimuth_range_deg,
+        radius=radius_to_fit(sum(prior.views.extent_range) / 2, fov_deg),
+        fov_deg=fov_deg,
+    )
+    x, y, z = center_file
+    notes.append(
+        f"frame: up {request.up}, centre {x:.6g},{y:.6g},{z:.6g}, size {size_file:.6g} (file "
+        f"units), input view {view_deg[0]:g},{view_deg[1]:g} degrees"
+    )
+    return frame, distribution, tuple(notes)
+
+
+def _largest_side(splats: Splats) -> float:
+    """Return the largest side of the box of the splats, ignoring the farthest 0.1 % on each side."""
+    points = splats.means.double().numpy()
+    low, high = np.quantile(points, [0.001, 0.999], axis=0)
+    return max(float((high - low).max()), float(splats.scales.max()))
+
+
+def _make_folder(out: Path) -> None:
+    """Create the run folder.
+
+    Raises:
+        UserError: it exists with something in it, or cannot be created.
+    """
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise UserError(
+            f"{out}: the output folder exists and is not empty; choose another --out, or continue "
+            "the run in it with --resume"
+        )
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"{out}: cannot create the output folder: {error.strerror}") from error
+
+
+def _check_identity(path: Path, identity: dict[str, Any]) -> None:
+    """Refuse to resume a run with anything that would change its result."""
+    stored = json.loads(path.read_text(encoding="utf-8")).get("identity", {})
+    for key, value in identity.items():
+        found = stored.get(key)
+        if found == value:
+            continue
+        if isinstance(value, dict) and isinstance(found, dict):
+            names = [name for name in value if found.get(name) != value[name]]
+            detail = "; ".join(
+                f"{name}: the run has {found.get(name)}, asked for {value[name]}" for name in names
+            )
+        else:
+            detail = f"the run has {found!r}, asked for {value!r}"
+        raise UserError(f"{path}: cannot resume with another {key}: {detail}")
+
+
+def _trim_log(path: Path, step: int) -> None:
+    """Drop log lines of steps that will be taken again."""
+    if not path.exists():
+        return
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)[:step]
+    with atomic_path(path) as temporary:
+        temporary.write_text("".join(lines), encoding="utf-8")
+
+
+def _write_run_file(run: Run, status: str, result: dict[str, Any] | None) -> dict[str, Any]:
+    """Write and return the content of ``run.json``."""
+    content = {
+        "schema": "gscomplete.run",
+        "version": 1,
+        "status": status,
+        "input": {"path": str(run.request.partial_path), "splats": run.source.n_rows},
+        "identity": run.identity,
+        "notes": list(run.notes),
+        "versions": {
+            "gscomplete": gscomplete.__version__,
+            "python": platform.python_version(),
+            "torch": torch.__version__,
+            "numpy": np.__version__,
+        },
+        "timings": {name: round(seconds, 3) for name, seconds in run.timings.items()},
+        "result": result,
+    }
+    with atomic_path(run.request.out / RUN_FILE) as temporary:
+        temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    return content
