@@ -48,6 +48,9 @@ def read_payload(path: Path, header: PlyHeader, vertex: Element) -> Payload:
             stream.seek(header.size)
             before = stream.read(start - header.size)
             records = np.fromfile(stream, np.uint8, size)
+            if records.size < size:
+                message = f"changed while it was read: expected {size} bytes of vertex records"
+                raise PlyError(path, "truncated_payload", f"{message}, found {records.size}")
             after = stream.read()
     except OSError as error:
         message = f"cannot read: {error.strerror or type(error).__name__}"

@@ -1,7 +1,6 @@
 """Splat PLY files: round trips, byte-exact appending, odd layouts, bad files."""
 
 import gzip
-import struct
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -333,9 +332,9 @@ def test_absurd_count_allocates_nothing(tmp_path, form):
 
 
 def seconds(action: Callable[[], object]) -> float:
-    """Best of five."""
+    """Best of three."""
     times = []
-    for _ in range(5):
+    for _ in range(3):
         start = time.perf_counter()
         action()
         times.append(time.perf_counter() - start)
@@ -343,15 +342,21 @@ def seconds(action: Callable[[], object]) -> float:
 
 
 def test_much_faster_than_row_by_row(tmp_path):
-    splats = make_splats(20_000)
+    """A writer that fills its records from tuples, as the original's does, is ten times slower."""
+    splats = make_splats(20_000, degree=3)
     path = tmp_path / "a.ply"
     write_splats(path, splats)
-    record = struct.Struct("<17f")
-    raw = path.read_bytes()[read_splats(path).header.size :]
-    rows = [record.unpack_from(raw, i * record.size) for i in range(len(splats))]
-    by_row = seconds(lambda: b"".join(record.pack(*row) for row in rows))
-    assert seconds(lambda: read_splats(path)) < by_row
-    assert seconds(lambda: write_splats(path, splats)) < by_row
+    file = read_splats(path)
+    table = file.payload.records.view("<f4").reshape(len(splats), -1)
+    records = np.empty(len(splats), file.header.elements[0].row_dtype("<"))
+
+    def write_rows() -> None:
+        records[:] = [tuple(row) for row in table]
+        (tmp_path / "b.ply").write_bytes(records.tobytes())
+
+    by_row = seconds(write_rows)
+    assert seconds(lambda: read_splats(path)) < by_row / 5  # 10 and more on an idle machine
+    assert seconds(lambda: write_splats(path, splats)) < by_row / 5
 
 
 MUTATIONS = st.lists(
