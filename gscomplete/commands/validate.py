@@ -12,7 +12,9 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
+import tyro
 from rich.console import Console
 from rich.markup import escape
 
@@ -25,7 +27,7 @@ _STYLES = {"error": "bold red", "warning": "yellow", "info": "dim"}
 class ValidateOptions:
     """Check splat files and name what is wrong or odd, with counts and a verdict."""
 
-    files: list[Path]
+    files: Annotated[list[Path], tyro.conf.Positional]
     """PLY files to check."""
 
     json: bool = False

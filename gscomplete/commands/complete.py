@@ -1,0 +1,186 @@
+"""``gscomplete complete``: complete a partial splat object."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from gscomplete.errors import UserError
+
+if TYPE_CHECKING:
+    from gscomplete.completion.optimise import StepReport
+    from gscomplete.completion.run import Request, Run
+    from gscomplete.priors.base import Prior
+
+
+@dataclass(frozen=True)
+class CompleteOptions:
+    """Complete a partial object made of Gaussian splats.
+
+    Reads PARTIAL.ply (P), adds new splats where the prompt and the prior want them, keeps P's looks
+    from the view distribution V, and writes a run folder: completed.ply (P's records first and
+    byte for byte, new ones after), run.json, preview.png, turntable.webp.
+
+    Example: gscomplete complete half_mug.ply --prompt "a red mug" --out runs/mug
+    """
+
+    partial: Annotated[Path, tyro.conf.Positional]
+    """Splat PLY of the partial object, in the layout of the original 3DGS."""
+    prompt: str
+    """What the whole object is, such as "a red mug"."""
+    out: Path | None = None
+    """Run folder; None = PARTIAL's name with _completed, in the current folder."""
+    view: str | None = None
+    """Input view c as AZIMUTH,ELEVATION in degrees (azimuth 0 looks from +x of the z-up object
+    frame, 90 from +y); None = the view that shows most of P from outside."""
+    range: float = 50.0
+    """V reaches this many degrees of azimuth to either side of c."""
+    up: Literal["X", "Y", "Z", "-X", "-Y", "-Z"] = "Z"
+    """Axis of the file that points up (glTF: Y; COLMAP and most 3DGS files: -Y)."""
+    center: str | None = None
+    """Centre of the WHOLE object as X,Y,Z in file coordinates; None = guessed from P."""
+    size: float | None = None
+    """Largest side of the WHOLE object in file units; None = guessed from P."""
+    prior: str = "embedded"
+    """Name or path of the prior."""
+    negative_prompt: str | None = None
+    """What to lead away from; None = nothing."""
+    preset: Literal["default", "fast", "distill", "paper"] = "default"
+    """default: best of time and quality. fast: fewer rounds. distill: the paper's method in fewer
+    steps. paper: the paper's settings to the letter (6,000 steps)."""
+    steps: int | None = None
+    """Optimiser steps; schedules stretch with it. None = the preset's."""
+    text_only: bool = False
+    """Withhold P's renders from priors that can see them."""
+    seed: int = 0
+    """Same seed, same bytes."""
+    device: str = "auto"
+    """cpu, cuda, cuda:1, or auto = cuda if there is one."""
+    resume: bool = False
+    """Continue the run in --out from its last checkpoint; all other options must be the same."""
+    json: bool = False
+    """Print the content of run.json on standard output and nothing else there."""
+
+
+def run(options: CompleteOptions) -> int:
+    """Complete the object; return the exit code."""
+    from gscomplete.completion.run import execute, prepare
+    from gscomplete.device import choose_device
+    from gscomplete.priors import load_prior
+
+    prior = load_prior(options.prior, choose_device(options.device))
+    job = prepare(_request(options, prior), prior)
+    _say(options, *job.notes)
+    if job.completion.step_number:
+        _say(options, f"resuming at step {job.completion.step_number}")
+    content = _with_progress(options, job, execute)
+    if options.json:
+        print(json.dumps(content))
+        return 0
+    result = content["result"]
+    c, views = result["metrics"]["input_view"], result["metrics"]["over_views"]
+    _say(
+        options,
+        f"{result['new_splats']:,} new splats in {content['timings']['optimise_s']:.1f} s",
+        f"E_color {c['color']:.6f} from c, {views['color']:.6f} over V; "
+        f"E_depth {c['depth']:.6f} from c, {views['depth']:.6f} over V",
+        f"written: {job.request.out}/completed.ply, preview.png, turntable.webp, run.json",
+    )
+    return 0
+
+
+def _request(options: CompleteOptions, prior: Prior) -> Request:
+    """Turn command-line options into a request.
+
+    Raises:
+        UserError: an option has the wrong form.
+    """
+    from gscomplete.completion.run import Request
+    from gscomplete.completion.settings import preset
+
+    if not options.prompt.strip():
+        raise UserError("--prompt: expected what the whole object is, found an empty text")
+    if not 0 <= options.range <= 180:
+        raise UserError(f"--range: expected 0 to 180 degrees, found {options.range:g}")
+    if options.size is not None and not 0 < options.size < float("inf"):
+        raise UserError(f"--size: expected a positive length, found {options.size:g}")
+    settings = dataclasses.replace(
+        preset(options.preset, prior.name), seed=options.seed, see_input=not options.text_only
+    )
+    if options.steps is not None:
+        settings = dataclasses.replace(settings, steps=options.steps)
+    view = parse_numbers(options.view, 2, "--view", "AZIMUTH,ELEVATION")
+    center = parse_numbers(options.center, 3, "--center", "X,Y,Z")
+    if view is not None and not -90 <= view[1] <= 90:
+        raise UserError(f"--view: expected an elevation of -90 to 90 degrees, found {view[1]:g}")
+    return Request(
+        partial_path=options.partial,
+        prompt=options.prompt,
+        out=options.out or Path(f"{options.partial.stem}_completed"),
+        settings=settings,
+        negative_prompt=options.negative_prompt,
+        up=options.up,
+        view_deg=None if view is None else (view[0], view[1]),
+        azimuth_range_deg=options.range,
+        center_file=None if center is None else (center[0], center[1], center[2]),
+        size_file=options.size,
+        resume=options.resume,
+    )
+
+
+def parse_numbers(text: str | None, count: int, option: str, form: str) -> list[float] | None:
+    """Parse comma-separated finite numbers."""
+    if text is None:
+        return None
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != count or not all(abs(value) < float("inf") for value in values):
+        raise UserError(f"{option}: expected {form}, {count} finite numbers, found {text!r}")
+    return values
+
+
+def _with_progress(options: CompleteOptions, job: Run, execute: object) -> dict:
+    """Run with a progress bar on standard error."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import TimeElapsedColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("completing"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("ETA"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[losses]}"),
+    )
+    with Progress(*columns, console=Console(file=sys.stderr)) as progress:
+        task = progress.add_task(
+            "complete",
+            total=job.request.settings.steps,
+            completed=job.completion.step_number,
+            losses="",
+        )
+
+        def show(report: StepReport) -> None:
+            losses = f"prior {report.guidance_loss:.2f}"
+            if report.preservation_loss is not None:
+                losses += f"  L_p {report.preservation_loss:.4f}"
+            losses += f"  splats {report.new_splats:,}"
+            progress.update(task, advance=1, losses=losses)
+
+        return execute(job, show)
+
+
+def _say(options: CompleteOptions, *lines: str) -> None:
+    """Print lines for a person: standard output, or standard error when that is for a machine."""
+    for line in lines:
+        print(line, file=sys.stderr if options.json else sys.stdout)

@@ -1,0 +1,102 @@
+"""``gscomplete render``: pictures of a splat file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from gscomplete.commands.complete import parse_numbers
+from gscomplete.errors import UserError
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    """Render a splat file from given views of its object frame.
+
+    Example: gscomplete render completed.ply --views 0,15 90,15 --out pictures
+    """
+
+    file: Annotated[Path, tyro.conf.Positional]
+    """Splat PLY."""
+    out: Path = Path("render")
+    """Folder for view_AZIMUTH_ELEVATION.png files; created, files in it are replaced."""
+    views: tuple[str, ...] = ("0,15", "60,15", "120,15", "180,15", "240,15", "300,15")
+    """Views as AZIMUTH,ELEVATION in degrees."""
+    up: Literal["X", "Y", "Z", "-X", "-Y", "-Z"] = "Z"
+    """Axis of the file that points up."""
+    size_px: int = 512
+    """Width and height of the pictures."""
+    fov: float = 40.0
+    """Vertical field of view in degrees."""
+    background: str = "1,1,1"
+    """Colour behind the splats as R,G,B in 0 to 1."""
+    channel: Literal["color", "alpha", "depth"] = "color"
+    """What to draw; depth is scaled so that white is the nearest splat and black the farthest."""
+
+
+def run(options: RenderOptions) -> int:
+    """Render the views; return the exit code."""
+    import numpy as np
+    import torch
+    from PIL import Image
+
+    from gscomplete.atomic import atomic_path
+    from gscomplete.render import render
+    from gscomplete.splats.filters import usable_rows
+    from gscomplete.splats.ply import read_splats
+    from gscomplete.splats.transform import transform_splats
+    from gscomplete.views import ObjectFrame, orbit_cameras, radius_to_fit
+
+    if not 1 <= options.size_px <= 8192:
+        raise UserError(f"--size-px: expected 1 to 8192, found {options.size_px}")
+    if not 1 <= options.fov <= 170:
+        raise UserError(f"--fov: expected 1 to 170 degrees, found {options.fov:g}")
+    background = parse_numbers(options.background, 3, "--background", "R,G,B") or [1.0, 1.0, 1.0]
+    angles = [parse_numbers(view, 2, "--views", "AZIMUTH,ELEVATION") for view in options.views]
+    splats = read_splats(options.file).splats
+    usable, _ = usable_rows(splats)
+    if not bool(usable.any()):
+        raise UserError(f"{options.file}: expected splats that can be drawn, found none")
+    splats = splats.select(usable)
+    low, high = (corner.double() for corner in splats.bounds())
+    size = max(float((high - low).max()), float(splats.scales.max()))
+    x, y, z = ((low + high) / 2).tolist()
+    frame = ObjectFrame(options.up, (x, y, z), size)
+    cameras = orbit_cameras(
+        torch.tensor([view[0] for view in angles if view]),
+        torch.tensor([view[1] for view in angles if view]),
+        radius=radius_to_fit(1.6, options.fov),
+        fov_deg=options.fov,
+        size_px=options.size_px,
+    )
+    with torch.no_grad():
+        drawn = render(
+            transform_splats(splats, frame.object_from_file), cameras, torch.tensor(background)
+        )
+    pictures = {"color": drawn.color, "alpha": drawn.alpha, "depth": _near_is_white(drawn.depth)}
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"{options.out}: cannot create the folder: {error.strerror}") from error
+    for view, picture in zip(options.views, pictures[options.channel], strict=True):
+        path = options.out / f"view_{view.replace(',', '_')}.png"
+        values = (picture.clamp(0, 1) * 255).round().numpy().astype(np.uint8)
+        with atomic_path(path) as temporary:
+            Image.fromarray(values).save(temporary, format="PNG")
+        print(path)
+    return 0
+
+
+def _near_is_white(depth: object) -> object:  # [V, H, W]
+    """Scale depths to [0, 1], 1 for the nearest; pixels that show nothing are 0."""
+    import torch
+
+    assert isinstance(depth, torch.Tensor)
+    seen = depth > 0
+    if not bool(seen.any()):
+        return depth
+    near, far = depth[seen].min(), depth[seen].max()
+    return torch.where(seen, 1.0 - (depth - near) / (far - near).clamp_min(1e-9), 0.0)
