@@ -82,18 +82,7 @@ def find_layout(element: Element, path: Path) -> SplatLayout:
         counts = ", ".join(str(count) for count in _HIGHER_PER_CHANNEL)
         message = f"element vertex: expected {counts} f_rest properties, found {rest_count}"
         raise PlyError(path, "sh_layout", message)
-    rest_names = [f"f_rest_{i}" for i in range(rest_count)]
-    index: dict[str, int] = {}
-    for name in (*REQUIRED, *rest_names):
-        places = [i for i, found in enumerate(names) if found == name]
-        if len(places) != 1:
-            message = f"element vertex: property {name}: expected once, found {len(places)} times"
-            raise PlyError(path, "missing_property" if not places else "bad_header", message)
-        index[name] = places[0]
-    for prop in element.properties:
-        if prop.count_code is not None:
-            message = f"element vertex: property {prop.name}: expected a number, found a list"
-            raise PlyError(path, "mistyped_property", message)
+    index = _index_properties(element, path, rest_count)
     per_channel = _HIGHER_PER_CHANNEL[rest_count]
     kept = min(per_channel, 15)
     return SplatLayout(
@@ -107,6 +96,24 @@ def find_layout(element: Element, path: Path) -> SplatLayout:
         integer=tuple(n for n, i in index.items() if element.properties[i].code[0] in "iu"),
         dropped_bands=per_channel > kept,
     )
+
+
+def _index_properties(element: Element, path: Path, rest_count: int) -> dict[str, int]:
+    """Places of the splat properties by name; each must be there once and be a number."""
+    names = element.names
+    rest_names = [f"f_rest_{i}" for i in range(rest_count)]
+    index: dict[str, int] = {}
+    for name in (*REQUIRED, *rest_names):
+        places = [i for i, found in enumerate(names) if found == name]
+        if len(places) != 1:
+            message = f"element vertex: property {name}: expected once, found {len(places)} times"
+            raise PlyError(path, "missing_property" if not places else "bad_header", message)
+        index[name] = places[0]
+    for prop in element.properties:
+        if prop.count_code is not None:
+            message = f"element vertex: property {prop.name}: expected a number, found a list"
+            raise PlyError(path, "mistyped_property", message)
+    return index
 
 
 def _count_higher(names: list[str]) -> int:
