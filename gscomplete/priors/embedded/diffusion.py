@@ -113,9 +113,9 @@ def guided_x0(
     )
     if rescale > 0 and passes != [full]:
         dims = tuple(range(1, result.ndim))
-        ratio = images[full].std(dim=dims, keepdim=True) / result.std(
-            dim=dims, keepdim=True
-        ).clamp(min=1e-6)
+        ratio = images[full].std(dim=dims, keepdim=True) / result.std(dim=dims, keepdim=True).clamp(
+            min=1e-6
+        )
         result = result * (1 - rescale + rescale * ratio)
     return result
 

@@ -22,8 +22,44 @@ NO_TEXT_TOKEN = 1
 FIRST_WORD_TOKEN = 2
 
 STOP_WORDS = frozenset(
-    "a an the of and with in on at to for from by is are be it its this that these those there "
-    "some very photo picture image render rendering object model 3d please my your".split()
+    [
+        "a",
+        "an",
+        "the",
+        "of",
+        "and",
+        "with",
+        "in",
+        "on",
+        "at",
+        "to",
+        "for",
+        "from",
+        "by",
+        "is",
+        "are",
+        "be",
+        "it",
+        "its",
+        "this",
+        "that",
+        "these",
+        "those",
+        "there",
+        "some",
+        "very",
+        "photo",
+        "picture",
+        "image",
+        "render",
+        "rendering",
+        "object",
+        "model",
+        "3d",
+        "please",
+        "my",
+        "your",
+    ]
 )
 """Words that say nothing about the object; ignored unless the vocabulary has them."""
 

@@ -1,0 +1,109 @@
+"""Every knob of the training recipe.
+
+Conventions
+-----------
+* A *set* is one training example: four views of an object, P from the same cameras, ring, words.
+* Lengths are in object frame units (the object's largest side is 1); angles in degrees.
+* Defaults are those of the shipped weights; their run is described in the weights' CARD.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from gscomplete.priors.base import PriorViews
+from gscomplete.priors.embedded.model import ModelConfig
+
+
+@dataclass(frozen=True, slots=True)
+class DataConfig:
+    """How training sets are made. Changing anything here changes the data of every index."""
+
+    fov_deg: float = 40.0
+    extent_range: tuple[float, float] = (1.35, 1.9)
+    """Visible extent at the target; the camera radius follows from it."""
+    elevation_range_deg: tuple[float, float] = (-10.0, 45.0)
+    elevation_usual_deg: tuple[float, float] = (0.0, 30.0)
+    """Half of the rings are drawn from this narrower range."""
+    center_jitter: float = 0.12
+    """The target is off the object's centre by up to this along each axis."""
+    rings_per_object: int = 2
+    """Sets made of one object, each with its own ring and its own part removed."""
+    render_px: int = 128
+    """Side of the renders, area-averaged down to the model's resolution."""
+    corrupt_share: float = 0.5
+    """Share of sets whose P is disturbed the way real captures are."""
+
+    def views(self, resolution_px: int) -> PriorViews:
+        """Return the framing as the prior states it."""
+        return PriorViews(self.fov_deg, self.extent_range, self.elevation_range_deg, resolution_px)
+
+
+@dataclass(frozen=True, slots=True)
+class TrainConfig:
+    """One training run."""
+
+    out: Path
+    """Folder of checkpoints, data shards, log and sample sheets."""
+    resume: bool = False
+    """Go on from the checkpoint in ``out``; without it ``out`` must hold none."""
+    minutes: float | None = 95.0
+    """Length of training in minutes of its own running time; None = set by ``steps``."""
+    steps: int | None = None
+    """Length of training in steps; None = set by ``minutes``. Exactly one of them is given."""
+    seed: int = 0
+    batch_sets: int = 4
+    fresh_sets: int = 2
+    """Sets per step that were never seen before; the rest are drawn from all seen so far."""
+    learning_rate: float = 4e-4
+    warmup_steps: int = 200
+    decay_share: float = 0.5
+    """Share of the run, at its end, over which the learning rate falls linearly to zero."""
+    betas: tuple[float, float] = (0.9, 0.98)
+    weight_decay: float = 0.01
+    clip_norm: float = 1.0
+    ema_decay: float = 0.999
+    """Decay per step of the averaged weights, which are the ones shipped; warmed up."""
+    drop_input: float = 0.15
+    """Share of sets trained with P withheld."""
+    drop_text: float = 0.15
+    """Share of sets trained without text, independently of the former."""
+    precision: Literal["bfloat16", "float32"] = "bfloat16"
+    device: str = "cpu"
+    replicas: int = 2
+    """Trainer processes that share each step's sets; on a CPU, one per core."""
+    threads: int = 1
+    """Threads of each replica."""
+    workers: int = 2
+    """Processes that make sets; they yield to the trainer (lowest priority)."""
+    nice: int = 0
+    """Added to the process priority, so that other work on the machine stays responsive."""
+    checkpoint_minutes: float = 5.0
+    sample_minutes: float = 15.0
+    """Minutes between evaluations, each with a sample sheet."""
+    evaluation_sets: int = 12
+    shard_sets: int = 32
+    """Sets per data file."""
+    data: DataConfig = field(default_factory=DataConfig)
+    model: ModelConfig = field(default_factory=lambda: ModelConfig(widths=(128, 192, 320)))
+
+    def __post_init__(self) -> None:
+        """Check ranges.
+
+        Raises:
+            ValueError: the length of the run or the shares make no sense.
+        """
+        if (self.minutes is None) == (self.steps is None):
+            raise ValueError("TrainConfig: expected exactly one of minutes and steps")
+        if not 1 <= self.fresh_sets <= self.batch_sets:
+            raise ValueError(
+                f"TrainConfig: expected 1 <= fresh_sets <= batch_sets, found {self.fresh_sets} "
+                f"of {self.batch_sets}"
+            )
+        if self.batch_sets % self.replicas != 0:
+            raise ValueError(
+                f"TrainConfig: expected batch_sets to be a multiple of replicas, found "
+                f"{self.batch_sets} and {self.replicas}"
+            )

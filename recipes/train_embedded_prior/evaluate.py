@@ -1,0 +1,164 @@
+"""Measure a denoiser on objects it never saw, and draw what it imagines.
+
+Conventions
+-----------
+* Held-out losses are the plain mean squared error of v, by timestep, with and without P, always
+  with text. Noise is fixed, so that numbers of different steps and runs compare.
+* On a sheet every set has four rows of four views: the truth, P as seen, a sample given P and
+  text, a sample given text alone; all over mid grey.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from PIL import Image
+from torch import Tensor
+
+from gscomplete.atomic import atomic_path
+from gscomplete.priors.embedded.diffusion import (
+    NUM_TIMESTEPS,
+    add_noise,
+    ddim,
+    guided_x0,
+    velocity,
+    x0_from_v,
+)
+from gscomplete.priors.embedded.inputs import images_to_color_alpha
+from gscomplete.priors.embedded.model import FourViewDenoiser
+from gscomplete.priors.embedded.text import NO_TEXT_TOKEN
+from recipes.train_embedded_prior.dataset import HELD_OUT_SEED_OFFSET, Batch, decode_sets
+from recipes.train_embedded_prior.shards import ShardSpec
+
+LOSS_TIMESTEPS = (100, 300, 500, 700, 900)
+_SHEET_SETS = 4
+_SHEET_STEPS = 16
+_CHUNK = 4
+
+
+def autocast(
+    device: str, precision: Literal["bfloat16", "float32"]
+) -> contextlib.AbstractContextManager[None]:
+    """Return the context in which the network runs at a precision."""
+    enabled = precision == "bfloat16"
+    kind = torch.device(device).type
+    return torch.autocast(kind, torch.bfloat16, enabled=enabled)
+
+
+def held_out_sets(spec: ShardSpec, count: int) -> Batch:
+    """Make the first ``count`` sets of the held-out seed, one per object."""
+    maker = spec.maker(spec.seed + HELD_OUT_SEED_OFFSET)
+    stored = np.stack([maker(k * spec.data.rings_per_object) for k in range(count)])
+    return decode_sets(stored, np.zeros(count, bool))
+
+
+@torch.no_grad()
+def measure_losses(
+    model: FourViewDenoiser, batch: Batch, precision: Literal["bfloat16", "float32"]
+) -> dict[str, float]:
+    """Return squared errors of v named ``input_t300``, ``text_t300``, ... and their means."""
+    device = batch.images.device
+    noise = torch.randn(batch.images.shape, generator=torch.Generator().manual_seed(0)).to(device)
+    losses: dict[str, float] = {}
+    for name, keep in (("input", 1.0), ("text", 0.0)):
+        for timestep in LOSS_TIMESTEPS:
+            at = torch.full((len(noise),), float(timestep), device=device)
+            target = velocity(batch.images, noise, at)
+            noisy = add_noise(batch.images, noise, at)
+            predicted = _predict(
+                model, noisy, batch.input_map * keep, at, batch.ring, batch.tokens, precision
+            )
+            losses[f"{name}_t{timestep}"] = float((predicted - target).square().mean())
+        mean = sum(losses[f"{name}_t{t}"] for t in LOSS_TIMESTEPS) / len(LOSS_TIMESTEPS)
+        losses[f"{name}_mean"] = mean
+    return losses
+
+
+@torch.no_grad()
+def sample_sets(
+    model: FourViewDenoiser,
+    batch: Batch,
+    precision: Literal["bfloat16", "float32"],
+    *,
+    text_scale: float,
+    num_steps: int = _SHEET_STEPS,
+) -> Tensor:  # [B, 4, 4, S, S]
+    """Sample from pure noise with the batch's input maps and prompts."""
+    device = batch.images.device
+    generator = torch.Generator().manual_seed(1)
+    noise = torch.randn(batch.images.shape, generator=generator).to(device)
+    no_text = torch.zeros_like(batch.tokens)
+    no_text[:, 0] = NO_TEXT_TOKEN
+
+    def x0_at(x_t: Tensor, timestep: float) -> Tensor:
+        at = torch.full((len(x_t),), timestep, device=device)
+
+        def denoise(passes: list[tuple[bool, bool]]) -> list[Tensor]:
+            return [
+                x0_from_v(
+                    x_t,
+                    _predict(
+                        model, x_t, batch.input_map, at, batch.ring,
+                        batch.tokens if with_text else no_text, precision,
+                    ),
+                    at,
+                )
+                for _, with_text in passes
+            ]  # fmt: skip
+
+        x0 = guided_x0(
+            denoise, has_input=True, has_text=True, input_scale=1.0, text_scale=text_scale
+        )
+        return x0.clamp(-1, 1)
+
+    return ddim(x0_at, noise, float(NUM_TIMESTEPS - 1), num_steps)
+
+
+def save_sample_sheet(
+    model: FourViewDenoiser,
+    batch: Batch,
+    precision: Literal["bfloat16", "float32"],
+    path: Path,
+) -> None:
+    """Draw the first sets of a batch: truth, P, sample with P, sample without."""
+    first = Batch(*(getattr(batch, name)[:_SHEET_SETS] for name in _BATCH_FIELDS))
+    blind = Batch(first.images, first.input_map * 0, first.ring, first.tokens)
+    seen = first.input_map[:, :, :4] * 2 - 1
+    with_input = sample_sets(model, first, precision, text_scale=1.0)
+    text_only = sample_sets(model, blind, precision, text_scale=3.0)
+    groups = [first.images, seen, with_input, text_only]
+    sheet = torch.stack([_over_grey(group) for group in groups], dim=1)  # [B, 4, 4, S, S, 3]
+    size = sheet.shape[3]
+    rows = sheet.permute(1, 3, 0, 2, 4, 5).reshape(len(groups) * size, -1, 3)
+    with atomic_path(path) as temporary:
+        Image.fromarray((rows * 255).round().to(torch.uint8).cpu().numpy()).save(temporary, "PNG")
+
+
+_BATCH_FIELDS = ("images", "input_map", "ring", "tokens")
+
+
+def _over_grey(images: Tensor) -> Tensor:  # [B, 4, 4, S, S] -> [B, 4, S, S, 3]
+    color, alpha = images_to_color_alpha(images.flatten(0, 1))
+    return (color + (1 - alpha[..., None]) * 0.5).unflatten(0, images.shape[:2])
+
+
+def _predict(
+    model: FourViewDenoiser,
+    noisy: Tensor,
+    mapped: Tensor,
+    timestep: Tensor,
+    ring: Tensor,
+    tokens: Tensor,
+    precision: Literal["bfloat16", "float32"],
+) -> Tensor:
+    """Run the network in small chunks, so that memory stays small."""
+    parts = []
+    for start in range(0, len(noisy), _CHUNK):
+        cut = slice(start, start + _CHUNK)
+        with autocast(noisy.device.type, precision):
+            parts.append(model(noisy[cut], mapped[cut], timestep[cut], ring[cut], tokens[cut]))
+    return torch.cat(parts)

@@ -1,0 +1,183 @@
+"""Training sets on disk: made ahead by worker processes, read back by index.
+
+Conventions
+-----------
+* Shard k holds sets ``k * shard_sets`` to ``(k + 1) * shard_sets - 1`` in one ``.npy`` file that
+  appears atomically; worker w of W makes the shards k with k % W == w.
+* A file is only a cache of a pure function: deleting it changes nothing but the time.
+* Workers stay at most ``ahead`` shards before the reader and have the lowest priority, so that
+  they use the processor when the trainer waits for them and get out of its way otherwise.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+import torch
+
+from gscomplete.atomic import atomic_path
+from gscomplete.errors import UserError
+from gscomplete.jsonio import dumps
+from gscomplete.priors.embedded.text import Tokenizer
+from recipes.train_embedded_prior.config import DataConfig
+from recipes.train_embedded_prior.dataset import SetMaker, Source
+
+_LOG = logging.getLogger(__name__)
+_POLL_S = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class ShardSpec:
+    """What the shards of one folder hold."""
+
+    source: Source
+    data: DataConfig
+    words: tuple[str, ...]
+    text_length: int
+    resolution_px: int
+    seed: int
+    shard_sets: int
+
+    def maker(self, seed: int | None = None) -> SetMaker:
+        """Return the function that makes the sets, of another seed if one is given."""
+        tokenizer = Tokenizer(self.words, self.text_length)
+        chosen = self.seed if seed is None else seed
+        return SetMaker(self.source, self.data, tokenizer, self.resolution_px, chosen)
+
+    def key(self) -> str:
+        """Name the contents: folders of different options never mix."""
+        text = dumps([self.data, self.words, self.text_length, self.resolution_px, self.seed])
+        return hashlib.sha256(f"{text}{self.shard_sets}".encode()).hexdigest()[:12]
+
+
+class ShardReader:
+    """Sets by index, made by worker processes on the way. Use as a context manager.
+
+    With 0 workers the reader makes the sets itself; with None it waits for another reader's
+    workers to make them.
+    """
+
+    def __init__(
+        self, spec: ShardSpec, folder: Path, *, workers: int | None, ahead: int = 12
+    ) -> None:
+        self._spec = spec
+        self._folder = folder / spec.key()
+        self._folder.mkdir(parents=True, exist_ok=True)
+        self._workers = workers
+        self._ahead = ahead
+        context = multiprocessing.get_context("spawn")
+        self._wanted = context.Value("q", 0)
+        self._context = context
+        self._processes: list[Any] = []
+        self._open: dict[int, np.ndarray] = {}
+        self.waited_s = 0.0
+
+    def __enter__(self) -> ShardReader:
+        """Start the workers."""
+        for number in range(self._workers or 0):
+            process = self._context.Process(
+                target=_work,
+                args=(self._spec, self._folder, number, self._workers, self._ahead, self._wanted),
+                daemon=True,
+            )
+            process.start()
+            self._processes.append(process)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Stop the workers."""
+        for process in self._processes:
+            process.terminate()
+        for process in self._processes:
+            process.join()
+
+    def announce(self, index: int) -> None:
+        """Tell the workers where reading is about to happen, after a resume for instance."""
+        with self._wanted.get_lock():
+            self._wanted.value = max(self._wanted.value, index // self._spec.shard_sets)
+
+    def read(self, indices: Sequence[int] | np.ndarray) -> np.ndarray:  # [B] of set_dtype
+        """Return sets by index, waiting for those not made yet.
+
+        Raises:
+            UserError: a worker died.
+        """
+        self.announce(int(max(indices)))
+        rows = [self._shard(int(i) // self._spec.shard_sets)[int(i) % self._spec.shard_sets]
+                for i in indices]  # fmt: skip
+        return np.stack(rows)
+
+    def _shard(self, number: int) -> np.ndarray:
+        if number not in self._open:
+            path = shard_path(self._folder, number)
+            started = time.monotonic()
+            while not path.exists():
+                self._check_workers(number)
+                time.sleep(_POLL_S)
+            self.waited_s += time.monotonic() - started
+            self._open[number] = np.load(path, mmap_mode="r")
+        return self._open[number]
+
+    def _check_workers(self, number: int) -> None:
+        if self._workers == 0:
+            _make_shard(self._spec.maker(), self._spec, self._folder, number)
+        for process in self._processes:
+            if process.exitcode is not None:
+                raise UserError(
+                    f"training data: a worker ended with exit code {process.exitcode}; "
+                    "its traceback is above"
+                )
+
+
+def shard_path(folder: Path, number: int) -> Path:
+    """Return the file of a shard."""
+    return folder / f"sets-{number:06d}.npy"
+
+
+def _make_shard(maker: SetMaker, spec: ShardSpec, folder: Path, number: int) -> None:
+    first = number * spec.shard_sets
+    stored = np.stack([maker(index) for index in range(first, first + spec.shard_sets)])
+    with atomic_path(shard_path(folder, number)) as temporary, temporary.open("wb") as file:
+        np.save(file, stored)
+
+
+def _work(
+    spec: ShardSpec, folder: Path, number: int, workers: int, ahead: int, wanted: Any
+) -> None:
+    """Make this worker's shards in order, staying near the reader."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.nice(19)
+    torch.set_num_threads(1)
+    _use_one_numba_thread()
+    maker = spec.maker()
+    parent = os.getppid()
+    shard = number
+    while os.getppid() == parent:
+        if shard_path(folder, shard).exists():
+            shard += workers
+        elif shard > wanted.value + ahead:
+            time.sleep(_POLL_S)
+        else:
+            _make_shard(maker, spec, folder, shard)
+
+
+def _use_one_numba_thread() -> None:
+    import numba
+
+    numba.set_num_threads(1)

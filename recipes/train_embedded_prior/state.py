@@ -1,0 +1,150 @@
+"""All that a training run carries from step to step, and its checkpoint.
+
+Conventions
+-----------
+* A checkpoint is two files: ``checkpoint.safetensors`` (float32: ``model.*``, ``ema.*``,
+  ``first.*`` and ``second.*`` moments) with the step and the running time in its metadata, and
+  ``run.json`` (configuration and words), written once.
+* Noise and data are functions of (seed, step), so no generator state is kept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+from torch import Tensor, nn
+
+from gscomplete.atomic import atomic_path
+from gscomplete.errors import UserError
+from gscomplete.jsonio import from_json, read_json, write_json
+from gscomplete.priors.embedded.model import FourViewDenoiser, ModelConfig
+from recipes.train_embedded_prior.config import TrainConfig
+
+CHECKPOINT = "checkpoint.safetensors"
+RUN = "run.json"
+
+
+@dataclass(frozen=True, slots=True)
+class RunRecord:
+    """What a run was started with."""
+
+    config: TrainConfig
+    words: tuple[str, ...]
+
+
+@dataclass(slots=True)
+class TrainState:
+    """Weights, their average, the optimiser, and how far the run is."""
+
+    model: FourViewDenoiser
+    ema: FourViewDenoiser
+    optimizer: torch.optim.Optimizer
+    step: int = 0
+    elapsed_s: float = 0.0
+
+    @classmethod
+    def start(cls, config: TrainConfig, model_config: ModelConfig) -> TrainState:
+        """Initialise a run; the weights are a function of the seed."""
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(config.seed)
+            model = FourViewDenoiser(model_config).to(config.device)
+            ema = FourViewDenoiser(model_config).to(config.device).requires_grad_(False)
+        ema.load_state_dict(model.state_dict())
+        return cls(model, ema, make_optimizer(model, config))
+
+    def update(self, config: TrainConfig, learning_rate: float) -> None:
+        """Take one optimiser step with the gradients at hand and move the average along."""
+        for group in self.optimizer.param_groups:
+            group["lr"] = learning_rate
+        torch.nn.utils.clip_grad_norm_(self.model.parameters(), config.clip_norm)
+        self.optimizer.step()
+        self.step += 1
+        decay = min(config.ema_decay, (1 + self.step) / (10 + self.step))  # young: over less
+        with torch.no_grad():
+            torch._foreach_lerp_(
+                list(self.ema.parameters()), list(self.model.parameters()), 1 - decay
+            )
+
+    def save(self, folder: Path) -> None:
+        """Write the checkpoint, replacing the last one in one step."""
+        tensors = {f"model.{k}": v for k, v in self.model.state_dict().items()}
+        tensors |= {f"ema.{k}": v for k, v in self.ema.state_dict().items()}
+        for name, parameter in self.model.named_parameters():
+            moments = self.optimizer.state.get(parameter)
+            if moments:
+                tensors[f"first.{name}"] = moments["exp_avg"]
+                tensors[f"second.{name}"] = moments["exp_avg_sq"]
+        metadata = {"step": str(self.step), "elapsed_s": repr(self.elapsed_s)}
+        plain = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+        with atomic_path(folder / CHECKPOINT) as temporary:
+            save_file(plain, temporary, metadata=metadata)
+
+    def load(self, folder: Path) -> None:
+        """Take over a checkpoint exactly.
+
+        Raises:
+            UserError: there is none.
+        """
+        path = folder / CHECKPOINT
+        if not path.exists():
+            raise UserError(f"{path}: no checkpoint to resume from")
+        with safe_open(path, framework="pt") as file:
+            metadata = file.metadata()
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        self.model.load_state_dict(_part(tensors, "model."))
+        self.ema.load_state_dict(_part(tensors, "ema."))
+        self.step = int(metadata["step"])
+        self.elapsed_s = float(metadata["elapsed_s"])
+        first, second = _part(tensors, "first."), _part(tensors, "second.")
+        for name, parameter in self.model.named_parameters():
+            if name in first:
+                self.optimizer.state[parameter] = {
+                    "step": torch.tensor(float(self.step), dtype=torch.float32),
+                    "exp_avg": torch.empty_like(parameter).copy_(first[name]),
+                    "exp_avg_sq": torch.empty_like(parameter).copy_(second[name]),
+                }
+
+
+def make_optimizer(model: nn.Module, config: TrainConfig) -> torch.optim.Optimizer:
+    """Return AdamW; only matrices and kernels decay."""
+    matrices = [p for p in model.parameters() if p.ndim >= 2]
+    vectors = [p for p in model.parameters() if p.ndim < 2]
+    groups = [
+        {"params": matrices, "weight_decay": config.weight_decay},
+        {"params": vectors, "weight_decay": 0.0},
+    ]
+    return torch.optim.AdamW(groups, lr=config.learning_rate, betas=config.betas, fused=True)
+
+
+def open_run(config: TrainConfig, words: tuple[str, ...]) -> RunRecord:
+    """Create the run folder, or check that a resumed one is the same run.
+
+    Raises:
+        UserError: the folder holds a run already, or another one than is to be resumed.
+    """
+    path = config.out / RUN
+    if not config.resume:
+        if (config.out / CHECKPOINT).exists():
+            raise UserError(f"{config.out}: holds a checkpoint; resume it or choose another --out")
+        config.out.mkdir(parents=True, exist_ok=True)
+        record = RunRecord(config, words)
+        write_json(path, record)
+        return record
+    record = from_json(RunRecord, read_json(path), str(path))
+    for name in ("seed", "batch_sets", "fresh_sets", "data", "model", "shard_sets"):
+        if getattr(record.config, name) != getattr(config, name):
+            raise UserError(
+                f"{path}: {name}: expected {getattr(record.config, name)} as the run was "
+                f"started, found {getattr(config, name)}"
+            )
+    if record.words != words:
+        raise UserError(f"{path}: words: the generator's vocabulary has changed since the start")
+    return record
+
+
+def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
