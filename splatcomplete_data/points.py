@@ -34,9 +34,13 @@ class PointSplatSettings:
 
 def median_spacing(
     points: NDArray[np.floating],  # [N, 3]
-    max_points: int = PointSplatSettings.max_points_for_spacing,
+    max_points: int | None = None,
 ) -> float:
     """Return the median distance from a point to its nearest distinct neighbour.
+
+    Args:
+        points: the cloud.
+        max_points: number of points measured at; None = all.
 
     Raises:
         UserError: there are fewer than two distinct points.
@@ -44,7 +48,7 @@ def median_spacing(
     unique = np.unique(np.asarray(points, np.float64), axis=0)
     if len(unique) < 2:
         raise UserError(f"points: expected at least 2 distinct points, found {len(unique)}")
-    chosen = unique[:: max(1, len(unique) // max_points)]
+    chosen = unique[:: max(1, len(unique) // (max_points or len(unique)))]
     distances, _ = cKDTree(unique).query(chosen, k=2)
     return float(np.median(distances[:, 1]))
 
