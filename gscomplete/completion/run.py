@@ -30,7 +30,7 @@ from gscomplete.completion.settings import CompletionSettings
 from gscomplete.completion.working_set import WorkingSet, working_set
 from gscomplete.errors import UserError
 from gscomplete.evaluate.metrics import preservation
-from gscomplete.evaluate.pictures import preview_sheet, turntable
+from gscomplete.evaluate.pictures import preview_sheet, save_image, save_turntable
 from gscomplete.priors.base import Prior
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.ply import SplatFile, append_splats, read_splats
@@ -189,9 +189,9 @@ def _finish(run: Run) -> dict[str, Any]:
     }
     run.timings["measure_s"] = time.perf_counter() - started
     started = time.perf_counter()
-    with atomic_path(out / "preview.png") as temporary:
-        preview_sheet(partial, whole, run.distribution.preview_cameras(256)).save(temporary)
-    turntable(whole, out / "turntable.webp", run.distribution)
+    sheet = preview_sheet(partial, whole, run.distribution, title=run.request.prompt)
+    save_image(sheet, out / "preview.png")
+    save_turntable(whole, run.distribution, out / "turntable.webp")
     run.timings["pictures_s"] = time.perf_counter() - started
     return _write_run_file(run, "finished", {"metrics": metrics, "new_splats": len(new)})
 

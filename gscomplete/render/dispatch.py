@@ -37,7 +37,7 @@ def render(
             gradient, at no backward cost.
         screen_offsets: added to the projected centres. Zeros that require a gradient receive
             dL/d(centre in pixels) of every view, which densification needs.
-        settings: constants of the image formation; None = those of the original 3DGS.
+        settings: constants of the image formation; None = the defaults.
         backend: which implementation draws.
 
     Returns:

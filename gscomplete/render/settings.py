@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class RenderSettings:
-    """Constants of the image formation; the defaults are those of the original 3DGS."""
+    """Constants of the image formation; the defaults are those of 3DGS as gsplat draws it."""
 
     near: float = 0.01
     """Splats with camera-space z at or below this are not drawn (world units)."""
@@ -24,8 +24,9 @@ class RenderSettings:
     """Variance added to both screen axes (pixels squared), the 3DGS low-pass filter."""
     alpha_min: float = 1.0 / 255.0
     """A pixel's alpha below this is zero. At least 1e-5, so that tile lists stay finite."""
-    alpha_max: float = 0.99
-    """A pixel's alpha is clamped to this; clamped pixels pass no gradient to shape or opacity."""
+    alpha_max: float = 0.999
+    """A pixel's alpha is clamped to this; clamped pixels pass no gradient to shape or opacity. 0.999 is
+    gsplat's value, so that both backends draw the same picture (the original 3DGS has 0.99)."""
     transmittance_min: float = 1e-4
     """Compositing of a tile stops when every pixel's transmittance is below this; 0 = never."""
 

@@ -1,0 +1,39 @@
+# `make setup` is the shared first step; `make demo` and `make test` do everything on a fresh machine.
+PYTHON ?= python3
+# On a machine with an NVIDIA GPU: make setup TORCH=torch EXTRAS=dev,cuda
+TORCH ?= torch==2.13.0
+EXTRAS ?= dev
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.setup-done
+DEMO_OUT ?= runs/demo
+
+.PHONY: setup demo test lint bench clean
+
+setup: $(STAMP)
+
+$(STAMP): pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet "$(TORCH)"
+	$(BIN)/pip install --quiet --editable ".[$(EXTRAS)]"
+	touch $(STAMP)
+
+# A partial object made by our own generator (recipes/demo), completed with the embedded prior.
+demo: setup
+	rm -rf $(DEMO_OUT)
+	$(BIN)/gscomplete complete recipes/demo/partial.ply --prompt "$$(cat recipes/demo/prompt.txt)" --out $(DEMO_OUT)
+	@echo "Look at $(DEMO_OUT)/preview.png and $(DEMO_OUT)/turntable.webp"
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+test: lint
+	$(BIN)/python -m pytest
+
+bench: setup
+	$(BIN)/python -m recipes.benchmarks.renderer
+
+clean:
+	rm -rf $(VENV) runs build *.egg-info

@@ -1,0 +1,93 @@
+"""The CUDA renderer: gsplat behind the same call as the CPU renderer.
+
+gsplat draws the definition in ``settings`` with alpha_min = 1/255, alpha_max = 0.999 and its own
+transmittance limit of 1e-4 fixed in its kernels; other values of these are refused.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from gscomplete.errors import UserError
+from gscomplete.render.settings import RenderSettings
+from gscomplete.splats import Splats, concatenate
+from gscomplete.views import Cameras
+
+_FIXED = {"alpha_min": 1.0 / 255.0, "alpha_max": 0.999, "transmittance_min": 1e-4}
+
+
+def _gsplat() -> Any:
+    """Import gsplat.
+
+    Raises:
+        UserError: gsplat is not installed, or cannot be loaded on this machine.
+    """
+    try:
+        import gsplat
+    except ImportError as error:
+        raise UserError(
+            f"rendering on CUDA needs gsplat, which cannot be imported here ({error}); install "
+            "the extra gscomplete[cuda], or run with --device cpu"
+        ) from error
+    return gsplat
+
+
+def rasterize(
+    splats: Splats,
+    cameras: Cameras,
+    frozen: Splats | None,
+    offsets: Tensor | None,  # [V, N, 2]
+    settings: RenderSettings,
+) -> Tensor:  # [V, H, W, 5]
+    """Draw red, green, blue, sum of w * depth, alpha; gradients reach ``splats`` and ``offsets``.
+
+    Raises:
+        UserError: gsplat is missing, or a setting differs from what its kernels have built in.
+    """
+    for name, value in _FIXED.items():
+        if abs(getattr(settings, name) - value) > 1e-9:
+            raise UserError(
+                f"render: {name} is {value:g} in gsplat's kernels, found {getattr(settings, name)}"
+            )
+    gsplat = _gsplat()
+    device = splats.means.device
+    together = splats
+    if frozen is not None:
+        together = concatenate([frozen.detach().to(device), splats])
+    cameras = cameras.to(device)
+    intrinsics = torch.zeros(len(cameras), 3, 3, device=device)
+    intrinsics[:, 0, 0], intrinsics[:, 1, 1] = cameras.focal_px.unbind(1)
+    intrinsics[:, :2, 2] = cameras.center_px
+    intrinsics[:, 2, 2] = 1.0
+    colors, alphas, meta = gsplat.rasterization(
+        together.means,
+        together.quaternions,
+        together.scales,
+        together.opacities,
+        together.sh,
+        cameras.camera_from_world,
+        intrinsics,
+        cameras.width,
+        cameras.height,
+        near_plane=settings.near,
+        eps2d=settings.blur_px2,
+        sh_degree=together.sh_degree,
+        render_mode="RGB+D",
+        packed=False,
+    )
+    if offsets is not None and offsets.requires_grad:
+        _pass_center_gradients(meta["means2d"], offsets, first=len(together) - len(splats))
+    return torch.cat([colors, alphas], dim=-1)
+
+
+def _pass_center_gradients(centers: Tensor, offsets: Tensor, first: int) -> None:
+    """Give ``offsets`` the gradient of the projected centres, which gsplat takes no input for."""
+
+    def pass_on(gradient: Tensor) -> None:
+        part = gradient[..., first:, :].reshape(offsets.shape)
+        offsets.grad = part if offsets.grad is None else offsets.grad + part
+
+    centers.register_hook(pass_on)
