@@ -77,9 +77,12 @@ def read_pcd(path: Path) -> PointCloud:
         raise UserError(f"{path}: expected fields x, y, z; found {', '.join(columns)}")
     points = np.stack([columns[axis].astype(np.float64) for axis in "xyz"], axis=1)
     packed = columns.get("rgba", columns.get("rgb"))
+    if packed is not None and packed.dtype.itemsize != 4:
+        raise UserError(f"{path}: rgb: expected 4 bytes, found {packed.dtype.itemsize}")
     colors = np.full(points.shape, GREY, np.float32) if packed is None else _unpack(packed)
     labels = columns["label"].astype(np.int64) if "label" in columns else None
-    return PointCloud(points, colors, labels).select(np.isfinite(points).all(axis=1))
+    is_finite: NDArray[np.bool_] = np.isfinite(points).all(axis=1)
+    return PointCloud(points, colors, labels).select(is_finite)
 
 
 def lzf_decompress(packed: bytes, size: int) -> bytes:
@@ -174,11 +177,11 @@ def _columns(body: bytes, header: _Header, path: Path) -> dict[str, NDArray[np.g
         raise UserError(
             f"{path}: DATA: expected ascii, binary or binary_compressed, found {header.data}"
         )
-    sizes = np.frombuffer(body[:8], "<u4")
-    if len(sizes) < 2 or len(body) < 8 + int(sizes[0]) or int(sizes[1]) != expected:
+    sizes = [int.from_bytes(body[start : start + 4], "little") for start in (0, 4)]
+    if len(body) < 8 + sizes[0] or sizes[1] != expected:
         raise UserError(f"{path}: compressed data: {expected} bytes do not fit what is there")
     try:
-        plain = lzf_decompress(body[8 : 8 + int(sizes[0])], expected)
+        plain = lzf_decompress(body[8 : 8 + sizes[0]], expected)
     except ValueError as error:
         raise UserError(f"{path}: {error}") from error
     columns, start = {}, 0

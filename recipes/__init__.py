@@ -1,0 +1,1 @@
+"""Recipes: scripts that train, benchmark and check what the packages ship."""

@@ -1,0 +1,1 @@
+"""Train the embedded four-view prior on procedural objects."""

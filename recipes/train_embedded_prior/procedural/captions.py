@@ -1,0 +1,139 @@
+"""Short captions of procedural objects, and every word they can use.
+
+Captions follow the manner of hand-written ones ("a blue ceramic mug with white stripes"): leading
+words (size, colour, substance, style), a name, and perhaps one or two details after "with".
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from recipes.train_embedded_prior.procedural.assembly import PATTERN_WORDS, Description, Look
+from recipes.train_embedded_prior.procedural.palette import COLORS, SUBSTANCES
+
+SIZES = ("small", "large", "big", "little", "tiny")
+STYLES = ("simple", "toy", "low-poly", "old", "new", "single", "pretty", "model")
+SYNONYMS = {
+    "grey": ("grey", "gray"),
+    "light grey": ("light grey", "light gray"),
+    "dark grey": ("dark grey", "dark gray"),
+    "golden": ("golden", "gold"),
+    "dark blue": ("dark blue", "navy blue"),
+    "dark red": ("dark red", "maroon"),
+    "light brown": ("light brown", "tan"),
+    "turquoise": ("turquoise", "cyan"),
+    "purple": ("purple", "violet"),
+    "plush": ("plush", "stuffed", "soft"),
+    "fabric": ("fabric", "upholstered", "cloth"),
+    "metal": ("metal", "metallic", "steel"),
+    "wooden": ("wooden", "wood"),
+    "leafy": ("leafy",),
+    "clay": ("clay", "terracotta"),
+}
+PATTERN_ADJECTIVES = {
+    "stripes": "striped",
+    "bands": "striped",
+    "diagonal": "striped",
+    "checks": "checkered",
+    "dots": "dotted",
+    "patches": "spotted",
+}
+FRAMES = ("a {}", "a {}", "a {}", "{}", "the {}", "one {}")
+EXTRA_WORDS = tuple(
+    """thing object item piece of and in on its for from made side view part half photo picture
+    image render thin thick short long light dark round square oval flat wide narrow low high open
+    closed empty full handle handles lid cover leg legs wheel wheels window windows door roof
+    chimney shade stem leaf leaves petals icing frosting cushion cushions button buttons screen lens
+    lenses strap straps foot feet base top bottom edge back seat arm arms head body tail ear ears
+    eyes nose beak hat cap scarf brim sole laces strings pattern letters text logo label face faces
+    hands hand knob knobs spout rim lettered pair set headset glasses sunglasses figurine figure
+    seated standing statue statuette sculpture voxel pixel knight egyptian rubber melamine linen
+    glass iced tea milk juice water wine beer soda corner weight writing coffee dining kitchen
+    garden office storage cutting board desk organizer holder dish plates rack utensils hanging
+    tablet computer phone laptop keyboard monitor mouse remote control hand security virtual reality
+    domino tile tray bench barbell four-tier tier bin shoe lion turtle armadillo dragon bunny rabbit
+    biker rider motorcycle bicycle bike person man woman child girl boy doll""".split()
+)
+"""Words captions of real objects use that the generator itself may not: learned from context or
+not at all, but never an unknown token that shadows the rest of the prompt."""
+
+
+def caption(description: Description, rng: np.random.Generator) -> str:
+    """Write a caption; colours are named nine times out of ten."""
+    look = description.look
+    noun = _choose(description.nouns, rng)
+    lead = [_choose(description.adjectives, rng)] if description.adjectives else []
+    lead = lead if rng.random() < 0.4 else []
+    if rng.random() < 0.12:
+        lead.insert(0, _choose(SIZES, rng))
+    if rng.random() < 0.08:
+        lead.append(_choose(STYLES, rng))
+    color, details = _color_words(look, rng)
+    colored = color is not None and rng.random() < 0.92
+    substance = []
+    if look.substance not in ("plain", look.color) and rng.random() < 0.5:
+        substance = [_synonym(look.substance, rng)]
+    if rng.random() < 0.7 and description.details:
+        order = rng.permutation(len(description.details))[: 1 if rng.random() < 0.7 else 2]
+        details += [description.details[k] for k in order]
+    after = [] if rng.random() < 0.85 or not colored else [color]
+    before = [color] if colored and not after else []
+    words = [*lead, *before, *substance, noun]
+    if before and lead and rng.random() < 0.3:
+        words = [*before, *lead, *substance, noun]
+    text = _choose(FRAMES, rng).format(" ".join(words))
+    text += f" in {after[0]}" if after else ""
+    text += f" with {' and '.join(details)}" if details else ""
+    return with_article(text)
+
+
+def with_article(text: str) -> str:
+    """Turn "a" into "an" before a vowel, anywhere in the text."""
+    words = text.split()
+    for k in range(len(words) - 1):
+        if words[k] == "a" and words[k + 1][0] in "aeiou":
+            words[k] = "an"
+    return " ".join(words)
+
+
+def detail(look: Look, part: str, *, plural: bool = False) -> str:
+    """Say a part with its colour: "a brown lid", "black wheels"."""
+    return f"{look.color} {part}" if plural else f"a {look.color} {part}"
+
+
+def vocabulary() -> list[str]:
+    """Return every word a caption can hold, and then some, sorted."""
+    words: set[str] = {"a", "an", "the", "one", "with", "and", "in"}
+    phrases = [*SIZES, *STYLES, *COLORS, *SUBSTANCES, *PATTERN_ADJECTIVES.values(), *EXTRA_WORDS]
+    phrases += [word for options in SYNONYMS.values() for word in options]
+    phrases += [word for options in PATTERN_WORDS.values() for word in options]
+    for phrase in phrases:
+        words.update(phrase.split())
+    return sorted(words)
+
+
+def _choose(options: tuple[str, ...], rng: np.random.Generator) -> str:
+    """Draw one of several strings."""
+    return options[int(rng.integers(len(options)))]
+
+
+def _synonym(word: str, rng: np.random.Generator) -> str:
+    """Replace a word by one that means the same, in a third of all cases."""
+    return _choose(SYNONYMS[word], rng) if word in SYNONYMS and rng.random() < 0.35 else word
+
+
+def _color_words(look: Look, rng: np.random.Generator) -> tuple[str | None, list[str]]:
+    """Return the colour phrase and the pattern phrase (as a list of details)."""
+    first = _synonym(look.color, rng)
+    pattern = look.material.pattern
+    if look.accent is None or pattern not in PATTERN_WORDS:
+        return first, []
+    second = _synonym(look.accent, rng)
+    if rng.random() < 0.4:
+        adjective = PATTERN_ADJECTIVES.get(pattern)
+        joined = f"{first} and {second}"
+        return (f"{joined} {adjective}" if adjective and rng.random() < 0.6 else joined), []
+    words = _choose(PATTERN_WORDS[pattern], rng)
+    if words.startswith("a "):
+        return first, [f"a {second} {words[2:]}"]
+    return first, [f"{second} {words}"]

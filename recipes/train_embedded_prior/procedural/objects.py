@@ -1,0 +1,161 @@
+"""Make the object number ``index`` of the stream ``seed``: splats, caption, family.
+
+Conventions
+-----------
+* Everything is a pure function of (seed, index) and, for ``make_object_of``, the family; making
+  an object of the family that ``make_object`` drew gives the same object.
+* Output is in the object frame: z up, box centred at the origin, largest side 1, random yaw.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from gscomplete.splats.record import Splats
+from recipes.train_embedded_prior.procedural import (
+    families_abstract,
+    families_buildings,
+    families_creatures,
+    families_furniture,
+    families_household,
+    families_kitchen,
+    families_nature,
+    families_play,
+    families_vehicles,
+    families_wear,
+)
+from recipes.train_embedded_prior.procedural.assembly import Assembly, Description
+from recipes.train_embedded_prior.procedural.captions import caption
+from recipes.train_embedded_prior.procedural.materials import bake, paint, sample_light
+from recipes.train_embedded_prior.procedural.primitives import FloatArray, turn_about
+from recipes.train_embedded_prior.procedural.sampling import SurfaceSamples, sample_quads
+from splatcomplete_data.mesh.discs import DiscSettings, discs_at
+
+Family = Callable[[Assembly], Description]
+
+
+@dataclass(frozen=True, slots=True)
+class GeneratorSettings:
+    """Knobs of the generator."""
+
+    fewest_splats: int = 7000
+    """Fewest splats of an object."""
+    most_splats: int = 11000
+    """Most splats of an object."""
+    abstract_share: float = 0.2
+    """Share of abstract shapes in the stream, which teach surfaces rather than templates."""
+    tilted_share: float = 0.08
+    """Share of objects that are tilted a little."""
+    lying_share: float = 0.03
+    """Share of objects that lie on their side."""
+    color_noise: float = 0.02
+    """Largest standard deviation of the colour noise per splat (drawn per object)."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProceduralObject:
+    """One generated object."""
+
+    splats: Splats  # float32, SH degree 0
+    caption: str
+    family: str
+
+
+def _named(*groups: tuple[Family, ...]) -> dict[str, Family]:
+    """Return families by the name of their function."""
+    return {family.__name__: family for group in groups for family in group}
+
+
+CONCRETE = _named(
+    families_kitchen.FAMILIES,
+    families_furniture.FAMILIES,
+    families_household.FAMILIES,
+    families_buildings.FAMILIES,
+    families_vehicles.FAMILIES,
+    families_nature.FAMILIES,
+    families_creatures.FAMILIES,
+    families_play.FAMILIES,
+    families_wear.FAMILIES,
+)
+ABSTRACT = _named(families_abstract.FAMILIES)
+FAMILIES = {**CONCRETE, **ABSTRACT}
+
+
+def family_of(seed: int, index: int, settings: GeneratorSettings | None = None) -> str:
+    """Return the family that ``make_object`` draws."""
+    chosen = settings or GeneratorSettings()
+    rng = np.random.default_rng((seed, index, 1))
+    names = list(ABSTRACT if rng.random() < chosen.abstract_share else CONCRETE)
+    return names[int(rng.integers(len(names)))]
+
+
+def make_object(
+    seed: int, index: int, settings: GeneratorSettings | None = None
+) -> ProceduralObject:
+    """Make an object of a random family."""
+    return make_object_of(family_of(seed, index, settings), seed, index, settings)
+
+
+def make_object_of(
+    family: str, seed: int, index: int, settings: GeneratorSettings | None = None
+) -> ProceduralObject:
+    """Make an object of a given family.
+
+    Raises:
+        KeyError: the family is unknown.
+    """
+    chosen = settings or GeneratorSettings()
+    rng = np.random.default_rng((seed, index, 0))
+    assembly = Assembly(rng)
+    description = FAMILIES[family](assembly)
+    count = int(rng.integers(chosen.fewest_splats, chosen.most_splats + 1))
+    samples = sample_quads(assembly.quads, count, rng)
+    colors = bake(sample_light(rng), samples, _colors(assembly, samples))
+    noise = rng.uniform(0, chosen.color_noise)
+    colors += noise * rng.standard_normal(colors.shape, dtype=np.float32)
+    turn = _pose(rng, chosen)
+    points, scale = into_unit_box(samples.points @ turn.T)
+    discs = DiscSettings(opacity=float(rng.uniform(0.95, 0.99)))
+    spacing = samples.spacing * np.float32(scale)
+    splats = discs_at(points, samples.normals @ turn.T, colors.clip(0, 1), spacing, discs)
+    words = caption(description, np.random.default_rng((seed, index, 2)))
+    return ProceduralObject(splats, words, family)
+
+
+def into_unit_box(points: FloatArray) -> tuple[FloatArray, float]:  # [N, 3]
+    """Centre points on their box and scale its largest side to 1; return them and the scale."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    scale = 1.0 / float((high - low).max())
+    return (points - 0.5 * (low + high)) * np.float32(scale), scale
+
+
+def _colors(assembly: Assembly, samples: SurfaceSamples) -> FloatArray:  # [N, 3]
+    """Paint every material once, over all the parts that carry it."""
+    kinds: dict[int, int] = {}
+    kind_of_part = [kinds.setdefault(id(m), len(kinds)) for m in assembly.materials]
+    kind = np.array(kind_of_part)[samples.part]
+    materials = list({id(m): m for m in assembly.materials}.values())
+    if len(materials) == 1:
+        return paint(materials[0], samples)
+    colors = np.empty((len(samples.points), 3), np.float32)
+    for k, material in enumerate(materials):
+        index = np.flatnonzero(kind == k)
+        if len(index):
+            colors[index] = paint(material, samples.select(index))
+    return colors
+
+
+def _pose(rng: np.random.Generator, settings: GeneratorSettings) -> FloatArray:  # [3, 3]
+    """Draw a yaw over the full circle, and rarely a tilt or a fall to the side."""
+    yaw, tilt_axis, tilt = (float(value) for value in rng.uniform(0, 360, 3))
+    turn = turn_about("z", yaw)
+    kind = rng.random()
+    if kind < settings.lying_share:
+        return turn @ turn_about("x", 90.0 if tilt < 180 else -90.0)
+    if kind < settings.lying_share + settings.tilted_share:
+        lean = turn_about("z", tilt_axis) @ turn_about("x", tilt / 18.0)
+        return lean @ turn
+    return turn

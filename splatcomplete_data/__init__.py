@@ -1,0 +1,1 @@
+"""Build partial and complete splat objects from meshes, scans and photos."""
