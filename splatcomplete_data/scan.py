@@ -81,8 +81,8 @@ def read_pcd(path: Path) -> PointCloud:
         raise UserError(f"{path}: rgb: expected 4 bytes, found {packed.dtype.itemsize}")
     colors = np.full(points.shape, GREY, np.float32) if packed is None else _unpack(packed)
     labels = columns["label"].astype(np.int64) if "label" in columns else None
-    is_finite: NDArray[np.bool_] = np.isfinite(points).all(axis=1)
-    return PointCloud(points, colors, labels).select(is_finite)
+    finite = np.flatnonzero(np.isfinite(points).all(axis=1))
+    return PointCloud(points, colors, labels).select(finite)
 
 
 def lzf_decompress(packed: bytes, size: int) -> bytes:
