@@ -1,0 +1,111 @@
+"""The completion loop, driven by a prior that knows the answer."""
+
+import dataclasses
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from gscomplete.completion.optimise import Completion, NonFiniteError
+from gscomplete.completion.settings import RECONSTRUCT, SMALL_PRIOR
+from gscomplete.evaluate.metrics import against_truth, preservation
+from gscomplete.splats import concatenate
+from gscomplete.views import ViewDistribution
+
+sys.path.insert(0, str(Path(__file__).parent))
+from oracle import OraclePrior, ball
+
+TRUTH = ball()
+PARTIAL = TRUTH.select(TRUTH.means[:, 0] > 0)
+VIEWS = ViewDistribution(0.0, 10.0)
+QUICK = {"steps": 60, "new_splats": 400, "warmup_steps": 5}
+
+
+def completion(settings, prior=None):
+    return Completion(PARTIAL, prior or OraclePrior(TRUTH), None, VIEWS, settings)
+
+
+def finish(job):
+    while not job.finished:
+        job.step()
+    return job.new_splats()
+
+
+@pytest.mark.parametrize("base", [SMALL_PRIOR, RECONSTRUCT], ids=["distill", "reconstruct"])
+def test_completes_the_hidden_half_and_preserves_the_other(base):
+    settings = dataclasses.replace(base, steps=120, new_splats=800, warmup_steps=10, rounds=6)
+    whole = concatenate([PARTIAL, finish(completion(settings))])
+    around = VIEWS.preview_cameras(64)
+    before = against_truth(PARTIAL, PARTIAL, TRUTH, around)
+    after = against_truth(whole, PARTIAL, TRUTH, around)
+    assert before.hidden_iou < 0.2
+    assert after.hidden_iou > 0.75
+    errors = preservation(whole, PARTIAL, VIEWS.cameras(VIEWS.low_discrepancy(6), 64))
+    assert errors.color < 0.004
+
+
+def test_preservation_loss_is_what_keeps_the_input():
+    """The paper's ablation in small: a prior that wants another object paints over P."""
+    other = dataclasses.replace(TRUTH, sh=-TRUTH.sh, scales=TRUTH.scales * 1.5, means=TRUTH.means * 1.15)
+    settings = dataclasses.replace(SMALL_PRIOR, steps=120, new_splats=800)
+    without = dataclasses.replace(settings, preservation_weight=0.0, warmup_steps=0)
+    views = VIEWS.cameras(VIEWS.low_discrepancy(6), 64)
+    errors = [
+        preservation(concatenate([PARTIAL, finish(completion(s, OraclePrior(other)))]), PARTIAL, views)
+        for s in (settings, without)
+    ]
+    assert errors[0].color * 3 < errors[1].color
+
+
+def test_same_seed_same_splats_and_other_seed_other_splats():
+    settings = dataclasses.replace(RECONSTRUCT, **QUICK, rounds=4)
+    one, two = finish(completion(settings)), finish(completion(settings))
+    other = finish(completion(dataclasses.replace(settings, seed=1)))
+    for (name, a), (_, b) in zip(one.fields(), two.fields(), strict=True):
+        assert torch.equal(a, b), name
+    assert len(other) != len(one) or not torch.equal(other.means, one.means)
+
+
+@pytest.mark.parametrize("base", [SMALL_PRIOR, RECONSTRUCT], ids=["distill", "reconstruct"])
+@pytest.mark.parametrize("stop", [1, 17, 40])
+def test_resumed_run_equals_unbroken_run(base, stop):
+    settings = dataclasses.replace(base, **QUICK, rounds=5)
+    unbroken = finish(completion(settings))
+    first = completion(settings)
+    for _ in range(stop):
+        first.step()
+    state = {name: value.clone() for name, value in first.state().items()}
+    second = completion(settings)
+    second.restore(state)
+    resumed = finish(second)
+    for (name, a), (_, b) in zip(unbroken.fields(), resumed.fields(), strict=True):
+        assert torch.equal(a, b), name
+
+
+def test_partial_is_not_touched():
+    before = {name: value.clone() for name, value in PARTIAL.fields()}
+    finish(completion(dataclasses.replace(SMALL_PRIOR, **QUICK)))
+    for name, value in PARTIAL.fields():
+        assert torch.equal(value, before[name]), name
+
+
+def test_bounds_hold():
+    settings = dataclasses.replace(SMALL_PRIOR, **QUICK)
+    job = completion(settings)
+    splats = finish(job)
+    low = settings.min_scale_px * 1.6 / 32
+    assert splats.scales.min() >= low * 0.999
+    assert splats.scales.max() <= settings.max_scale * 1.001
+    assert splats.base_colors.min() >= -1e-5
+    assert splats.base_colors.max() <= 1 + 1e-5
+    assert len(splats) <= settings.densify.max_new
+
+
+def test_nan_from_the_prior_stops_before_the_parameters():
+    job = completion(dataclasses.replace(SMALL_PRIOR, **QUICK), OraclePrior(TRUTH, poison_step=7))
+    with pytest.raises(NonFiniteError, match="step 7: the prior's loss"):
+        finish(job)
+    assert job.step_number == 7
+    for name, value in job.new_splats().fields():
+        assert torch.isfinite(value).all(), name

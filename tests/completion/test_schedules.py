@@ -1,0 +1,56 @@
+"""The paper's schedule, to the letter."""
+
+import dataclasses
+
+import pytest
+
+from gscomplete.completion import schedules
+from gscomplete.completion.settings import PAPER, CompletionSettings, preset
+from gscomplete.errors import UserError
+
+
+def test_paper_preset_is_the_paper():
+    settings = preset("paper", "embedded")
+    assert settings.steps == 6000
+    assert settings.new_splats == 5000
+    assert settings.warmup_steps == 50
+    assert settings.preservation_weight == 2.0
+    assert settings.preservation_every == 2
+    assert settings.densify.until * settings.steps == 1500
+    assert settings.mode == "distill"
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "low", "high"),
+    [(0, 2999, 0.4 * 980, 0.6 * 980), (3000, 4499, 20, 0.35 * 980), (4500, 5999, 20, 0.25 * 980)],
+)
+def test_timesteps_follow_the_paper(first, last, low, high):
+    drawn = [schedules.timestep_at(PAPER, step) for step in (first, *range(first, last, 7), last)]
+    assert low <= min(drawn)
+    assert max(drawn) <= high
+    # Uniform: the extremes of some 200 draws lie close to the ends of the range.
+    assert min(drawn) < low + 0.06 * (high - low)
+    assert max(drawn) > high - 0.06 * (high - low)
+
+
+def test_preservation_joins_every_other_step_after_the_warm_up():
+    flags = [schedules.has_preservation(PAPER, step) for step in range(60)]
+    assert all(flags[:50])
+    assert flags[50:54] == [False, True, False, True]
+    off = dataclasses.replace(PAPER, preservation_weight=0.0)
+    assert not any(schedules.has_preservation(off, step) for step in range(60))
+
+
+def test_rounds_cover_the_run():
+    settings = preset("default", "embedded")
+    starts = [s for s in range(settings.steps) if schedules.is_round_start(settings, s)]
+    assert starts[0] == 0
+    assert len(starts) == settings.rounds
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("steps", 0), ("new_splats", 0), ("resolution_px", 4), ("rounds", 0)]
+)
+def test_settings_out_of_range_are_named(name, value):
+    with pytest.raises(UserError, match=name):
+        CompletionSettings(**{name: value})
