@@ -155,7 +155,7 @@ class Assembly:
         colors: Sequence[str] | None = None,
         avoid: Look | None = None,
         patterns: Sequence[Pattern] = (),
-        pattern_chance: float = 0.4,
+        pattern_chance: float = 0.3,
     ) -> Look:
         """Draw a look.
 

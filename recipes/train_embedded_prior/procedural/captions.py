@@ -10,6 +10,7 @@ import numpy as np
 
 from recipes.train_embedded_prior.procedural.assembly import PATTERN_WORDS, Description, Look
 from recipes.train_embedded_prior.procedural.palette import COLORS, SUBSTANCES
+from recipes.train_embedded_prior.procedural.words import name_words
 
 SIZES = ("small", "large", "big", "little", "tiny")
 STYLES = ("simple", "toy", "low-poly", "old", "new", "single", "pretty", "model")
@@ -39,23 +40,6 @@ PATTERN_ADJECTIVES = {
     "patches": "spotted",
 }
 FRAMES = ("a {}", "a {}", "a {}", "{}", "the {}", "one {}")
-EXTRA_WORDS = tuple(
-    """thing object item piece of and in on its for from made side view part half photo picture
-    image render thin thick short long light dark round square oval flat wide narrow low high open
-    closed empty full handle handles lid cover leg legs wheel wheels window windows door roof
-    chimney shade stem leaf leaves petals icing frosting cushion cushions button buttons screen lens
-    lenses strap straps foot feet base top bottom edge back seat arm arms head body tail ear ears
-    eyes nose beak hat cap scarf brim sole laces strings pattern letters text logo label face faces
-    hands hand knob knobs spout rim lettered pair set headset glasses sunglasses figurine figure
-    seated standing statue statuette sculpture voxel pixel knight egyptian rubber melamine linen
-    glass iced tea milk juice water wine beer soda corner weight writing coffee dining kitchen
-    garden office storage cutting board desk organizer holder dish plates rack utensils hanging
-    tablet computer phone laptop keyboard monitor mouse remote control hand security virtual reality
-    domino tile tray bench barbell four-tier tier bin shoe lion turtle armadillo dragon bunny rabbit
-    biker rider motorcycle bicycle bike person man woman child girl boy doll""".split()
-)
-"""Words captions of real objects use that the generator itself may not: learned from context or
-not at all, but never an unknown token that shadows the rest of the prompt."""
 
 
 def caption(description: Description, rng: np.random.Generator) -> str:
@@ -103,8 +87,8 @@ def detail(look: Look, part: str, *, plural: bool = False) -> str:
 
 def vocabulary() -> list[str]:
     """Return every word a caption can hold, and then some, sorted."""
-    words: set[str] = {"a", "an", "the", "one", "with", "and", "in"}
-    phrases = [*SIZES, *STYLES, *COLORS, *SUBSTANCES, *PATTERN_ADJECTIVES.values(), *EXTRA_WORDS]
+    words = {"a", "an", "the", "one", "with", "and", "in"} | name_words()
+    phrases = [*SIZES, *STYLES, *COLORS, *SUBSTANCES, *PATTERN_ADJECTIVES.values()]
     phrases += [word for options in SYNONYMS.values() for word in options]
     phrases += [word for options in PATTERN_WORDS.values() for word in options]
     for phrase in phrases:

@@ -1,0 +1,19 @@
+"""The generator's public face: objects by (seed, index) and the words of their captions."""
+
+from recipes.train_embedded_prior.procedural.captions import vocabulary
+from recipes.train_embedded_prior.procedural.objects import (
+    FAMILIES,
+    GeneratorSettings,
+    ProceduralObject,
+    make_object,
+    make_object_of,
+)
+
+__all__ = [
+    "FAMILIES",
+    "GeneratorSettings",
+    "ProceduralObject",
+    "make_object",
+    "make_object_of",
+    "vocabulary",
+]
