@@ -29,8 +29,6 @@ class DataConfig:
     """Half of the rings are drawn from this narrower range."""
     center_jitter: float = 0.12
     """The target is off the object's centre by up to this along each axis."""
-    rings_per_object: int = 2
-    """Sets made of one object, each with its own ring and its own part removed."""
     render_px: int = 128
     """Side of the renders, area-averaged down to the model's resolution."""
     corrupt_share: float = 0.5
@@ -55,8 +53,6 @@ class TrainConfig:
     """Length of training in steps; None = set by ``minutes``. Exactly one of them is given."""
     seed: int = 0
     batch_sets: int = 4
-    fresh_sets: int = 2
-    """Sets per step that were never seen before; the rest are drawn from all seen so far."""
     learning_rate: float = 4e-4
     warmup_steps: int = 200
     decay_share: float = 0.5
@@ -87,21 +83,16 @@ class TrainConfig:
     shard_sets: int = 32
     """Sets per data file."""
     data: DataConfig = field(default_factory=DataConfig)
-    model: ModelConfig = field(default_factory=lambda: ModelConfig(widths=(128, 192, 320)))
+    model: ModelConfig = field(default_factory=lambda: ModelConfig())
 
     def __post_init__(self) -> None:
         """Check ranges.
 
         Raises:
-            ValueError: the length of the run or the shares make no sense.
+            ValueError: the length of the run or the number of replicas makes no sense.
         """
         if (self.minutes is None) == (self.steps is None):
             raise ValueError("TrainConfig: expected exactly one of minutes and steps")
-        if not 1 <= self.fresh_sets <= self.batch_sets:
-            raise ValueError(
-                f"TrainConfig: expected 1 <= fresh_sets <= batch_sets, found {self.fresh_sets} "
-                f"of {self.batch_sets}"
-            )
         if self.batch_sets % self.replicas != 0:
             raise ValueError(
                 f"TrainConfig: expected batch_sets to be a multiple of replicas, found "

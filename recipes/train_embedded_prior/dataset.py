@@ -1,13 +1,11 @@
-"""Training sets: a pure function of (seed, index), and the batches of every step.
+"""Training sets: a pure function of (seed, index), and their form in memory and on disk.
 
 Conventions
 -----------
-* Set ``index`` shows object ``index // rings_per_object``; every random number of it comes from
-  (seed, index), so any set can be made again at any time, alone, on any machine.
+* Set ``index`` shows object ``index`` of its seed, which arrives in the object frame; every random
+  number comes from (seed, index), so any set can be made again, alone, on any machine.
 * Sets are stored in eight bits: images and P's colour and alpha as value * 255, P's relief as
   value * 127 + 127 (zero stays exactly zero).
-* A mirrored set has its images flipped left to right and its views in reverse order: mirroring
-  the world turns azimuths round. The ring numbers stay.
 """
 
 from __future__ import annotations
@@ -37,7 +35,7 @@ class TrainingObject:
 
     splats: Splats
     caption: str
-    partial: Callable[[int, bool], Splats]  # (ring number, disturb it?) -> P
+    partial: Callable[[bool], Splats]  # (disturb it?) -> P
 
 
 Source = Callable[[int, int], TrainingObject]
@@ -73,7 +71,7 @@ def set_dtype(resolution_px: int, text_length: int) -> np.dtype:
 
 
 class SetMaker:
-    """Make stored sets by index, keeping the last object for its next ring."""
+    """Make stored sets by index."""
 
     def __init__(
         self, source: Source, data: DataConfig, tokenizer: Tokenizer, resolution_px: int, seed: int
@@ -83,24 +81,18 @@ class SetMaker:
         self._tokenizer = tokenizer
         self._resolution_px = resolution_px
         self._seed = seed
-        self._kept: tuple[int, TrainingObject] | None = None
         self.dtype = set_dtype(resolution_px, tokenizer.length)
 
     def __call__(self, index: int) -> np.ndarray:  # [] of dtype
         """Make set ``index``."""
-        number, ring_number = divmod(index, self._data.rings_per_object)
-        if self._kept is None or self._kept[0] != number:
-            self._kept = (number, self._source(self._seed, number))
-        item = self._kept[1]
+        item = self._source(self._seed, index)
         rng = np.random.default_rng((self._seed, index, 1))
         cameras, ring = sample_ring(self._data, rng)
         disturb = bool(rng.random() < self._data.corrupt_share)
-        partial = item.partial(ring_number, disturb)
+        partial = item.partial(disturb)
         stored = np.zeros((), self.dtype)
-        stored["images"] = self._render_images(_framed(item.splats, item.splats), cameras)
-        stored["input_map"] = self._render_input(
-            _framed(partial, item.splats), cameras, float(ring[1])
-        )
+        stored["images"] = self._render_images(item.splats, cameras)
+        stored["input_map"] = self._render_input(partial, cameras, float(ring[1]))
         stored["ring"] = ring
         stored["tokens"] = self._tokenizer.encode(item.caption).numpy()
         return stored
@@ -137,43 +129,14 @@ def sample_ring(data: DataConfig, rng: np.random.Generator) -> tuple[Cameras, np
     return cameras, np.array([elevation_deg, radius, data.fov_deg], np.float32)
 
 
-def decode_sets(stored: np.ndarray, mirror: np.ndarray) -> Batch:  # [B] of set_dtype, [B] bool
-    """Turn stored sets into a batch, mirrored where asked."""
+def decode_sets(stored: np.ndarray) -> Batch:  # [B] of set_dtype
+    """Turn stored sets into a batch."""
     images = torch.from_numpy(np.ascontiguousarray(stored["images"])).float() / 127.5 - 1
     mapped = torch.from_numpy(np.ascontiguousarray(stored["input_map"])).float()
     mapped = torch.cat([mapped[:, :, :4] / 255, (mapped[:, :, 4:] - 127) / 127], dim=2)
-    flip = torch.from_numpy(mirror)
-    images[flip] = images[flip].flip(1, 4)
-    mapped[flip] = mapped[flip].flip(1, 4)
     ring = torch.from_numpy(np.ascontiguousarray(stored["ring"]))
     tokens = torch.from_numpy(stored["tokens"].astype(np.int64))
     return Batch(images, mapped, ring, tokens)
-
-
-def plan_step(
-    seed: int, step: int, batch_sets: int, fresh_sets: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Choose the sets of a step: the next fresh ones, and some of those seen before.
-
-    Returns:
-        Indices [B] and mirror flags [B]; fresh sets are not mirrored, repeated ones half the time.
-    """
-    rng = np.random.default_rng((seed, step, 2))
-    first = step * fresh_sets
-    fresh = np.arange(first, first + fresh_sets)
-    repeats = batch_sets - fresh_sets
-    seen = rng.integers(0, max(first, 1) if first else fresh_sets, repeats)
-    mirror = np.concatenate([np.zeros(fresh_sets, bool), rng.random(repeats) < 0.5])
-    return np.concatenate([fresh, seen]), mirror
-
-
-def _framed(splats: Splats, whole: Splats) -> Splats:
-    """Move and scale so that the whole object's box is centred with largest side 1."""
-    low, high = whole.bounds()
-    factor = 1.0 / float((high - low).max().clamp(min=1e-6))
-    return dataclasses.replace(
-        splats, means=(splats.means - (low + high) / 2) * factor, scales=splats.scales * factor
-    )
 
 
 def _to_bytes(values: Tensor) -> np.ndarray:

@@ -50,10 +50,10 @@ def autocast(
 
 
 def held_out_sets(spec: ShardSpec, count: int) -> Batch:
-    """Make the first ``count`` sets of the held-out seed, one per object."""
+    """Make the first ``count`` sets of the held-out seed."""
     maker = spec.maker(spec.seed + HELD_OUT_SEED_OFFSET)
-    stored = np.stack([maker(k * spec.data.rings_per_object) for k in range(count)])
-    return decode_sets(stored, np.zeros(count, bool))
+    stored = np.stack([maker(k) for k in range(count)])
+    return decode_sets(stored)
 
 
 @torch.no_grad()

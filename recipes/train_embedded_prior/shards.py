@@ -1,10 +1,10 @@
-"""Training sets on disk: made ahead by worker processes, read back by index.
+"""Training sets on their way to the trainer: made ahead by worker processes, read in order.
 
 Conventions
 -----------
 * Shard k holds sets ``k * shard_sets`` to ``(k + 1) * shard_sets - 1`` in one ``.npy`` file that
   appears atomically; worker w of W makes the shards k with k % W == w.
-* A file is only a cache of a pure function: deleting it changes nothing but the time.
+* A file is only a buffer of a pure function: the reader deletes what it has passed.
 * Workers stay at most ``ahead`` shards before the reader and have the lowest priority, so that
   they use the processor when the trainer waits for them and get out of its way otherwise.
 """
@@ -69,7 +69,7 @@ class ShardReader:
     """
 
     def __init__(
-        self, spec: ShardSpec, folder: Path, *, workers: int | None, ahead: int = 12
+        self, spec: ShardSpec, folder: Path, *, workers: int | None, first: int, ahead: int = 12
     ) -> None:
         self._spec = spec
         self._folder = folder / spec.key()
@@ -77,7 +77,7 @@ class ShardReader:
         self._workers = workers
         self._ahead = ahead
         context = multiprocessing.get_context("spawn")
-        self._wanted = context.Value("q", 0)
+        self._wanted = context.Value("q", first // spec.shard_sets)
         self._context = context
         self._processes: list[Any] = []
         self._open: dict[int, np.ndarray] = {}
@@ -107,21 +107,23 @@ class ShardReader:
         for process in self._processes:
             process.join()
 
-    def announce(self, index: int) -> None:
-        """Tell the workers where reading is about to happen, after a resume for instance."""
-        with self._wanted.get_lock():
-            self._wanted.value = max(self._wanted.value, index // self._spec.shard_sets)
-
-    def read(self, indices: Sequence[int] | np.ndarray) -> np.ndarray:  # [B] of set_dtype
-        """Return sets by index, waiting for those not made yet.
+    def read(self, indices: Sequence[int]) -> np.ndarray:  # [B] of set_dtype
+        """Return sets by ascending index, waiting for those not made yet.
 
         Raises:
             UserError: a worker died.
         """
-        self.announce(int(max(indices)))
-        rows = [self._shard(int(i) // self._spec.shard_sets)[int(i) % self._spec.shard_sets]
-                for i in indices]  # fmt: skip
-        return np.stack(rows)
+        size = self._spec.shard_sets
+        self._pass(indices[0] // size)
+        return np.stack([self._shard(index // size)[index % size] for index in indices])
+
+    def _pass(self, number: int) -> None:
+        """Note where reading is; forget and delete shards well behind it."""
+        self._wanted.value = max(self._wanted.value, number)
+        for old in [k for k in self._open if k < number - 1]:
+            del self._open[old]
+            if self._workers is not None:
+                shard_path(self._folder, old).unlink(missing_ok=True)
 
     def _shard(self, number: int) -> np.ndarray:
         if number not in self._open:
@@ -131,7 +133,7 @@ class ShardReader:
                 self._check_workers(number)
                 time.sleep(_POLL_S)
             self.waited_s += time.monotonic() - started
-            self._open[number] = np.load(path, mmap_mode="r")
+            self._open[number] = np.load(path)
         return self._open[number]
 
     def _check_workers(self, number: int) -> None:
@@ -167,7 +169,7 @@ def _work(
     _use_one_numba_thread()
     maker = spec.maker()
     parent = os.getppid()
-    shard = number
+    shard = wanted.value + (number - wanted.value) % workers
     while os.getppid() == parent:
         if shard_path(folder, shard).exists():
             shard += workers

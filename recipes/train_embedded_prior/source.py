@@ -2,30 +2,30 @@
 
 from __future__ import annotations
 
-from splatcomplete_data.partial import corrupt, random_partial
-
+from gscomplete.priors.embedded.text import build_words
 from gscomplete.splats import Splats
 from recipes.train_embedded_prior.dataset import TrainingObject
-from recipes.train_embedded_prior.procedural.generator import make_object, vocabulary
+from recipes.train_embedded_prior.procedural.captions import vocabulary
+from recipes.train_embedded_prior.procedural.objects import FAMILIES, make_object
+from splatcomplete_data.partial import corrupt, random_partial
 
-_CUTS_PER_OBJECT = 64
-"""Spreads the cuts of one object over the index space of ``random_partial``."""
+_CAPTIONS_READ = 1000
 
 
 def procedural_source(seed: int, index: int) -> TrainingObject:
     """Make object ``index`` of a seed, with the means to take parts of it."""
     made = make_object(seed, index)
 
-    def partial(ring_number: int, disturb: bool) -> Splats:
-        cut_index = index * _CUTS_PER_OBJECT + ring_number
-        mask = random_partial(made.splats, seed, cut_index).mask
+    def partial(disturb: bool) -> Splats:
+        mask = random_partial(made.splats, seed, index).mask
         if disturb:
-            return corrupt(made.splats, mask, seed, cut_index)
+            return corrupt(made.splats, mask, seed, index)
         return made.splats.select(mask)
 
     return TrainingObject(made.splats, made.caption, partial)
 
 
-def procedural_words() -> list[str]:
-    """Return the generator's vocabulary in the order that the embeddings are trained in."""
-    return sorted(set(vocabulary()))
+def procedural_words() -> tuple[str, ...]:
+    """Return the words to train on: the generator's vocabulary and those of its captions."""
+    captions = (make_object(0, index).caption for index in range(_CAPTIONS_READ))
+    return tuple(build_words([*vocabulary(), *FAMILIES, *captions]))

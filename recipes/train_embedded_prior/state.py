@@ -4,7 +4,7 @@ Conventions
 -----------
 * A checkpoint is two files: ``checkpoint.safetensors`` (float32: ``model.*``, ``ema.*``,
   ``first.*`` and ``second.*`` moments) with the step and the running time in its metadata, and
-  ``run.json`` (configuration and words), written once.
+  ``run.json`` (configuration and words), written at every start.
 * Noise and data are functions of (seed, step), so no generator state is kept.
 """
 
@@ -21,7 +21,8 @@ from torch import Tensor, nn
 from gscomplete.atomic import atomic_path
 from gscomplete.errors import UserError
 from gscomplete.jsonio import from_json, read_json, write_json
-from gscomplete.priors.embedded.model import FourViewDenoiser, ModelConfig
+from gscomplete.priors.embedded.model import FourViewDenoiser
+from gscomplete.priors.embedded.text import FIRST_WORD_TOKEN
 from recipes.train_embedded_prior.config import TrainConfig
 
 CHECKPOINT = "checkpoint.safetensors"
@@ -47,12 +48,12 @@ class TrainState:
     elapsed_s: float = 0.0
 
     @classmethod
-    def start(cls, config: TrainConfig, model_config: ModelConfig) -> TrainState:
+    def start(cls, config: TrainConfig) -> TrainState:
         """Initialise a run; the weights are a function of the seed."""
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
-            model = FourViewDenoiser(model_config).to(config.device)
-            ema = FourViewDenoiser(model_config).to(config.device).requires_grad_(False)
+            model = FourViewDenoiser(config.model).to(config.device)
+            ema = FourViewDenoiser(config.model).to(config.device).requires_grad_(False)
         ema.load_state_dict(model.state_dict())
         return cls(model, ema, make_optimizer(model, config))
 
@@ -120,30 +121,37 @@ def make_optimizer(model: nn.Module, config: TrainConfig) -> torch.optim.Optimiz
     return torch.optim.AdamW(groups, lr=config.learning_rate, betas=config.betas, fused=True)
 
 
-def open_run(config: TrainConfig, words: tuple[str, ...]) -> RunRecord:
+def open_run(config: TrainConfig, words: tuple[str, ...]) -> tuple[str, ...]:
     """Create the run folder, or check that a resumed one is the same run.
 
+    A resumed run keeps its words in their order; words that the generator has learned since then
+    are appended.
+
+    Returns:
+        The words of the run.
+
     Raises:
-        UserError: the folder holds a run already, or another one than is to be resumed.
+        UserError: the folder holds a run already, or another one than is to be resumed, or there
+            are more words than the model has room for.
     """
     path = config.out / RUN
-    if not config.resume:
-        if (config.out / CHECKPOINT).exists():
-            raise UserError(f"{config.out}: holds a checkpoint; resume it or choose another --out")
-        config.out.mkdir(parents=True, exist_ok=True)
-        record = RunRecord(config, words)
-        write_json(path, record)
-        return record
-    record = from_json(RunRecord, read_json(path), str(path))
-    for name in ("seed", "batch_sets", "fresh_sets", "data", "model", "shard_sets"):
-        if getattr(record.config, name) != getattr(config, name):
-            raise UserError(
-                f"{path}: {name}: expected {getattr(record.config, name)} as the run was "
-                f"started, found {getattr(config, name)}"
-            )
-    if record.words != words:
-        raise UserError(f"{path}: words: the generator's vocabulary has changed since the start")
-    return record
+    if config.resume:
+        record = from_json(RunRecord, read_json(path), str(path))
+        for name in ("seed", "batch_sets", "data", "model", "shard_sets"):
+            if getattr(record.config, name) != getattr(config, name):
+                raise UserError(
+                    f"{path}: {name}: expected {getattr(record.config, name)} as the run was "
+                    f"started, found {getattr(config, name)}"
+                )
+        words = (*record.words, *(word for word in words if word not in record.words))
+    elif (config.out / CHECKPOINT).exists():
+        raise UserError(f"{config.out}: holds a checkpoint; resume it or choose another --out")
+    room = config.model.vocabulary_size - FIRST_WORD_TOKEN
+    if len(words) > room:
+        raise UserError(f"model.vocabulary_size: room for {room} words, found {len(words)}")
+    config.out.mkdir(parents=True, exist_ok=True)
+    write_json(path, RunRecord(config, words))
+    return words
 
 
 def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:

@@ -34,11 +34,10 @@ from gscomplete.priors.embedded.model import (
     IMAGE_CHANNELS,
     VIEWS,
     FourViewDenoiser,
-    ModelConfig,
 )
-from gscomplete.priors.embedded.text import NO_TEXT_TOKEN, Tokenizer
+from gscomplete.priors.embedded.text import NO_TEXT_TOKEN
 from recipes.train_embedded_prior.config import TrainConfig
-from recipes.train_embedded_prior.dataset import Batch, Source, decode_sets, plan_step
+from recipes.train_embedded_prior.dataset import Batch, Source, decode_sets
 from recipes.train_embedded_prior.evaluate import (
     autocast,
     held_out_sets,
@@ -135,7 +134,7 @@ class Trainer:
             UserError: there is no checkpoint to resume from.
         """
         self.config = config
-        self.state = TrainState.start(config, model_config_for(config, words))
+        self.state = TrainState.start(config)
         if config.resume:
             self.state.load(config.out)
         size = self.state.model.config
@@ -154,9 +153,9 @@ class Trainer:
         started = time.monotonic() - state.elapsed_s
         last_saved = last_sampled = state.elapsed_s
         workers = config.workers if self._rank == 0 else None
-        reader = ShardReader(self._spec, config.out / "sets", workers=workers)
+        first = state.step * config.batch_sets
+        reader = ShardReader(self._spec, config.out / "sets", workers=workers, first=first)
         with _signals(self._on_signal), reader:
-            reader.announce(state.step * config.fresh_sets)
             done = progress(config, state.step, state.elapsed_s) >= 1
             while not done:
                 done = self._one_step(reader)
@@ -179,9 +178,10 @@ class Trainer:
         """Take one step; return whether it was the last."""
         config, state = self.config, self.state
         began, waited = time.monotonic(), reader.waited_s
-        indices, mirror = plan_step(config.seed, state.step, config.batch_sets, config.fresh_sets)
         own = slice(self._rank, None, config.replicas)
-        batch = decode_sets(reader.read(indices[own]), mirror[own]).to(config.device)
+        first = state.step * config.batch_sets
+        indices = range(first, first + config.batch_sets)[own]
+        batch = decode_sets(reader.read(indices)).to(config.device)
         drawn = draw_step_noise(config, state.step).select(own, config.device)
         with autocast(config.device, config.precision):
             loss = training_loss(state.model, batch, drawn)
@@ -235,12 +235,6 @@ class Trainer:
         self._stop = True
 
 
-def model_config_for(config: TrainConfig, words: tuple[str, ...]) -> ModelConfig:
-    """Return the model's size with its vocabulary filled in."""
-    size = Tokenizer(words, config.model.text_length).size
-    return dataclasses.replace(config.model, vocabulary_size=size)
-
-
 def train(config: TrainConfig, source: Source, words: tuple[str, ...]) -> TrainState:
     """Train with as many replicas as configured; this process is the first of them.
 
@@ -252,11 +246,11 @@ def train(config: TrainConfig, source: Source, words: tuple[str, ...]) -> TrainS
     Raises:
         UserError: the folder and the options do not fit together, or a replica died.
     """
-    open_run(config, words)
+    words = open_run(config, words)
     if config.replicas == 1:
         return Trainer(config, source, words).run()
     context = torch.multiprocessing.get_context("spawn")
-    parameters = FourViewDenoiser(model_config_for(config, words)).parameters()
+    parameters = FourViewDenoiser(config.model).parameters()
     exchange = GradientExchange.create(context, config.replicas, parameters)
     others = [
         context.Process(target=_run_replica, args=(config, source, words, rank, exchange))
@@ -308,7 +302,7 @@ def main() -> int:
     from recipes.train_embedded_prior.source import procedural_source, procedural_words
 
     try:
-        train(config, procedural_source, tuple(procedural_words()))
+        train(config, procedural_source, procedural_words())
     except UserError as error:
         _LOG.error("%s", error)
         return error.exit_code

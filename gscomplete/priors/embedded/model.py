@@ -33,7 +33,7 @@ class ModelConfig:
     """Size of the denoiser. Widths are channels at 1/2, 1/4 and 1/8 of the image size."""
 
     resolution_px: int = 64
-    widths: tuple[int, int, int] = (128, 224, 320)
+    widths: tuple[int, int, int] = (128, 192, 320)
     blocks: tuple[int, int, int] = (2, 2, 1)  # residual blocks per level, each way
     transformers: tuple[int, int] = (1, 3)  # joint-attention blocks at levels 1/4 and 1/8
     head_width: int = 32
@@ -41,7 +41,7 @@ class ModelConfig:
     embedding: int = 256  # width of the time + camera + text vector
     text_width: int = 128
     text_length: int = 16  # longest prompt in tokens
-    vocabulary_size: int = 512
+    vocabulary_size: int = 1280  # token ids, those of padding and no text included
 
 
 class TextEncoder(nn.Module):

@@ -1,0 +1,258 @@
+"""The embedded prior behind the common interface: a denoiser that can see P.
+
+Conventions
+-----------
+* Images inside are those of ``inputs``: premultiplied RGBA in [-1, 1] at the model's resolution,
+  so the loss of :meth:`EmbeddedPrior.distill` counts differences on that scale.
+* P may be withheld (text-only mode); guidance pulls towards P and towards the text with separate
+  scales (``diffusion.guided_x0``).
+* The network runs in bfloat16 where the processor multiplies it in hardware, else in float32;
+  schedules and losses are always float32.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from gscomplete.errors import UserError
+from gscomplete.priors.base import Conditioning, FourViews, Guidance, PriorViews
+from gscomplete.priors.embedded.diffusion import (
+    NUM_TIMESTEPS,
+    add_noise,
+    ddim,
+    guided_x0,
+    x0_from_v,
+)
+from gscomplete.priors.embedded.inputs import images_to_color_alpha, input_map, network_images
+from gscomplete.priors.embedded.model import INPUT_CHANNELS, VIEWS, FourViewDenoiser
+from gscomplete.priors.embedded.rays import ring_numbers
+from gscomplete.priors.embedded.text import Tokenizer
+from gscomplete.priors.embedded.weights import PriorConfig, load_weights
+
+Precision = Literal["auto", "bfloat16", "float32"]
+
+DEFAULT_GUIDANCE = Guidance(text_scale=1.0, input_scale=1.0, rescale=0.0)
+"""With P in sight plain conditional denoising is best, and takes a single pass."""
+TEXT_ONLY_GUIDANCE = Guidance(text_scale=3.0, input_scale=1.0, rescale=0.5)
+"""Without P the text must decide more."""
+
+
+@dataclass(frozen=True, slots=True)
+class EmbeddedConditioning:
+    """Token ids of a prompt and of what guidance leads away from."""
+
+    tokens: Tensor  # [L]
+    negative_tokens: Tensor  # [L]
+    report: tuple[str, ...]
+
+    @property
+    def has_text(self) -> bool:
+        """Whether the prompt says anything that the negative prompt does not."""
+        return not torch.equal(self.tokens, self.negative_tokens)
+
+
+class EmbeddedPrior:
+    """A :class:`gscomplete.priors.base.Prior` with the weights that ship with the package."""
+
+    name = "embedded"
+    sees_input = True
+    num_timesteps = NUM_TIMESTEPS
+
+    def __init__(
+        self,
+        model: FourViewDenoiser,
+        config: PriorConfig,
+        device: torch.device | str = "cpu",
+        precision: Precision = "auto",
+    ) -> None:
+        """Wrap a denoiser.
+
+        Args:
+            model: in evaluation mode.
+            config: what goes with it.
+            device: where it runs.
+            precision: of the network; ``auto`` = bfloat16 where hardware has it.
+        """
+        self.views: PriorViews = config.views
+        self._device = torch.device(device)
+        self._model = model.to(self._device)
+        self._tokenizer = Tokenizer(config.words, config.model.text_length)
+        self._bfloat16 = precision == "bfloat16" or (
+            precision == "auto" and _multiplies_bfloat16(self._device)
+        )
+
+    @classmethod
+    def from_folder(cls, folder: Path, device: torch.device | str = "cpu") -> EmbeddedPrior:
+        """Load weights from a folder.
+
+        Raises:
+            UserError: the weights are missing or damaged.
+        """
+        model, config = load_weights(folder)
+        return cls(model, config, device)
+
+    def condition(self, prompt: str, negative_prompt: str | None = None) -> EmbeddedConditioning:
+        """Encode a prompt; see :class:`gscomplete.priors.base.Prior`."""
+        report = self._tokenizer.understood(prompt).lines()
+        if negative_prompt:
+            lines = self._tokenizer.understood(negative_prompt).lines()
+            report += tuple(f"negative {line}" for line in lines)
+        return EmbeddedConditioning(
+            self._tokenizer.encode(prompt), self._tokenizer.encode(negative_prompt or ""), report
+        )
+
+    def distill(
+        self,
+        views: FourViews,
+        timestep: float,
+        conditioning: Conditioning,
+        generator: torch.Generator,
+        input_views: FourViews | None = None,
+        guidance: Guidance | None = None,
+    ) -> Tensor:  # []
+        """Return the distillation loss; see :class:`gscomplete.priors.base.Prior`."""
+        images = network_images(views.color, views.alpha, self.views.resolution_px)
+        images = images.to(self._device)
+        task = self._task(views, conditioning, input_views, guidance)
+        with torch.no_grad():
+            at = images.new_tensor(self._checked(timestep))
+            noise = self._noise(images, generator)
+            target = self._denoise(task, add_noise(images, noise, at), float(at))
+        return 0.5 * (images - target).square().sum() / VIEWS
+
+    @torch.no_grad()
+    def reconstruct(
+        self,
+        views: FourViews,
+        timestep: float,
+        conditioning: Conditioning,
+        generator: torch.Generator,
+        input_views: FourViews | None = None,
+        guidance: Guidance | None = None,
+        num_steps: int = 8,
+    ) -> tuple[Tensor, Tensor]:  # [4, h, w, 3] premultiplied, [4, h, w]
+        """Return clean targets; see :class:`gscomplete.priors.base.Prior`."""
+        images = network_images(views.color, views.alpha, self.views.resolution_px)
+        images = images.to(self._device)
+        task = self._task(views, conditioning, input_views, guidance)
+        start = self._checked(min(timestep, NUM_TIMESTEPS - 1.0))
+        noisy = add_noise(images, self._noise(images, generator), images.new_tensor(start))
+        clean = ddim(lambda x_t, at: self._denoise(task, x_t, at), noisy, start, num_steps)
+        color, alpha = images_to_color_alpha(clean)
+        return color.to(views.color.device), alpha.to(views.color.device)
+
+    def _task(
+        self,
+        views: FourViews,
+        conditioning: Conditioning,
+        input_views: FourViews | None,
+        guidance: Guidance | None,
+    ) -> _Task:
+        """Gather what stays the same over the denoising steps of one call."""
+        if not isinstance(conditioning, EmbeddedConditioning):
+            raise TypeError(
+                f"EmbeddedPrior: expected its own conditioning, found {type(conditioning).__name__}"
+            )
+        ring = ring_numbers(views.cameras)
+        mapped = None
+        if input_views is not None:
+            mapped = input_map(
+                input_views.color.detach(),
+                input_views.alpha.detach(),
+                input_views.depth.detach(),
+                float(ring[1]),
+                self.views.resolution_px,
+            ).to(self._device)
+        if guidance is None:
+            guidance = TEXT_ONLY_GUIDANCE if mapped is None else DEFAULT_GUIDANCE
+        return _Task(ring.to(self._device), mapped, conditioning, guidance)
+
+    def _denoise(self, task: _Task, noisy: Tensor, timestep: float) -> Tensor:  # [4, 4, s, s]
+        """Return the guided x0 of one ring, within the range of images."""
+        size = self.views.resolution_px
+        nothing = noisy.new_zeros(VIEWS, INPUT_CHANNELS, size, size)
+
+        def denoise(passes: list[tuple[bool, bool]]) -> list[Tensor]:
+            count = len(passes)
+            maps = [nothing if task.mapped is None or not seen else task.mapped
+                    for seen, _ in passes]  # fmt: skip
+            words = task.conditioning
+            tokens = [words.tokens if told else words.negative_tokens for _, told in passes]
+            x_t = noisy[None].expand(count, -1, -1, -1, -1)
+            at = noisy.new_full((count,), timestep)
+            with self._autocast():
+                v = self._model(
+                    x_t,
+                    torch.stack(maps),
+                    at,
+                    task.ring.expand(count, -1),
+                    torch.stack(tokens).to(self._device),
+                )
+            return list(x0_from_v(x_t, v, at).split(1))
+
+        x0 = guided_x0(
+            denoise,
+            has_input=task.mapped is not None,
+            has_text=task.conditioning.has_text,
+            input_scale=task.guidance.input_scale,
+            text_scale=task.guidance.text_scale,
+            rescale=task.guidance.rescale,
+        )
+        return x0[0].clamp(-1, 1)
+
+    def _autocast(self) -> contextlib.AbstractContextManager[None]:
+        return torch.autocast(self._device.type, torch.bfloat16, enabled=self._bfloat16)
+
+    def _noise(self, images: Tensor, generator: torch.Generator) -> Tensor:
+        noise = torch.randn(images.shape, generator=generator, device=generator.device)
+        return noise.to(images)
+
+    def _checked(self, timestep: float) -> float:
+        if not 0 <= timestep <= NUM_TIMESTEPS - 1:
+            raise ValueError(
+                f"EmbeddedPrior: timestep: expected 0 to {NUM_TIMESTEPS - 1}, found {timestep}"
+            )
+        return float(timestep)
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    """What is to be denoised under which conditions."""
+
+    ring: Tensor  # [3]
+    mapped: Tensor | None  # [4, 5, s, s]
+    conditioning: EmbeddedConditioning
+    guidance: Guidance
+
+
+def packaged_weights() -> Path:
+    """Return the folder of the weights that ship with the package."""
+    return Path(__file__).resolve().parent / "weights"
+
+
+def load_embedded(folder: Path | None, device: torch.device | str) -> EmbeddedPrior:
+    """Load the embedded prior.
+
+    Args:
+        folder: of weights; None = those of the package.
+        device: where to run.
+
+    Raises:
+        UserError: the weights are missing or damaged, or the device cannot be used.
+    """
+    try:
+        return EmbeddedPrior.from_folder(folder or packaged_weights(), device)
+    except (RuntimeError, AssertionError) as error:
+        raise UserError(f"prior: device: cannot use {device} ({error})") from error
+
+
+def _multiplies_bfloat16(device: torch.device) -> bool:
+    if device.type == "cpu":
+        return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())
+    return device.type == "cuda" and torch.cuda.is_bf16_supported()
