@@ -55,9 +55,9 @@ def _rotation(w: float, x: float, y: float, z: float) -> Any:
 
 
 @numba.njit(**_JIT)
-def _clamped_ratio(value: float, z: float, low: float, high: float) -> Any:
-    """Return value / z clamped to [low, high] and whether it was inside."""
-    ratio = value / z
+def _clamped_ratio(value: float, inverse_z: float, low: float, high: float) -> Any:
+    """Return value / z, given 1 / z, clamped to [low, high] and whether it was inside."""
+    ratio = value * inverse_z
     return min(max(ratio, low), high), low <= ratio <= high
 
 
@@ -92,6 +92,7 @@ def project(
     eye_x = -(camera[0] * camera[3] + camera[4] * camera[7] + camera[8] * camera[11])
     eye_y = -(camera[1] * camera[3] + camera[5] * camera[7] + camera[9] * camera[11])
     eye_z = -(camera[2] * camera[3] + camera[6] * camera[7] + camera[10] * camera[11])
+    log_alpha_min = math.log(alpha_min)
     chunks = (count + 1023) // 1024
     for chunk in numba.prange(chunks):
         basis = np.empty(16, np.float64)
@@ -107,11 +108,12 @@ def project(
             a, b, c, det = _screen_covariance(
                 quaternions, scales, i, camera, x, y, z, low_x, high_x, low_y, high_y, blur
             )
-            u, v = fx * x / z + cx, fy * y / z + cy
+            inverse_z = 1.0 / z
+            u, v = fx * x * inverse_z + cx, fy * y * inverse_z + cy
             if offsets.shape[0] > 0:
                 u += offsets[i, 0]
                 v += offsets[i, 1]
-            tau = 2.0 * math.log(opacity / alpha_min)
+            tau = 2.0 * (math.log(opacity) - log_alpha_min)
             half_w, half_h = math.sqrt(tau * a), math.sqrt(tau * c)
             on_screen = (
                 u + half_w > 0.0 and u - half_w < width and v + half_h > 0.0 and v - half_h < height
@@ -119,9 +121,10 @@ def project(
             if not (on_screen and det > 0.0 and det < 1e30):
                 continue
             packed[i, P_U], packed[i, P_V] = u, v
-            packed[i, P_LA] = math.sqrt(c / det)
-            packed[i, P_LB] = -b / math.sqrt(c * det)
-            packed[i, P_LC] = 1.0 / math.sqrt(c)
+            root_c, root_det = 1.0 / math.sqrt(c), 1.0 / math.sqrt(det)
+            packed[i, P_LA] = c * root_c * root_det
+            packed[i, P_LB] = -b * root_c * root_det
+            packed[i, P_LC] = root_c
             packed[i, P_OPACITY] = opacity
             packed[i, P_DEPTH] = z
             packed[i, P_HALF_H], packed[i, P_HALF_W] = half_h, half_w
@@ -161,9 +164,10 @@ def _screen_rows(
     qw, qx, qy, qz = qw * inverse, qx * inverse, qy * inverse, qz * inverse
     rotation = _rotation(qw, qx, qy, qz)
     fx, fy = camera[12], camera[13]
-    ratio_x, free_x = _clamped_ratio(x, z, low_x, high_x)
-    ratio_y, free_y = _clamped_ratio(y, z, low_y, high_y)
-    jx, jy = fx / z, fy / z
+    inverse_z = 1.0 / z
+    ratio_x, free_x = _clamped_ratio(x, inverse_z, low_x, high_x)
+    ratio_y, free_y = _clamped_ratio(y, inverse_z, low_y, high_y)
+    jx, jy = fx * inverse_z, fy * inverse_z
     t00 = jx * (camera[0] - ratio_x * camera[8])
     t01 = jx * (camera[1] - ratio_x * camera[9])
     t02 = jx * (camera[2] - ratio_x * camera[10])

@@ -99,10 +99,37 @@ def _row_span(row: Any, u: float, v: float, reach: float, y0: float, y1: float) 
 @numba.njit(**_JIT)
 def _tile_span(low: float, high: float, tiles: int) -> Any:
     """Return the first and one-past-last tile whose pixel centres lie within [low, high]."""
+    # Far-off ranges are cut first: their tile numbers need not fit an integer.
+    low, high = max(low, -1.0), min(high, tiles * TILE + 1.0)
     # The last centre of tile k is at TILE * k + TILE - 0.5, its first at TILE * k + 0.5.
     first = int(math.ceil((low - TILE + 0.5) / TILE))
     last = int(math.floor((high - 0.5) / TILE))
     return max(first, 0), min(last + 1, tiles)
+
+
+@numba.njit(**_JIT)
+def _tile_box(row: Any, tiles_x: int, tiles_y: int) -> Any:
+    """Return the tile range of a splat's pixel box, and whether the ellipse reaches all of it.
+
+    An ellipse touches all four sides of its box, so it reaches every tile of a box that is one
+    tile wide or high.
+    """
+    u, v = np.float64(row[P_U]), np.float64(row[P_V])
+    half_w, half_h = row[P_HALF_W] + MARGIN, row[P_HALF_H] + MARGIN
+    first_x, last_x = _tile_span(u - half_w, u + half_w, tiles_x)
+    first_y, last_y = _tile_span(v - half_h, v + half_h, tiles_y)
+    return first_x, last_x, first_y, last_y, last_x - first_x <= 1 or last_y - first_y <= 1
+
+
+@numba.njit(**_JIT)
+def _row_tiles(row: Any, log_alpha_min: float, ty: int, tiles_x: int) -> Any:
+    """Return the tiles of tile row ``ty`` that the ellipse reaches."""
+    reach = 2.0 * (math.log(np.float64(row[P_OPACITY])) - log_alpha_min)
+    u, v = np.float64(row[P_U]), np.float64(row[P_V])
+    left, right = _row_span(row, u, v, reach, ty * TILE + 0.5, ty * TILE + TILE - 0.5)
+    if left > right:
+        return 0, 0
+    return _tile_span(left, right, tiles_x)
 
 
 @numba.njit(parallel=True, **_JIT)
@@ -115,22 +142,17 @@ def count_entries(
     per_rank: Any,  # [M] int32, written
 ) -> None:
     """Count the entries of every (chunk, tile) and of every rank."""
+    log_alpha_min = math.log(alpha_min)
     total = ranked.shape[0]
     size = (total + CHUNKS - 1) // CHUNKS
     for chunk in numba.prange(CHUNKS):
         for rank in range(chunk * size, min(total, chunk * size + size)):
             row = ranked[rank]
-            u, v = np.float64(row[P_U]), np.float64(row[P_V])
-            reach = 2.0 * math.log(np.float64(row[P_OPACITY]) / alpha_min)
-            first_y, last_y = _tile_span(
-                v - row[P_HALF_H] - MARGIN, v + row[P_HALF_H] + MARGIN, tiles_y
-            )
+            first_x, last_x, first_y, last_y, full = _tile_box(row, tiles_x, tiles_y)
             entries = 0
             for ty in range(first_y, last_y):
-                left, right = _row_span(row, u, v, reach, ty * TILE + 0.5, ty * TILE + TILE - 0.5)
-                if left > right:
-                    continue
-                first_x, last_x = _tile_span(left, right, tiles_x)
+                if not full:
+                    first_x, last_x = _row_tiles(row, log_alpha_min, ty, tiles_x)
                 for tx in range(first_x, last_x):
                     per_chunk[chunk, ty * tiles_x + tx] += 1
                 entries += max(last_x - first_x, 0)
@@ -180,23 +202,18 @@ def fill_entries(
     slots: Any,  # [E] int32 slot or -1 for frozen, written
 ) -> None:
     """Write every tile's list of ranks, and the gradient slot of every entry."""
+    log_alpha_min = math.log(alpha_min)
     total = order.shape[0]
     size = (total + CHUNKS - 1) // CHUNKS
     for chunk in numba.prange(CHUNKS):
         for rank in range(chunk * size, min(total, chunk * size + size)):
             splat = order[rank]
             row = ranked[rank]
-            u, v = np.float64(row[P_U]), np.float64(row[P_V])
-            reach = 2.0 * math.log(np.float64(row[P_OPACITY]) / alpha_min)
-            first_y, last_y = _tile_span(
-                v - row[P_HALF_H] - MARGIN, v + row[P_HALF_H] + MARGIN, tiles_y
-            )
+            first_x, last_x, first_y, last_y, full = _tile_box(row, tiles_x, tiles_y)
             slot = slot_start[splat - first] if splat >= first else -1
             for ty in range(first_y, last_y):
-                left, right = _row_span(row, u, v, reach, ty * TILE + 0.5, ty * TILE + TILE - 0.5)
-                if left > right:
-                    continue
-                first_x, last_x = _tile_span(left, right, tiles_x)
+                if not full:
+                    first_x, last_x = _row_tiles(row, log_alpha_min, ty, tiles_x)
                 for tx in range(first_x, last_x):
                     place = cursor[chunk, ty * tiles_x + tx]
                     cursor[chunk, ty * tiles_x + tx] = place + 1
