@@ -94,9 +94,8 @@ def contact_sheet(
     font = ImageFont.load_default(13)
     cell_width = max(picture.width for picture in pictures) + _MARGIN_PX
     cell_height = max(picture.height for picture in pictures) + _MARGIN_PX
-    left = _MARGIN_PX + (max(_text_width(label, font) for label in row_labels) + 8) * bool(
-        row_labels
-    )
+    label_width = max((_text_width(label, font) + 8 for label in row_labels), default=0)
+    left = _MARGIN_PX + label_width
     line = 20
     top = _MARGIN_PX + line * bool(title) + line * bool(column_labels)
     width = max(left + columns * cell_width, _text_width(title, font) + 2 * _MARGIN_PX)

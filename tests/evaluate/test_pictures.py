@@ -48,6 +48,10 @@ def test_sheet_holds_every_picture_unchanged() -> None:
         assert counts[(10 * index, 0, 0)] == 600
 
 
+def test_sheet_without_labels_is_just_the_pictures() -> None:
+    assert contact_sheet([[Image.new("RGB", (8, 8))] * 2]).size == (4 + 2 * 12, 4 + 12)
+
+
 def test_sheet_checks_its_labels() -> None:
     picture = Image.new("RGB", (8, 8))
     with pytest.raises(ValueError, match="row_labels: expected 1, found 2"):

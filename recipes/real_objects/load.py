@@ -1,0 +1,186 @@
+"""Turn entries of the table into partial splat objects.
+
+Conventions
+-----------
+* Splats are in the file's own frame and units, like any user's file; only scans are levelled on
+  their table (z up, x to the sensor's right, metres).
+* Everything is a function of the entry: fixed sampling seed, fixed cut.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from gscomplete.errors import UserError
+from gscomplete.splats import Splats, read_compressed_ply, transform_splats
+from gscomplete.views import ObjectFrame, UpAxis, up_rotation
+from recipes.real_objects.catalogue import ENTRIES, BoxCut, Entry, PlaneCut, ScanCut
+from splatcomplete_data.mesh.load import BakedLight, GltfColors, load_mesh, mesh_to_discs
+from splatcomplete_data.partial import PartialCut, by_plane, by_visibility, crop
+from splatcomplete_data.points import points_to_splats
+from splatcomplete_data.scan import PointCloud, read_pcd
+
+SPLATS_PER_MESH = 30_000
+"""Discs that cover a complete mesh; the paper's parts have 20k to 100k."""
+SCAN_DISTANCE = 2.2
+"""Distance of the scanner of a ``ScanCut`` from the centre, in object sizes."""
+LIGHT_Z_UP = (0.5, -0.35, 0.8)
+"""Where the soft light on shaded meshes comes from, z up."""
+
+
+@dataclass(frozen=True, slots=True)
+class RealObject:
+    """A partial object as a user would bring it."""
+
+    name: str
+    prompt: str
+    up: UpAxis
+    """File axis that points up."""
+    partial: Splats
+    complete: Splats | None
+    """The whole object, where it is known."""
+    note: str
+    """How the part came about."""
+
+    @property
+    def true_frame(self) -> ObjectFrame | None:
+        """Object frame of the whole object, where it is known."""
+        return None if self.complete is None else frame_of(self.complete, self.up)
+
+
+def names() -> list[str]:
+    """Return the names of all objects in the table's order."""
+    return [entry.name for entry in ENTRIES]
+
+
+def find(name: str) -> Entry:
+    """Return an entry by its name.
+
+    Raises:
+        UserError: there is none.
+    """
+    for entry in ENTRIES:
+        if entry.name == name:
+            return entry
+    raise UserError(f"real object: expected one of {', '.join(names())}; found {name!r}")
+
+
+def load_real_object(name: str, data_dir: Path) -> RealObject:
+    """Make one partial object.
+
+    Args:
+        name: an entry's name.
+        data_dir: the folder with MANIFEST.tsv.
+
+    Raises:
+        UserError: the name is unknown, a file is missing or broken, or the cut keeps nothing.
+    """
+    entry = find(name)
+    path = data_dir / entry.path
+    if not path.is_file():
+        raise UserError(f"{path}: real object {name}: no such file")
+    prompt = entry.prompt or manifest_captions(data_dir)[entry.path]
+    if entry.source == "scan":
+        splats = _scanned_object(path, entry)
+        return RealObject(name, prompt, entry.up, splats, None, "one Kinect view")
+    complete = (
+        read_compressed_ply(path) if entry.source == "splats" else _covered_mesh(data_dir, entry)
+    )
+    cut = cut_object(complete, entry)
+    if cut.kept == 0:
+        raise UserError(f"{path}: real object {name}: the cut keeps nothing")
+    return RealObject(name, prompt, entry.up, complete.select(cut.mask), complete, cut.reason)
+
+
+def manifest_captions(data_dir: Path) -> dict[str, str]:
+    """Return the captions of MANIFEST.tsv by path.
+
+    Raises:
+        UserError: there is no manifest.
+    """
+    path = data_dir / "MANIFEST.tsv"
+    if not path.is_file():
+        raise UserError(f"{path}: expected the data folder's manifest, found no file")
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = csv.DictReader(file, delimiter="\t", quoting=csv.QUOTE_NONE)
+        return {row["path"]: row["caption"].split(" (")[0] for row in rows}
+
+
+def frame_of(splats: Splats, up: UpAxis) -> ObjectFrame:
+    """Return the object frame of a complete object: centre and largest side of its box.
+
+    The box is that of the middle 99.9 % along every axis: trained splats have floaters.
+    """
+    rotated = splats.means.double() @ up_rotation(up).T
+    low, high = np.quantile(rotated.numpy(), [0.0005, 0.9995], axis=0)
+    x, y, z = ((low + high) / 2).tolist()
+    return ObjectFrame.from_z_up(up, (x, y, z), float((high - low).max()))
+
+
+def cut_object(complete: Splats, entry: Entry) -> PartialCut:
+    """Apply an entry's cut in the object frame; the mask fits the splats as given.
+
+    Raises:
+        UserError: the entry has no cut.
+    """
+    frame = frame_of(complete, entry.up)
+    whole = transform_splats(complete, frame.object_from_file)
+    cut = entry.cut
+    if isinstance(cut, PlaneCut):
+        angle = np.deg2rad(cut.toward_deg)
+        return by_plane(whole, (-np.cos(angle), -np.sin(angle), 0.0), -cut.offset)
+    if isinstance(cut, BoxCut):
+        return crop(whole, cut.low, cut.high)
+    if isinstance(cut, ScanCut):
+        azimuths, elevation = np.deg2rad(cut.from_deg), np.deg2rad(cut.elevation_deg)
+        level = SCAN_DISTANCE * np.cos(elevation)
+        height = np.full_like(azimuths, SCAN_DISTANCE * np.sin(elevation))
+        eyes = np.stack([level * np.cos(azimuths), level * np.sin(azimuths), height], axis=1)
+        return by_visibility(whole, eyes)
+    raise UserError(f"real object {entry.name}: expected a cut, found none")
+
+
+def _covered_mesh(data_dir: Path, entry: Entry) -> Splats:
+    """Cover a mesh with discs, softly lit from above."""
+    texture = None if entry.texture is None else data_dir / entry.texture
+    colors: GltfColors = "linear" if entry.has_linear_colors else "srgb"
+    mesh = load_mesh(data_dir / entry.path, texture=texture, gltf_colors=colors)
+    x, y, z = (up_rotation(entry.up).T @ torch.tensor(LIGHT_Z_UP, dtype=torch.float64)).tolist()
+    light = BakedLight((x, y, z)) if entry.is_shaded else None
+    return mesh_to_discs(mesh, SPLATS_PER_MESH, light=light)
+
+
+def _scanned_object(path: Path, entry: Entry) -> Splats:
+    """Cut one labelled object from a table-top scan and level it on the table."""
+    cloud = read_pcd(path)
+    if cloud.labels is None:
+        raise UserError(f"{path}: real object {entry.name}: expected a label field, found none")
+    rotation = level_rotation(cloud.select(np.flatnonzero(cloud.labels // 10 == 0)).points)
+    chosen: PointCloud = cloud.select(np.flatnonzero(cloud.labels // 10 == entry.label))
+    if len(chosen) == 0:
+        raise UserError(f"{path}: real object {entry.name}: no point has label {entry.label}x")
+    return points_to_splats(chosen.points @ rotation.T, chosen.colors)
+
+
+def level_rotation(table: NDArray[np.floating]) -> NDArray[np.floating]:  # [N, 3] -> [3, 3]
+    """Return the rotation that makes a table horizontal: z away from it, x to the right.
+
+    The table is the plane through the middle of its points (outliers dropped twice); up is the
+    side of the sensor, which stands at the origin looking along +z with x to its right.
+    """
+    points = table
+    for _ in range(3):
+        center = points.mean(axis=0)
+        normal = np.linalg.eigh(np.cov((points - center).T))[1][:, 0]
+        distance = np.abs((points - center) @ normal)
+        points = points[distance <= 2.5 * np.median(distance)]
+    up = normal if normal @ center < 0 else -normal
+    right = np.array([1.0, 0.0, 0.0]) - up[0] * up
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(up, right), up])
