@@ -91,7 +91,6 @@ class ResidualBlock(nn.Module):
         self.conv_out = nn.Conv2d(width, width, 3, padding=1)
         nn.init.zeros_(self.conv_out.weight)
         nn.init.zeros_(self.film.weight)
-        nn.init.zeros_(self.film.bias)
 
     def forward(self, x: Tensor, embedding: Tensor) -> Tensor:  # [4B, C, h, w], [4B, E]
         """Return the features after the block."""
@@ -170,17 +169,20 @@ class JointTransformer(nn.Module):
 
 
 class Level(nn.Module):
-    """Residual blocks, each followed by a joint transformer while there are any left."""
+    """Residual blocks, then joint transformers on the way down. Level 0 is the largest image."""
 
-    def __init__(
-        self, width: int, config: ModelConfig, *, blocks: int, transformers: int, deep: bool
-    ) -> None:
+    def __init__(self, level: int, config: ModelConfig, *, going_down: bool) -> None:
         super().__init__()
+        width, deepest = config.widths[level], len(config.widths) - 1
+        transformers = (0, *config.transformers)[level] if going_down else 0
         self.blocks = nn.ModuleList(
-            ResidualBlock(width, config.embedding, config.groups) for _ in range(blocks)
+            ResidualBlock(width, config.embedding, config.groups)
+            for _ in range(config.blocks[level])
         )
         self.transformers = nn.ModuleList(
-            JointTransformer(width, config, pool=1 if deep else 2, with_text=deep)
+            JointTransformer(
+                width, config, pool=1 if level == deepest else 2, with_text=level == deepest
+            )
             for _ in range(transformers)
         )
 
@@ -208,23 +210,8 @@ class FourViewDenoiser(nn.Module):
         self.pooled = nn.Linear(config.text_width, e)
         folded = (IMAGE_CHANNELS + INPUT_CHANNELS) * _PATCH**2 + RAY_CHANNELS
         self.stem = nn.Conv2d(folded, w[0], 3, padding=1)
-        n_mid, n_deep = config.transformers
-        shallow = {"blocks": config.blocks[0], "transformers": 0, "deep": False}
-        middle = {"blocks": config.blocks[1], "deep": False}
-        self.down = nn.ModuleList(
-            [
-                Level(w[0], config, **shallow),
-                Level(w[1], config, transformers=n_mid, **middle),
-                Level(w[2], config, blocks=config.blocks[2], transformers=n_deep, deep=True),
-            ]
-        )
-        self.up = nn.ModuleList(
-            [
-                Level(w[0], config, **shallow),
-                Level(w[1], config, transformers=0, **middle),
-                Level(w[2], config, blocks=config.blocks[2], transformers=0, deep=True),
-            ]
-        )
+        self.down = nn.ModuleList(Level(level, config, going_down=True) for level in range(3))
+        self.up = nn.ModuleList(Level(level, config, going_down=False) for level in range(3))
         self.shrink = nn.ModuleList(
             nn.Conv2d(w[i], w[i + 1], _PATCH, stride=_PATCH) for i in range(2)
         )
@@ -232,8 +219,10 @@ class FourViewDenoiser(nn.Module):
         self.norm = nn.GroupNorm(config.groups, w[0])
         self.head = nn.Conv2d(w[0], IMAGE_CHANNELS * _PATCH**2, 3, padding=1)
         nn.init.zeros_(self.head.weight)
-        nn.init.zeros_(self.head.bias)
-        self.to(memory_format=torch.channels_last)
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d):
+                kernel = module.weight.data
+                module.weight.data = kernel.contiguous(memory_format=torch.channels_last)
 
     def forward(
         self,

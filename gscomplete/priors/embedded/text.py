@@ -123,7 +123,10 @@ class Tokenizer:
 
     def understood(self, prompt: str) -> PromptReport:
         """Sort the words of a prompt into known, unknown, ignored and dropped."""
-        known, unknown, ignored, dropped = [], [], [], []
+        known: list[str] = []
+        unknown: list[str] = []
+        ignored: list[str] = []
+        dropped: list[str] = []
         for word in split_words(prompt):
             if word in STOP_WORDS and word not in self._ids:
                 ignored.append(word)

@@ -42,7 +42,6 @@ class TrainingRecord:
 
     steps: int
     sets: int
-    distinct_sets: int
     hours: float
     machine: str
     seed: int

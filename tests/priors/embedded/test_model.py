@@ -1,0 +1,78 @@
+import itertools
+
+import pytest
+import torch
+
+from gscomplete.priors.embedded.model import FourViewDenoiser, ModelConfig, count_parameters
+from gscomplete.priors.embedded.rays import ring_rays
+from tests.priors.embedded.tiny import TINY, tiny_model
+
+
+def inputs(batch=2, seed=0):
+    g = torch.Generator().manual_seed(seed)
+    size = TINY.resolution_px
+    tokens = torch.tensor([[2, 3, 0, 0, 0, 0], [1, 0, 0, 0, 0, 0]])
+    return (
+        torch.randn(batch, 4, 4, size, size, generator=g),
+        torch.rand(batch, 4, 5, size, size, generator=g),
+        torch.rand(batch, generator=g) * 999,
+        torch.tensor([[20.0, 2.2, 40.0]]).repeat(batch, 1),
+        tokens[:batch],
+    )
+
+
+@torch.no_grad()
+def test_output_has_the_shape_of_the_images():
+    given = inputs()
+    assert tiny_model()(*given).shape == given[0].shape
+
+
+@torch.no_grad()
+def test_rings_of_a_batch_do_not_mix():
+    model, given = tiny_model(), inputs()
+    alone = model(*(part[:1] for part in given))
+    torch.testing.assert_close(model(*given)[:1], alone, rtol=1e-4, atol=1e-5)
+
+
+@torch.no_grad()
+def test_permuting_views_with_their_rays_permutes_the_output():
+    model = tiny_model()
+    noisy, mapped, at, ring, tokens = inputs()
+    rays = ring_rays(ring, TINY.resolution_px // 2)
+    plain = model(noisy, mapped, at, ring, tokens, rays)
+    torch.testing.assert_close(plain, model(noisy, mapped, at, ring, tokens))
+    for order in itertools.islice(itertools.permutations(range(4)), 1, 24, 5):
+        order = list(order)
+        moved = model(noisy[:, order], mapped[:, order], at, ring, tokens, rays[:, order])
+        torch.testing.assert_close(moved, plain[:, order], rtol=1e-4, atol=1e-5)
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("part", range(5))
+def test_every_input_matters(part):
+    model, given, other = tiny_model(), list(inputs()), list(inputs(seed=1))
+    other[3] = given[3] + torch.tensor([5.0, 0.2, 0.0])
+    other[4] = given[4].flip(0)
+    plain = model(*given)
+    given[part] = other[part]
+    assert float((model(*given) - plain).abs().max()) > 1e-4
+
+
+@torch.no_grad()
+def test_padding_of_the_prompt_does_not_matter():
+    model, given = tiny_model(), inputs()
+    shorter = (*given[:4], given[4][:, :3])
+    torch.testing.assert_close(model(*given), model(*shorter), rtol=1e-4, atol=1e-5)
+
+
+def test_text_reaches_every_view():
+    model, given = tiny_model(), inputs(1)
+    model.text.words.weight.grad = None
+    model(*given)[:, 3].square().sum().backward()
+    assert float(model.text.words.weight.grad[2].abs().sum()) > 0
+
+
+def test_shipped_size_fits_the_package():
+    with torch.device("meta"):
+        count = count_parameters(FourViewDenoiser(ModelConfig()))
+    assert 8e6 < count < 15e6

@@ -1,0 +1,154 @@
+import dataclasses
+
+import pytest
+import torch
+
+from gscomplete.errors import UserError
+from gscomplete.priors import FourViews, Guidance, Prior, load_prior
+from gscomplete.priors.embedded.prior import EmbeddedPrior
+from gscomplete.priors.embedded.weights import save_weights
+from tests.priors.embedded.tiny import ring_views, tiny_config, tiny_model
+
+
+@pytest.fixture(scope="module")
+def prior():
+    return EmbeddedPrior(tiny_model(), tiny_config(), precision="float32")
+
+
+def generator(seed=0):
+    return torch.Generator().manual_seed(seed)
+
+
+def test_it_is_a_prior(prior):
+    checked: Prior = prior
+    assert checked.sees_input
+    assert checked.num_timesteps == 1000
+    low, high = checked.views.radius_range()
+    assert 1.8 < low < high < 2.7
+
+
+def test_distill_gradient_is_the_residual_and_stops_at_the_target(prior):
+    size = prior.views.resolution_px
+    views = ring_views(size)
+    color = views.color.clone().requires_grad_()
+    alpha = views.alpha.clone().requires_grad_()
+    moved = dataclasses.replace(views, color=color, alpha=alpha)
+    loss = prior.distill(moved, 500.0, prior.condition("a red mug"), generator())
+    loss.backward()
+    # d/dx of 0.5 * sum((2x - 1 - target)^2) / 4 is (2x - 1 - target) / 2
+    residual = torch.cat([color.grad, alpha.grad[..., None]], -1) * 2
+    assert float(0.5 * residual.square().sum() / 4) == pytest.approx(loss.item(), rel=1e-4)
+
+
+def test_distill_is_differentiable_at_other_sizes(prior):
+    views = ring_views(40)
+    color = views.color.clone().requires_grad_()
+    prior.distill(
+        dataclasses.replace(views, color=color), 300.5, prior.condition("chair"), generator()
+    ).backward()
+    assert (color.grad != 0).float().mean() > 0.99
+
+
+def test_same_generator_same_numbers(prior):
+    views, words = ring_views(), prior.condition("red mug")
+    first = prior.distill(views, 700, words, generator(3), views)
+    assert torch.equal(first, prior.distill(views, 700, words, generator(3), views))
+    assert not torch.equal(first, prior.distill(views, 700, words, generator(4), views))
+
+
+def test_seeing_the_input_matters_and_its_absence_is_text_only(prior):
+    views, words = ring_views(), prior.condition("red mug")
+    guidance = Guidance()
+    blind = prior.distill(views, 700, words, generator(), None, guidance)
+    seeing = prior.distill(views, 700, words, generator(), ring_views(seed=5), guidance)
+    assert not torch.isclose(blind, seeing)
+    nothing = FourViews(
+        torch.zeros(4, 32, 32, 3), torch.zeros(4, 32, 32), torch.zeros(4, 32, 32), views.cameras
+    )
+    empty = prior.distill(views, 700, words, generator(), nothing, guidance)
+    torch.testing.assert_close(blind, empty)
+
+
+def test_a_prompt_not_understood_is_no_prompt(prior):
+    views = ring_views()
+    unknown, empty = prior.condition("qwerty"), prior.condition("")
+    assert "qwerty" in " ".join(unknown.report)
+    strong = Guidance(text_scale=7.0)
+    torch.testing.assert_close(
+        prior.distill(views, 400, unknown, generator(), None, strong),
+        prior.distill(views, 400, empty, generator(), None, strong),
+    )
+
+
+def test_negative_prompt_takes_the_place_of_no_text(prior):
+    views, guidance = ring_views(), Guidance(text_scale=3.0)
+    plain = prior.distill(views, 600, prior.condition("red mug"), generator(), None, guidance)
+    away = prior.condition("red mug", "blue chair")
+    assert any("negative" in line for line in away.report)
+    assert not torch.isclose(plain, prior.distill(views, 600, away, generator(), None, guidance))
+
+
+@pytest.mark.parametrize("timestep", [999, 5000, 350.25])
+def test_reconstruct_gives_valid_images_without_graph(prior, timestep):
+    views = ring_views()
+    views = dataclasses.replace(views, color=views.color.requires_grad_())
+    color, alpha = prior.reconstruct(
+        views, timestep, prior.condition("mug"), generator(), views, num_steps=3
+    )
+    size = prior.views.resolution_px
+    assert color.shape == (4, size, size, 3)
+    assert alpha.shape == (4, size, size)
+    assert not color.requires_grad
+    assert ((color >= 0) & (color <= alpha[..., None]) & (alpha[..., None] <= 1)).all()
+
+
+def test_reconstruct_from_pure_noise_sees_only_the_cameras(prior):
+    words = prior.condition("mug")
+    first = prior.reconstruct(ring_views(seed=1), 999, words, generator(), num_steps=2)
+    second = prior.reconstruct(ring_views(seed=2), 999, words, generator(), num_steps=2)
+    torch.testing.assert_close(first, second)
+
+
+def test_yaw_of_the_ring_does_not_matter_but_elevation_does(prior):
+    words = prior.condition("mug")
+    flat, steep = ring_views(elevation_deg=0.0), ring_views(elevation_deg=40.0)
+    first = prior.distill(flat, 600, words, generator())
+    turned = ring_views(elevation_deg=0.0, azimuth_deg=-200.0)
+    torch.testing.assert_close(first, prior.distill(turned, 600, words, generator()))
+    assert not torch.isclose(first, prior.distill(steep, 600, words, generator()))
+
+
+@pytest.mark.parametrize("timestep", [-1, 1000, float("nan")])
+def test_timesteps_out_of_range_are_refused(prior, timestep):
+    with pytest.raises(ValueError, match="timestep"):
+        prior.distill(ring_views(), timestep, prior.condition(""), generator())
+
+
+def test_another_priors_conditioning_is_refused(prior):
+    class Other:
+        report = ()
+
+    with pytest.raises(TypeError, match="Other"):
+        prior.distill(ring_views(), 5, Other(), generator())
+
+
+def test_unknown_prior_and_empty_folder_are_user_errors(tmp_path):
+    with pytest.raises(UserError, match="expected embedded"):
+        load_prior("no-such-prior")
+    with pytest.raises(UserError, match="missing"):
+        load_prior(str(tmp_path))
+
+
+def test_weights_from_a_folder(tmp_path, prior):
+    save_weights(tmp_path, tiny_model().state_dict(), tiny_config())
+    loaded = load_prior(str(tmp_path))
+    assert loaded.views == prior.views
+    words = loaded.condition("a red mug")
+    assert words.report == prior.condition("a red mug").report
+    assert torch.isfinite(loaded.distill(ring_views(), 500, words, generator()))
+
+
+def test_views_of_wrong_shape_are_refused():
+    views = ring_views()
+    with pytest.raises(ValueError, match="color: expected"):
+        dataclasses.replace(views, color=views.color[:, :-1])
