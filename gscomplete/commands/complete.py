@@ -62,6 +62,8 @@ class CompleteOptions:
     """Same seed, same bytes."""
     device: str = "auto"
     """cpu, cuda, cuda:1, or auto = cuda if there is one."""
+    checkpoint_every: int | None = None
+    """Steps between checkpoints; None = the preset's."""
     resume: bool = False
     """Continue the run in --out from its last checkpoint; all other options must be the same."""
     json: bool = False
@@ -84,7 +86,7 @@ def run(options: CompleteOptions) -> int:
         print(json.dumps(content))
         return 0
     result = content["result"]
-    c, views = result["metrics"]["input_view"], result["metrics"]["over_views"]
+    c, views = result["metrics"]["input_view"], result["metrics"]["all_views"]
     _say(
         options,
         f"{result['new_splats']:,} new splats in {content['timings']['optimise_s']:.1f} s",
@@ -113,8 +115,9 @@ def _request(options: CompleteOptions, prior: Prior) -> Request:
     settings = dataclasses.replace(
         preset(options.preset, prior.name), seed=options.seed, see_input=not options.text_only
     )
-    if options.steps is not None:
-        settings = dataclasses.replace(settings, steps=options.steps)
+    for name in ("steps", "checkpoint_every"):
+        if getattr(options, name) is not None:
+            settings = dataclasses.replace(settings, **{name: getattr(options, name)})
     view = parse_numbers(options.view, 2, "--view", "AZIMUTH,ELEVATION")
     center = parse_numbers(options.center, 3, "--center", "X,Y,Z")
     if view is not None and not -90 <= view[1] <= 90:

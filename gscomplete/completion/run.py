@@ -29,8 +29,8 @@ from gscomplete.completion.optimise import Completion, StepReport
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.completion.working_set import WorkingSet, working_set
 from gscomplete.errors import UserError
-from gscomplete.evaluate.metrics import preservation
 from gscomplete.evaluate.pictures import preview_sheet, save_image, save_turntable
+from gscomplete.evaluate.report import evaluate
 from gscomplete.priors.base import Prior
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.ply import SplatFile, append_splats, read_splats
@@ -41,9 +41,6 @@ RUN_FILE = "run.json"
 OUTPUT_FILE = "completed.ply"
 LOG_FILE = "log.jsonl"
 CHECKPOINTS = "checkpoints"
-METRIC_VIEWS = 16
-"""Views of V, spread evenly, that the errors are averaged over."""
-METRIC_SIZE_PX = 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +108,7 @@ def prepare(request: Request, prior: Prior) -> Run:
         "views": distribution.to_json(),
         "settings": jsonio.to_json(request.settings),
     }
+    del identity["settings"]["checkpoint_every"]  # decides nothing about the result
     notes = (*notes, chosen.summary(), *conditioning.report)
     run = Run(request, source, chosen, frame, distribution, notes, completion, identity)
     if request.resume:
@@ -173,20 +171,7 @@ def _finish(run: Run) -> dict[str, Any]:
     partial = run.completion.partial
     whole = concatenate([partial, new])
     started = time.perf_counter()
-    metrics = {
-        "input_view": jsonio.to_json(
-            preservation(whole, partial, run.distribution.input_camera(METRIC_SIZE_PX))
-        ),
-        "over_views": jsonio.to_json(
-            preservation(
-                whole,
-                partial,
-                run.distribution.cameras(
-                    run.distribution.low_discrepancy(METRIC_VIEWS), METRIC_SIZE_PX
-                ),
-            )
-        ),
-    }
+    metrics = jsonio.to_json(evaluate(whole, partial, run.distribution))
     run.timings["measure_s"] = time.perf_counter() - started
     started = time.perf_counter()
     sheet = preview_sheet(partial, whole, run.distribution, title=run.request.prompt)

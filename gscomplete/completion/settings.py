@@ -150,6 +150,18 @@ class CompletionSettings:
         if not self.timesteps or self.timesteps[-1].until < 1.0:
             raise UserError("timesteps: the last stage must end at 1.0")
 
+    def ablated(self) -> CompletionSettings:
+        """Return the settings without preservation loss, schedule and warm-up (Table 2, row 1).
+
+        Timesteps are then uniform in [20, 980] throughout, as the paper adapts from DreamGaussian.
+        """
+        return dataclasses.replace(
+            self,
+            preservation_weight=0.0,
+            warmup_steps=0,
+            timesteps=(TimestepStage(1.0, 20.0, 980.0),),
+        )
+
 
 PAPER = CompletionSettings()
 """The paper's settings (sections 3.1 to 3.3)."""

@@ -1,0 +1,192 @@
+"""``gscomplete complete`` as a user runs it: in a process of its own, on real files, and killed."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+
+from gscomplete.splats import Splats, colors_to_sh, read_splats, write_splats
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+SAMPLE = REPOSITORY / "recipes/demo/partial.ply"
+QUICK = ("--preset", "fast", "--steps", "24")
+
+
+def gscomplete(*arguments: object, **kwargs) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-m", "gscomplete.cli", *map(str, arguments)]
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=170, cwd=REPOSITORY, **kwargs
+    )
+
+
+def complete(path: Path, out: Path, *more: object) -> subprocess.CompletedProcess:
+    return gscomplete("complete", path, "--prompt", "a red mug", "--out", out, *QUICK, *more)
+
+
+def shell(count: int = 800, offset: float = 0.0, size: float = 1.0) -> Splats:
+    g = torch.Generator().manual_seed(0)
+    normal = torch.nn.functional.normalize(torch.randn(count, 3, generator=g), dim=1)
+    normal[:, 0] = normal[:, 0].abs()
+    return Splats(
+        normal * 0.5 * size + offset,
+        torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1),
+        torch.full((count, 3), 0.03 * size),
+        torch.full((count,), 0.9),
+        colors_to_sh(torch.rand(count, 3, generator=g)),
+    )
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("run") / "mug"
+    result = complete(SAMPLE, out)
+    assert result.returncode == 0, result.stderr
+    return out
+
+
+def test_run_folder_is_complete_and_partial_is_kept_byte_for_byte(finished):
+    names = {path.name for path in finished.iterdir()}
+    assert {"completed.ply", "run.json", "preview.png", "turntable.webp", "log.jsonl"} <= names
+    source, completed = read_splats(SAMPLE), read_splats(finished / "completed.ply")
+    records = bytes(source.payload.records)
+    assert bytes(completed.payload.records[: len(records)]) == records
+    content = json.loads((finished / "run.json").read_text())
+    new = content["result"]["new_splats"]
+    assert completed.n_rows == source.n_rows + new
+    assert f"gscomplete new_splats {new}" in completed.comments
+    assert content["status"] == "finished"
+    assert content["result"]["metrics"]["all_views"]["color"] >= 0
+    assert len((finished / "log.jsonl").read_text().splitlines()) == 24
+    assert gscomplete("validate", finished / "completed.ply").returncode == 0
+
+
+def test_same_seed_same_bytes(finished, tmp_path):
+    assert complete(SAMPLE, tmp_path / "again").returncode == 0
+    again = (tmp_path / "again/completed.ply").read_bytes()
+    assert again == (finished / "completed.ply").read_bytes()
+
+
+def test_killed_and_resumed_run_gives_the_same_bytes(finished, tmp_path):
+    out = tmp_path / "killed"
+    command = [sys.executable, "-m", "gscomplete.cli", "complete", SAMPLE, "--prompt", "a red mug"]
+    command += ["--out", out, *QUICK, "--checkpoint-every", "5"]
+    child = subprocess.Popen(list(map(str, command)), cwd=REPOSITORY, stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 120
+    checkpoint = out / "checkpoints/latest.safetensors"
+    while not checkpoint.exists() and child.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.02)
+    os.kill(child.pid, signal.SIGKILL)
+    child.wait()
+    assert not (out / "completed.ply").exists()
+    result = complete(SAMPLE, out, "--checkpoint-every", "5", "--resume")
+    assert result.returncode == 0, result.stderr
+    assert "resuming at step" in result.stdout
+    assert (out / "completed.ply").read_bytes() == (finished / "completed.ply").read_bytes()
+    lines = [json.loads(line)["step"] for line in (out / "log.jsonl").read_text().splitlines()]
+    assert lines == list(range(24))
+
+
+def test_resume_with_other_options_is_refused(finished):
+    result = complete(SAMPLE, finished, "--resume", "--seed", "5")
+    assert result.returncode == 2
+    assert "seed: the run has 0, asked for 5" in result.stderr
+
+
+def test_existing_folder_is_not_touched(finished):
+    before = (finished / "completed.ply").read_bytes()
+    result = complete(SAMPLE, finished)
+    assert result.returncode == 2
+    assert "exists and is not empty" in result.stderr
+    assert (finished / "completed.ply").read_bytes() == before
+
+
+@pytest.mark.parametrize(("offset", "size"), [(1e4, 1.0), (0.0, 1e-6), (0.0, 1e6)])
+def test_any_place_and_size(tmp_path, offset, size):
+    path = tmp_path / "shell.ply"
+    write_splats(path, shell(offset=offset, size=size))
+    result = complete(path, tmp_path / "out", "--json")
+    assert result.returncode == 0, result.stderr
+    content = json.loads(result.stdout)
+    assert content["identity"]["frame"]["size_file"] == pytest.approx(size, rel=0.6)
+    completed = read_splats(tmp_path / "out/completed.ply").splats
+    assert (completed.means - offset).abs().max() < 2 * size
+
+
+def test_bad_files_are_named_without_a_traceback(tmp_path):
+    broken = shell()
+    nan = Splats(broken.means * torch.nan, *(v for n, v in broken.fields() if n != "means"))
+    good = tmp_path / "good.ply"
+    write_splats(good, shell())
+    data = good.read_bytes()
+    nan_bytes = bytearray(data)
+    head = data.index(b"end_header\n") + 11
+    nan_bytes[head:] = b"\xff" * (len(data) - head)
+    cases = {
+        "text.ply": b"hello",
+        "empty.ply": b"",
+        "truncated.ply": data[: len(data) // 2],
+        "nan.ply": bytes(nan_bytes),
+        "mesh.ply": b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+        b"property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+        b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n",
+    }
+    assert not torch.isfinite(nan.means).any()
+    for name, content in cases.items():
+        path = tmp_path / name
+        path.write_bytes(content)
+        result = complete(path, tmp_path / f"out_{name}")
+        assert result.returncode == 2, (name, result.stderr)
+        assert name in result.stderr, name
+        assert "Traceback" not in result.stderr, name
+        assert path.read_bytes() == content, name
+
+
+def test_single_splat_needs_a_frame_and_then_completes(tmp_path):
+    path = tmp_path / "one.ply"
+    write_splats(path, shell(1))
+    alone = complete(path, tmp_path / "a")
+    assert alone.returncode == 2
+    assert "--center and --size" in alone.stderr
+    framed = complete(
+        path, tmp_path / "b", "--center", "0,0,0", "--size", "1", "--view", "0,10"
+    )
+    assert framed.returncode == 0, framed.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--prior", "nonsense"), "nonsense"),
+        (("--view", "north"), "--view"),
+        (("--size", "-1"), "--size"),
+        (("--device", "tpu9"), "--device"),
+        (("--steps", "0"), "steps"),
+        (("--out", "/proc/forbidden/x"), "cannot create"),
+        (("--nonsense-option", "1"), "nonsense-option"),
+    ],
+)
+def test_bad_options_are_named(tmp_path, arguments, message):
+    result = complete(SAMPLE, tmp_path / "out", *arguments)
+    assert result.returncode == 2
+    assert message in result.stderr + result.stdout
+    assert "Traceback" not in result.stderr
+
+
+def test_prompts_without_sense(tmp_path):
+    empty = gscomplete("complete", SAMPLE, "--prompt", " ", "--out", tmp_path / "a")
+    assert empty.returncode == 2
+    assert "--prompt" in empty.stderr
+    missing = gscomplete("complete", SAMPLE, "--out", tmp_path / "b")
+    assert missing.returncode == 2
+    assert "--prompt" in missing.stderr + missing.stdout
+    unknown = gscomplete(
+        "complete", SAMPLE, "--prompt", "xyzzy plugh", "--out", tmp_path / "c", *QUICK
+    )
+    assert unknown.returncode == 0
+    assert "xyzzy" in unknown.stdout
