@@ -8,7 +8,7 @@ from gscomplete.views.cameras import (
     orbit_cameras,
     radius_to_fit,
 )
-from gscomplete.views.distribution import ViewDistribution, six_preview_azimuths, spherical_views
+from gscomplete.views.distribution import ViewDistribution
 from gscomplete.views.frame import ObjectFrame, UpAxis, up_rotation
 
 __all__ = [
@@ -21,7 +21,5 @@ __all__ = [
     "join_cameras",
     "orbit_cameras",
     "radius_to_fit",
-    "six_preview_azimuths",
-    "spherical_views",
     "up_rotation",
 ]

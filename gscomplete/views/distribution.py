@@ -1,4 +1,4 @@
-"""View distributions: where the partial object must keep its looks, and sets of views to show it.
+"""View distributions: where the partial object must keep its looks, and views to show it from.
 
 Conventions
 -----------
@@ -121,8 +121,8 @@ class ViewDistribution:
         return self.cameras((azimuths, elevations), size_px)
 
     def preview_cameras(self, size_px: int) -> Cameras:
-        """Place the six cameras of a run's preview."""
-        return self.ring(len(six_preview_azimuths(self.azimuth_deg)), size_px)
+        """Place the six cameras of a run's preview, 60 degrees apart, c first."""
+        return self.ring(6, size_px)
 
     def to_json(self) -> dict[str, Any]:
         """Return the distribution as plain JSON values with schema name and version."""
@@ -151,31 +151,6 @@ class ViewDistribution:
         azimuths = self.azimuth_deg + self.azimuth_range_deg * offset[:, 0]
         elevations = self.elevation_deg + self.elevation_range_deg * offset[:, 1]
         return azimuths, _clamp_elevations(elevations)
-
-
-def spherical_views(
-    count: int, *, min_elevation_deg: float = -30.0, max_elevation_deg: float = 60.0
-) -> Angles:
-    """Spread ``count`` views evenly by area over a band of the sphere (Fibonacci lattice).
-
-    Raises:
-        ValueError: the elevations are not ordered within +/-90.
-    """
-    if not -90.0 <= min_elevation_deg < max_elevation_deg <= 90.0:
-        raise ValueError(
-            "spherical_views: expected -90 <= min_elevation_deg < max_elevation_deg <= 90, "
-            f"found {min_elevation_deg} and {max_elevation_deg}"
-        )
-    index = np.arange(count) + 0.5
-    low, high = np.sin(np.deg2rad([min_elevation_deg, max_elevation_deg]))
-    elevations = np.rad2deg(np.arcsin(low + (high - low) * index / count))
-    golden_angle_deg = 180.0 * (3.0 - math.sqrt(5.0))
-    return (index * golden_angle_deg) % 360.0, _clamp_elevations(elevations)
-
-
-def six_preview_azimuths(azimuth_deg: float) -> NDArray[np.floating]:  # [6]
-    """Return six azimuths 60 degrees apart, beginning with the given one."""
-    return azimuth_deg + 60.0 * np.arange(6)
 
 
 def _clamp_elevations(elevations_deg: Any) -> Any:

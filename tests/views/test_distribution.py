@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gscomplete.errors import UserError
-from gscomplete.views import ViewDistribution, six_preview_azimuths, spherical_views
+from gscomplete.views import ViewDistribution
 from gscomplete.views.distribution import MAX_ELEVATION_DEG
 
 distributions = st.builds(
@@ -89,18 +89,15 @@ def test_cameras_look_at_the_target_from_the_right_side() -> None:
     )
 
 
-def test_six_previews_begin_with_c() -> None:
-    np.testing.assert_allclose(six_preview_azimuths(20), [20, 80, 140, 200, 260, 320])
-
-
-@given(st.integers(1, 200))
-@settings(max_examples=20)
-def test_spherical_views_are_distinct_and_in_band(count: int) -> None:
-    azimuths, elevations = spherical_views(count)
-    assert len(set(zip(azimuths, elevations, strict=True))) == count
-    assert np.all((elevations >= -30) & (elevations <= 60))
-    with pytest.raises(ValueError, match="min_elevation_deg"):
-        spherical_views(count, min_elevation_deg=10, max_elevation_deg=5)
+@pytest.mark.parametrize("elevation_deg", [-20.0, 0.0, 90.0])
+def test_rings_begin_with_c_and_turn_anticlockwise(elevation_deg: float) -> None:
+    views = ViewDistribution(20.0, elevation_deg, radius=2.0)
+    ring = views.ring(6, 16)
+    torch.testing.assert_close(ring[0].positions, views.input_camera(16).positions)
+    found = torch.rad2deg(torch.atan2(ring.positions[:, 1], ring.positions[:, 0])) % 360
+    expected = torch.tensor([20.0, 80.0, 140.0, 200.0, 260.0, 320.0])
+    torch.testing.assert_close(found, expected, atol=1e-3, rtol=0)
+    assert float(ring.positions[:, 2].std()) < 1e-5
 
 
 @given(distributions)
