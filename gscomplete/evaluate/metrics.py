@@ -27,6 +27,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from gscomplete.errors import UserError
 from gscomplete.render import Render, render
 from gscomplete.splats import Splats
 from gscomplete.views import Cameras
@@ -92,7 +93,7 @@ def preservation(
         background: colour in [0, 1] behind both.
 
     Raises:
-        ValueError: P is not visible from any of the views.
+        UserError: P is not visible from any of the views.
     """
     with torch.no_grad():
         behind = partial.means.new_tensor(background)
@@ -118,7 +119,7 @@ def against_truth(
         background: colour in [0, 1] behind all three.
 
     Raises:
-        ValueError: neither O nor T is visible from any of the views.
+        UserError: neither O nor T is visible from any of the views.
     """
     with torch.no_grad():
         behind = partial.means.new_tensor(background)
@@ -130,12 +131,15 @@ def preservation_of_renders(completed: Render, partial: Render) -> PreservationE
     """Measure E_color and E_depth from renders of O and P over one background.
 
     Raises:
-        ValueError: P's mask is empty in every view.
+        UserError: P's mask is empty in every view.
     """
     mask = partial.alpha.double()  # [V, H, W]
     total = float(mask.sum())
     if total <= 0.0:
-        raise ValueError("preservation: P is not visible from any of the views")
+        raise UserError(
+            "preservation: the partial input is not visible from any of the views; check the "
+            "centre, the size and the input view"
+        )
     difference = completed.color.double() - partial.color.double()
     color = difference.square().mean(dim=-1)  # [V, H, W]
     depth = (completed.depth.double() - partial.depth.double()).square()
@@ -156,13 +160,13 @@ def truth_errors_of_renders(completed: Render, partial: Render, truth: Render) -
     """Compare renders of O with renders of T where P shows nothing; one background for all.
 
     Raises:
-        ValueError: neither O nor T shows anything in any view.
+        UserError: neither O nor T shows anything in any view.
     """
     ours = completed.alpha >= COVERED_ALPHA  # [V, H, W]
     real = truth.alpha >= COVERED_ALPHA
     either = ours | real
     if not bool(either.any()):
-        raise ValueError("against_truth: neither the completion nor the truth is visible")
+        raise UserError("against_truth: neither the completion nor the truth is visible")
     open_ = partial.alpha < COVERED_ALPHA
     hidden = open_ & either
     both = int((hidden & ours & real).sum())

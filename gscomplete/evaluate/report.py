@@ -64,7 +64,7 @@ def evaluate(
         settings: knobs; None = defaults.
 
     Raises:
-        ValueError: P is not visible from c.
+        UserError: P is not visible from c.
     """
     chosen = settings or EvaluationSettings()
     camera = views.input_camera(chosen.size_px)

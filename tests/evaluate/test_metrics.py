@@ -8,6 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gscomplete.errors import UserError
 from gscomplete.evaluate import PreservationErrors, against_truth, preservation
 from gscomplete.evaluate.metrics import preservation_of_renders, truth_errors_of_renders
 from gscomplete.render import Render
@@ -79,9 +80,9 @@ def test_identical_renders_have_no_error() -> None:
 
 def test_invisible_input_is_an_error() -> None:
     nothing = Render(torch.zeros(1, 4, 4, 3), torch.zeros(1, 4, 4), torch.zeros(1, 4, 4))
-    with pytest.raises(ValueError, match="not visible"):
+    with pytest.raises(UserError, match="not visible"):
         preservation_of_renders(random_render(0, 1, 4), nothing)
-    with pytest.raises(ValueError, match="visible"):
+    with pytest.raises(UserError, match="visible"):
         truth_errors_of_renders(nothing, nothing, nothing)
 
 
