@@ -8,6 +8,7 @@ Conventions
   stretched to a multiple of ``SEAM_UNIT``, so that patterns with a whole number of periods per
   seam unit close without a seam.
 * ``feature`` is the half-thickness of a thin part (None: thick): discs are kept smaller than it.
+  For solids it is the middle half size: rods are thin, plates are not.
 """
 
 from __future__ import annotations
@@ -160,10 +161,8 @@ def cylinder(
 ) -> Quads:
     """Return a closed cylinder or cone frustum standing on z = 0."""
     top = radius if top_radius is None else top_radius
-    thin = min(0.5 * height, max(radius, top))
-    return revolve(
-        [(0, 0), (radius, 0), (top, height), (0, height)], segments, feature=thin
-    )
+    thin = max(radius, top)
+    return revolve([(0, 0), (radius, 0), (top, height), (0, height)], segments, feature=thin)
 
 
 def ellipsoid(
@@ -197,7 +196,7 @@ def ellipsoid(
     around = seam_length(math.pi * (radii[0] + radii[1]))
     uv[..., 0] = theta * np.float32(around / (2 * math.pi))
     uv[..., 1] = (phi * np.float32(0.5 * (radii[2] + max(radii[:2]))))[:, None]
-    return grid(vertices, uv, min(radii))
+    return grid(vertices, uv, sorted(radii)[1])
 
 
 _BOX_FACES = np.array(
@@ -238,7 +237,7 @@ def box(
         + [[size[1], size[2]]] * 2,
         np.float32,
     )
-    return Quads(corners, _FACE_UV * across[:, None], 0.5 * min(size))
+    return Quads(corners, _FACE_UV * across[:, None], 0.5 * sorted(size)[1])
 
 
 def tray(size: Sequence[float], wall: float, taper: float = 1.0) -> Quads:
@@ -290,7 +289,8 @@ def prism(
     sides = [grid(rings, uv, None), polygon_fan(base, 0.0, up=False)]
     if top_scale > 1e-3:
         sides.append(polygon_fan(top, height, up=True))
-    return replace(join(sides), feature=0.5 * height)
+    extents = [*np.ptp(base, axis=0).tolist(), height]
+    return replace(join(sides), feature=0.5 * sorted(extents)[1])
 
 
 def loft(sections: FloatArray, feature: float | None = None) -> Quads:

@@ -44,7 +44,7 @@ class SurfaceSamples:
 
 THIN_SPACING = 1.1
 """Largest spacing on a thin part, in units of its half-thickness."""
-FINEST = 0.3
+FINEST = 0.4
 """Smallest spacing on a thin part, in units of the common spacing."""
 
 
