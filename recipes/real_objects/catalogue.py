@@ -97,11 +97,11 @@ def _scan(name: str, file: str, label: int, prompt: str) -> Entry:
 
 
 ENTRIES: tuple[Entry, ...] = (
-    _mesh("blue_mug", "urdf_models/blue_cup/textured.obj", "Z", PlaneCut(60.0)),
+    _mesh("blue_mug", "urdf_models/blue_cup/textured.obj", "Z", PlaneCut(60.0, -0.03)),
     _mesh("bowl", "urdf_models/doraemon_bowl/textured.obj", "Z", PlaneCut(200.0)),
     _mesh("apple", "urdf_models/plastic_apple/textured.obj", "Z", PlaneCut(120.0, -0.05)),
     _mesh("stapler", "urdf_models/stapler_1/textured.obj", "Z", ScanCut((30.0,))),
-    _mesh("plate_rack", "urdf_models/plate_holder/textured.obj", "Z", PlaneCut(90.0)),
+    _mesh("plate_rack", "urdf_models/plate_holder/textured.obj", "Z", PlaneCut(0.0, -0.01)),
     _house("orange_table", "BalconyTable_01", PlaneCut(150.0)),
     _house("armchair", "ChairA_01", ScanCut((20.0, 60.0))),
     _house("bed", "Bed_01", PlaneCut(0.0)),
@@ -112,11 +112,11 @@ ENTRIES: tuple[Entry, ...] = (
     _house("sofa", "Sofa_01", ScanCut((30.0,))),
     _house("shoe_rack", "ShoeRack_01", BoxCut((-0.5, -0.5, -0.5), (0.0, 0.5, 0.5))),
     _house("chandelier", "Chandelier_01", PlaneCut(30.0)),
-    _mesh("banana", "bullet3/data/banana.obj", "Z", PlaneCut(0.0)),
+    _mesh("banana", "bullet3/data/banana.obj", "Z", PlaneCut(0.0, -0.05)),
     _mesh("pink_cup", "bullet3/data/dinnerware/cup/Cup/textured-0008192.obj", "Z", PlaneCut(250.0)),
     _mesh("soccer_ball", "bullet3/pybullet_data/soccerball.obj", "Z", PlaneCut(140.0)),
     _mesh("duck", "trimesh/Duck.glb", "Y", PlaneCut(90.0)),
-    _mesh("knight", "gltf_transform/chr_knight.glb", "Y", PlaneCut(90.0)),
+    _mesh("knight", "gltf_transform/chr_knight.glb", "Y", PlaneCut(90.0, -0.02)),
     _mesh("chair", "habitat/chair.glb", "Y", PlaneCut(0.0)),
     _mesh("donut", "habitat/donut.glb", "Y", PlaneCut(300.0)),
     _mesh(
@@ -140,7 +140,9 @@ ENTRIES: tuple[Entry, ...] = (
     _mesh("bottle", "trimesh/fuze.obj", "Z", PlaneCut(60.0)),
     _mesh("sunflower", "webxr/sunflower/sunflower.gltf", "Y", PlaneCut(180.0)),
     _mesh("headset", "webxr/headset/headset.gltf", "Y", PlaneCut(0.0), has_linear_colors=False),
-    _mesh("speaker", "webxr/stereo/stereo.gltf", "Y", PlaneCut(90.0), has_linear_colors=False),
+    _mesh(
+        "speaker", "webxr/stereo/stereo.gltf", "Y", PlaneCut(90.0, -0.02), has_linear_colors=False
+    ),
     _mesh(
         "beige_mug",
         "libero/libero_mug_yellow/libero_mug_yellow.obj",
@@ -150,7 +152,7 @@ ENTRIES: tuple[Entry, ...] = (
         texture="mesh/libero/libero_mug_yellow/libero_mug_yellow.png",
     ),
     _mesh("armadillo", "armadillo.obj", "Y", PlaneCut(90.0)),
-    Entry("biker", "splats/playcanvas/biker.compressed.ply", "splats", "-Y", PlaneCut(90.0)),
+    Entry("biker", "splats/playcanvas/biker.compressed.ply", "splats", "-Y", PlaneCut(90.0, -0.01)),
     _scan("scan_cereal_box", "test_test10", 2, "a yellow cereal box"),
     _scan("scan_red_box", "learn_learn12", 3, "a red and white box"),
     _scan("scan_yellow_box", "test_test47", 5, "a yellow box"),
