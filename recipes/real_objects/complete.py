@@ -72,7 +72,8 @@ def complete_object(item: RealObject, folder: Path, prior: Prior, settings: Comp
     folder.parent.mkdir(parents=True, exist_ok=True)
     partial = folder.parent / f"{item.name}.partial.ply"
     write_splats(partial, item.partial)
-    request = Request(partial, item.prompt, folder, settings, up=item.up)
+    resume = (folder / RUN_FILE).exists()  # of a run that was interrupted
+    request = Request(partial, item.prompt, folder, settings, up=item.up, resume=resume)
     execute(prepare(request, prior), lambda report: None)
 
 
