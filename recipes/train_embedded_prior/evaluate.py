@@ -1,5 +1,7 @@
 """Measure a denoiser on objects it never saw, and draw what it imagines.
 
+``python -m recipes.train_embedded_prior.evaluate --weights DIR --out sheet.png``
+
 Conventions
 -----------
 * Held-out losses are the plain mean squared error of v, by timestep, with and without P, always
@@ -11,15 +13,20 @@ Conventions
 from __future__ import annotations
 
 import contextlib
+import logging
+import sys
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import torch
+import tyro
 from PIL import Image
 from torch import Tensor
 
 from gscomplete.atomic import atomic_path
+from gscomplete.errors import UserError
 from gscomplete.priors.embedded.diffusion import (
     NUM_TIMESTEPS,
     add_noise,
@@ -30,9 +37,14 @@ from gscomplete.priors.embedded.diffusion import (
 )
 from gscomplete.priors.embedded.inputs import images_to_color_alpha
 from gscomplete.priors.embedded.model import FourViewDenoiser
+from gscomplete.priors.embedded.prior import packaged_weights
 from gscomplete.priors.embedded.text import NO_TEXT_TOKEN
+from gscomplete.priors.embedded.weights import load_weights
+from recipes.train_embedded_prior.config import DataConfig
 from recipes.train_embedded_prior.dataset import HELD_OUT_SEED_OFFSET, Batch, decode_sets
 from recipes.train_embedded_prior.shards import ShardSpec
+
+_LOG = logging.getLogger(__name__)
 
 LOSS_TIMESTEPS = (100, 300, 500, 700, 900)
 _SHEET_SETS = 4
@@ -162,3 +174,49 @@ def _predict(
         with autocast(noisy.device.type, precision):
             parts.append(model(noisy[cut], mapped[cut], timestep[cut], ring[cut], tokens[cut]))
     return torch.cat(parts)
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluateConfig:
+    """Which weights to look at."""
+
+    out: Path
+    """PNG for the sample sheet."""
+    weights: Path = field(default_factory=packaged_weights)
+    """Folder of exported weights; the default is the package's own."""
+    sets: int = 32
+    """Held-out sets to measure on."""
+    seed: int = 0
+    """Seed of the training run, from which the held-out seed follows."""
+    precision: Literal["bfloat16", "float32"] = "bfloat16"
+
+
+def main() -> int:
+    """Run from the command line."""
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    options = tyro.cli(EvaluateConfig, description=__doc__)
+    from recipes.train_embedded_prior.source import procedural_source
+
+    try:
+        model, config = load_weights(options.weights)
+        spec = ShardSpec(
+            procedural_source,
+            DataConfig(),
+            config.words,
+            config.model.text_length,
+            config.model.resolution_px,
+            options.seed,
+            shard_sets=1,
+        )
+        batch = held_out_sets(spec, options.sets)
+        for name, value in measure_losses(model, batch, options.precision).items():
+            _LOG.info("%-12s %.4f", name, value)
+        save_sample_sheet(model, batch, options.precision, options.out)
+    except UserError as error:
+        _LOG.error("%s", error)
+        return error.exit_code
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

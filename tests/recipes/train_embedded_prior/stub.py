@@ -1,0 +1,51 @@
+"""Objects that cost nothing to make, and a training run that fits a test."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from gscomplete.splats.record import Splats, colors_to_sh
+from recipes.train_embedded_prior.config import DataConfig, TrainConfig
+from recipes.train_embedded_prior.dataset import TrainingObject
+from tests.priors.embedded.tiny import TINY
+
+WORDS = ("ball", "blue", "red")
+DATA = DataConfig(render_px=32)
+
+
+def stub_source(seed: int, index: int) -> TrainingObject:
+    rng = np.random.default_rng((seed, index, 9))
+    points = rng.normal(size=(200, 3))
+    points = torch.from_numpy(points / np.linalg.norm(points, axis=1, keepdims=True) / 2).float()
+    red = rng.random() < 0.5
+    colors = torch.tensor([[0.9, 0.1, 0.1] if red else [0.1, 0.1, 0.9]]).expand(200, 3)
+    splats = Splats(
+        points,
+        torch.tensor([[1.0, 0, 0, 0]]).repeat(200, 1),
+        torch.full((200, 3), 0.04),
+        torch.full((200,), 0.95),
+        colors_to_sh(colors),
+    )
+    side = float(rng.uniform(-0.2, 0.1))
+    caption = f"a {'red' if red else 'blue'} ball"
+    return TrainingObject(splats, caption, lambda disturb: splats.select(points[:, 0] > side))
+
+
+def tiny_run(out: Path, **changes: object) -> TrainConfig:
+    options: dict[str, object] = {
+        "minutes": None,
+        "steps": 4,
+        "batch_sets": 2,
+        "warmup_steps": 2,
+        "replicas": 1,
+        "workers": 0,
+        "evaluation_sets": 0,
+        "shard_sets": 2,
+        "precision": "float32",
+        "data": DATA,
+        "model": TINY,
+    }
+    return TrainConfig(out, **(options | changes))  # type: ignore[arg-type]

@@ -1,0 +1,43 @@
+import numpy as np
+import pytest
+
+from gscomplete.errors import UserError
+from recipes.train_embedded_prior.shards import ShardReader, ShardSpec
+from tests.recipes.train_embedded_prior.stub import DATA, WORDS, stub_source
+
+
+def failing_source(seed, index):
+    raise RuntimeError("no object today")
+
+
+def spec(source=stub_source, **changes):
+    options = {"words": WORDS, "text_length": 6, "resolution_px": 16, "seed": 0, "shard_sets": 4}
+    return ShardSpec(source, DATA, **(options | changes))
+
+
+def test_reading_gives_the_sets_and_deletes_what_was_passed(tmp_path):
+    made = spec().maker()
+    with ShardReader(spec(), tmp_path, workers=0, first=0) as reader:
+        for first in range(0, 24, 3):
+            read = reader.read(range(first, first + 3))
+            expected = np.stack([made(k) for k in range(first, first + 3)])
+            assert read.tobytes() == expected.tobytes()
+        assert len(list(tmp_path.rglob("*.npy"))) <= 3
+
+
+def test_folders_of_other_data_do_not_mix():
+    assert spec().key() == spec().key()
+    assert len({spec().key(), spec(seed=1).key(), spec(words=WORDS[:2]).key()}) == 3
+
+
+def test_workers_make_the_same_sets_from_the_middle(tmp_path):
+    with ShardReader(spec(), tmp_path, workers=1, first=9) as reader:
+        read = reader.read(range(9, 12))
+    made = spec().maker()
+    assert read.tobytes() == np.stack([made(k) for k in range(9, 12)]).tobytes()
+
+
+def test_a_dead_worker_is_reported(tmp_path):
+    reader = ShardReader(spec(failing_source), tmp_path, workers=1, first=0)
+    with reader, pytest.raises(UserError, match="exit code 1"):
+        reader.read(range(2))
