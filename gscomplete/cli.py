@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"gscomplete {gscomplete.__version__}")
         return 0
     options = tyro.cli(
-        Command,  # type: ignore[arg-type]
+        Command,
         prog="gscomplete",
         description="Complete partial 3D objects made of Gaussian splats.",
         args=arguments,
@@ -50,7 +50,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"gscomplete: error: {error}", file=sys.stderr)
         return error.exit_code
     except KeyboardInterrupt:
-        print("gscomplete: interrupted; --resume continues from the last checkpoint", file=sys.stderr)
+        print(
+            "gscomplete: interrupted; --resume continues from the last checkpoint", file=sys.stderr
+        )
         return 130
     except BrokenPipeError:
         return 141  # the reader of our output is gone, as with ``| head``

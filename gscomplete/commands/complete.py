@@ -7,7 +7,7 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -72,7 +72,7 @@ class CompleteOptions:
 
 def run(options: CompleteOptions) -> int:
     """Complete the object; return the exit code."""
-    from gscomplete.completion.run import execute, prepare
+    from gscomplete.completion.run import prepare
     from gscomplete.device import choose_device
     from gscomplete.priors import load_prior
 
@@ -81,7 +81,7 @@ def run(options: CompleteOptions) -> int:
     _say(options, *job.notes)
     if job.completion.step_number:
         _say(options, f"resuming at step {job.completion.step_number}")
-    content = _with_progress(options, job, execute)
+    content = _with_progress(job)
     if options.json:
         print(json.dumps(content))
         return 0
@@ -150,11 +150,19 @@ def parse_numbers(text: str | None, count: int, option: str, form: str) -> list[
     return values
 
 
-def _with_progress(options: CompleteOptions, job: Run, execute: object) -> dict:
+def _with_progress(job: Run) -> dict[str, Any]:
     """Run with a progress bar on standard error."""
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-    from rich.progress import TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    from gscomplete.completion.run import execute
 
     columns = (
         TextColumn("completing"),

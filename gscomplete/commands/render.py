@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from gscomplete.commands.complete import parse_numbers
 from gscomplete.errors import UserError
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 @dataclass(frozen=True)
@@ -90,13 +93,10 @@ def run(options: RenderOptions) -> int:
     return 0
 
 
-def _near_is_white(depth: object) -> object:  # [V, H, W]
+def _near_is_white(depth: Tensor) -> Tensor:  # [V, H, W]
     """Scale depths to [0, 1], 1 for the nearest; pixels that show nothing are 0."""
-    import torch
-
-    assert isinstance(depth, torch.Tensor)
     seen = depth > 0
     if not bool(seen.any()):
         return depth
     near, far = depth[seen].min(), depth[seen].max()
-    return torch.where(seen, 1.0 - (depth - near) / (far - near).clamp_min(1e-9), 0.0)
+    return (1.0 - (depth - near) / (far - near).clamp_min(1e-9)) * seen

@@ -1,0 +1,1 @@
+"""The method: P frozen, new splats moved by a prior and the input preservation loss."""

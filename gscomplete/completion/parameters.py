@@ -2,7 +2,7 @@
 
 Conventions
 -----------
-* Raw values are logits of opacities and logarithms of scales; nothing else in the package uses them.
+* Raw values are logits of opacities and logarithms of scales; nothing else here uses them.
 * After every step values are projected onto their bounds (scales, colours, quaternion length), so
   a bound holds exactly and no saturating function slows the gradient.
 * Rows of Adam's moments follow the rows of the splats; copies made by subdivision start at zero.
@@ -109,13 +109,13 @@ class SplatParameters:
 
     def restore(self, state: dict[str, Tensor]) -> None:
         """Take values and moments from :meth:`state`."""
-        self._values = {
-            name: state[f"value.{name}"].clone().requires_grad_() for name in NAMES
-        }
+        self._values = {name: state[f"value.{name}"].clone().requires_grad_() for name in NAMES}
         self._adam = self._new_adam()
         for name, value in self._values.items():
             prefix = f"adam.{name}."
-            moments = {k[len(prefix) :]: v.clone() for k, v in state.items() if k.startswith(prefix)}
+            moments = {
+                k[len(prefix) :]: v.clone() for k, v in state.items() if k.startswith(prefix)
+            }
             if moments:
                 self._adam.state[value] = moments
 

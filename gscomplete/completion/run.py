@@ -184,7 +184,7 @@ def _finish(run: Run) -> dict[str, Any]:
 def _decide_frame(
     request: Request, splats: Splats, prior: Prior
 ) -> tuple[ObjectFrame, ViewDistribution, tuple[str, ...]]:
-    """Take the frame and the input view from the request, and from the heuristic what is missing."""
+    """Take frame and input view from the request, and what is missing from the heuristic."""
     notes: list[str] = []
     rotation = up_rotation(request.up)
     anchor = splats.means.double().median(dim=0).values
@@ -217,7 +217,7 @@ def _decide_frame(
 
 
 def _largest_side(splats: Splats) -> float:
-    """Return the largest side of the box of the splats, ignoring the farthest 0.1 % on each side."""
+    """Return the largest side of the splats' box, without the farthest 0.1 % on each side."""
     points = splats.means.double().numpy()
     low, high = np.quantile(points, [0.001, 0.999], axis=0)
     return max(float((high - low).max()), float(splats.scales.max()))

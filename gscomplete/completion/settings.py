@@ -23,7 +23,7 @@ cheap steps (after MicroDreamer); the preservation loss is the same."""
 
 PresetName = Literal["default", "fast", "distill", "paper"]
 """``default``: the best of time and quality for the prior. ``fast``: fewer rounds.
-``distill``: the paper's method in fewer steps, for small priors. ``paper``: the paper's settings."""
+``distill``: the paper's method in fewer steps, for small priors. ``paper``: its settings."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Which splats of P take part in the optimisation. All of them are in the output, whatever this says.
+"""Which splats of P take part in the optimisation. The output has them all, whatever this says.
 
 Left out are splats that cannot be drawn (not finite, far too large), and of very large inputs an
 even choice is drawn with widths grown to match: at the resolutions priors see, millions of splats

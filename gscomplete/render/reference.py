@@ -1,8 +1,8 @@
 """The slow, obvious float64 twin of the renderer, in plain PyTorch.
 
-It follows the definition in ``settings`` term by term, with no tiles, no early stop and autograd for
-the gradients. Pixels are taken in blocks only to bound memory; a block considers the splats whose
-pixel box at alpha_min reaches it, which leaves out nothing that the definition draws.
+It follows the definition in ``settings`` term by term, with no tiles, no early stop and autograd
+for the gradients. Pixels are taken in blocks only to bound memory; a block considers the splats
+whose pixel box at alpha_min reaches it, which leaves out nothing that the definition draws.
 """
 
 from __future__ import annotations
@@ -118,8 +118,14 @@ def _view(
             near = ((centers + half >= low) & (centers - half <= high)).all(dim=1)
             chosen = order[near[order]]
             block = checkpoint(
-                _block, grid.reshape(-1, 2), centers[chosen], torch.linalg.inv(covariance[chosen]),
-                splats.opacities[chosen], values[chosen], settings.alpha_min, settings.alpha_max,
+                _block,
+                grid.reshape(-1, 2),
+                centers[chosen],
+                torch.linalg.inv(covariance[chosen]),
+                splats.opacities[chosen],
+                values[chosen],
+                settings.alpha_min,
+                settings.alpha_max,
                 use_reentrant=False,
             )
             row.append(block.reshape(len(ys), len(xs), 5))

@@ -25,8 +25,8 @@ class RenderSettings:
     alpha_min: float = 1.0 / 255.0
     """A pixel's alpha below this is zero. At least 1e-5, so that tile lists stay finite."""
     alpha_max: float = 0.999
-    """A pixel's alpha is clamped to this; clamped pixels pass no gradient to shape or opacity. 0.999 is
-    gsplat's value, so that both backends draw the same picture (the original 3DGS has 0.99)."""
+    """A pixel's alpha is clamped to this; clamped pixels pass no gradient to shape or opacity.
+    0.999 is gsplat's value, so that both backends draw the same picture (original 3DGS: 0.99)."""
     transmittance_min: float = 1e-4
     """Compositing of a tile stops when every pixel's transmittance is below this; 0 = never."""
 

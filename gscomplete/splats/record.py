@@ -42,7 +42,11 @@ class Splats:
             ValueError: a field's shape does not match ``means``, or K is not 1, 4, 9 or 16.
         """
         count = self.means.shape[0]
-        expected: dict[str, tuple[int, ...]] = {"means": (count, 3), "quaternions": (count, 4), "scales": (count, 3)}
+        expected: dict[str, tuple[int, ...]] = {
+            "means": (count, 3),
+            "quaternions": (count, 4),
+            "scales": (count, 3),
+        }
         expected["opacities"] = (count,)
         for name, shape in expected.items():
             found = tuple(getattr(self, name).shape)

@@ -1,9 +1,8 @@
 """Time the CPU renderer, and its error against the float64 twin.
 
-``python -m recipes.benchmarks.renderer [--mesh armadillo.obj] [--json OUT]``: the surface of a mesh as
-oriented discs (a torus knot when no mesh is given), forward and forward + backward of the whole
-differentiable render, medians over repeats, by splat count; with ``--check`` colours and gradients
-against float64 too.
+``python -m recipes.benchmarks.renderer [--mesh FILE] [--json OUT]`` draws the surface of a mesh (a
+torus knot when none is given) as oriented discs: forward and backward of the whole differentiable
+render, medians over repeats, by splat count; with ``--check`` against float64 too.
 """
 
 from __future__ import annotations
@@ -99,7 +98,9 @@ def _torus_knot(count: int) -> tuple[np.ndarray, np.ndarray, float]:
     ahead = t + 1e-4
     radius2 = 0.28 + 0.12 * np.cos(3 * ahead)
     tangent = (
-        np.stack([radius2 * np.cos(2 * ahead), radius2 * np.sin(2 * ahead), 0.12 * np.sin(3 * ahead)], 1)
+        np.stack(
+            [radius2 * np.cos(2 * ahead), radius2 * np.sin(2 * ahead), 0.12 * np.sin(3 * ahead)], 1
+        )
         - center
     )
     length = float(np.linalg.norm(tangent, axis=1).mean() / 1e-4 * 2 * np.pi)

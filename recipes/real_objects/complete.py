@@ -1,4 +1,4 @@
-"""Complete the real objects and measure: ``python -m recipes.real_objects.complete --out runs/real``.
+"""Complete the real objects and measure: ``python -m recipes.real_objects.complete --out DIR``.
 
 Every object gets a run folder as ``gscomplete complete`` would make it, with no hand's help: prompt
 and up axis come from the table, everything else from the heuristics. Where the whole object is
@@ -50,7 +50,7 @@ class Options:
     text_only: bool = False
     """Withhold P's renders from the prior."""
     ablate: bool = False
-    """Without preservation loss, warm-up and timestep schedule (first row of the paper's Table 2)."""
+    """Without preservation loss, warm-up and timestep schedule (row 1 of the paper's Table 2)."""
     steps: int | None = None
     """Optimiser steps; None = the preset's."""
     seed: int = 0
@@ -67,7 +67,9 @@ def settings_of(options: Options, prior: Prior) -> CompletionSettings:
     return settings.ablated() if options.ablate else settings
 
 
-def complete_object(item: RealObject, folder: Path, prior: Prior, settings: CompletionSettings) -> None:
+def complete_object(
+    item: RealObject, folder: Path, prior: Prior, settings: CompletionSettings
+) -> None:
     """Run one completion from a splat file, as a user would."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     partial = folder.parent / f"{item.name}.partial.ply"

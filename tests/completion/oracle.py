@@ -24,7 +24,9 @@ class OraclePrior:
     def condition(self, prompt, negative_prompt=None):
         return OracleConditioning()
 
-    def distill(self, views: FourViews, timestep, conditioning, generator, input_views=None, guidance=None):
+    def distill(
+        self, views: FourViews, timestep, conditioning, generator, input_views=None, guidance=None
+    ):
         if self._calls_left is not None:
             self._calls_left -= 1
             if self._calls_left < 0:
@@ -45,7 +47,9 @@ def ball(count: int = 1500, seed: int = 0) -> Splats:
     """A ball of discs, red above and blue below, of diameter 0.8."""
     g = torch.Generator().manual_seed(seed)
     normal = torch.nn.functional.normalize(torch.randn(count, 3, generator=g), dim=1)
-    quaternion = torch.cat([1 + normal[:, 2:], -normal[:, 1:2], normal[:, :1], torch.zeros(count, 1)], 1)
+    quaternion = torch.cat(
+        [1 + normal[:, 2:], -normal[:, 1:2], normal[:, :1], torch.zeros(count, 1)], 1
+    )
     top = (normal[:, 2:] > 0).float()
     color = top * torch.tensor([0.9, 0.2, 0.1]) + (1 - top) * torch.tensor([0.1, 0.3, 0.9])
     return Splats(

@@ -47,12 +47,16 @@ def test_completes_the_hidden_half_and_preserves_the_other(base):
 
 def test_preservation_loss_is_what_keeps_the_input():
     """The paper's ablation in small: a prior that wants another object paints over P."""
-    other = dataclasses.replace(TRUTH, sh=-TRUTH.sh, scales=TRUTH.scales * 1.5, means=TRUTH.means * 1.15)
+    other = dataclasses.replace(
+        TRUTH, sh=-TRUTH.sh, scales=TRUTH.scales * 1.5, means=TRUTH.means * 1.15
+    )
     settings = dataclasses.replace(SMALL_PRIOR, steps=120, new_splats=800)
     without = dataclasses.replace(settings, preservation_weight=0.0, warmup_steps=0)
     views = VIEWS.cameras(VIEWS.low_discrepancy(6), 64)
     errors = [
-        preservation(concatenate([PARTIAL, finish(completion(s, OraclePrior(other)))]), PARTIAL, views)
+        preservation(
+            concatenate([PARTIAL, finish(completion(s, OraclePrior(other)))]), PARTIAL, views
+        )
         for s in (settings, without)
     ]
     assert errors[0].color * 3 < errors[1].color

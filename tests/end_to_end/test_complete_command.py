@@ -153,9 +153,7 @@ def test_single_splat_needs_a_frame_and_then_completes(tmp_path):
     alone = complete(path, tmp_path / "a")
     assert alone.returncode == 2
     assert "--center and --size" in alone.stderr
-    framed = complete(
-        path, tmp_path / "b", "--center", "0,0,0", "--size", "1", "--view", "0,10"
-    )
+    framed = complete(path, tmp_path / "b", "--center", "0,0,0", "--size", "1", "--view", "0,10")
     assert framed.returncode == 0, framed.stderr
 
 

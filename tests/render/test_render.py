@@ -122,7 +122,12 @@ def test_extreme_splats_stay_finite_and_close(seed, scale, ratio, spread, fov, w
     splats = leaves(base)
     picture = render(splats, views)
     (picture.color.sum() + picture.depth.sum()).backward()
-    for value in (picture.color, picture.alpha, picture.depth, *(v.grad for _, v in splats.fields())):
+    for value in (
+        picture.color,
+        picture.alpha,
+        picture.depth,
+        *(v.grad for _, v in splats.fields()),
+    ):
         assert torch.isfinite(value).all()
     reference = render(base, views, backend="reference")
     # Every splat whose alpha sits on the 1/255 threshold of a pixel may flip: allow a few.

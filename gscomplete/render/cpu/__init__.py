@@ -1,0 +1,1 @@
+"""The CPU renderer: projection, tile lists and compositing as Numba kernels."""

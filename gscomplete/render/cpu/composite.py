@@ -65,7 +65,12 @@ E0, E1, E2, E3 = np.float32(_E0), np.float32(_E1), np.float32(_E2), np.float32(_
 E4, E5, E6 = np.float32(_E4), np.float32(_E5), np.float32(_E6)
 
 _FAST = {"contract", "nsz", "arcp", "reassoc", "afn"}
-_JIT = {"cache": True, "fastmath": _FAST, "error_model": "numpy", "boundscheck": False}
+_JIT: dict[str, Any] = {
+    "cache": True,
+    "fastmath": _FAST,
+    "error_model": "numpy",
+    "boundscheck": False,
+}
 
 
 @numba.njit(**_JIT)
@@ -81,7 +86,7 @@ def exp_neg(power: Any) -> Any:
 
 @numba.njit(**_JIT)
 def _pixel_rows(v: Any, half_h: Any, tile_y: int) -> Any:
-    """Return the range of pixels (whole pairs of rows, so a multiple of 16) that a splat reaches."""
+    """Return the pixels a splat reaches: whole pairs of rows, so a multiple of 16."""
     top = v - half_h - np.float32(tile_y * TILE) - np.float32(0.51)
     bottom = v + half_h - np.float32(tile_y * TILE) - np.float32(0.49)
     first = int(max(min(top, np.float32(TILE)), np.float32(0.0))) & ~1
@@ -117,8 +122,15 @@ def composite(
         buffer = np.zeros(7 * PIXELS, np.float32)
         _start_tile(buffer, tile, tiles_x)
         done[tile] = _tile_forward(
-            ranked, entries, tile_start[tile], tile_start[tile + 1], tile // tiles_x,
-            alpha_min, alpha_max, transmittance_min, buffer,
+            ranked,
+            entries,
+            tile_start[tile],
+            tile_start[tile + 1],
+            tile // tiles_x,
+            alpha_min,
+            alpha_max,
+            transmittance_min,
+            buffer,
         )
         for p in range(FIRST, LAST):
             image[tile, np.uint64(C_RED * PIXELS) + p] = buffer[B_0 + p]
@@ -208,7 +220,15 @@ def composite_backward(
                 total += gradient * image[tile, np.uint64(c * PIXELS) + p]
             buffer[B_5 + p] = total
         _tile_backward(
-            ranked, entries, slots, start, last, tile // tiles_x, alpha_min, alpha_max, buffer,
+            ranked,
+            entries,
+            slots,
+            start,
+            last,
+            tile // tiles_x,
+            alpha_min,
+            alpha_max,
+            buffer,
             sums,
         )
 

@@ -24,18 +24,24 @@ import numpy as np
 
 from gscomplete.render.cpu.spherical_harmonics import fill_basis, fill_basis_gradient
 
-P_U, P_V, P_LA, P_LB, P_LC, P_OPACITY, P_RED, P_GREEN, P_BLUE, P_DEPTH, P_HALF_H, P_HALF_W = range(12)
+P_U, P_V, P_LA, P_LB, P_LC, P_OPACITY = range(6)
+P_RED, P_GREEN, P_BLUE, P_DEPTH, P_HALF_H, P_HALF_W = range(6, 12)
 PACKED = 12
 S_POWER, S_X, S_Y, S_XX, S_XY, S_YY, S_RED, S_GREEN, S_BLUE, S_DEPTH = range(10)
 SUMS = 10
 """Columns of the per-tile gradient sums that ``composite`` writes: sums over pixels of
-dL/dpower times 1, wx, wy, wx^2, wx wy, wy^2 (w: whitened offset), and of the colour and depth gradients."""
+dL/dpower times 1, wx, wy, wx^2, wx wy, wy^2 (w: whitened offset), and of the colour and depth
+gradients."""
 
 CAMERA_NUMBERS = 21
 EDGE_SLACK = 0.15
 """The Jacobian is taken at most this share of the image size outside the image, as in 3DGS."""
 
-_JIT = {"cache": True, "fastmath": {"contract", "nsz", "arcp"}, "error_model": "numpy"}
+_JIT: dict[str, Any] = {
+    "cache": True,
+    "fastmath": {"contract", "nsz", "arcp"},
+    "error_model": "numpy",
+}
 
 
 @numba.njit(**_JIT)
@@ -254,14 +260,13 @@ def project_backward(
     """Add one view's gradients of every trainable splat, summing its tiles in a fixed order."""
     count = means.shape[0] - first
     bands = sh.shape[1]
-    fx, fy, cx, cy, width, height, blur = (
+    fx, fy, cx, cy, width, height = (
         camera[12],
         camera[13],
         camera[14],
         camera[15],
         camera[16],
         camera[17],
-        camera[19],
     )
     low_x, high_x = -cx / fx - EDGE_SLACK * width / fx, (width - cx + EDGE_SLACK * width) / fx
     low_y, high_y = -cy / fy - EDGE_SLACK * height / fy, (height - cy + EDGE_SLACK * height) / fy
@@ -343,7 +348,15 @@ def project_backward(
 
 @numba.njit(**_JIT)
 def _covariance_gradient(
-    la: float, lb: float, lc: float, sxx: float, sxy: float, syy: float, f: Any, t: Any, r: Any,
+    la: float,
+    lb: float,
+    lc: float,
+    sxx: float,
+    sxy: float,
+    syy: float,
+    f: Any,
+    t: Any,
+    r: Any,
     s: Any,
 ) -> Any:
     """Return dL/dT [2, 3] (through the covariance) and dL/dM [3, 3], M = R diag(s)."""
@@ -384,15 +397,9 @@ def _quaternion_gradient(gm: Any, s: Any, q: Any) -> Any:
     g10, g11, g12 = gm[3] * s[0], gm[4] * s[1], gm[5] * s[2]
     g20, g21, g22 = gm[6] * s[0], gm[7] * s[1], gm[8] * s[2]
     gw = 2.0 * (x * (g21 - g12) + y * (g02 - g20) + z * (g10 - g01))
-    gx = 2.0 * (
-        w * (g21 - g12) + y * (g01 + g10) + z * (g02 + g20) - 2.0 * x * (g11 + g22)
-    )
-    gy = 2.0 * (
-        w * (g02 - g20) + x * (g01 + g10) + z * (g12 + g21) - 2.0 * y * (g00 + g22)
-    )
-    gz = 2.0 * (
-        w * (g10 - g01) + x * (g02 + g20) + y * (g12 + g21) - 2.0 * z * (g00 + g11)
-    )
+    gx = 2.0 * (w * (g21 - g12) + y * (g01 + g10) + z * (g02 + g20) - 2.0 * x * (g11 + g22))
+    gy = 2.0 * (w * (g02 - g20) + x * (g01 + g10) + z * (g12 + g21) - 2.0 * y * (g00 + g22))
+    gz = 2.0 * (w * (g10 - g01) + x * (g02 + g20) + y * (g12 + g21) - 2.0 * z * (g00 + g11))
     along = gw * w + gx * x + gy * y + gz * z
     return (
         (gw - along * w) * inverse,

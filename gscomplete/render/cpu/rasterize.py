@@ -1,7 +1,7 @@
 """The CPU renderer as one autograd function over a batch of views.
 
-The trainable splats follow the frozen ones in the concatenated arrays (index >= ``first``). Depth is
-the w-weighted sum here; ``dispatch`` turns it into the expected depth.
+The trainable splats follow the frozen ones in the concatenated arrays (index >= ``first``). Depth
+is the w-weighted sum here; ``dispatch`` turns it into the expected depth.
 """
 
 from __future__ import annotations
@@ -75,14 +75,29 @@ def _draw_view(
     entries = np.empty(tile_start[-1], np.int32)
     slots = np.empty(tile_start[-1], np.int32)
     tiles.fill_entries(
-        ranked, order, tiles_x, tiles_y, settings.alpha_min, cursor, first, slot_start,
-        entries, slots,
+        ranked,
+        order,
+        tiles_x,
+        tiles_y,
+        settings.alpha_min,
+        cursor,
+        first,
+        slot_start,
+        entries,
+        slots,
     )
     image = np.empty((tiles_x * tiles_y, comp.CHANNELS * comp.PIXELS), np.float32)
     done = np.empty(tiles_x * tiles_y, np.int32)
     comp.composite(
-        ranked, tile_start, entries, tiles_x, np.float32(settings.alpha_min),
-        np.float32(settings.alpha_max), np.float32(settings.transmittance_min), image, done,
+        ranked,
+        tile_start,
+        entries,
+        tiles_x,
+        np.float32(settings.alpha_min),
+        np.float32(settings.alpha_max),
+        np.float32(settings.transmittance_min),
+        image,
+        done,
     )
     return _View(camera, packed, ranked, tile_start, entries, slots, slot_start, image, done)
 
@@ -109,7 +124,7 @@ class _Rasterize(torch.autograd.Function):
     """Images [V, H, W, 5] of (red, green, blue, w * depth, alpha)."""
 
     @staticmethod
-    def forward(  # type: ignore[override]
+    def forward(
         ctx: Any,
         means: Tensor,
         quaternions: Tensor,
@@ -121,14 +136,12 @@ class _Rasterize(torch.autograd.Function):
         cameras: Cameras,
         settings: RenderSettings,
     ) -> Tensor:
-        trainable = (means, quaternions, scales, opacities, sh)
+        trainable: tuple[Tensor, ...] = (means, quaternions, scales, opacities, sh)
         first = 0 if frozen is None else len(frozen)
-        if frozen is None:
-            joined = trainable
-        else:
-            joined = tuple(
-                torch.cat([value, new]) for (_, value), new in zip(frozen.fields(), trainable, strict=True)
-            )
+        joined = trainable
+        if frozen is not None:
+            old = (value for _, value in frozen.fields())
+            joined = tuple(torch.cat(pair) for pair in zip(old, trainable, strict=True))
         arrays = tuple(value.detach().contiguous().numpy() for value in joined)
         none = np.empty((0, 2), np.float32)
         views = []
@@ -146,7 +159,7 @@ class _Rasterize(torch.autograd.Function):
         return torch.stack([_untile(torch.from_numpy(view.image), *size) for view in views])
 
     @staticmethod
-    def backward(ctx: Any, grad_images: Tensor) -> Any:  # type: ignore[override]
+    def backward(ctx: Any, grad_images: Tensor) -> Any:
         arrays, first, settings = ctx.arrays, ctx.first, ctx.settings
         grads = [np.zeros((a.shape[0] - first, *a.shape[1:]), np.float32) for a in arrays]
         count = arrays[0].shape[0] - first
@@ -157,13 +170,27 @@ class _Rasterize(torch.autograd.Function):
             sums = np.zeros((int(view.slot_start[-1]), proj.SUMS), np.float32)
             width = int(view.camera[16])
             comp.composite_backward(
-                view.ranked, view.tile_start, view.entries, view.slots,
-                -(-width // tiles.TILE), np.float32(settings.alpha_min),
-                np.float32(settings.alpha_max), view.image, view.done, upstream, sums,
+                view.ranked,
+                view.tile_start,
+                view.entries,
+                view.slots,
+                -(-width // tiles.TILE),
+                np.float32(settings.alpha_min),
+                np.float32(settings.alpha_max),
+                view.image,
+                view.done,
+                upstream,
+                sums,
             )
             proj.project_backward(
-                *arrays, view.camera, view.packed, first, view.slot_start, sums,
-                *grads, grad_offsets[v],
+                *arrays,
+                view.camera,
+                view.packed,
+                first,
+                view.slot_start,
+                sums,
+                *grads,
+                grad_offsets[v],
             )
         tensors = [torch.from_numpy(grad) for grad in grads]
         offsets = torch.from_numpy(grad_offsets) if ctx.wants_offsets else None

@@ -35,7 +35,7 @@ MARGIN = 1e-3
 CHUNKS = 16
 """The ordered splats are binned in this many runs; fixed, so lists never depend on threads."""
 
-_JIT = {"cache": True, "error_model": "numpy"}
+_JIT: dict[str, Any] = {"cache": True, "error_model": "numpy"}
 _RADIX_BITS = 11
 
 
@@ -102,8 +102,8 @@ def _tile_span(low: float, high: float, tiles: int) -> Any:
     # Far-off ranges are cut first: their tile numbers need not fit an integer.
     low, high = max(low, -1.0), min(high, tiles * TILE + 1.0)
     # The last centre of tile k is at TILE * k + TILE - 0.5, its first at TILE * k + 0.5.
-    first = int(math.ceil((low - TILE + 0.5) / TILE))
-    last = int(math.floor((high - 0.5) / TILE))
+    first = math.ceil((low - TILE + 0.5) / TILE)
+    last = math.floor((high - 0.5) / TILE)
     return max(first, 0), min(last + 1, tiles)
 
 
@@ -232,4 +232,3 @@ def gather_ranked(packed: Any, order: Any, ranked: Any) -> None:
             source = order[rank]
             for k in range(packed.shape[1]):
                 ranked[rank, k] = packed[source, k]
-
