@@ -59,7 +59,9 @@ def caption(description: Description, rng: np.random.Generator) -> str:
         substance = [_synonym(look.substance, rng)]
     if rng.random() < 0.7 and description.details:
         order = rng.permutation(len(description.details))[: 1 if rng.random() < 0.7 else 2]
-        details += [description.details[k] for k in order]
+        for phrase in (description.details[k] for k in order):
+            if not details or phrase.split()[-1] != details[-1].split()[-1]:
+                details.append(phrase)
     after = [] if rng.random() < 0.85 or not colored else [color]
     before = [color] if colored and not after else []
     words = [*lead, *before, *substance, noun]

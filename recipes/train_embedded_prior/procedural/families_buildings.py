@@ -84,11 +84,11 @@ def openings(a: Assembly, pane: Look, rim: Look, face: np.ndarray, width: float,
             y, z = (column + 0.5) * step_y - 0.5 * width, low + (row + 0.2) * step_z
             if door is not None and row == 0 and column == columns // 2:
                 tall = 0.85 * step_z + low
-                part = box((0.04, min(w, 0.5 * tall) * 1.1, tall))
+                part = box((0.06, min(w, 0.5 * tall) * 1.1, tall))
                 a.add(part.moved(None, (0, y, 0)), door, at, turn)
                 continue
-            a.add(box((0.02, w * 1.25, h * 1.2)).moved(None, (0, y, z - 0.1 * h)), rim, at, turn)
-            a.add(box((0.035, w, h)).moved(None, (0, y, z)), pane, at, turn)
+            a.add(box((0.035, w * 1.25, h * 1.2)).moved(None, (0, y, z - 0.1 * h)), rim, at, turn)
+            a.add(box((0.065, w, h)).moved(None, (0, y, z)), pane, at, turn)
 
 
 def wall_frame(side: int, x: float, y: float) -> tuple[np.ndarray, float]:

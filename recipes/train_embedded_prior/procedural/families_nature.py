@@ -169,7 +169,8 @@ def cactus(a: Assembly) -> Description:
         details.append(f"a {pot_look.color} pot")
     if a.chance(0.35):
         r = a.uniform(0.2, 0.3)
-        line = smooth_profile([(0.05, 0), (r, 0.5 * r), (r, 1.2 * r), (0, 1.9 * r)], 12).clip(0)
+        knots = [(0.05, 0), (0.85 * r, 0.35 * r), (r, 0.9 * r), (0.7 * r, 1.55 * r), (0, 1.8 * r)]
+        line = smooth_profile(knots, 14).clip(0)
         a.add(revolve(line, 48, lobes=a.integer(8, 14), lobe_depth=0.12), look, (0, 0, z - 0.02))
         top = z + 1.9 * r
     else:

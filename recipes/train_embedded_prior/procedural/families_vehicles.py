@@ -99,7 +99,7 @@ def car(a: Assembly) -> Description:
     a.add(slab(outline, width * 0.94, 0.82), look)
     middle = np.array(outline).mean(axis=0)
     pane = (np.array(outline) - middle) * np.array([0.86, 0.72]) + middle
-    a.add(slab([tuple(p) for p in pane.tolist()], width * 0.965, 0.86), glass)
+    a.add(slab([tuple(p) for p in pane.tolist()], width * 1.0, 0.84), glass)
     wide = (np.array(outline) - middle) * np.array([1.015, 0.72]) + middle
     a.add(slab([tuple(p) for p in wide.tolist()], width * 0.76, 0.86), glass)
     if kind == "pickup":
