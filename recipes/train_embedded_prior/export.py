@@ -135,7 +135,7 @@ def card(config: PriorConfig, model: FourViewDenoiser, losses: dict[str, dict[st
             "",
         ]
     lines += [
-        "Known limits: one object per image, household things and simple shapes, 64 x 64 pixels;",
+        "Known limits: one object per image, the things named by its words and simple shapes, 64 x 64 pixels;",
         "colours and coarse shape are reliable, lettering and fine texture are not.",
         "",
     ]

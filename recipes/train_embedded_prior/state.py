@@ -15,7 +15,7 @@ from pathlib import Path
 
 import torch
 from safetensors import safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor, nn
 
 from gscomplete.atomic import atomic_path
@@ -82,7 +82,7 @@ class TrainState:
         metadata = {"step": str(self.step), "elapsed_s": repr(self.elapsed_s)}
         plain = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
         with atomic_path(folder / CHECKPOINT) as temporary:
-            save_file(plain, temporary, metadata=metadata)
+            temporary.write_bytes(save(plain, metadata=metadata))
 
     def load(self, folder: Path) -> None:
         """Take over a checkpoint exactly.

@@ -18,7 +18,7 @@ from typing import Literal
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor
 
 from gscomplete.atomic import atomic_path
@@ -101,7 +101,7 @@ def save_weights(folder: Path, state: dict[str, Tensor], config: PriorConfig) ->
     folder.mkdir(parents=True, exist_ok=True)
     metadata = {_DIGEST: words_digest(config.words)}
     with atomic_path(folder / WEIGHTS_FILE) as temporary:
-        save_file(pack_tensors(state, config.storage), temporary, metadata=metadata)
+        temporary.write_bytes(save(pack_tensors(state, config.storage), metadata=metadata))
     write_json(folder / CONFIG_FILE, config)
 
 
