@@ -22,7 +22,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from gscomplete.render.cpu.project import (
+from gscomplete.render.cpu.layout import (
     P_BLUE,
     P_DEPTH,
     P_GREEN,

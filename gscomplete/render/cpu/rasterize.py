@@ -14,8 +14,9 @@ import torch
 from torch import Tensor
 
 from gscomplete.render.cpu import composite as comp
-from gscomplete.render.cpu import project as proj
-from gscomplete.render.cpu import tiles
+from gscomplete.render.cpu import layout, tiles
+from gscomplete.render.cpu.project import project
+from gscomplete.render.cpu.project_backward import project_backward
 from gscomplete.render.settings import RenderSettings
 from gscomplete.splats import Splats
 from gscomplete.views import Cameras
@@ -38,7 +39,7 @@ class _View:
 
 def camera_vector(cameras: Cameras, index: int, settings: RenderSettings) -> Any:  # [21]
     """Pack one camera and the settings that projection needs into a float64 vector."""
-    vector = np.empty(proj.CAMERA_NUMBERS, np.float64)
+    vector = np.empty(layout.CAMERA_NUMBERS, np.float64)
     vector[:12] = cameras.camera_from_world[index, :3].double().numpy().reshape(-1)
     vector[12:14] = cameras.focal_px[index].double().numpy()
     vector[14:16] = cameras.center_px[index].double().numpy()
@@ -59,12 +60,12 @@ def _draw_view(
     count = arrays[0].shape[0]
     width, height = int(camera[16]), int(camera[17])
     tiles_x, tiles_y = -(-width // tiles.TILE), -(-height // tiles.TILE)
-    packed = np.empty((count, proj.PACKED), np.float32)
+    packed = np.empty((count, layout.PACKED), np.float32)
     visible = np.empty(count, np.uint8)
-    proj.project(*arrays, offsets, camera, packed, visible)
-    keys = packed.view(np.uint32)[:, proj.P_DEPTH]
+    project(*arrays, offsets, camera, packed, visible)
+    keys = packed.view(np.uint32)[:, layout.P_DEPTH]
     order = tiles.depth_order(visible, keys)
-    ranked = np.empty((len(order), proj.PACKED), np.float32)
+    ranked = np.empty((len(order), layout.PACKED), np.float32)
     tiles.gather_ranked(packed, order, ranked)
     cursor = np.zeros((tiles.CHUNKS, tiles_x * tiles_y), np.int32)
     per_rank = np.empty(len(order), np.int32)
@@ -167,7 +168,7 @@ class _Rasterize(torch.autograd.Function):
         grad_offsets = np.zeros(shape, np.float32)
         for v, view in enumerate(ctx.views):
             upstream = _tile(grad_images[v]).contiguous().numpy()
-            sums = np.zeros((int(view.slot_start[-1]), proj.SUMS), np.float32)
+            sums = np.zeros((int(view.slot_start[-1]), layout.SUMS), np.float32)
             width = int(view.camera[16])
             comp.composite_backward(
                 view.ranked,
@@ -182,7 +183,7 @@ class _Rasterize(torch.autograd.Function):
                 upstream,
                 sums,
             )
-            proj.project_backward(
+            project_backward(
                 *arrays,
                 view.camera,
                 view.packed,

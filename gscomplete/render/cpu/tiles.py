@@ -19,7 +19,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from gscomplete.render.cpu.project import (
+from gscomplete.render.cpu.layout import (
     P_HALF_H,
     P_HALF_W,
     P_LA,

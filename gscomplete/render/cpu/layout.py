@@ -1,0 +1,24 @@
+"""What the CPU kernels pass to each other: packed rows, gradient sums and the camera vector.
+
+Conventions
+-----------
+* ``camera`` is a float64 vector: the 3x4 rows of camera_from_world (12 numbers), then
+  fx, fy, cx, cy, width, height, near, blur_px2, alpha_min.
+* A projected splat is one row of PACKED float32 values (the ``P_*`` columns): screen centre (u, v),
+  whitening L = [[LA, LB], [0, LC]], opacity, colour, depth, and the half height and width of its
+  pixel box at alpha_min. L^T L is the inverse screen covariance, so with the whitened offset
+  w = L (p - u) the exponent is -|w|^2 / 2: no cancellation, however long a needle is.
+"""
+
+P_U, P_V, P_LA, P_LB, P_LC, P_OPACITY = range(6)
+P_RED, P_GREEN, P_BLUE, P_DEPTH, P_HALF_H, P_HALF_W = range(6, 12)
+PACKED = 12
+S_POWER, S_X, S_Y, S_XX, S_XY, S_YY, S_RED, S_GREEN, S_BLUE, S_DEPTH = range(10)
+SUMS = 10
+"""Columns of the per-tile gradient sums that ``composite`` writes: sums over pixels of
+dL/dpower times 1, wx, wy, wx^2, wx wy, wy^2 (w: whitened offset), and of the colour and depth
+gradients."""
+
+CAMERA_NUMBERS = 21
+EDGE_SLACK = 0.15
+"""The Jacobian is taken at most this share of the image size outside the image, as in 3DGS."""
