@@ -60,6 +60,8 @@ class TextEncoder(nn.Module):
             for _ in range(2)
         )  # fmt: skip
         self.norm = nn.LayerNorm(width)
+        self.words_to_states = nn.Linear(width, width, bias=False)
+        nn.init.zeros_(self.words_to_states.weight)
 
     def forward(self, tokens: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Encode token ids.
@@ -71,10 +73,12 @@ class TextEncoder(nn.Module):
             States [B, L, D], pooled [B, D], and the mask [B, L] of real tokens.
         """
         mask = tokens != 0
-        states = self.words(tokens) + self.positions[: tokens.shape[1]]
+        words = self.words(tokens)
+        states = words + self.positions[: tokens.shape[1]]
         for layer in self.layers:
             states = layer(states, src_key_padding_mask=~mask)
-        states = self.norm(states) * mask[..., None]
+        # the layers alone drift towards one constant state for all prompts: words also pass by
+        states = (self.norm(states) + self.words_to_states(words)) * mask[..., None]
         pooled = states.sum(1) / mask.sum(1, keepdim=True).clamp(min=1)
         return states, pooled, mask
 
