@@ -18,7 +18,7 @@ from recipes.train_embedded_prior.procedural.objects import make_object_of
 FOLDER = Path(__file__).resolve().parent
 FAMILY = "mug"
 SEED = 20_261_121
-INDEX = 3
+INDEX = 4
 CUT_AXIS = 0
 """Object-frame axis along which the half with negative coordinates is removed."""
 
