@@ -60,7 +60,7 @@ class TrainState:
     def update(self, config: TrainConfig, learning_rate: float) -> None:
         """Take one optimiser step with the gradients at hand and move the average along."""
         for group in self.optimizer.param_groups:
-            group["lr"] = learning_rate
+            group["lr"] = learning_rate * group["factor"]
         torch.nn.utils.clip_grad_norm_(self.model.parameters(), config.clip_norm)
         self.optimizer.step()
         self.step += 1
@@ -111,14 +111,21 @@ class TrainState:
 
 
 def make_optimizer(model: nn.Module, config: TrainConfig) -> torch.optim.Optimizer:
-    """Return AdamW; only matrices and kernels decay."""
-    matrices = [p for p in model.parameters() if p.ndim >= 2]
-    vectors = [p for p in model.parameters() if p.ndim < 2]
-    groups = [
-        {"params": matrices, "weight_decay": config.weight_decay},
-        {"params": vectors, "weight_decay": 0.0},
-    ]
+    """Return AdamW; only matrices and kernels decay, and the text's part learns faster."""
+    groups = []
+    for reads_text, factor in ((False, 1.0), (True, config.text_rate_factor)):
+        for is_matrix, decay in ((True, config.weight_decay), (False, 0.0)):
+            parameters = [
+                parameter
+                for name, parameter in model.named_parameters()
+                if (parameter.ndim >= 2) == is_matrix and _reads_text(name) == reads_text
+            ]
+            groups.append({"params": parameters, "weight_decay": decay, "factor": factor})
     return torch.optim.AdamW(groups, lr=config.learning_rate, betas=config.betas, fused=True)
+
+
+def _reads_text(name: str) -> bool:
+    return "text" in name or name.startswith("pooled.")
 
 
 def open_run(config: TrainConfig, words: tuple[str, ...]) -> tuple[str, ...]:

@@ -68,17 +68,21 @@ class StepNoise:
 
 
 def draw_step_noise(config: TrainConfig, step: int) -> StepNoise:
-    """Draw a step's random numbers from (seed, step); timesteps are stratified over the batch."""
+    """Draw a step's random numbers from (seed, step).
+
+    Timesteps are stratified over the batch; sets without P lean towards the noisy end, where the
+    prompt decides.
+    """
     count, size = config.batch_sets, config.model.resolution_px
     entropy = np.random.SeedSequence((config.seed, step, 3)).generate_state(1, np.uint64)[0]
     generator = torch.Generator().manual_seed(int(entropy >> np.uint64(1)))
     strata = torch.randperm(count, generator=generator) + torch.rand(count, generator=generator)
-    return StepNoise(
-        strata / count * (NUM_TIMESTEPS - 1),
-        torch.randn(count, VIEWS, IMAGE_CHANNELS, size, size, generator=generator),
-        torch.rand(count, generator=generator) >= config.drop_input,
-        torch.rand(count, generator=generator) >= config.drop_text,
-    )
+    noise = torch.randn(count, VIEWS, IMAGE_CHANNELS, size, size, generator=generator)
+    keep_input = torch.rand(count, generator=generator) >= config.drop_input
+    keep_text = torch.rand(count, generator=generator) >= config.drop_text
+    share = strata / count
+    share = torch.where(keep_input, share, 1 - (1 - share) ** 2)
+    return StepNoise(share * (NUM_TIMESTEPS - 1), noise, keep_input, keep_text)
 
 
 def training_loss(model: FourViewDenoiser, batch: Batch, drawn: StepNoise) -> Tensor:  # []

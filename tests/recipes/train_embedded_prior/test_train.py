@@ -73,13 +73,22 @@ def test_new_words_are_appended_on_resume(tmp_path):
 
 
 def test_step_noise_is_a_function_of_the_step_and_covers_all_timesteps(tmp_path):
-    config = tiny_run(tmp_path, batch_sets=8)
+    config = tiny_run(tmp_path, batch_sets=8, drop_input=0.0)
     first, again = draw_step_noise(config, 3), draw_step_noise(config, 3)
     for field in dataclasses.fields(first):
         assert torch.equal(getattr(first, field.name), getattr(again, field.name))
     assert not torch.equal(first.noise, draw_step_noise(config, 4).noise)
     strata = (first.timestep / (NUM_TIMESTEPS - 1) * 8).floor().sort().values
     assert strata.tolist() == list(range(8))
+
+
+def test_sets_without_input_lean_to_high_noise(tmp_path):
+    config = tiny_run(tmp_path, batch_sets=8, drop_input=0.5)
+    drawn = [draw_step_noise(config, step) for step in range(60)]
+    timestep = torch.cat([noise.timestep for noise in drawn])
+    kept = torch.cat([noise.keep_input for noise in drawn])
+    assert float(timestep[~kept].mean()) > float(timestep[kept].mean()) + 80
+    assert float(timestep.max()) <= NUM_TIMESTEPS - 1
 
 
 def test_conditions_are_dropped_as_often_as_asked(tmp_path):
