@@ -136,8 +136,8 @@ def card(config: PriorConfig, model: FourViewDenoiser, losses: dict[str, dict[st
         ]
     lines += [
         "Known limits: one object per image, the things named by its words and simple shapes,",
-        "64 x 64 pixels; coarse shape and the colours of P are reliable, lettering and fine texture",
-        "are not, and what is said only by the prompt is followed loosely.",
+        "64 x 64 pixels; coarse shape and the colours of P are reliable, lettering and fine",
+        "texture are not, and what is said only by the prompt is followed loosely.",
         "",
     ]
     return "\n".join(lines)
