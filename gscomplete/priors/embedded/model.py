@@ -7,8 +7,8 @@ Conventions
 * The output is v = alpha_t * noise - sigma_t * x0 (``diffusion``).
 * Inside, views are folded into the batch, [4B, C, h, w] in channels-last memory, so that turning
   a level into tokens [B, 4hw, C] copies nothing.
-* Nothing tells the views apart but their Plucker rays: permuting views with their rays permutes
-  the output.
+* Nothing tells the views apart but their Plucker rays and their order round the ring: turning the
+  ring (views and rays alike) turns the output.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ from gscomplete.priors.embedded.rays import RAY_CHANNELS, camera_vector, ring_ra
 IMAGE_CHANNELS = 4
 INPUT_CHANNELS = 5
 VIEWS = 4
+SYMMETRIES = 7
+"""Copies of P that ``symmetric_copies`` makes: three turns, and mirror images in four turns."""
 _PATCH = 2
 
 
@@ -214,6 +216,9 @@ class FourViewDenoiser(nn.Module):
         self.pooled = nn.Linear(config.text_width, e)
         folded = (IMAGE_CHANNELS + INPUT_CHANNELS) * _PATCH**2 + RAY_CHANNELS
         self.stem = nn.Conv2d(folded, w[0], 3, padding=1)
+        copied = SYMMETRIES * INPUT_CHANNELS * _PATCH**2
+        self.symmetries = nn.Conv2d(copied, w[0], 3, padding=1, bias=False)
+        nn.init.zeros_(self.symmetries.weight)
         self.down = nn.ModuleList(Level(level, config, going_down=True) for level in range(3))
         self.up = nn.ModuleList(Level(level, config, going_down=False) for level in range(3))
         self.shrink = nn.ModuleList(
@@ -251,6 +256,8 @@ class FourViewDenoiser(nn.Module):
         images = torch.cat([noisy, input_map], dim=2).flatten(0, 1)
         x = torch.cat([F.pixel_unshuffle(images, _PATCH), rays], dim=1)
         x = self.stem(x.contiguous(memory_format=torch.channels_last))
+        copies = F.pixel_unshuffle(symmetric_copies(input_map).flatten(0, 1), _PATCH)
+        x = x + self.symmetries(copies.contiguous(memory_format=torch.channels_last))
         kept = []
         for level in range(3):
             x = self.down[level](x, embedding, ray_levels[level], states, mask)
@@ -264,6 +271,18 @@ class FourViewDenoiser(nn.Module):
             x = self.up[level](x, embedding, ray_levels[level], states, mask)
         folded = self.head(F.silu(self.norm(x)))
         return F.pixel_shuffle(folded, _PATCH).unflatten(0, (-1, VIEWS)).float()
+
+
+def symmetric_copies(input_map: Tensor) -> Tensor:  # [B, 4, 5, S, S] -> [B, 4, 35, S, S]
+    """Show every view what P would look like turned by 90, 180, 270 degrees, or mirrored.
+
+    The views stand 90 degrees apart at one elevation, so a turn of P about the ring's axis only
+    passes the views on, and a mirror image through the upright plane of a view flips that view:
+    exact, and free. Most things are symmetric, so what is missing is often there, elsewhere.
+    """
+    mirrored = input_map.flip(-1)
+    turned = [input_map.roll(turn, dims=1) for turn in (1, 2, 3)]
+    return torch.cat(turned + [mirrored.roll(turn, dims=1) for turn in range(4)], dim=2)
 
 
 _FREQUENCIES = 64
