@@ -34,6 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Threads that wait must sleep: PyTorch and Numba each keep a pool, and a pool that spins while
     # the other works halves the speed of both. Read by the OpenMP runtime when it loads.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    os.environ.setdefault("GOMP_SPINCOUNT", "0")
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     if arguments == ["--version"]:
         print(f"gscomplete {gscomplete.__version__}")

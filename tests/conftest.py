@@ -3,4 +3,5 @@
 import os
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+os.environ.setdefault("GOMP_SPINCOUNT", "0")
 """As in the command line: pools of threads that spin while waiting slow each other down."""
