@@ -12,7 +12,13 @@ INITIAL_OPACITY = 0.1
 
 
 def initial_splats(
-    partial: Splats, count: int, diameter: float, seed: int, *, min_scale: float, max_scale: float
+    partial: Splats,
+    count: int,
+    diameter: float,
+    seed: int,
+    *,
+    min_scale: float,
+    max_scale: float,
 ) -> Splats:
     """Scatter new splats uniformly in the sphere about the object-frame origin.
 

@@ -109,7 +109,7 @@ def prepare(request: Request, prior: Prior) -> Run:
         "settings": jsonio.to_json(request.settings),
     }
     del identity["settings"]["checkpoint_every"]  # decides nothing about the result
-    notes = (*notes, chosen.summary(), *conditioning.report)
+    notes = (*notes, chosen.summary(), completion.start_note, *conditioning.report)
     run = Run(request, source, chosen, frame, distribution, notes, completion, identity)
     if request.resume:
         _check_identity(request.out / RUN_FILE, identity)

@@ -21,6 +21,10 @@ Mode = Literal["distill", "reconstruct"]
 ``reconstruct``: denoise a ring of views for several steps, then fit the splats to it for many
 cheap steps (after MicroDreamer); the preservation loss is the same."""
 
+Start = Literal["sphere", "symmetry"]
+"""``sphere``: new splats uniform in a sphere (paper, section 3.3). ``symmetry``: half of them in a
+turned or mirrored copy of P where one is believable (``symmetry``), the rest in the sphere."""
+
 PresetName = Literal["default", "fast", "distill", "paper"]
 """``default``: the best of time and quality for the prior. ``fast``: fewer rounds.
 ``distill``: the paper's method in fewer steps, for small priors. ``paper``: its settings."""
@@ -82,6 +86,8 @@ class CompletionSettings:
     seed: int = 0
     new_splats: int = 5000
     """New splats at the start, uniform in the sphere about the object (section 3.3)."""
+    start: Start = "sphere"
+    """Where new splats start."""
     warmup_steps: int = 50
     """Steps at the start whose preservation loss is unmasked (n_init, section 3.3)."""
     preservation_weight: float = 2.0
@@ -182,17 +188,19 @@ RECONSTRUCT = dataclasses.replace(
     mode="reconstruct",
     steps=640,
     rounds=16,
+    denoise_steps=3,
+    start="symmetry",
     preservation_every=1,
     timesteps=(
-        TimestepStage(0.15, 999.0, 999.0),
-        TimestepStage(0.6, 700.0, 850.0),
+        TimestepStage(0.3, 820.0, 920.0),
+        TimestepStage(0.65, 600.0, 820.0),
         TimestepStage(1.0, 300.0, 600.0),
     ),
     checkpoint_every=80,
 )
 """Iterative reconstruction: a few denoised rings, many cheap fitting steps."""
 
-FAST = dataclasses.replace(RECONSTRUCT, steps=240, rounds=8, denoise_steps=6)
+FAST = dataclasses.replace(RECONSTRUCT, steps=240, rounds=8)
 
 
 def preset(name: PresetName, prior_name: str) -> CompletionSettings:
