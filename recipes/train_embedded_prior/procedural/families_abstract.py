@@ -68,8 +68,9 @@ def superquadric(a: Assembly) -> Description:
     """One superellipsoid, perhaps bent or twisted."""
     look = any_look(a)
     radii = a.rng.uniform(0.2, 0.6, 3)
-    part = ellipsoid(radii.tolist(), roundness=(a.uniform(0.15, 2), a.uniform(0.15, 2)), rows=20,
-                     segments=32)
+    part = ellipsoid(
+        radii.tolist(), roundness=(a.uniform(0.15, 2), a.uniform(0.15, 2)), rows=20, segments=32
+    )
     a.add(deformed(a, part), look, turn=any_turn(a) if a.chance(0.5) else None)
     return Description(("abstract shape", "shape", "block", "solid"), look)
 
@@ -99,7 +100,9 @@ def blob(a: Assembly) -> Description:
     radius = np.ones(corners.shape[:2], np.float32)
     for _ in range(a.integer(2, 5)):
         wave = a.rng.normal(size=3) * a.uniform(2, 7)
-        radius += a.uniform(0.04, 0.18) * np.sin(corners @ wave.astype(np.float32) + a.uniform(0, 6))
+        radius += a.uniform(0.04, 0.18) * np.sin(
+            corners @ wave.astype(np.float32) + a.uniform(0, 6)
+        )
     a.add(Quads(corners * radius[..., None], part.uv, None), look)
     return Description(("rock", "blob", "stone", "abstract shape", "lump"), look)
 

@@ -18,9 +18,33 @@ from recipes.train_embedded_prior.procedural.primitives import (
     turn_about,
 )
 
-ROOF_COLORS = ("red", "dark red", "brown", "dark grey", "orange", "dark blue", "green", "grey", "black")
-WALL_COLORS = ("white", "cream", "beige", "yellow", "light blue", "red", "light brown", "brown", "pink",
-               "grey", "light grey", "green", "light green", "orange")
+ROOF_COLORS = (
+    "red",
+    "dark red",
+    "brown",
+    "dark grey",
+    "orange",
+    "dark blue",
+    "green",
+    "grey",
+    "black",
+)
+WALL_COLORS = (
+    "white",
+    "cream",
+    "beige",
+    "yellow",
+    "light blue",
+    "red",
+    "light brown",
+    "brown",
+    "pink",
+    "grey",
+    "light grey",
+    "green",
+    "light green",
+    "orange",
+)
 
 
 def gable(x: float, y: float, rise: float, over: float) -> Quads:
@@ -60,8 +84,18 @@ def tiled(a: Assembly, avoid: Look) -> Look:
     return look
 
 
-def openings(a: Assembly, pane: Look, rim: Look, face: np.ndarray, width: float, low: float,
-             high: float, columns: int, rows: int, door: Look | None) -> None:
+def openings(
+    a: Assembly,
+    pane: Look,
+    rim: Look,
+    face: np.ndarray,
+    width: float,
+    low: float,
+    high: float,
+    columns: int,
+    rows: int,
+    door: Look | None,
+) -> None:
     """Add windows (and a door in the middle of the lowest row) to a wall.
 
     Args:
@@ -103,7 +137,9 @@ def house(a: Assembly) -> Description:
     """A house with windows, door, roof and perhaps a chimney."""
     look = walls(a)
     roof, door = tiled(a, look), a.look("wooden", "painted", avoid=look)
-    pane = a.look("glass", colors=("light blue", "dark blue", "black", "yellow", "white"), avoid=look)
+    pane = a.look(
+        "glass", colors=("light blue", "dark blue", "black", "yellow", "white"), avoid=look
+    )
     rim = a.look(colors=("white", "brown", "cream", "dark brown"), avoid=look)
     x, y, height = a.uniform(0.5, 0.8), a.uniform(0.6, 1.1), a.uniform(0.4, 0.8)
     rows = 2 if height > 0.6 else 1
@@ -121,8 +157,11 @@ def house(a: Assembly) -> Description:
         top = gable(x, y, rise * 1.04, over)
         a.add(top, roof, (0, 0, height))
     elif kind == "hip":
-        a.add(box((x + 2 * over, y + 2 * over, rise), taper=(0.02, a.uniform(0.02, 0.5))), roof,
-              (0, 0, height))
+        a.add(
+            box((x + 2 * over, y + 2 * over, rise), taper=(0.02, a.uniform(0.02, 0.5))),
+            roof,
+            (0, 0, height),
+        )
     else:
         a.add(box((x + 2 * over, y + 2 * over, 0.07)), roof, (0, 0, height))
     details = [detail(roof, "roof"), detail(door, "door"), "windows"]
@@ -135,13 +174,14 @@ def house(a: Assembly) -> Description:
         a.add(gable(0.5 * x, 0.45 * y, 0.5 * rise, 0.04), roof, (0.1, 0.6 * y, 0.6 * height))
     if a.chance(0.3):
         a.add(box((x + 0.5, y + 0.5, 0.04)), a.look("leafy"), (0, 0, -0.04))
-    return Description(("house", "house", "cottage", "toy house", "building", "home"), look,
-                       tuple(details))
+    return Description(
+        ("house", "house", "cottage", "toy house", "building", "home"), look, tuple(details)
+    )
 
 
 def tower_block(a: Assembly) -> Description:
     """A tall building with rows of windows."""
-    look = a.look("stone", "metal", "plain", colors=WALL_COLORS + ("dark grey", "blue"))
+    look = a.look("stone", "metal", "plain", colors=(*WALL_COLORS, "dark grey", "blue"))
     pane = a.look("glass", colors=("light blue", "dark blue", "black", "blue"), avoid=look)
     x, y, height = a.uniform(0.3, 0.45), a.uniform(0.3, 0.5), a.uniform(0.9, 1.4)
     rows, columns = a.integer(4, 8), a.integer(2, 4)
@@ -150,15 +190,21 @@ def tower_block(a: Assembly) -> Description:
         face, width = wall_frame(side, x, y)
         openings(a, pane, look, face, 0.92 * width, 0.06, height * 0.97, columns, rows, None)
     a.add(box((x * 0.5, y * 0.5, 0.08)), look, (0, 0, height))
-    return Description(("skyscraper", "building", "tower", "office building"), look,
-                       ("windows", detail(pane, "windows", plural=True)), ("tall",))
+    return Description(
+        ("skyscraper", "building", "tower", "office building"),
+        look,
+        ("windows", detail(pane, "windows", plural=True)),
+        ("tall",),
+    )
 
 
 def castle(a: Assembly) -> Description:
     """A tower, or a castle with four towers."""
     look = a.look("stone", "stone", "plain")
     if a.chance(0.6):
-        material = type(look.material)(look.material.color, (look.material.color * 0.7), "bricks", 8.0)
+        material = type(look.material)(
+            look.material.color, (look.material.color * 0.7), "bricks", 8.0
+        )
         look = Look(material, look.color, look.substance)
     roof = tiled(a, look)
     dark = a.look(colors=("black", "dark brown", "dark grey"))
@@ -166,13 +212,22 @@ def castle(a: Assembly) -> Description:
     spire = a.chance(0.5)
 
     def tower(radius: float, height: float, at: tuple[float, float]) -> None:
-        shaft = [(0, 0), (radius * 1.1, 0), (radius, 0.2 * height), (radius, 0.8 * height),
-                 (radius * 1.2, 0.85 * height), (radius * 1.2, height), (0, height)]
+        shaft = [
+            (0, 0),
+            (radius * 1.1, 0),
+            (radius, 0.2 * height),
+            (radius, 0.8 * height),
+            (radius * 1.2, 0.85 * height),
+            (radius * 1.2, height),
+            (0, height),
+        ]
         parts = [revolve(shaft, 20)]
         if not spire:
             part = box((0.3 * radius, 0.35 * radius, 0.3 * radius))
             for k in range(8):
-                ring = part.moved(None, (radius * 1.05, 0, height)).moved(turn_about("z", 45.0 * k), (0, 0, 0))
+                ring = part.moved(None, (radius * 1.05, 0, height)).moved(
+                    turn_about("z", 45.0 * k), (0, 0, 0)
+                )
                 parts.append(ring)
         a.add(join(parts), look, (*at, 0))
         if spire:
@@ -205,8 +260,13 @@ def castle(a: Assembly) -> Description:
 
 def lighthouse(a: Assembly) -> Description:
     """A lighthouse or windmill: a tapering round tower with a top."""
-    look = a.look("stone", "plain", colors=("white", "red", "cream", "grey", "brown", "beige"),
-                  patterns=("bands",), pattern_chance=0.6)
+    look = a.look(
+        "stone",
+        "plain",
+        colors=("white", "red", "cream", "grey", "brown", "beige"),
+        patterns=("bands",),
+        pattern_chance=0.6,
+    )
     cap = a.look(colors=ROOF_COLORS, avoid=look)
     low, high, height = a.uniform(0.24, 0.32), a.uniform(0.13, 0.2), a.uniform(0.8, 1.1)
     segments = a.choose([24, 24, 8])
@@ -215,19 +275,25 @@ def lighthouse(a: Assembly) -> Description:
     a.add(box((0.06, 0.13, 0.2)), door, (low * 0.96, 0, 0))
     if a.chance(0.5):
         a.add(cylinder(high * 1.35, 0.04), cap, (0, 0, height))
-        a.add(cylinder(high * 0.7, 0.16), a.look("glass", colors=("yellow", "light blue", "cream")),
-              (0, 0, height + 0.04))
+        a.add(
+            cylinder(high * 0.7, 0.16),
+            a.look("glass", colors=("yellow", "light blue", "cream")),
+            (0, 0, height + 0.04),
+        )
         a.add(revolve([(high, 0), (0, 0.16)], segments), cap, (0, 0, height + 0.2))
-        return Description(("lighthouse", "tower", "lighthouse"), look, (detail(cap, "top"),), ("tall",))
+        return Description(
+            ("lighthouse", "tower", "lighthouse"), look, (detail(cap, "top"),), ("tall",)
+        )
     a.add(revolve([(high * 1.15, 0), (high * 0.8, 0.14), (0, 0.22)], segments), cap, (0, 0, height))
     sail = a.look("wooden", "fabric", avoid=look)
     angle = a.uniform(0, 90)
     for k in range(4):
-        blade = join([box((0.02, 0.03, 0.5)), box((0.015, 0.14, 0.36)).moved(None, (0, 0.07, 0.13))])
+        blade = join(
+            [box((0.02, 0.03, 0.5)), box((0.015, 0.14, 0.36)).moved(None, (0, 0.07, 0.13))]
+        )
         a.add(blade, sail, (high + 0.08, 0, height + 0.02), turn_about("x", angle + 90.0 * k))
     a.add(rod((0, 0, height + 0.02), (high + 0.12, 0, height + 0.02), 0.03), sail)
-    return Description(("windmill", "tower", "windmill"), look, ("four arms",
-                       detail(cap, "roof")))
+    return Description(("windmill", "tower", "windmill"), look, ("four arms", detail(cap, "roof")))
 
 
 def tent(a: Assembly) -> Description:
@@ -254,7 +320,11 @@ def tent(a: Assembly) -> Description:
     radius, height = 0.5, a.uniform(0.25, 0.45)
     a.add(cylinder(radius, height, segments=a.choose([24, 8, 12])), look)
     top = look if a.chance(0.5) else a.look("fabric", avoid=look)
-    a.add(revolve([(radius * 1.08, 0), (0.25, 0.3), (0, a.uniform(0.45, 0.6))], 24), top, (0, 0, height))
+    a.add(
+        revolve([(radius * 1.08, 0), (0.25, 0.3), (0, a.uniform(0.45, 0.6))], 24),
+        top,
+        (0, 0, height),
+    )
     flag = a.look("fabric")
     a.add(rod((0, 0, height + 0.4), (0, 0, height + 0.75), 0.012), flag)
     a.add(box((0.01, 0.15, 0.1)), flag, (0, 0.08, height + 0.64))
@@ -270,8 +340,13 @@ def column(a: Assembly) -> Description:
         height, radius = a.uniform(0.8, 1.2), a.uniform(0.1, 0.17)
         a.add(box((radius * 3, radius * 3, 0.08)), look)
         flutes = a.choose([0, 12, 16])
-        a.add(revolve([(0, 0), (radius, 0), (radius * 0.85, height)], 48, lobes=flutes, lobe_depth=0.08),
-              look, (0, 0, 0.08))
+        a.add(
+            revolve(
+                [(0, 0), (radius, 0), (radius * 0.85, height)], 48, lobes=flutes, lobe_depth=0.08
+            ),
+            look,
+            (0, 0, 0.08),
+        )
         a.add(cylinder(radius, 0.08, radius * 1.4), look, (0, 0, height + 0.06))
         a.add(box((radius * 3, radius * 3, 0.06)), look, (0, 0, height + 0.14))
         return Description(("column", "pillar", "stone column"), look, ("a base",), ("tall",))
@@ -280,8 +355,9 @@ def column(a: Assembly) -> Description:
         a.add(box((0.28, 0.28, 0.9), taper=(0.65, 0.65)), look, (0, 0, 0.12))
         a.add(box((0.19, 0.19, 0.12), taper=(0.02, 0.02)), look, (0, 0, 1.01))
         return Description(("obelisk", "monument", "column"), look, ("a base",), ("tall",))
-    wall = revolve([(0, 0), (0.5, 0), (0.5, 0.3), (0.42, 0.3), (0.42, 0.08), (0, 0.08)],
-                   a.choose([24, 8]))
+    wall = revolve(
+        [(0, 0), (0.5, 0), (0.5, 0.3), (0.42, 0.3), (0.42, 0.08), (0, 0.08)], a.choose([24, 8])
+    )
     a.add(wall, brick(look, look.material.color * np.float32(0.7)))
     if kind == "well":
         wood, roof = a.look("wooden"), tiled(a, look)

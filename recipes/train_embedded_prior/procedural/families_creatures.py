@@ -1,4 +1,4 @@
-"""Creature families: animals, people, figures and robots, from ellipsoids and tubes."""
+"""Creature families: plush animals, four-legged ones, birds and fish, from ellipsoids and tubes."""
 
 from __future__ import annotations
 
@@ -6,13 +6,16 @@ import math
 
 import numpy as np
 
-from recipes.train_embedded_prior.procedural.assembly import DECORATIONS, Assembly, Description, Look
+from recipes.train_embedded_prior.procedural.assembly import (
+    Assembly,
+    Description,
+    Look,
+)
 from recipes.train_embedded_prior.procedural.captions import detail
 from recipes.train_embedded_prior.procedural.materials import Material
 from recipes.train_embedded_prior.procedural.palette import sample_color
 from recipes.train_embedded_prior.procedural.primitives import (
     Quads,
-    box,
     cylinder,
     ellipsoid,
     prism,
@@ -43,8 +46,14 @@ def eyes(a: Assembly, x: float, y: float, z: float, size: float) -> None:
 def spotted(a: Assembly, look: Look, accent: str) -> Look:
     """Return a look with irregular patches of a named colour."""
     color = sample_color(accent, a.rng)
-    pattern = Material(look.material.color, color, "patches", a.uniform(6, 10), a.uniform(0.4, 0.6),
-                       a.uniform(0, 6))
+    pattern = Material(
+        look.material.color,
+        color,
+        "patches",
+        a.uniform(6, 10),
+        a.uniform(0.4, 0.6),
+        a.uniform(0, 6),
+    )
     return Look(pattern, look.color, look.substance, accent)
 
 
@@ -61,7 +70,11 @@ def teddy(a: Assembly) -> Description:
     top = z + belly * 1.0 + 0.75 * head
     a.add(ellipsoid((head, head * 1.05, head * 0.95)), look, (0, 0, top))
     a.add(ellipsoid((0.1, 0.11, 0.08)), pale, (0.85 * head, 0, top - 0.25 * head))
-    a.add(ball(0.035), a.look(colors=("black", "dark brown", "pink")), (0.85 * head + 0.1, 0, top - 0.15 * head))
+    a.add(
+        ball(0.035),
+        a.look(colors=("black", "dark brown", "pink")),
+        (0.85 * head + 0.1, 0, top - 0.15 * head),
+    )
     eyes(a, 0.85 * head, 0.4 * head, top + 0.2 * head, 0.026)
     if kind == "rabbit":
         ear = ellipsoid((0.035, 0.07, a.uniform(0.16, 0.26)))
@@ -69,10 +82,13 @@ def teddy(a: Assembly) -> Description:
     else:
         size = 0.17 if kind == "mouse" else a.uniform(0.08, 0.11)
         a.add_mirrored(ellipsoid((0.05, size, size)), look, (0, 0.8 * head, top + 0.75 * head))
-        a.add_mirrored(ellipsoid((0.03, 0.65 * size, 0.65 * size)), pale,
-                       (0.04, 0.8 * head, top + 0.75 * head))
+        a.add_mirrored(
+            ellipsoid((0.03, 0.65 * size, 0.65 * size)), pale, (0.04, 0.8 * head, top + 0.75 * head)
+        )
     reach = a.uniform(-40, 60)
-    arm = ellipsoid((0.09, 0.09, 0.2)).moved(turn_about("x", 35) @ turn_about("y", -reach), (0, 0, 0))
+    arm = ellipsoid((0.09, 0.09, 0.2)).moved(
+        turn_about("x", 35) @ turn_about("y", -reach), (0, 0, 0)
+    )
     a.add_mirrored(arm, look, (0.06, belly + 0.07, z + 0.14))
     if a.chance(0.65):
         a.add_mirrored(ellipsoid((0.2, 0.1, 0.1)), look, (0.22, 0.17, 0.1))
@@ -85,8 +101,11 @@ def teddy(a: Assembly) -> Description:
         a.add_mirrored(ellipsoid((0.04, 0.08, 0.05)), bow, (0.2, 0.08, z + belly))
         a.add(ball(0.035), bow, (0.22, 0, z + belly))
         details.append(detail(bow, "ribbon"))
-    nouns = {"bear": ("teddy bear", "bear", "toy bear"), "rabbit": ("rabbit", "bunny", "toy rabbit"),
-             "mouse": ("mouse", "toy mouse")}[kind]
+    nouns = {
+        "bear": ("teddy bear", "bear", "toy bear"),
+        "rabbit": ("rabbit", "bunny", "toy rabbit"),
+        "mouse": ("mouse", "toy mouse"),
+    }[kind]
     return Description(nouns, look, (*details, "two ears"))
 
 
@@ -123,12 +142,20 @@ def quadruped(a: Assembly) -> Description:
     """A four-legged animal, as a toy or a statue."""
     name = a.choose(list(QUADRUPEDS))
     length, radius, leg, neck, angle, head, snout = (
-        value * a.uniform(0.88, 1.12) for value in QUADRUPEDS[name])
+        value * a.uniform(0.88, 1.12) for value in QUADRUPEDS[name]
+    )
     statue = a.chance(0.15)
-    look = a.look("stone", "metal", "wooden") if statue else a.look(
-        "plush", "plastic", "plain", colors=COATS.get(name, FUR))
+    look = (
+        a.look("stone", "metal", "wooden")
+        if statue
+        else a.look("plush", "plastic", "plain", colors=COATS.get(name, FUR))
+    )
     details: list[str] = []
-    marks = {"cow": ("black", "brown", "dark brown"), "giraffe": ("brown",), "dog": ("brown", "black")}
+    marks = {
+        "cow": ("black", "brown", "dark brown"),
+        "giraffe": ("brown",),
+        "dog": ("brown", "black"),
+    }
     if not statue and name in marks and a.chance(0.75):
         accent = a.choose([c for c in marks[name] if c != look.color] or ["white"])
         look = spotted(a, look, accent)
@@ -141,32 +168,53 @@ def quadruped(a: Assembly) -> Description:
     a.add(ellipsoid((half * 1.05, radius, radius), roundness=(1, 0.85)), look, (0, 0, z))
     thick = radius * a.uniform(0.28, 0.42) * (1.3 if name == "elephant" else 1.0)
     for x in (0.66 * half, -0.66 * half):
-        a.add_mirrored(rod((x, 0.55 * radius, 0), (x, 0.5 * radius, z), thick * 0.85, thick), look,
-                       (0, 0, 0))
+        a.add_mirrored(
+            rod((x, 0.55 * radius, 0), (x, 0.5 * radius, z), thick * 0.85, thick), look, (0, 0, 0)
+        )
     rad = math.radians(angle)
     start = np.array([0.8 * half, 0, z + 0.3 * radius])
     tip = start + neck * np.array([math.cos(rad), 0, math.sin(rad)])
     if neck > 0.05:
-        a.add(rod(start - 0.1 * np.array([math.cos(rad), 0, math.sin(rad)]), tip, radius * 0.62,
-                  head * 0.75, 10), look)
+        a.add(
+            rod(
+                start - 0.1 * np.array([math.cos(rad), 0, math.sin(rad)]),
+                tip,
+                radius * 0.62,
+                head * 0.75,
+                10,
+            ),
+            look,
+        )
     center = tip + np.array([0.45 * head, 0, 0.35 * head])
     a.add(ellipsoid((head * 1.05, head * 0.85, head * 0.9)), look, tuple(center))
     if snout > 0.02:
         at = center + np.array([head * 0.75, 0, -0.3 * head])
         nose = other if name in ("pig", "cow", "dog") and a.chance(0.4) else look
         a.add(ellipsoid((snout, 0.55 * head, 0.48 * head)), nose, tuple(at))
-        a.add(ball(0.026), a.look(colors=("black", "pink", "dark brown")), (at[0] + snout, 0, at[2] + 0.1 * head))
+        a.add(
+            ball(0.026),
+            a.look(colors=("black", "pink", "dark brown")),
+            (at[0] + snout, 0, at[2] + 0.1 * head),
+        )
     eyes(a, center[0] + 0.72 * head, 0.5 * head, center[2] + 0.35 * head, 0.022)
     _head_gear(a, name, look, other, center, head, details)
     back = (-1.0 * half, 0, z + 0.4 * radius)
     rise = a.uniform(-0.25, 0.25)
     if name == "dinosaur":
-        tail = smooth_profile([(-0.7 * half, 0, z), (-1.6 * half, 0, z - 0.1), (-2.4 * half, 0, 0.08)], 8)
+        tail = smooth_profile(
+            [(-0.7 * half, 0, z), (-1.6 * half, 0, z - 0.1), (-2.4 * half, 0, 0.08)], 8
+        )
         a.add(tube(tail, np.linspace(radius * 0.8, 0.02, 8)), look)
     else:
         long = {"cat": 0.35, "tiger": 0.35, "lion": 0.35, "horse": 0.3, "fox": 0.3}.get(name, 0.16)
-        path = smooth_profile([back, (-half - 0.5 * long, 0, z + 0.4 * radius + rise),
-                               (-half - long, 0, z + 0.3 * radius + 1.4 * rise)], 7)
+        path = smooth_profile(
+            [
+                back,
+                (-half - 0.5 * long, 0, z + 0.4 * radius + rise),
+                (-half - long, 0, z + 0.3 * radius + 1.4 * rise),
+            ],
+            7,
+        )
         a.add(tube(path, np.linspace(0.03, 0.055 if name in ("fox", "horse") else 0.02, 7)), look)
     nouns: tuple[str, ...] = (name, name, f"toy {name}", "animal")
     if statue:
@@ -175,7 +223,12 @@ def quadruped(a: Assembly) -> Description:
 
 
 def _head_gear(
-    a: Assembly, name: str, look: Look, other: Look, center: np.ndarray, head: float,
+    a: Assembly,
+    name: str,
+    look: Look,
+    other: Look,
+    center: np.ndarray,
+    head: float,
     details: list[str],
 ) -> None:
     """Add ears, horns, manes and trunks."""
@@ -185,24 +238,46 @@ def _head_gear(
         a.add_mirrored(revolve([(0.5 * head, 0), (0, 0.75 * head)], 8), look, top)
         details.append("pointed ears")
     elif name == "elephant":
-        a.add_mirrored(ellipsoid((0.05, 0.9 * head, 1.0 * head)), look,
-                       (center[0] - 0.3 * head, 1.35 * head, center[2]), turn_about("z", -30))
+        a.add_mirrored(
+            ellipsoid((0.05, 0.9 * head, 1.0 * head)),
+            look,
+            (center[0] - 0.3 * head, 1.35 * head, center[2]),
+            turn_about("z", -30),
+        )
         x, z = center[0] + 0.8 * head, center[2] - 0.1 * head
-        trunk = smooth_profile([(x, 0, z), (x + 0.14, 0, z - 0.2), (x + a.uniform(0.1, 0.35), 0, z - 0.42)], 9)
+        trunk = smooth_profile(
+            [(x, 0, z), (x + 0.14, 0, z - 0.2), (x + a.uniform(0.1, 0.35), 0, z - 0.42)], 9
+        )
         a.add(tube(trunk, np.linspace(0.085, 0.04, 9)), look)
-        a.add_mirrored(rod((x, 0.1, z - 0.08), (x + 0.16, 0.12, z - 0.14), 0.024, 0.01), pale, (0, 0, 0))
+        a.add_mirrored(
+            rod((x, 0.1, z - 0.08), (x + 0.16, 0.12, z - 0.14), 0.024, 0.01), pale, (0, 0, 0)
+        )
         details.append("a long trunk")
     elif name != "dinosaur":
         droop = a.uniform(-40, 70) if name == "dog" else 70
         ear = ellipsoid((0.035, 0.25 * head, 0.55 * head)).moved(turn_about("x", -droop), (0, 0, 0))
-        a.add_mirrored(ear, other if name == "dog" else look, (top[0], 0.85 * head, top[2] - 0.3 * head))
+        a.add_mirrored(
+            ear, other if name == "dog" else look, (top[0], 0.85 * head, top[2] - 0.3 * head)
+        )
     if name in ("cow", "goat", "giraffe"):
         size = 0.3 if name == "goat" else 0.14
-        a.add_mirrored(rod((top[0], 0.35 * head, top[2]), (top[0] - 0.3 * size, 0.35 * head + 0.3 * size,
-                                                           top[2] + size), 0.025, 0.012), pale, (0, 0, 0))
+        a.add_mirrored(
+            rod(
+                (top[0], 0.35 * head, top[2]),
+                (top[0] - 0.3 * size, 0.35 * head + 0.3 * size, top[2] + size),
+                0.025,
+                0.012,
+            ),
+            pale,
+            (0, 0, 0),
+        )
         details.append("horns")
     if name == "lion":
-        a.add(ellipsoid((0.6 * head, 1.5 * head, 1.5 * head)), other, (center[0] - 0.5 * head, 0, center[2]))
+        a.add(
+            ellipsoid((0.6 * head, 1.5 * head, 1.5 * head)),
+            other,
+            (center[0] - 0.5 * head, 0, center[2]),
+        )
         details.append(detail(other, "mane"))
     if name == "horse":
         for k in range(5):
@@ -213,10 +288,18 @@ def _head_gear(
 def duck(a: Assembly) -> Description:
     """A duck, chick, swan, penguin or another bird."""
     kind = a.choose(["duck", "duck", "bird", "penguin", "owl", "chick", "swan"])
-    colors = {"duck": ("yellow", "yellow", "white", "brown", "green"), "chick": ("yellow",),
-              "swan": ("white", "black"), "penguin": ("black", "dark blue", "grey")}.get(kind)
-    look = a.look("rubber", "plastic", "plush", colors=colors or ("blue", "red", "brown", "green", "yellow",
-                                                               "grey", "white", "light blue"))
+    colors = {
+        "duck": ("yellow", "yellow", "white", "brown", "green"),
+        "chick": ("yellow",),
+        "swan": ("white", "black"),
+        "penguin": ("black", "dark blue", "grey"),
+    }.get(kind)
+    look = a.look(
+        "rubber",
+        "plastic",
+        "plush",
+        colors=colors or ("blue", "red", "brown", "green", "yellow", "grey", "white", "light blue"),
+    )
     beak = a.look("plastic", colors=("orange", "red", "yellow", "dark grey"), avoid=look)
     pale = a.look(colors=("white", "cream"), avoid=look)
     details = [detail(beak, "beak")]
@@ -235,7 +318,9 @@ def duck(a: Assembly) -> Description:
         a.add(revolve([(0.14, 0), (0, 0.3)], 12), look, (-0.2, 0, 0.26), turn_about("y", -62))
         x, z, r = 0.22, a.uniform(0.5, 0.6), a.uniform(0.15, 0.19)
         if kind == "swan":
-            path = smooth_profile([(0.28, 0, 0.25), (0.4, 0, 0.5), (0.26, 0, 0.75), (0.36, 0, 0.85)], 12)
+            path = smooth_profile(
+                [(0.28, 0, 0.25), (0.4, 0, 0.5), (0.26, 0, 0.75), (0.36, 0, 0.85)], 12
+            )
             a.add(tube(path, np.linspace(0.09, 0.06, 12)), look)
             x, z, r = 0.38, 0.85, 0.09
         a.add(ellipsoid((r, r, r)), look, (x, 0, z))
@@ -248,27 +333,48 @@ def duck(a: Assembly) -> Description:
     else:
         a.add(rod((x + 0.8 * r, 0, z), (x + r + 0.12, 0, z - 0.02), 0.05, 0.005), beak)
     eyes(a, x + 0.78 * r, 0.5 * r, z + 0.3 * r, 0.024)
-    nouns = {"duck": ("duck", "rubber duck", "toy duck"), "bird": ("bird", "bird"), "chick": (
-        "chick", "bird"), "owl": ("owl", "bird"), "swan": ("swan", "bird"), "penguin": (
-        "penguin", "toy penguin")}[kind]
+    nouns = {
+        "duck": ("duck", "rubber duck", "toy duck"),
+        "bird": ("bird", "bird"),
+        "chick": ("chick", "bird"),
+        "owl": ("owl", "bird"),
+        "swan": ("swan", "bird"),
+        "penguin": ("penguin", "toy penguin"),
+    }[kind]
     return Description(nouns, look, tuple(details))
 
 
 def fish(a: Assembly) -> Description:
     """A fish, whale or shark, and a turtle."""
-    look = a.look("plastic", "plush", "rubber", "glass", patterns=("stripes", "bands", "dots", "gradient"),
-                  pattern_chance=0.4)
+    look = a.look(
+        "plastic",
+        "plush",
+        "rubber",
+        "glass",
+        patterns=("stripes", "bands", "dots", "gradient"),
+        pattern_chance=0.4,
+    )
     fin = look if a.chance(0.4) else a.look("plastic", avoid=look)
     if a.chance(0.3):
-        shell = a.look(colors=("green", "brown", "dark green", "olive", "light brown"), avoid=look,
-                       patterns=("patches",), pattern_chance=0.5)
+        shell = a.look(
+            colors=("green", "brown", "dark green", "olive", "light brown"),
+            avoid=look,
+            patterns=("patches",),
+            pattern_chance=0.5,
+        )
         skin = a.look(colors=("green", "light green", "olive", "beige"), avoid=shell)
-        a.add(revolve(smooth_profile([(0.42, 0), (0.36, 0.2), (0, 0.34)], 9).clip(0), 24), shell, (0, 0, 0.1))
+        a.add(
+            revolve(smooth_profile([(0.42, 0), (0.36, 0.2), (0, 0.34)], 9).clip(0), 24),
+            shell,
+            (0, 0, 0.1),
+        )
         a.add(cylinder(0.4, 0.08), skin, (0, 0, 0.06))
         a.add(ellipsoid((0.14, 0.11, 0.11)), skin, (0.5, 0, 0.22))
         eyes(a, 0.6, 0.05, 0.26, 0.02)
         for x in (0.28, -0.28):
-            a.add_mirrored(ellipsoid((0.14, 0.09, 0.06)), skin, (x, 0.34, 0.07), turn_about("z", 35))
+            a.add_mirrored(
+                ellipsoid((0.14, 0.09, 0.06)), skin, (x, 0.34, 0.07), turn_about("z", 35)
+            )
         return Description(("turtle", "tortoise", "toy turtle"), shell, (detail(skin, "head"),))
     big = a.chance(0.35)
     tall, wide = (0.22, 0.22) if big else (a.uniform(0.16, 0.3), a.uniform(0.08, 0.14))
@@ -281,153 +387,17 @@ def fish(a: Assembly) -> Description:
         a.add(tail, fin, (-0.36, 0.02, tall), flat)
     dorsal = prism([(-0.12, 0), (0.14, 0), (-0.12, 0.18)], 0.03)
     a.add(dorsal, fin, (0, 0.015, 1.85 * tall), flat)
-    a.add_mirrored(ellipsoid((0.1, 0.12, 0.015)), fin, (0.1, wide + 0.06, 0.8 * tall), turn_about("x", 30))
+    a.add_mirrored(
+        ellipsoid((0.1, 0.12, 0.015)), fin, (0.1, wide + 0.06, 0.8 * tall), turn_about("x", 30)
+    )
     eyes(a, 0.28, wide * 0.72, tall * 1.2, 0.025)
     nouns = ("whale", "shark", "dolphin") if big else ("fish", "fish", "toy fish")
     return Description(nouns, look, (detail(fin, "fins", plural=True), "fins"))
 
 
-def person(a: Assembly) -> Description:
-    """A standing figure: person, knight, soldier, doll; or a stone statue."""
-    statue = a.chance(0.25)
-    stone = a.look("stone", "metal", "marble", "wooden")
-    skin = stone if statue else a.look(colors=SKIN)
-    shirt = stone if statue else a.look("fabric", "plastic", patterns=DECORATIONS, pattern_chance=0.15)
-    trousers = stone if statue else a.look("fabric", "plastic", avoid=shirt)
-    hair = stone if statue else a.look(colors=("black", "brown", "dark brown", "golden", "orange", "grey"))
-    shoes = stone if statue else a.look("leather", colors=("black", "brown", "dark grey", "red"))
-    build, leg = a.uniform(0.85, 1.2), a.uniform(0.38, 0.5)
-    blocky = a.chance(0.25)
-    knight = a.chance(0.2)
-    width = 0.13 * build
-    if blocky:
-        a.add_mirrored(box((0.14, 0.13, leg)), trousers, (0, 0.08, 0))
-        a.add(box((0.17, 2.2 * width, 0.32)), shirt, (0, 0, leg))
-        arm = box((0.12, 0.1, 0.32)).moved(None, (0, 0, -0.3))
-        top = leg + 0.32
-        a.add(box((0.22, 0.22, 0.22)), skin, (0, 0, top + 0.02))
-    else:
-        robe = a.chance(0.2)
-        if robe:
-            a.add(revolve([(0, 0), (0.24, 0), (0.13, leg + 0.05)], 20), shirt)
-        else:
-            a.add_mirrored(rod((0, 0.09, 0), (0, 0.07, leg + 0.05), 0.055, 0.075), trousers, (0, 0, 0))
-        a.add(ellipsoid((0.1 * build, 1.15 * width, 0.21), roundness=(0.7, 1)), shirt, (0, 0, leg + 0.17))
-        arm = rod((0, 0, 0), (0, 0, -0.32), 0.05, 0.04)
-        top = leg + 0.36
-        a.add(rod((0, 0, top - 0.03), (0, 0, top + 0.08), 0.045), skin)
-        a.add(ellipsoid((0.1, 0.095, 0.12)), skin, (0, 0, top + 0.16))
-    a.add_mirrored(box((0.18, 0.1, 0.05)), shoes, (0.03, 0.09, 0))
-    swing, spread = a.uniform(-70, 70) if a.chance(0.4) else 0.0, a.uniform(4, 30)
-    shoulder = (0.0, 1.05 * width + 0.04, leg + 0.3)
-    turn = turn_about("x", spread) @ turn_about("y", -abs(swing))
-    a.add_mirrored(arm, shirt, shoulder, turn)
-    hand = np.asarray(shoulder) + turn @ np.array([0, 0, -0.35])
-    a.add_mirrored(ball(0.05), skin, tuple(hand.tolist()))
-    z = top + (0.13 if blocky else 0.16)
-    dark = stone if statue else a.look(colors=("black",))
-    a.add_mirrored(ball(0.016), dark, (0.1, 0.04, z + 0.02))
-    details = [detail(shirt, "shirt"), f"{trousers.color} legs"] if not statue else []
-    if knight:
-        metal = stone if statue else a.look("metal", colors=("silver", "grey", "dark grey", "golden"))
-        a.add(cylinder(0.125, 0.2, 0.1), metal, (0, 0, z - 0.06))
-        sword = rod((0, 0, -0.1), (0, 0, 0.5), 0.018, 0.008)
-        a.add(sword, metal, tuple(hand.tolist()), turn_about("y", 50))
-        side = hand * np.array([1, -1, 1])
-        a.add(cylinder(0.17, 0.03), shirt if a.chance(0.5) else metal, (side[0] + 0.05, side[1], side[2] + 0.1),
-              turn_about("y", 90))
-        details = ["a sword", "a shield"]
-        nouns: tuple[str, ...] = ("knight", "knight figure", "warrior", "toy knight")
-    else:
-        a.add(ellipsoid((0.11, 0.108, 0.1)), hair, (-0.015, 0, z + 0.06))
-        if a.chance(0.3) and not statue:
-            hat = a.look("fabric", avoid=shirt)
-            a.add(cylinder(0.16, 0.02), hat, (0, 0, z + 0.08))
-            a.add(cylinder(0.1, 0.12, 0.08), hat, (0, 0, z + 0.09))
-            details.append(detail(hat, "hat"))
-        nouns = ("figure", "person", "man", "doll", "toy figure", "woman", "character")
-    if statue:
-        nouns = ("statue", "statue of a person", "figure statue", "stone statue")
-        a.add(box((0.42, 0.5, a.uniform(0.08, 0.3))).moved(None, (0, 0, -0.08)), stone, (0, 0, -0.1))
-        details = ["a base"]
-    return Description(nouns, stone if statue else shirt, tuple(details))
-
-
-def bust(a: Assembly) -> Description:
-    """A bust or a seated statue on a plinth; also a sitting cat."""
-    look = a.look("stone", "stone", "marble", "metal", "clay", "golden", "wooden",
-                  colors=None if a.chance(0.8) else ("black", "white", "grey"))
-    kind = a.choose(["bust", "cat", "seated"])
-    if kind == "bust":
-        a.add(revolve([(0, 0), (0.2, 0), (0.17, 0.06), (0.09, 0.12), (0.12, 0.24), (0, 0.24)], 20), look)
-        a.add(ellipsoid((0.17, 0.32, 0.2), roundness=(0.8, 1)), look, (0, 0, 0.36))
-        a.add(rod((0, 0, 0.45), (0.02, 0, 0.65), 0.09, 0.08), look)
-        a.add(ellipsoid((0.16, 0.13, 0.19)), look, (0.03, 0, 0.78))
-        a.add(rod((0.17, 0, 0.8), (0.2, 0, 0.74), 0.02, 0.035), look)
-        a.add(ellipsoid((0.15, 0.15, 0.14)), look, (-0.02, 0, 0.86))
-        a.add_mirrored(ellipsoid((0.03, 0.02, 0.04)), look, (0.02, 0.13, 0.77))
-        return Description(("bust", "statue", "stone bust"), look, ("a base",))
-    if kind == "cat":
-        a.add(box((0.5, 0.32, 0.07)), look)
-        body = smooth_profile([(0.2, 0.05), (0.21, 0.25), (0.13, 0.55), (0.09, 0.7)], 12)
-        a.add(revolve(np.concatenate([[(0, 0.05)], body, [(0, 0.72)]]), 20).stretched(1, 0.85, 1), look)
-        a.add(rod((0.14, 0, 0.05), (0.1, 0, 0.5), 0.07, 0.08), look)
-        a.add(ellipsoid((0.14, 0.11, 0.11)), look, (0.06, 0, 0.8))
-        a.add(ellipsoid((0.06, 0.05, 0.045)), look, (0.19, 0, 0.77))
-        a.add_mirrored(revolve([(0.05, 0), (0, 0.15)], 8), look, (0.02, 0.06, 0.87))
-        path = smooth_profile([(-0.18, 0, 0.1), (-0.22, 0.16, 0.1), (0.0, 0.22, 0.1)], 9)
-        a.add(tube(path, 0.035), look)
-        eyes(a, 0.17, 0.045, 0.82, 0.014)
-        return Description(("cat statue", "cat", "egyptian cat statue", "statue of a cat"), look, ("a base",))
-    a.add(box((0.45, 0.4, 0.4)), look)
-    a.add(box((0.12, 0.4, a.uniform(0.4, 0.8))), look, (-0.2, 0, 0.3))
-    a.add(ellipsoid((0.13, 0.17, 0.24)), look, (-0.02, 0, 0.62))
-    a.add(ellipsoid((0.1, 0.09, 0.12)), look, (0.02, 0, 0.97))
-    a.add_mirrored(rod((0.0, 0.09, 0.45), (0.3, 0.1, 0.44), 0.08, 0.07), look, (0, 0, 0))
-    a.add_mirrored(rod((0.3, 0.1, 0.44), (0.3, 0.1, 0.0), 0.07, 0.06), look, (0, 0, 0))
-    a.add_mirrored(rod((-0.02, 0.18, 0.78), (0.22, 0.14, 0.52), 0.05), look, (0, 0, 0))
-    return Description(("seated statue", "seated figure", "statue", "statue of a seated figure"), look,
-                       ("a base",))
-
-
-def robot(a: Assembly) -> Description:
-    """A robot from boxes and cylinders."""
-    look = a.look("metal", "plastic", "metal", patterns=("two_tone", "rim"), pattern_chance=0.1)
-    trim = a.look("metal", "plastic", avoid=look)
-    glow = a.look("glass", colors=("yellow", "red", "light blue", "green", "white", "black"), avoid=look)
-    leg, width = a.uniform(0.2, 0.4), a.uniform(0.35, 0.55)
-    if a.chance(0.25):
-        a.add_mirrored(cylinder(0.14, 0.12), trim, (0, 0.5 * width, 0.14), turn_about("x", 90))
-        leg = 0.22
-    else:
-        a.add_mirrored(box((0.14, 0.13, leg)), trim, (0, 0.27 * width, 0))
-        a.add_mirrored(box((0.26, 0.17, 0.08)), look, (0.04, 0.27 * width, 0))
-    tall = a.uniform(0.35, 0.5)
-    body = box((0.3, width, tall)) if a.chance(0.7) else cylinder(0.5 * width, tall)
-    a.add(body, look, (0, 0, leg))
-    a.add(box((0.04, 0.55 * width, 0.4 * tall)), trim, (0.16, 0, leg + 0.3 * tall))
-    for y in (-0.15, 0.0, 0.15):
-        a.add(ball(0.03), a.look(colors=("red", "yellow", "green", "blue")), (0.19, y * width, leg + 0.5 * tall))
-    z = leg + tall
-    a.add(cylinder(0.06, 0.08), trim, (0, 0, z))
-    head = a.uniform(0.22, 0.34)
-    if a.chance(0.7):
-        a.add(box((0.26, head * 1.1, 0.24)), look, (0, 0, z + 0.06))
-    else:
-        a.add(ellipsoid((0.16, 0.5 * head, 0.15)), look, (0, 0, z + 0.18))
-    a.add_mirrored(ball(0.045), glow, (0.13, 0.26 * head, z + 0.21))
-    a.add(box((0.03, 0.5 * head, 0.03)), trim, (0.13, 0, z + 0.1))
-    if a.chance(0.6):
-        a.add(rod((0, 0, z + 0.28), (0, 0, z + 0.42), 0.014), trim)
-        a.add(ball(0.035), glow, (0, 0, z + 0.44))
-    swing = a.uniform(-80, 10)
-    arm = rod((0, 0, 0), (0, 0, -0.3), 0.05)
-    turn = turn_about("y", swing)
-    shoulder = np.array([0, 0.5 * width + 0.06, z - 0.08])
-    a.add_mirrored(arm, trim, tuple(shoulder), turn)
-    a.add_mirrored(ball(0.07), look, tuple((shoulder + turn @ np.array([0, 0, -0.33])).tolist()))
-    return Description(("robot", "toy robot", "robot", "android"), look, (detail(trim, "arms", plural=True),
-                       f"{glow.color} eyes"))
-
-
-FAMILIES = (teddy, quadruped, duck, fish, person, bust, robot)
+FAMILIES = (
+    teddy,
+    quadruped,
+    duck,
+    fish,
+)

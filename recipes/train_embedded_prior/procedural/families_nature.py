@@ -32,7 +32,7 @@ PETALS = ("red", "pink", "yellow", "white", "purple", "orange", "magenta", "ligh
 def leaf(length: float, width: float, droop: float) -> Quads:
     """Return a curved leaf that starts at the origin along +x, folded a little in the middle."""
     t = np.linspace(0, 1, 9, dtype=np.float32)
-    half = 0.5 * width * np.sin(math.pi * t ** 0.8)
+    half = 0.5 * width * np.sin(math.pi * t**0.8)
     side = np.array([-1.0, 0.0, 1.0], np.float32)
     vertices = np.empty((3, 9, 3), np.float32)
     vertices[..., 0] = length * t
@@ -43,8 +43,15 @@ def leaf(length: float, width: float, droop: float) -> Quads:
 
 def plant_pot(a: Assembly) -> tuple[Look, float]:
     """Add a pot with soil; return its look and height."""
-    look = a.look("clay", "ceramic", "plastic", "metal", "wooden",
-                  patterns=("bands", "rim", "zigzag", "dots"), pattern_chance=0.2)
+    look = a.look(
+        "clay",
+        "ceramic",
+        "plastic",
+        "metal",
+        "wooden",
+        patterns=("bands", "rim", "zigzag", "dots"),
+        pattern_chance=0.2,
+    )
     height, top = a.uniform(0.25, 0.42), a.uniform(0.18, 0.28)
     line = [(top * a.uniform(0.6, 0.95), 0), (top, height)]
     if a.chance(0.5):
@@ -59,7 +66,11 @@ def plant_pot(a: Assembly) -> tuple[Look, float]:
 def tree(a: Assembly) -> Description:
     """A tree: conifer, round crown, blobs or palm."""
     trunk = a.look("wooden", colors=("brown", "dark brown", "light brown"))
-    crown = a.look("leafy") if a.chance(0.8) else a.look(colors=("orange", "red", "yellow", "pink", "white"))
+    crown = (
+        a.look("leafy")
+        if a.chance(0.8)
+        else a.look(colors=("orange", "red", "yellow", "pink", "white"))
+    )
     kind = a.choose(["conifer", "round", "blobs", "palm", "low-poly"])
     stem, radius = a.uniform(0.2, 0.5), a.uniform(0.04, 0.09)
     if kind == "conifer":
@@ -109,7 +120,7 @@ def plant(a: Assembly) -> Description:
     look = a.look("leafy")
     kind = a.choose(["leaves", "bush", "spikes"])
     if kind == "bush":
-        for k in range(a.integer(3, 9)):
+        for _ in range(a.integer(3, 9)):
             r = a.uniform(0.1, 0.2)
             at = (a.uniform(-0.18, 0.18), a.uniform(-0.18, 0.18), z + a.uniform(0.1, 0.5))
             a.add(ellipsoid((r, r, r), rows=8, segments=12), look, at)
@@ -122,8 +133,9 @@ def plant(a: Assembly) -> Description:
             part = leaf(length, width, a.uniform(0.2, 0.9) if kind == "leaves" else 0.1)
             turn = turn_about("z", 137.5 * k) @ turn_about("y", -lean + 20)
             a.add(part, look, (0, 0, z), turn)
-    return Description(("plant", "potted plant", "plant"), look,
-                       (f"a {pot_look.color} pot", "green leaves"))
+    return Description(
+        ("plant", "potted plant", "plant"), look, (f"a {pot_look.color} pot", "green leaves")
+    )
 
 
 def flower(a: Assembly) -> Description:
@@ -133,14 +145,20 @@ def flower(a: Assembly) -> Description:
     stem = a.look("leafy")
     base = plant_pot(a)[1] if a.chance(0.35) else 0.0
     height, count = base + a.uniform(0.5, 0.8), a.integer(5, 14)
-    path = smooth_profile([(0, 0, base), (a.uniform(-0.08, 0.08), 0, 0.5 * height), (0, 0, height)], 9)
+    path = smooth_profile(
+        [(0, 0, base), (a.uniform(-0.08, 0.08), 0, 0.5 * height), (0, 0, height)], 9
+    )
     a.add(tube(path, 0.022), stem)
     face = turn_about("y", a.choose([0.0, a.uniform(20, 90)]))
     reach, width = a.uniform(0.16, 0.3), a.uniform(0.07, 0.16)
     tip = np.array([0, 0, height], np.float32)
     if a.chance(0.2):
-        bud = revolve(shell_profile([(0.03, 0), (0.14, 0.1), (0.12, 0.25), (0.15, 0.3)], 0.02), 24,
-                      lobes=6, lobe_depth=0.15)
+        bud = revolve(
+            shell_profile([(0.03, 0), (0.14, 0.1), (0.12, 0.25), (0.15, 0.3)], 0.02),
+            24,
+            lobes=6,
+            lobe_depth=0.15,
+        )
         a.add(bud, petal, (0, 0, height - 0.03))
         nouns = ("tulip", "flower", "rose")
     else:
@@ -175,12 +193,18 @@ def cactus(a: Assembly) -> Description:
         top = z + 1.9 * r
     else:
         r, height = a.uniform(0.08, 0.13), a.uniform(0.5, 0.8)
-        body = revolve([(r, 0), (r, height - r), (0.75 * r, height - 0.3 * r), (0, height)], 32,
-                       lobes=8, lobe_depth=0.1)
+        body = revolve(
+            [(r, 0), (r, height - r), (0.75 * r, height - 0.3 * r), (0, height)],
+            32,
+            lobes=8,
+            lobe_depth=0.1,
+        )
         a.add(body, look, (0, 0, z))
         for side in (-1.0, 1.0)[: a.integer(1, 2)]:
             low, high = z + a.uniform(0.2, 0.35), z + a.uniform(0.5, 0.7)
-            path = smooth_profile([(0, 0, low), (side * 0.2, 0, low + 0.02), (side * 0.22, 0, high)], 9)
+            path = smooth_profile(
+                [(0, 0, low), (side * 0.2, 0, low + 0.02), (side * 0.22, 0, high)], 9
+            )
             a.add(tube(path, 0.06), look)
             a.add(ellipsoid((0.06, 0.06, 0.06)), look, (side * 0.22, 0, high))
         top = z + height
@@ -193,7 +217,9 @@ def cactus(a: Assembly) -> Description:
 
 def mushroom(a: Assembly) -> Description:
     """A mushroom with a spotted or plain cap."""
-    cap = a.look(colors=("red", "brown", "orange", "light brown", "white", "purple", "beige", "yellow"))
+    cap = a.look(
+        colors=("red", "brown", "orange", "light brown", "white", "purple", "beige", "yellow")
+    )
     stem = a.look(colors=("white", "cream", "beige"))
     height, r = a.uniform(0.35, 0.7), a.uniform(0.3, 0.5)
     line = smooth_profile([(0.16, 0), (0.1, 0.5 * height), (0.09, height)], 8)
@@ -218,13 +244,33 @@ def mushroom(a: Assembly) -> Description:
 
 def fruit(a: Assembly) -> Description:
     """One fruit or vegetable: apple, pear, orange, banana, pepper, pumpkin, carrot and so on."""
-    kind = a.choose(["apple", "pear", "orange", "banana", "pepper", "pumpkin", "carrot", "strawberry",
-                     "eggplant", "watermelon"])
+    kind = a.choose(
+        [
+            "apple",
+            "pear",
+            "orange",
+            "banana",
+            "pepper",
+            "pumpkin",
+            "carrot",
+            "strawberry",
+            "eggplant",
+            "watermelon",
+        ]
+    )
     stem = a.look("leafy", colors=("green", "dark green", "brown"))
-    colors = {"apple": ("red", "green", "yellow", "dark red"), "pear": ("green", "yellow", "light green"),
-              "orange": ("orange",), "banana": ("yellow",), "pepper": ("red", "green", "yellow", "orange"),
-              "pumpkin": ("orange",), "carrot": ("orange",), "strawberry": ("red",),
-              "eggplant": ("purple", "dark blue"), "watermelon": ("green", "dark green")}[kind]
+    colors = {
+        "apple": ("red", "green", "yellow", "dark red"),
+        "pear": ("green", "yellow", "light green"),
+        "orange": ("orange",),
+        "banana": ("yellow",),
+        "pepper": ("red", "green", "yellow", "orange"),
+        "pumpkin": ("orange",),
+        "carrot": ("orange",),
+        "strawberry": ("red",),
+        "eggplant": ("purple", "dark blue"),
+        "watermelon": ("green", "dark green"),
+    }[kind]
     look = a.look(colors=colors, patterns=("gradient", "speckles"), pattern_chance=0.0)
     profiles = {
         "apple": [(0, 0.06), (0.2, 0.02), (0.48, 0.42), (0.3, 0.82), (0.08, 0.78), (0, 0.7)],
@@ -238,27 +284,40 @@ def fruit(a: Assembly) -> Description:
         "watermelon": [(0, 0), (0.38, 0.12), (0.5, 0.5), (0.38, 0.88), (0, 1.0)],
     }
     if kind == "banana":
-        path = smooth_profile([(-0.45, 0, 0.25), (-0.2, 0, 0.02), (0.2, 0, 0.02), (0.5, 0, 0.3)], 14)
-        radii = np.interp(np.linspace(0, 1, 14), [0, 0.12, 0.5, 0.88, 1], [0.02, 0.08, 0.11, 0.08, 0.03])
+        path = smooth_profile(
+            [(-0.45, 0, 0.25), (-0.2, 0, 0.02), (0.2, 0, 0.02), (0.5, 0, 0.3)], 14
+        )
+        radii = np.interp(
+            np.linspace(0, 1, 14), [0, 0.12, 0.5, 0.88, 1], [0.02, 0.08, 0.11, 0.08, 0.03]
+        )
         for k in range(a.choose([1, 1, 3])):
             a.add(tube(path, radii, sides=6), look, (0, 0.19 * k, 0))
-        a.add(ellipsoid((0.035, 0.035, 0.05)), a.look(colors=("dark brown", "olive")), (0.5, 0, 0.32))
+        a.add(
+            ellipsoid((0.035, 0.035, 0.05)), a.look(colors=("dark brown", "olive")), (0.5, 0, 0.32)
+        )
         return Description(("banana", "fruit"), look)
     line = smooth_profile(profiles[kind], 18).clip(0)
     lobes, depth = {"pepper": (4, 0.14), "pumpkin": (a.integer(8, 12), 0.14)}.get(kind, (0, 0.0))
     if kind == "watermelon":
-        material = type(look.material)(look.material.color, (look.material.color * 0.45), "stripes", 4.0)
+        material = type(look.material)(
+            look.material.color, (look.material.color * 0.45), "stripes", 4.0
+        )
         look = Look(material, look.color, look.substance)
     if kind == "strawberry":
-        material = type(look.material)(look.material.color, np.array([0.95, 0.85, 0.4], np.float32),
-                                       "dots", 12.0, 0.2)
+        material = type(look.material)(
+            look.material.color, np.array([0.95, 0.85, 0.4], np.float32), "dots", 12.0, 0.2
+        )
         look = Look(material, look.color, look.substance)
     a.add(revolve(line, 48 if lobes else 24, lobes=lobes, lobe_depth=depth), look)
     top = float(line[-1, 1])
     if kind in ("carrot", "strawberry"):
         for k in range(6):
-            a.add(leaf(0.26, 0.1, 0.3), stem, (0, 0, top - 0.02),
-                  turn_about("z", 60.0 * k) @ turn_about("y", -55.0 if kind == "carrot" else 0))
+            a.add(
+                leaf(0.26, 0.1, 0.3),
+                stem,
+                (0, 0, top - 0.02),
+                turn_about("z", 60.0 * k) @ turn_about("y", -55.0 if kind == "carrot" else 0),
+            )
     elif kind not in ("watermelon",):
         r = 0.05 if kind in ("pepper", "pumpkin", "eggplant") else 0.02
         a.add(rod((0, 0, top - 0.04), (a.uniform(-0.05, 0.05), 0, top + 0.16), r, 0.8 * r), stem)
@@ -266,10 +325,15 @@ def fruit(a: Assembly) -> Description:
             a.add(cylinder(0.14, 0.06, 0.05), stem, (0, 0, top - 0.08))
         if kind in ("apple", "pear", "orange") and a.chance(0.6):
             a.add(leaf(0.2, 0.1, 0.5), stem, (0, 0, top + 0.08))
-    nouns = {"pepper": ("bell pepper", "pepper", "vegetable"), "pumpkin": ("pumpkin",),
-             "carrot": ("carrot", "vegetable"), "eggplant": ("eggplant", "vegetable")}.get(
-        kind, (kind, kind, "fruit"))
-    return Description(nouns, look, ("a stem", "a green stem" if "green" in stem.color else "a stem"))
+    nouns = {
+        "pepper": ("bell pepper", "pepper", "vegetable"),
+        "pumpkin": ("pumpkin",),
+        "carrot": ("carrot", "vegetable"),
+        "eggplant": ("eggplant", "vegetable"),
+    }.get(kind, (kind, kind, "fruit"))
+    return Description(
+        nouns, look, ("a stem", "a green stem" if "green" in stem.color else "a stem")
+    )
 
 
 def snowman(a: Assembly) -> Description:
@@ -287,11 +351,17 @@ def snowman(a: Assembly) -> Description:
         z += 0.7 * r
         r *= shrink
     a.add(rod((0.9 * size, 0, top), (1.9 * size, 0, top - 0.02), 0.045, 0.005), orange)
-    a.add_mirrored(ellipsoid((0.03, 0.03, 0.03), rows=6, segments=8), dark,
-                   (0.87 * size, 0.35 * size, top + 0.3 * size))
+    a.add_mirrored(
+        ellipsoid((0.03, 0.03, 0.03), rows=6, segments=8),
+        dark,
+        (0.87 * size, 0.35 * size, top + 0.3 * size),
+    )
     for k in range(3):
-        a.add(ellipsoid((0.03, 0.03, 0.03), rows=6, segments=8), dark,
-              (size / shrink * 0.98, 0, top - size * 1.1 - 0.1 * k))
+        a.add(
+            ellipsoid((0.03, 0.03, 0.03), rows=6, segments=8),
+            dark,
+            (size / shrink * 0.98, 0, top - size * 1.1 - 0.1 * k),
+        )
     details = ["a carrot nose", "buttons"]
     if a.chance(0.7):
         hat = a.look("fabric", colors=("black", "red", "blue", "green", "dark grey"))
@@ -305,7 +375,9 @@ def snowman(a: Assembly) -> Description:
         details.append(detail(scarf, "scarf"))
     if a.chance(0.6):
         arm = a.look("wooden", colors=("brown", "dark brown"))
-        a.add_mirrored(rod((0, size, top - size), (0, size + 0.4, top - 0.5 * size), 0.018), arm, (0, 0, 0))
+        a.add_mirrored(
+            rod((0, size, top - size), (0, size + 0.4, top - 0.5 * size), 0.018), arm, (0, 0, 0)
+        )
     return Description(("snowman",), look, tuple(details))
 
 
@@ -315,8 +387,12 @@ def gem(a: Assembly) -> Description:
     kind = a.choose(["star", "crystal", "heart"])
     if kind == "star":
         outline = regular_polygon(a.integer(5, 8), 0.5, star=a.uniform(0.4, 0.6))
-        a.add(prism(outline, a.uniform(0.1, 0.25)), look, (0, 0, 0.5),
-              turn_about("y", 90) @ turn_about("z", 180))
+        a.add(
+            prism(outline, a.uniform(0.1, 0.25)),
+            look,
+            (0, 0, 0.5),
+            turn_about("y", 90) @ turn_about("z", 180),
+        )
         return Description(("star", "star"), look)
     if kind == "heart":
         t = np.linspace(0, 2 * math.pi, 28, endpoint=False)

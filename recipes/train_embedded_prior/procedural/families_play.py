@@ -1,4 +1,4 @@
-"""Play families: balls, blocks, toys, sport, music, prizes and game devices."""
+"""Play families: balls, blocks, toys and weights."""
 
 from __future__ import annotations
 
@@ -6,7 +6,12 @@ import math
 
 import numpy as np
 
-from recipes.train_embedded_prior.procedural.assembly import DECORATIONS, Assembly, Description, Look
+from recipes.train_embedded_prior.procedural.assembly import (
+    DECORATIONS,
+    Assembly,
+    Description,
+    Look,
+)
 from recipes.train_embedded_prior.procedural.captions import detail
 from recipes.train_embedded_prior.procedural.materials import Mark, MarkShape, Material
 from recipes.train_embedded_prior.procedural.palette import sample_color
@@ -16,10 +21,8 @@ from recipes.train_embedded_prior.procedural.primitives import (
     cylinder,
     disc,
     ellipsoid,
-    prism,
     revolve,
     rod,
-    shell_profile,
     smooth_profile,
     torus,
     tube,
@@ -39,32 +42,43 @@ def ball(a: Assembly) -> Description:
         look = a.look(colors=("white", "white", "yellow", "light blue", "orange"))
         dark = a.choose(["black", "black", "dark blue", "red"])
         tone = sample_color(dark, a.rng)
-        corners = [p for s in (-1, 1) for t in (-GOLDEN, GOLDEN)
-                   for p in ((0, s, t), (s, t, 0), (t, 0, s))]
+        corners = [
+            p for s in (-1, 1) for t in (-GOLDEN, GOLDEN) for p in ((0, s, t), (s, t, 0), (t, 0, s))
+        ]
         scale = radius / math.sqrt(1 + GOLDEN**2)
-        marks = [Mark(tuple(scale * v for v in p), (0, 0, 1), (0.19, 0.19), tone, "ball") for p in corners]
+        marks = [
+            Mark(tuple(scale * v for v in p), (0, 0, 1), (0.19, 0.19), tone, "ball")
+            for p in corners
+        ]
         look = look.marked(*marks)
         a.add(ellipsoid((radius,) * 3, rows=16, segments=24), look, (0, 0, radius))
-        moved = [Mark((m.center[0], m.center[1], m.center[2] + radius), m.facing, m.size, m.color, "ball")
-                 for m in marks]
+        moved = [
+            Mark(
+                (m.center[0], m.center[1], m.center[2] + radius), m.facing, m.size, m.color, "ball"
+            )
+            for m in marks
+        ]
         a.materials[-1] = Material(look.material.color, marks=tuple(moved))
         details = (f"{dark} spots", f"{dark} patches")
         return Description(("soccer ball", "ball", "football"), look, details)
     if kind == "beach":
         look = a.look(colors=("white", "red", "blue", "yellow"))
-        a.add(ellipsoid((radius,) * 3, rows=16, segments=24), look)
-        names = [look.color]
-        for k in range(1, 6):
-            other = a.look(colors=("red", "blue", "yellow", "green", "orange", "white", "pink"), avoid=look)
+        angle = np.linspace(-np.pi / 2, np.pi / 2, 13)
+        line = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+        quads = revolve(line, 24)
+        sector = np.arange(len(quads.corners)) % 24 // 4
+        names = []
+        for k in range(6):
+            colors = ("red", "blue", "yellow", "green", "orange", "white", "pink")
+            other = look if k == 0 else a.look(colors=colors, avoid=look)
             names.append(other.color)
-            angle = np.linspace(-np.pi / 2, np.pi / 2, 9)
-            line = np.stack([1.01 * radius * np.cos(angle), 1.01 * radius * np.sin(angle)], axis=1)
-            quads = revolve(line, 24)
-            index = np.arange(len(quads.corners)) % 24
-            part = type(quads)(quads.corners[index // 4 == k], quads.uv[index // 4 == k], None)
+            part = type(quads)(quads.corners[sector == k], quads.uv[sector == k], None)
             a.add(part, other)
-        return Description(("beach ball", "ball", "toy ball"), look,
-                           (f"{names[1]} stripes", f"{names[1]} and {names[2]} stripes"))
+        return Description(
+            ("beach ball", "ball", "toy ball"),
+            look,
+            (f"{names[1]} stripes", f"{names[1]} and {names[2]} stripes"),
+        )
     if kind in ("basketball", "tennis"):
         look = a.look(colors=("orange",) if kind == "basketball" else ("yellow", "light green"))
         seam = a.look(colors=("black",) if kind == "basketball" else ("white",))
@@ -75,11 +89,16 @@ def ball(a: Assembly) -> Description:
             a.add(torus(radius, 0.014, segments=32, sides=5), seam)
         nouns = ("basketball", "ball") if kind == "basketball" else ("tennis ball", "ball")
         return Description(nouns, look, (f"{seam.color} stripes",))
-    look = a.look("rubber", "plastic", "glass", "metal", "wooden", patterns=DECORATIONS, pattern_chance=0.5)
+    look = a.look(
+        "rubber", "plastic", "glass", "metal", "wooden", patterns=DECORATIONS, pattern_chance=0.5
+    )
     a.add(ellipsoid((radius,) * 3, rows=16, segments=28), look)
     if a.chance(0.15):
         hole = a.look(colors=("black",)).material.color
-        spots = [Mark((0.06 * k, 0.08 * (k % 2), radius), (0, 0, 1), (0.05, 0.05), hole) for k in range(3)]
+        spots = [
+            Mark((0.06 * k, 0.08 * (k % 2), radius), (0, 0, 1), (0.05, 0.05), hole)
+            for k in range(3)
+        ]
         a.materials[-1] = look.marked(*spots).material
         return Description(("bowling ball", "ball"), look)
     return Description(("ball", "ball", "rubber ball", "toy ball"), look, (), ("round", "plain"))
@@ -109,18 +128,26 @@ def toy_block(a: Assembly) -> Description:
                 for k in range(a.integer(1, 3)):
                     spot = center + (k - 1) * 0.26 * (across[0] + across[1])
                     marks.append(Mark(tuple(spot), tuple(facing), (0.09, 0.09), tone, "ball"))
-        cube = ellipsoid((0.5,) * 3, roundness=(0.12, 0.12), rows=16, segments=24) if a.chance(
-            0.4) else box((1, 1, 1)).moved(None, (0, 0, -0.5))
+        cube = (
+            ellipsoid((0.5,) * 3, roundness=(0.12, 0.12), rows=16, segments=24)
+            if a.chance(0.4)
+            else box((1, 1, 1)).moved(None, (0, 0, -0.5))
+        )
         a.add(cube, look.marked(*marks), (0, 0, 0.5))
-        nouns = ("toy block", "block", "wooden block") if kind == "letter" else ("dice", "die", "cube")
+        nouns = (
+            ("toy block", "block", "wooden block") if kind == "letter" else ("dice", "die", "cube")
+        )
         details = ("letters", "lettered faces") if kind == "letter" else ("spots", "dots")
         nouns = ("toy block", "block", "letter block") if look.substance != "wooden" else nouns
         return Description(nouns, look, details)
     if kind == "domino":
         tile = a.look("plastic", colors=("white", "black", "cream"))
         ink = sample_color("black" if tile.color != "black" else "white", a.rng)
-        marks = [Mark((0.1, y, 0.5 + s * (0.25 + z)), (1, 0, 0), (0.06, 0.06), ink, "ball")
-                 for s in (-1, 1) for y, z in ((0.13, 0.12), (-0.13, -0.12), (0, 0))[: a.integer(1, 3)]]
+        marks = [
+            Mark((0.1, y, 0.5 + s * (0.25 + z)), (1, 0, 0), (0.06, 0.06), ink, "ball")
+            for s in (-1, 1)
+            for y, z in ((0.13, 0.12), (-0.13, -0.12), (0, 0))[: a.integer(1, 3)]
+        ]
         marks.append(Mark((0.1, 0, 0.5), (1, 0, 0), (0.22, 0.015), ink, "rectangle"))
         a.add(box((0.2, 0.5, 1)), tile.marked(*marks))
         return Description(("domino", "domino tile", "tile"), tile, ("dots", "spots"))
@@ -141,7 +168,11 @@ def toy_block(a: Assembly) -> Description:
                 cell = np.array([k % 3, k // 3 % 3, k // 9]) - 1
                 if cell[axis] != sign:
                     continue
-                tone = colors[int(a.rng.integers(6))] if a.chance(0.5) else colors[2 * axis + (sign > 0)]
+                tone = (
+                    colors[int(a.rng.integers(6))]
+                    if a.chance(0.5)
+                    else colors[2 * axis + (sign > 0)]
+                )
                 size = [0.27, 0.27, 0.27]
                 size[axis] = 0.03
                 at = cell * 0.325
@@ -149,18 +180,28 @@ def toy_block(a: Assembly) -> Description:
                 part = box(size).moved(None, (0, 0, -0.5 * size[2]))
                 sticker = Look(Material(tone), "red", "plastic")
                 a.add(part, sticker, (at[0], at[1], at[2] + 0.5))
-    return Description(("puzzle cube", "cube", "toy cube"), a.look(colors=("black",)), (
-        "colorful faces", "colorful squares"))
+    return Description(
+        ("puzzle cube", "cube", "toy cube"),
+        a.look(colors=("black",)),
+        ("colorful faces", "colorful squares"),
+    )
 
 
 def top(a: Assembly) -> Description:
     """A spinning top, yo-yo, stacking rings or drum."""
-    look = a.look("wooden", "plastic", "metal", patterns=("bands", "stripes", "dots", "checks"),
-                  pattern_chance=0.5)
+    look = a.look(
+        "wooden",
+        "plastic",
+        "metal",
+        patterns=("bands", "stripes", "dots", "checks"),
+        pattern_chance=0.5,
+    )
     trim = a.look("wooden", "plastic", "metal", avoid=look)
     kind = a.choose(["top", "rings", "drum", "yo-yo"])
     if kind == "top":
-        line = smooth_profile([(0, 0), (0.1, 0.1), (0.45, 0.38), (0.3, 0.52), (0.05, 0.6)], 16).clip(0)
+        line = smooth_profile(
+            [(0, 0), (0.1, 0.1), (0.45, 0.38), (0.3, 0.52), (0.05, 0.6)], 16
+        ).clip(0)
         a.add(revolve(line, 28), look)
         a.add(cylinder(0.045, 0.35, 0.035), trim, (0, 0, 0.55))
         return Description(("spinning top", "top", "toy top"), look, (detail(trim, "handle"),))
@@ -183,7 +224,9 @@ def top(a: Assembly) -> Description:
             a.add(torus(0.43, 0.03, sides=8), trim, (0, 0, z))
         return Description(("drum", "toy drum"), look, (detail(trim, "rim"), "a white top"))
     for sign in (-1.0, 1.0):
-        half = revolve(smooth_profile([(0.06, 0), (0.4, 0.06), (0.42, 0.16), (0, 0.24)], 10).clip(0), 24)
+        half = revolve(
+            smooth_profile([(0.06, 0), (0.4, 0.06), (0.42, 0.16), (0, 0.24)], 10).clip(0), 24
+        )
         turn = np.eye(3) if sign > 0 else turn_about("x", 180)
         a.add(half, look if sign > 0 else trim, (0, 0, sign * 0.02), turn_about("y", 90) @ turn)
     a.add(cylinder(0.08, 0.1), trim, (-0.05, 0, 0), turn_about("y", 90))
@@ -192,13 +235,21 @@ def top(a: Assembly) -> Description:
 
 def dumbbell(a: Assembly) -> Description:
     """A dumbbell, barbell or kettlebell."""
-    look = a.look("metal", "rubber", colors=("black", "dark grey", "grey", "red", "blue", "green", "pink",
-                                            "purple"))
+    look = a.look(
+        "metal",
+        "rubber",
+        colors=("black", "dark grey", "grey", "red", "blue", "green", "pink", "purple"),
+    )
     bar = a.look("metal", colors=("silver", "grey", "black"), avoid=look)
     sideways = turn_about("x", 90)
     kind = a.choose(["dumbbell", "dumbbell", "barbell", "kettlebell"])
     if kind == "kettlebell":
-        a.add(revolve(smooth_profile([(0.2, 0), (0.36, 0.3), (0.12, 0.62), (0, 0.64)], 14).clip(0), 24), look)
+        a.add(
+            revolve(
+                smooth_profile([(0.2, 0), (0.36, 0.3), (0.12, 0.62), (0, 0.64)], 14).clip(0), 24
+            ),
+            look,
+        )
         loop = arc(-30, 210, 0.2, 13, plane="yz") * np.array([1, 1, 0.9], np.float32)
         a.add(tube(loop, 0.05), look if a.chance(0.6) else bar, (0, 0, 0.66))
         return Description(("kettlebell", "weight"), look, ("a handle",))
@@ -212,151 +263,17 @@ def dumbbell(a: Assembly) -> Description:
         y += thick + 0.01
     if kind == "dumbbell" and a.chance(0.25):
         a.add_mirrored(ellipsoid((0.22, 0.2, 0.22)), look, (0, 0.38, 0.25))
-    nouns = ("dumbbell", "dumbbell", "weight") if kind == "dumbbell" else ("barbell", "barbell", "weights")
+    nouns = (
+        ("dumbbell", "dumbbell", "weight")
+        if kind == "dumbbell"
+        else ("barbell", "barbell", "weights")
+    )
     return Description(nouns, look, (detail(bar, "handle"), detail(look, "weights", plural=True)))
 
 
-def trophy(a: Assembly) -> Description:
-    """A trophy cup on a base, or a medal."""
-    look = a.look("golden", "metal", colors=("golden", "silver", "golden", "brown"))
-    base = a.look("stone", "wooden", colors=("black", "dark brown", "brown", "dark grey"))
-    z = a.uniform(0.1, 0.25)
-    a.add(box((0.34, 0.34, z)) if a.chance(0.5) else cylinder(0.2, z), base)
-    r = a.uniform(0.2, 0.32)
-    line = smooth_profile([(0.15, 0), (0.035, 0.12), (0.04, 0.26), (r * 0.8, 0.45), (r, 0.8)], 16)
-    a.add(revolve(shell_profile(line, 0.02, 0.3), 24), look, (0, 0, z))
-    if a.chance(0.8):
-        loop = arc(-90, 90, 1.0, 9, plane="yz") * np.array([1, 0.16, 0.16], np.float32)
-        a.add_mirrored(tube(loop, 0.022), look, (0, r * 0.85, z + 0.6))
-    if a.chance(0.3):
-        a.add(ellipsoid((0.08, 0.08, 0.1)), look, (0, 0, z + 0.8))
-    return Description(("trophy", "trophy cup", "award", "cup"), look, (detail(base, "base"), "two handles"))
-
-
-def bell(a: Assembly) -> Description:
-    """A bell with a handle or a loop."""
-    look = a.look("golden", "metal", "metal", patterns=("bands", "rim"), pattern_chance=0.15)
-    grip = look if a.chance(0.4) else a.look("wooden", avoid=look)
-    r, height = a.uniform(0.35, 0.45), a.uniform(0.5, 0.75)
-    line = smooth_profile([(r, 0), (0.7 * r, 0.18 * height), (0.55 * r, 0.7 * height), (0.1, height)], 14)
-    inner = line[::-1] - np.array([0.03, 0.0])
-    a.add(revolve(np.concatenate([line, [(0, height + 0.01), (0, height - 0.04)], inner.clip(0.01)]), 28), look)
-    a.add(ellipsoid((0.07, 0.07, 0.07)), look, (0, 0, 0.03))
-    if a.chance(0.6):
-        a.add(rod((0, 0, height), (0, 0, height + a.uniform(0.25, 0.4)), 0.045, 0.06), grip)
-        details = (detail(grip, "handle"),)
-    else:
-        a.add(torus(0.1, 0.028), look, (0, 0, height + 0.09), turn_about("x", 90))
-        details = ("a ring",)
-    return Description(("bell", "hand bell", "bell"), look, details)
-
-
-def guitar(a: Assembly) -> Description:
-    """A guitar, ukulele or violin, standing upright."""
-    look = a.look("wooden", "wooden", "painted", patterns=("gradient",), pattern_chance=0.15)
-    neck = a.look("wooden", colors=("dark brown", "brown", "black"), avoid=look)
-    angle = np.linspace(0, 2 * np.pi, 40, endpoint=False)
-    waist = 1 - a.uniform(0.2, 0.34) * np.exp(-((np.sin(angle) - 0.15) ** 2) / 0.08)
-    width = np.where(np.sin(angle) > 0.15, a.uniform(0.72, 0.85), 1.0)
-    outline = np.stack([0.3 * np.cos(angle) * waist * width, 0.38 * np.sin(angle)], axis=1)
-    depth = a.uniform(0.07, 0.14)
-    a.add(prism(outline, depth), look, (-0.5 * depth, 0, 0.38), UPRIGHT)
-    front = 0.5 * depth
-    a.add(disc(0.1), a.look(colors=("black", "dark brown")), (front + 0.006, 0, 0.46), turn_about("y", 90))
-    a.add(box((0.04, 0.08, a.uniform(0.6, 0.85))), neck, (front, 0, 0.56))
-    tip = 0.56 + 0.72
-    a.add(box((0.04, 0.14, 0.2)), neck, (front, 0, tip))
-    a.add(box((0.03, 0.2, 0.04)), neck, (front + 0.01, 0, 0.2))
-    steel = a.look("metal", colors=("silver", "white", "golden"))
-    for y in (-0.02, 0.0, 0.02):
-        a.add(rod((front + 0.04, y, 0.22), (front + 0.035, y, tip + 0.1), 0.004), steel)
-    for z in (0.05, 0.12):
-        a.add_mirrored(ellipsoid((0.02, 0.03, 0.02), rows=6, segments=8), steel, (front, 0.09, tip + z))
-    return Description(("guitar", "guitar", "ukulele", "toy guitar"), look, (detail(neck, "handle"), "strings"))
-
-
-def controller(a: Assembly) -> Description:
-    """A game controller, remote control, hand-held game, phone, tablet or laptop."""
-    look = a.look("plastic", "metal", colors=("black", "white", "grey", "dark grey", "red", "blue", "silver",
-                                             "light blue", "pink"))
-    dark = a.look("plastic", avoid=look, colors=("black", "dark grey", "white", "grey"))
-    screen = a.look("glass", colors=("black", "dark blue", "light blue", "dark grey"), avoid=look)
-    kind = a.choose(["gamepad", "remote", "tablet", "laptop", "vr", "monitor"])
-    if kind == "gamepad":
-        a.add(ellipsoid((0.25, 0.42, 0.1), roundness=(0.8, 0.6)), look, (0.05, 0, 0.16))
-        a.add_mirrored(ellipsoid((0.28, 0.12, 0.1)), look, (-0.14, 0.36, 0.13), turn_about("z", -18))
-        for x, y in ((0.02, 0.14), (0.12, 0.28)):
-            a.add_mirrored(cylinder(0.05, 0.08), dark, (x, y, 0.22))
-        for k in range(4):
-            color = a.look("plastic", colors=("red", "green", "blue", "yellow"))
-            at = (0.14 + 0.06 * math.cos(1.57 * k), -0.26 + 0.06 * math.sin(1.57 * k), 0.25)
-            a.add(ellipsoid((0.022, 0.022, 0.02), rows=6, segments=8), color, at)
-        return Description(("game controller", "controller", "gamepad"), look, ("buttons",))
-    if kind == "vr":
-        grip = [(0, 0), (0.1, 0), (0.11, 0.2), (0.09, 0.45), (0, 0.47)]
-        a.add(revolve(smooth_profile(grip, 12).clip(0), 20), look, turn=turn_about("y", 20))
-        a.add(cylinder(0.17, 0.06), dark, (0.17, 0, 0.44), turn_about("y", 35))
-        a.add(torus(0.24, 0.035), look, (0.2, 0, 0.52), turn_about("y", a.uniform(20, 70)))
-        a.add(ellipsoid((0.035, 0.035, 0.05)), dark, (0.2, 0, 0.5))
-        return Description(("vr controller", "hand controller", "controller"), look, ("buttons", "a ring"))
-    if kind == "remote":
-        a.add(ellipsoid((0.5, 0.14, 0.06), roundness=(0.4, 0.4)), look, (0, 0, 0.06))
-        for i in range(5):
-            for j in (-1, 0, 1):
-                button = dark if a.chance(0.85) else a.look("plastic", colors=("red", "green", "blue"))
-                a.add(ellipsoid((0.03, 0.025, 0.02), rows=6, segments=8), button, (0.35 - 0.15 * i, 0.07 * j, 0.12))
-        return Description(("remote", "tv remote"), look, (detail(dark, "buttons", plural=True),))
-    wide, tall = a.uniform(0.6, 0.8), a.uniform(0.9, 1.1)
-    slim = ellipsoid((0.03, 0.5 * wide, 0.5 * tall), roundness=(0.3, 0.12), rows=14)
-    if kind == "tablet":
-        phone = a.chance(0.4)
-        scale = 0.7 if phone else 1.0
-        turn = turn_about("y", a.choose([0.0, -90.0, -25.0]))
-        a.add(slim.stretched(1, scale, 1), look, turn=turn)
-        a.add(box((0.02, wide * scale * 0.9, tall * 0.88)).moved(None, (0.026, 0, -0.44 * tall)), screen, turn=turn)
-        return Description(("phone", "smartphone") if phone else ("tablet", "tablet computer"), look,
-                           (detail(screen, "screen"),))
-    panel = box((0.03, 1.0, 0.65))
-    lean = turn_about("y", -a.uniform(5, 25))
-    if kind == "laptop":
-        a.add(box((0.65, 1.0, 0.04)), look)
-        a.add(box((0.3, 0.9, 0.015)), dark, (0.1, 0, 0.035))
-        at = (-0.32, 0, 0.02)
-    else:
-        a.add(cylinder(0.22, 0.03), look)
-        a.add(rod((-0.05, 0, 0), (-0.03, 0, 0.3), 0.04), look)
-        at, lean = (0, 0, 0.2), turn_about("y", 0)
-    a.add(panel, look, at, lean)
-    pane = box((0.02, 0.93, 0.57)).moved(None, (0.02, 0, 0.04))
-    a.add(pane, screen, at, lean)
-    nouns = ("laptop", "laptop computer") if kind == "laptop" else ("monitor", "screen", "television")
-    return Description(nouns, look, (detail(screen, "screen"),))
-
-
-def chess_piece(a: Assembly) -> Description:
-    """A chess piece: pawn, rook, bishop, queen or king."""
-    look = a.look("wooden", "plastic", "stone", "marble", colors=None)
-    kind = a.choose(["pawn", "rook", "bishop", "queen", "king"])
-    foot = [(0, 0), (0.24, 0), (0.24, 0.08), (0.19, 0.14), (0.12, 0.22)]
-    height = {"pawn": 0.5, "rook": 0.55, "bishop": 0.65, "queen": 0.8, "king": 0.85}[kind]
-    a.add(revolve([*foot, (0.09, height * 0.8), (0.15, height), (0.15, height + 0.03), (0, height + 0.03)], 24), look)
-    if kind == "pawn":
-        a.add(ellipsoid((0.13, 0.13, 0.13)), look, (0, 0, height + 0.12))
-    elif kind == "rook":
-        a.add(revolve(shell_profile([(0.15, 0), (0.17, 0.14)], 0.05), 24), look, (0, 0, height))
-        a.add_around(box((0.05, 0.07, 0.06)), look, 6, (0.145, 0, height + 0.14))
-    elif kind == "bishop":
-        a.add(ellipsoid((0.12, 0.12, 0.17)), look, (0, 0, height + 0.16))
-        a.add(ellipsoid((0.035,) * 3), look, (0, 0, height + 0.35))
-    else:
-        a.add(revolve([(0.09, 0), (0.16, 0.16), (0, 0.2)], 24), look, (0, 0, height + 0.02))
-        if kind == "king":
-            a.add(box((0.04, 0.04, 0.18)), look, (0, 0, height + 0.2))
-            a.add(box((0.04, 0.14, 0.04)), look, (0, 0, height + 0.28))
-        else:
-            a.add_around(ellipsoid((0.03,) * 3, rows=6, segments=8), look, 8, (0.15, 0, height + 0.2))
-            a.add(ellipsoid((0.045,) * 3), look, (0, 0, height + 0.26))
-    return Description(("chess piece", f"chess {kind}", kind), look)
-
-
-FAMILIES = (ball, toy_block, top, dumbbell, trophy, bell, guitar, controller, chess_piece)
+FAMILIES = (
+    ball,
+    toy_block,
+    top,
+    dumbbell,
+)

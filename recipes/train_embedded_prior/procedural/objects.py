@@ -18,12 +18,18 @@ from gscomplete.splats.record import Splats
 from recipes.train_embedded_prior.procedural import (
     families_abstract,
     families_buildings,
+    families_cooking,
+    families_craft,
     families_creatures,
+    families_figures,
     families_furniture,
     families_household,
     families_kitchen,
     families_nature,
     families_play,
+    families_prizes,
+    families_storage,
+    families_things,
     families_vehicles,
     families_wear,
 )
@@ -71,13 +77,19 @@ def _named(*groups: tuple[Family, ...]) -> dict[str, Family]:
 
 CONCRETE = _named(
     families_kitchen.FAMILIES,
+    families_cooking.FAMILIES,
     families_furniture.FAMILIES,
+    families_storage.FAMILIES,
     families_household.FAMILIES,
+    families_things.FAMILIES,
     families_buildings.FAMILIES,
     families_vehicles.FAMILIES,
+    families_craft.FAMILIES,
     families_nature.FAMILIES,
     families_creatures.FAMILIES,
+    families_figures.FAMILIES,
     families_play.FAMILIES,
+    families_prizes.FAMILIES,
     families_wear.FAMILIES,
 )
 ABSTRACT = _named(families_abstract.FAMILIES)

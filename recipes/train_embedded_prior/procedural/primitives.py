@@ -341,10 +341,9 @@ def tube(
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
     within = np.cross(across, tangent)
     phi = np.linspace(0.0, 2 * math.pi, sides + 1, dtype=np.float32)
-    ring = (
-        np.cos(phi)[None, :, None] * within[:, None]
-        + np.sin(phi)[None, :, None] * across[:, None] * np.float32(flatten)
-    )
+    ring = np.cos(phi)[None, :, None] * within[:, None] + np.sin(phi)[None, :, None] * across[
+        :, None
+    ] * np.float32(flatten)
     vertices = line[:, None] + radii[:, None, None] * ring
     uv = np.empty((*vertices.shape[:2], 2), np.float32)
     uv[..., 0] = phi * np.float32(seam_length(2 * math.pi * radii.max()) / (2 * math.pi))
