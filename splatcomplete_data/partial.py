@@ -125,7 +125,7 @@ def by_box(
     offset = _points(splats) - np.asarray(center, np.float32)
     if turn is not None:
         offset = offset @ np.asarray(turn, np.float32)
-    inside = (np.abs(offset) <= 0.5 * np.asarray(size, np.float32)).all(axis=1)
+    inside: BoolArray = np.all(np.abs(offset) <= 0.5 * np.asarray(size, np.float32), axis=1)
     mask = inside if keep == "inside" else ~inside
     found = np.asarray(center, np.float64).round(4).tolist()
     edges = np.asarray(size, np.float64).round(4).tolist()
@@ -135,7 +135,7 @@ def by_box(
 def crop(splats: Splats, low: ArrayLike, high: ArrayLike) -> PartialCut:
     """Keep the splats inside an axis-aligned box given by its corners [3] and [3]."""
     points = _points(splats)
-    mask = ((points >= np.asarray(low)) & (points <= np.asarray(high))).all(axis=1)
+    mask: BoolArray = np.all((points >= np.asarray(low)) & (points <= np.asarray(high)), axis=1)
     low_list = np.asarray(low, np.float64).round(4).tolist()
     high_list = np.asarray(high, np.float64).round(4).tolist()
     return _cut(splats, mask, "crop", low=low_list, high=high_list)

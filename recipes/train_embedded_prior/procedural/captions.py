@@ -62,13 +62,13 @@ def caption(description: Description, rng: np.random.Generator) -> str:
         for phrase in (description.details[k] for k in order):
             if not details or phrase.split()[-1] != details[-1].split()[-1]:
                 details.append(phrase)
-    after = [] if rng.random() < 0.85 or not colored else [color]
-    before = [color] if colored and not after else []
+    trailing = rng.random() >= 0.85 and colored
+    before = [color] if color is not None and colored and not trailing else []
     words = [*lead, *before, *substance, noun]
     if before and lead and rng.random() < 0.3:
         words = [*before, *lead, *substance, noun]
     text = _choose(FRAMES, rng).format(" ".join(words))
-    text += f" in {after[0]}" if after else ""
+    text += f" in {color}" if trailing else ""
     text += f" with {' and '.join(details)}" if details else ""
     return with_article(text)
 

@@ -99,7 +99,7 @@ def person(a: Assembly) -> Description:
             a.add(cylinder(0.16, 0.02), hat, (0, 0, z + 0.08))
             a.add(cylinder(0.1, 0.12, 0.08), hat, (0, 0, z + 0.09))
             details.append(detail(hat, "hat"))
-        nouns = ("figure", "person", "man", "doll", "toy figure", "woman", "character")
+        nouns = ("figure", "doll", "toy figure", "character", "figurine")
     if statue:
         nouns = ("statue", "statue of a person", "figure statue", "stone statue")
         a.add(
