@@ -28,7 +28,7 @@ from gscomplete.completion.symmetry import best_symmetry, symmetric_splats
 from gscomplete.errors import UserError
 from gscomplete.priors.base import Conditioning, FourViews, Guidance, Prior
 from gscomplete.render import Render, render
-from gscomplete.splats import Splats, concatenate
+from gscomplete.splats import Splats
 from gscomplete.views import Cameras, ViewDistribution, join_cameras
 
 
@@ -81,7 +81,7 @@ class Completion:
         extent = sum(prior.views.extent_range) / 2
         self._max_radius = settings.max_radius or extent / 2
         bounds = Bounds(settings.min_scale_px * extent / self._size_px, settings.max_scale)
-        start, self.start_note = self._start(bounds, initial_diameter)
+        start, self.start_note, self._is_blank = self._start(bounds, initial_diameter)
         self.parameters = SplatParameters(start, bounds, settings.learning_rates)
         self._statistics = GradientStatistics(len(self.parameters))
         self._rings = RingMemory(settings.ring_memory)
@@ -103,7 +103,7 @@ class Completion:
         """
         started = time.perf_counter()
         settings, step = self.settings, self.step_number
-        timestep = schedules.timestep_at(settings, step)
+        timestep = schedules.timestep_at(settings, step, blank=self._is_blank)
         if settings.mode == "reconstruct" and schedules.is_round_start(settings, step):
             self._rings.add(self._denoised_ring(timestep))
         ring_cameras, ring = self._guidance_views()
@@ -161,30 +161,29 @@ class Completion:
         self._statistics.views = state["statistics.views"].clone()
         self._rings.restore(state)
 
-    def _start(self, bounds: Bounds, diameter: float) -> tuple[Splats, str]:
-        """Return the new splats of step 0 and a line that says where they are."""
+    def _start(self, bounds: Bounds, diameter: float) -> tuple[Splats, str, bool]:
+        """Return the new splats of step 0, a line that says where they are, and if it is blank."""
         settings = self.settings
-        symmetry, copied = None, None
         if settings.start == "symmetry":
             symmetry = best_symmetry(self.partial, self._distribution, settings.seed)
-        if symmetry is not None:
-            copied = symmetric_splats(
-                self.partial, symmetry, settings.new_splats // 2, settings.seed
-            )
+            if symmetry is not None:
+                copied = symmetric_splats(
+                    self.partial, symmetry, settings.new_splats, settings.seed
+                )
+                note = (
+                    f"start: {len(copied):,} splats of P {symmetry.name} "
+                    f"({100 * symmetry.novelty:.0f} % of it where P is not)"
+                )
+                return copied, note, False
         scattered = initial_splats(
             self.partial,
-            settings.new_splats - (0 if copied is None else len(copied)),
+            settings.new_splats,
             diameter,
             settings.seed,
             min_scale=bounds.min_scale,
             max_scale=bounds.max_scale,
         )
-        if copied is None or symmetry is None:
-            return scattered, f"start: {len(scattered):,} splats in a sphere"
-        return concatenate([copied, scattered]), (
-            f"start: {len(copied):,} splats of P {symmetry.name} ({100 * symmetry.novelty:.0f} % "
-            f"of it where P is not), {len(scattered):,} in a sphere"
-        )
+        return scattered, f"start: {len(scattered):,} splats in a sphere", True
 
     def _guidance_scales(self) -> Guidance | None:
         """Return the guidance asked for, or None for the prior's own default."""

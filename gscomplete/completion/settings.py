@@ -22,8 +22,8 @@ Mode = Literal["distill", "reconstruct"]
 cheap steps (after MicroDreamer); the preservation loss is the same."""
 
 Start = Literal["sphere", "symmetry"]
-"""``sphere``: new splats uniform in a sphere (paper, section 3.3). ``symmetry``: half of them in a
-turned or mirrored copy of P where one is believable (``symmetry``), the rest in the sphere."""
+"""``sphere``: new splats uniform in a sphere (paper, section 3.3). ``symmetry``: on a
+turned or mirrored copy of P where one is believable (``symmetry``), else in the sphere."""
 
 PresetName = Literal["default", "fast", "distill", "paper"]
 """``default``: the best of time and quality for the prior. ``fast``: fewer rounds.
@@ -100,6 +100,9 @@ class CompletionSettings:
         TimestepStage(1.0, 20.0, 245.0),
     )
     """Schedule of the diffusion time (section 3.3, with T = 980)."""
+    blank_timesteps: tuple[TimestepStage, ...] | None = None
+    """Schedule of runs that found no symmetry to start from, so that the first renders hold no
+    hint; None = ``timesteps``."""
     text_scale: float | None = None
     """Guidance towards the prompt; None = the prior's own default."""
     input_scale: float | None = None
@@ -186,16 +189,22 @@ SMALL_PRIOR = dataclasses.replace(
 RECONSTRUCT = dataclasses.replace(
     SMALL_PRIOR,
     mode="reconstruct",
-    steps=640,
+    steps=480,
     rounds=16,
-    denoise_steps=3,
+    denoise_steps=2,
+    ring_memory=5,
     start="symmetry",
     preservation_every=1,
     timesteps=(
-        TimestepStage(0.3, 820.0, 920.0),
-        TimestepStage(0.65, 600.0, 820.0),
-        TimestepStage(1.0, 300.0, 600.0),
+        TimestepStage(0.5, 450.0, 700.0),
+        TimestepStage(1.0, 100.0, 400.0),
     ),
+    blank_timesteps=(
+        TimestepStage(0.4, 960.0, 999.0),
+        TimestepStage(0.7, 700.0, 850.0),
+        TimestepStage(1.0, 250.0, 500.0),
+    ),
+    learning_rates=LearningRates(means=2e-3, means_final=2e-4, sh=5e-3, log_scales=1e-2),
     checkpoint_every=80,
 )
 """Iterative reconstruction: a few denoised rings, many cheap fitting steps."""

@@ -2,9 +2,10 @@
 
 Most objects are symmetric about an upright plane or axis, so part of what is missing is there,
 elsewhere. Candidates are turns about z and mirror images through upright planes near the centre. A
-candidate is good when its copy of P lies where P is not (novelty), and bad when it shows from V:
-beside P (protrusion) or in front of P (occlusion), or leaves the object frame's box. The copy is only where new splats start; the
-prior and the preservation loss decide what becomes of them. The paper starts from a sphere.
+candidate is good when its copy of P lies where P is not (novelty), and bad when it shows from V,
+beside P (protrusion) or in front of P (occlusion), or leaves the object frame's box. The copy is
+only where new splats start; the prior and the preservation loss decide what becomes of them. The
+paper starts from a sphere.
 """
 
 from __future__ import annotations
