@@ -38,7 +38,7 @@ class Options:
     """Objects by name."""
     data: Path = complete.DATA
     """Folder of the real data."""
-    steps: int = 300
+    steps: int = 200
     """Steps of score distillation."""
     seed: int = 0
 

@@ -190,6 +190,8 @@ RECONSTRUCT = dataclasses.replace(
     SMALL_PRIOR,
     mode="reconstruct",
     steps=480,
+    new_splats=8000,
+    min_scale_px=0.3,
     rounds=16,
     denoise_steps=2,
     ring_memory=5,
