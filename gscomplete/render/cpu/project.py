@@ -35,6 +35,7 @@ def project(
     offsets: Any,  # [N, 2] pixels added to the projected centre, or [0, 2] for none
     camera: Any,  # [21] float64
     packed: Any,  # [N, PACKED] float32, written
+    depths: Any,  # [N] float64, written
     visible: Any,  # [N] uint8, written
 ) -> None:
     """Project every splat; invisible ones get ``visible`` 0 and an untouched row."""
@@ -91,6 +92,7 @@ def project(
             packed[i, P_LC] = root_c
             packed[i, P_OPACITY] = opacity
             packed[i, P_DEPTH] = z
+            depths[i] = z
             packed[i, P_HALF_H], packed[i, P_HALF_W] = half_h, half_w
             if bands > 1:
                 dx, dy, dz = mx - eye_x, my - eye_y, mz - eye_z

@@ -61,10 +61,10 @@ def _draw_view(
     width, height = int(camera[16]), int(camera[17])
     tiles_x, tiles_y = -(-width // tiles.TILE), -(-height // tiles.TILE)
     packed = np.empty((count, layout.PACKED), np.float32)
+    depths = np.empty(count, np.float64)
     visible = np.empty(count, np.uint8)
-    project(*arrays, offsets, camera, packed, visible)
-    keys = packed.view(np.uint32)[:, layout.P_DEPTH]
-    order = tiles.depth_order(visible, keys)
+    project(*arrays, offsets, camera, packed, depths, visible)
+    order = tiles.depth_order(visible, depths.view(np.uint64))
     ranked = np.empty((len(order), layout.PACKED), np.float32)
     tiles.gather_ranked(packed, order, ranked)
     cursor = np.zeros((tiles.CHUNKS, tiles_x * tiles_y), np.int32)

@@ -37,29 +37,34 @@ CHUNKS = 16
 
 _JIT: dict[str, Any] = {"cache": True, "error_model": "numpy"}
 _RADIX_BITS = 11
+_SWEEPS = 4
 
 
 @numba.njit(**_JIT)
-def depth_order(visible: Any, keys: Any) -> Any:  # [N] uint8, [N] uint32: depths' bits
-    """Return indices of visible splats sorted by depth, ties by index (stable radix sort)."""
+def depth_order(visible: Any, depth_bits: Any) -> Any:  # [N] uint8, [N] uint64
+    """Return indices of visible splats sorted by depth, ties by index (stable radix sort).
+
+    Depths are positive float64 seen as integers, of which the upper 44 bits are sorted: float32
+    depths would swap neighbours that overlap, which shows in the picture.
+    """
     count = 0
     for i in range(visible.shape[0]):
         count += visible[i]
     index, index2 = np.empty(count, np.int32), np.empty(count, np.int32)
-    key, key2 = np.empty(count, np.uint32), np.empty(count, np.uint32)
+    key, key2 = np.empty(count, np.uint64), np.empty(count, np.uint64)
     buckets = 1 << _RADIX_BITS
-    histogram = np.zeros((3, buckets), np.int64)
+    low_bits = np.uint64(buckets - 1)
+    histogram = np.zeros((_SWEEPS, buckets), np.int64)
     n = 0
     for i in range(visible.shape[0]):
         if visible[i]:
-            k = keys[i]
+            k = depth_bits[i] >> np.uint64(64 - _SWEEPS * _RADIX_BITS)
             index[n], key[n] = i, k
-            histogram[0, k & np.uint32(buckets - 1)] += 1
-            histogram[1, (k >> np.uint32(11)) & np.uint32(buckets - 1)] += 1
-            histogram[2, k >> np.uint32(22)] += 1
+            for sweep in range(_SWEEPS):
+                histogram[sweep, (k >> np.uint64(sweep * _RADIX_BITS)) & low_bits] += 1
             n += 1
-    for sweep in range(3):
-        shift = np.uint32(sweep * _RADIX_BITS)
+    for sweep in range(_SWEEPS):
+        shift = np.uint64(sweep * _RADIX_BITS)
         running = 0
         constant = False
         for b in range(buckets):
@@ -70,9 +75,9 @@ def depth_order(visible: Any, keys: Any) -> Any:  # [N] uint8, [N] uint32: depth
         if constant:
             continue
         for j in range(count):
-            b = (key[j] >> shift) & np.uint32(buckets - 1)
-            place = histogram[sweep, b]
-            histogram[sweep, b] = place + 1
+            bucket = (key[j] >> shift) & low_bits
+            place = histogram[sweep, bucket]
+            histogram[sweep, bucket] = place + 1
             index2[place], key2[place] = index[j], key[j]
         index, index2 = index2, index
         key, key2 = key2, key
