@@ -1,7 +1,7 @@
 """The CUDA renderer: gsplat behind the same call as the CPU renderer.
 
-gsplat draws the definition in ``settings`` with alpha_min = 1/255, alpha_max = 0.999 and its own
-transmittance limit of 1e-4 fixed in its kernels; other values of these are refused.
+gsplat draws the definition in ``settings`` with alpha_min = 1/255 and alpha_max = 0.999 fixed in
+its kernels; other values of these are refused. It stops at a transmittance of 1e-4 in any case.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from gscomplete.render.settings import RenderSettings
 from gscomplete.splats import Splats, concatenate
 from gscomplete.views import Cameras
 
-_FIXED = {"alpha_min": 1.0 / 255.0, "alpha_max": 0.999, "transmittance_min": 1e-4}
+_FIXED = {"alpha_min": 1.0 / 255.0, "alpha_max": 0.999}
 
 
 def _gsplat() -> Any:
