@@ -20,6 +20,7 @@ from torch import Tensor
 from gscomplete.completion.randomness import generator_for
 from gscomplete.render import render
 from gscomplete.splats import Splats, concatenate
+from gscomplete.splats.filters import thinned
 from gscomplete.splats.transform import multiply_quaternions, quaternion_from_rotation
 from gscomplete.views import ViewDistribution
 
@@ -92,7 +93,7 @@ def best_symmetry(
         settings: knobs; None = defaults.
     """
     chosen = settings or SymmetrySettings()
-    few = thinned(partial, _SCORED_SPLATS, seed).with_sh_degree(0)
+    few = thinned(partial, _SCORED_SPLATS, _draw(seed)).with_sh_degree(0)
     cameras = distribution.cameras(distribution.low_discrepancy(_SCORED_VIEWS), _SCORED_PX)
     with torch.no_grad():
         alone = render(few, cameras)
@@ -123,20 +124,15 @@ def symmetric_splats(
     partial: Splats, symmetry: Symmetry, count: int, seed: int, new_distance: float = 0.02
 ) -> Splats:
     """Return at most ``count`` splats of the copy of P that do not lie on P, widened to cover."""
-    few = thinned(partial, _SCORED_SPLATS, seed)
-    copy = symmetry.apply(thinned(partial, 4 * count, seed))
+    few = thinned(partial, _SCORED_SPLATS, _draw(seed))
+    copy = symmetry.apply(thinned(partial, 4 * count, _draw(seed)))
     nearest = torch.cat([torch.cdist(m, few.means).amin(1) for m in copy.means.split(4096)])
-    return thinned(copy.select(nearest > new_distance), count, seed)
+    return thinned(copy.select(nearest > new_distance), count, _draw(seed))
 
 
-def thinned(splats: Splats, limit: int, seed: int) -> Splats:
-    """Return an even random choice of at most ``limit`` splats, widths grown to match."""
-    count = len(splats)
-    if count <= limit:
-        return splats
-    pick = torch.randperm(count, generator=generator_for(seed, 0, "thinned"))[:limit].sort().values
-    chosen = splats.select(pick)
-    return dataclasses.replace(chosen, scales=chosen.scales * (count / limit) ** 0.5)
+def _draw(seed: int) -> torch.Generator:
+    """Return the generator that chooses splats to judge and to copy."""
+    return generator_for(seed, 0, "thinned")
 
 
 def _candidates() -> list[Symmetry]:

@@ -7,15 +7,12 @@ cost time and change nothing.
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
-
-import torch
 
 from gscomplete.completion.randomness import generator_for
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats
-from gscomplete.splats.filters import usable_rows
+from gscomplete.splats.filters import thinned, usable_rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +58,5 @@ def working_set(partial: Splats, limit: int | None, path: str) -> WorkingSet:
     count = len(splats)
     if limit is None or count <= limit:
         return WorkingSet(splats, len(partial), reasons, 0)
-    pick = torch.randperm(count, generator=generator_for(0, 0, "working set"))[:limit]
-    chosen = splats.select(pick.sort().values)
-    grown = dataclasses.replace(chosen, scales=chosen.scales * (count / limit) ** 0.5)
-    return WorkingSet(grown, len(partial), reasons, count - limit)
+    drawn = thinned(splats, limit, generator_for(0, 0, "working set"))
+    return WorkingSet(drawn, len(partial), reasons, count - limit)

@@ -9,6 +9,8 @@ Conventions
 
 from __future__ import annotations
 
+import dataclasses
+
 import torch
 from torch import Tensor
 
@@ -43,3 +45,12 @@ def usable_rows(splats: Splats) -> tuple[Tensor, dict[str, int]]:  # [N] bool
             counts[reason] = dropped
         keep &= passed
     return keep, counts
+
+
+def thinned(splats: Splats, limit: int, generator: torch.Generator) -> Splats:
+    """Return an even random choice of at most ``limit`` splats, widths grown to match."""
+    count = len(splats)
+    if count <= limit:
+        return splats
+    chosen = splats.select(torch.randperm(count, generator=generator)[:limit].sort().values)
+    return dataclasses.replace(chosen, scales=chosen.scales * (count / limit) ** 0.5)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from gscomplete.completion.symmetry import best_symmetry, symmetric_splats, thinned
+from gscomplete.completion.symmetry import best_symmetry, symmetric_splats
 from gscomplete.evaluate.metrics import against_truth, preservation
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.rotations import rotation_matrices
@@ -54,12 +54,3 @@ def test_copies_have_the_shape_that_the_map_gives_them(seed):
     expected = symmetry.matrix @ covariance(partial) @ symmetry.matrix.T
     assert torch.allclose(covariance(copy), expected, atol=1e-6)
     assert torch.allclose(copy.means, partial.means @ symmetry.matrix.T + symmetry.shift)
-
-
-def test_thinning_keeps_the_covered_area():
-    splats = ball(1000)
-    few = thinned(splats, 250, seed=0)
-    assert len(few) == 250
-    area = (splats.scales[:, 0] * splats.scales[:, 1]).sum()
-    assert (few.scales[:, 0] * few.scales[:, 1]).sum() == pytest.approx(float(area), rel=0.01)
-    assert thinned(splats, 2000, seed=0) is splats
