@@ -1,0 +1,67 @@
+"""Run a command so that nothing reaches the user as a traceback.
+
+Conventions
+-----------
+* Exit codes: 0 or the command's own; 2 user error; 4 out of memory; 70 internal error; 130
+  interrupted; 141 the reader of the output is gone.
+* Shared by the packages' console commands.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+
+from gscomplete.errors import UserError
+
+DEBUG_VARIABLE = "GSCOMPLETE_DEBUG"
+"""Set to anything, an unexpected error ends in its traceback."""
+
+
+def let_threads_sleep() -> None:
+    """Keep waiting threads from spinning; call before anything loads the OpenMP runtime.
+
+    PyTorch and Numba each keep a pool, and a pool that spins while the other works halves the
+    speed of both.
+    """
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    os.environ.setdefault("GOMP_SPINCOUNT", "0")
+
+
+def run_guarded(program: str, command: Callable[[], int], interrupted: str) -> int:
+    """Call ``command`` and return its exit code; print errors as one line.
+
+    Args:
+        program: the console command's name, which starts every message.
+        command: the body.
+        interrupted: what to tell after Ctrl-C.
+    """
+
+    def say(message: str) -> None:
+        sys.stderr.write(f"{program}: {message}\n")
+
+    try:
+        return command()
+    except UserError as error:
+        say(f"error: {error}")
+        return error.exit_code
+    except KeyboardInterrupt:
+        say(f"interrupted; {interrupted}")
+        return 130
+    except BrokenPipeError:
+        return 141  # as with ``| head``
+    except OSError as error:
+        say(f"error: {error.filename or 'input or output'}: {error.strerror or error}")
+        return UserError.exit_code
+    except MemoryError:
+        say("error: out of memory")
+        return 4
+    except Exception as error:
+        if os.environ.get(DEBUG_VARIABLE):
+            raise
+        say(
+            f"internal error: {type(error).__name__}: {error}\n"
+            f"Please report it; {DEBUG_VARIABLE}=1 shows where it happened."
+        )
+        return 70

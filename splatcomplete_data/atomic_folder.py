@@ -1,0 +1,127 @@
+"""Write whole folders so that a reader, a crash or a full disk never meets half of one.
+
+Conventions
+-----------
+* The files go into a temporary folder next to the destination, named ``.NAME.XXXX``, and are
+  flushed to the disk; one rename then makes it the destination.
+* A destination that exists is replaced only when asked for, by exchanging the two names in one
+  step where the system can (Linux); elsewhere the old folder is moved aside first.
+* ``forget_leftovers`` removes the temporary folders that killed processes left behind.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from gscomplete.errors import UserError
+
+_AT_FDCWD = -100
+_RENAME_EXCHANGE = 2
+
+
+@contextlib.contextmanager
+def atomic_folder(folder: Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """Yield an empty temporary folder that becomes ``folder`` when the block succeeds.
+
+    When the block raises, the temporary folder is removed and the destination is untouched.
+
+    Args:
+        folder: the folder to create; its parents are created too.
+        overwrite: replace a folder that exists and holds something.
+
+    Raises:
+        UserError: the folder exists without ``overwrite``, is a file, or cannot be written.
+    """
+    check_destination(folder, overwrite=overwrite)
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name[:32]}."))
+    except OSError as error:
+        raise UserError(f"{folder}: cannot create the folder: {error.strerror}") from error
+    try:
+        yield temporary
+        _flush(temporary)
+        mask = os.umask(0)
+        os.umask(mask)
+        temporary.chmod(0o777 & ~mask)
+        _take_name(temporary, folder)
+    except OSError as error:
+        if error.filename is not None and not str(error.filename).startswith(str(folder.parent)):
+            raise  # the block failed over some other file
+        raise UserError(f"{folder}: cannot write: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def check_destination(folder: Path, *, overwrite: bool) -> None:
+    """Refuse a destination that holds something, before any work is done for it.
+
+    Raises:
+        UserError: it exists without ``overwrite``, or is a file.
+    """
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+        raise UserError(f"{folder}: expected a folder or nothing, found a file or link")
+    if not overwrite and folder.is_dir() and any(folder.iterdir()):
+        raise UserError(
+            f"{folder}: the folder exists and is not empty; choose another --out, or replace it "
+            "with --overwrite"
+        )
+
+
+def forget_leftovers(folder: Path) -> int:
+    """Remove temporary folders of killed writers of ``folder``'s children; return how many.
+
+    Call it only while nothing else writes into ``folder``.
+    """
+    names = {child.name for child in folder.iterdir()} if folder.is_dir() else set()
+    removed = 0
+    for name in names:
+        if name.startswith(".") and len(name.rsplit(".", 1)[-1]) == 8 and name.count(".") >= 2:
+            shutil.rmtree(folder / name, ignore_errors=True)
+            removed += 1
+    return removed
+
+
+def _take_name(temporary: Path, folder: Path) -> None:
+    """Give ``temporary`` the name of ``folder``; what stood there is then in ``temporary``."""
+    if not folder.exists():
+        os.rename(temporary, folder)
+    elif not _exchange(temporary, folder):
+        aside = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name[:32]}."))
+        os.rename(folder, aside)
+        os.rename(temporary, folder)
+        shutil.rmtree(aside, ignore_errors=True)
+    with contextlib.suppress(OSError):
+        _flush_one(folder.parent)
+
+
+def _exchange(first: Path, second: Path) -> bool:
+    """Exchange two names in one step; False where the system cannot."""
+    rename = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if rename is None:
+        return False
+    names = os.fsencode(first), os.fsencode(second)
+    return rename(_AT_FDCWD, names[0], _AT_FDCWD, names[1], _RENAME_EXCHANGE) == 0
+
+
+def _flush(folder: Path) -> None:
+    """Force the files of a folder, and the folder, to the disk."""
+    for path in sorted(folder.rglob("*")):
+        if path.is_file():
+            _flush_one(path)
+    _flush_one(folder)
+
+
+def _flush_one(path: Path) -> None:
+    """Force one file's bytes, or one folder's entries, to the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

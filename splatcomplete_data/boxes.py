@@ -1,0 +1,112 @@
+"""Boxes that keep or remove what lies inside them.
+
+Conventions
+-----------
+* A box is in the frame of the file it cuts, in its units: centre, half extents, and the rotation
+  that turns box axes into the file's axes, a unit quaternion (w, x, y, z).
+* Boxes apply in order: the first ``keep`` box (or, without any, everything) is the start; further
+  ``keep`` boxes add, ``remove`` boxes take away.
+* As text: ``CX,CY,CZ,HX,HY,HZ``, with ``,QW,QX,QY,QZ`` for an oriented box, and led by
+  ``remove:`` or, if one likes, ``keep:``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gscomplete.errors import UserError
+
+Action = Literal["keep", "remove"]
+
+
+@dataclass(frozen=True, slots=True)
+class CropBox:
+    """One oriented box."""
+
+    center: tuple[float, float, float]
+    """Centre, file frame."""
+    half_extents: tuple[float, float, float]
+    """Half the edge lengths along the box's own axes."""
+    quaternion: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    """Rotation of box axes into file axes, wxyz, scaled to unit length here."""
+    action: Action = "keep"
+    """Whether what lies inside is kept or removed."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers and normalise the quaternion.
+
+        Raises:
+            ValueError: a number is not finite, an extent is not positive, or the quaternion is 0.
+        """
+        numbers = (*self.center, *self.half_extents, *self.quaternion)
+        if not all(math.isfinite(number) for number in numbers):
+            raise ValueError(f"box: expected finite numbers, found {numbers}")
+        if min(self.half_extents) <= 0:
+            raise ValueError(f"box: expected positive half extents, found {self.half_extents}")
+        length = math.sqrt(sum(q * q for q in self.quaternion))
+        if length < 1e-9:
+            raise ValueError("box: expected a quaternion w,x,y,z that is not 0")
+        w, x, y, z = (q / length for q in self.quaternion)
+        object.__setattr__(self, "quaternion", (w, x, y, z))
+
+    @property
+    def rotation(self) -> NDArray[np.float64]:  # [3, 3], columns are the box's axes
+        """Matrix that turns box axes into file axes."""
+        w, x, y, z = self.quaternion
+        return np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+
+    def contains(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:  # [N, 3] -> [N]
+        """Mark the points inside the box or on its faces; points that are not finite are not."""
+        local = (np.asarray(points, np.float64) - np.asarray(self.center)) @ self.rotation
+        with np.errstate(invalid="ignore"):
+            inside: NDArray[np.bool_] = np.all(np.abs(local) <= np.asarray(self.half_extents), 1)
+        return inside
+
+
+def inside_boxes(
+    points: NDArray[np.floating],  # [N, 3]
+    boxes: Sequence[CropBox],
+) -> NDArray[np.bool_]:  # [N]
+    """Mark what a list of boxes keeps; no box keeps everything."""
+    kept = np.full(len(points), not boxes or boxes[0].action == "remove")
+    for box in boxes:
+        inside = box.contains(points)
+        kept = kept | inside if box.action == "keep" else kept & ~inside
+    return kept
+
+
+def parse_box(text: str, option: str = "--box") -> CropBox:
+    """Read a box from text (module conventions).
+
+    Raises:
+        UserError: the text has another form.
+    """
+    action, colon, numbers = text.rpartition(":")
+    form = "[keep:|remove:]CX,CY,CZ,HX,HY,HZ[,QW,QX,QY,QZ]"
+    if colon and action not in ("keep", "remove"):
+        raise UserError(f"{option}: expected {form}, found {text!r}")
+    try:
+        values = [float(word) for word in numbers.split(",")]
+        if len(values) not in (6, 10):
+            raise ValueError(f"{len(values)} numbers")
+        turn = values[6:] or [1.0, 0.0, 0.0, 0.0]
+        return CropBox(
+            (values[0], values[1], values[2]),
+            (values[3], values[4], values[5]),
+            (turn[0], turn[1], turn[2], turn[3]),
+            "remove" if action == "remove" else "keep",
+        )
+    except ValueError as error:
+        raise UserError(f"{option}: expected {form}, found {text!r} ({error})") from error

@@ -1,0 +1,1 @@
+"""Bodies of the commands: options in, exit code out; the only place that prints."""

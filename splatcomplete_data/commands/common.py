@@ -1,0 +1,253 @@
+"""What the commands share: their common flags, the writing of the object, reports, progress.
+
+Conventions
+-----------
+* A command's option class inherits ``ObjectOptions`` and adds its own; a ``run(options)`` turns
+  it into a call of a Python function of the package and hands the result to ``finish_object``.
+* People's lines go to standard output, or to standard error when that is for ``--json``.
+* Options that decide nothing about the result (``NOT_RECORDED``) are left out of the record.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from gscomplete import jsonio
+from gscomplete.commands.complete import parse_numbers
+from gscomplete.errors import UserError
+from gscomplete.views import UpAxis
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+    from gscomplete.splats import Similarity, Splats
+    from splatcomplete_data.boxes import CropBox
+    from splatcomplete_data.objects import ObjectRecord, StepRecord, Subset
+
+NOT_RECORDED = ("out", "json", "overwrite", "prompt", "licence", "origin", "id")
+"""Options that are not repeated in ``object.json``'s options: they have fields of their own, or
+decide nothing."""
+
+Report = Callable[[int, int], None]
+"""Progress callback: (done, total) in whatever unit the step counts."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectOptions:
+    """Flags of every command that writes an object folder."""
+
+    out: Path | None = None
+    """Object folder to write; None = the source's name, in the current folder."""
+    prompt: str | None = None
+    """What the whole object is, such as "a red mug"; None = the source's name as words."""
+    view: str | None = None
+    """Input view c as AZIMUTH,ELEVATION in degrees (azimuth 0 looks from +x of the z-up object
+    frame, 90 from +y); None = the camera's own view where there is one, else the view that shows
+    most of the part from outside."""
+    range: float = 50.0
+    """V reaches this many degrees of azimuth to either side of c."""
+    up: Literal["auto", "X", "Y", "Z", "-X", "-Y", "-Z"] = "auto"
+    """Axis of the source that points up; auto = by the kind of source (see --help above)."""
+    center: str | None = None
+    """Centre of the WHOLE object as X,Y,Z in file coordinates; None = known or guessed."""
+    size_whole: float | None = None
+    """Largest side of the WHOLE object in file units; None = known or guessed."""
+    id: str | None = None
+    """Name within a dataset; None = the folder's name."""
+    licence: str | None = None
+    """Licence of the source, for the record."""
+    origin: str | None = None
+    """Origin of the source, for the record."""
+    overwrite: bool = False
+    """Replace --out if it exists."""
+    json: bool = False
+    """Print the content of object.json on standard output and nothing else there."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Made:
+    """What a pipeline made, before frame and record are decided."""
+
+    subset: Subset
+    source_file: Path
+    partial: Splats | None
+    """The part, file frame; None = only the whole was asked for."""
+    complete: Splats | None
+    default_up: UpAxis
+    steps: tuple[StepRecord, ...] = ()
+    notes: tuple[str, ...] = ()
+    boxes: tuple[CropBox, ...] = ()
+    splat_size: float | None = None
+    camera_position_file: tuple[float, float, float] | None = None
+    """Where the source was seen from, in the file frame; gives the default input view."""
+    file_from_source: Similarity | None = None
+    details: dict[str, Any] = dataclasses.field(default_factory=dict)
+    partial_file: Path | None = None
+    """PLY whose bytes are the part; None = written anew."""
+    extra_pictures: dict[str, Image.Image] = dataclasses.field(default_factory=dict)
+
+
+def finish_object(options: ObjectOptions, made: Made) -> int:
+    """Decide frame and views, write the folder, report; return the exit code.
+
+    Raises:
+        UserError: an option is wrong, nothing is left, or the folder cannot be written.
+    """
+    record = store_object(options, made)
+    if options.json:
+        sys.stdout.write(json.dumps(record.to_json()) + "\n")
+        return 0
+    folder = options.out or default_folder(made.source_file)
+    for step in record.steps:
+        say(options, step.summary())
+    say(options, *record.notes)
+    x, y, z = record.frame.center_file
+    say(
+        options,
+        f"frame ({record.frame_origin}): up {record.frame.up}, centre {x:.6g},{y:.6g},{z:.6g}, "
+        f"size {record.frame.size_file:.6g}; input view {record.views.azimuth_deg:g},"
+        f"{record.views.elevation_deg:g} +/-{record.views.azimuth_range_deg:g} degrees",
+        f"written: {folder} ({', '.join(f'{n:,} {k}' for k, n in record.counts.items())})",
+    )
+    return 0
+
+
+def store_object(options: ObjectOptions, made: Made) -> ObjectRecord:
+    """Decide frame and views and write the folder; return the record.
+
+    Raises:
+        UserError: as ``finish_object``.
+    """
+    from splatcomplete_data import framing
+    from splatcomplete_data.objects import ObjectRecord, SourceRecord, sha256_of, write_object
+
+    folder = options.out or default_folder(made.source_file)
+    shown = made.partial if made.partial is not None else made.complete
+    if shown is None or len(shown) == 0:
+        raise UserError(f"{made.source_file}: no splats are left to write")
+    request = framing_request(options, made.default_up)
+    decided = framing.decide_framing(shown, made.complete, request)
+    views = decided.views
+    if request.view_deg is None and made.camera_position_file is not None:
+        azimuth, elevation = framing.view_from_position(decided.frame, made.camera_position_file)
+        views = dataclasses.replace(views, azimuth_deg=azimuth, elevation_deg=elevation)
+    is_file = made.source_file.is_file()
+    turn = made.file_from_source
+    try:
+        record = ObjectRecord(
+            id=options.id or folder.name,
+            subset=made.subset,
+            prompt=options.prompt or made.source_file.stem.replace("_", " ").strip() or "an object",
+            source=SourceRecord(
+                made.source_file.as_posix(),
+                sha256_of(made.source_file) if is_file else None,
+                options.licence,
+                options.origin,
+            ),
+            frame=decided.frame,
+            frame_origin=decided.origin,
+            views=views,
+            file_from_source=None if turn is None else turn.to_json(),
+            boxes=made.boxes,
+            splat_size=made.splat_size,
+            steps=made.steps,
+            notes=(*made.notes, *decided.notes),
+            details=made.details,
+            options=recorded_options(options),
+        )
+    except ValueError as error:
+        raise UserError(f"{folder}: {error}") from error
+    return write_object(
+        folder,
+        record,
+        made.partial,
+        made.complete,
+        overwrite=options.overwrite,
+        partial_file=made.partial_file,
+        extra_pictures=made.extra_pictures,
+    )
+
+
+def framing_request(options: ObjectOptions, default_up: UpAxis) -> Any:
+    """Parse the flags about frame and views into a ``FramingRequest``.
+
+    Raises:
+        UserError: a flag has the wrong form.
+    """
+    from splatcomplete_data.framing import FramingRequest
+
+    view = parse_numbers(options.view, 2, "--view", "AZIMUTH,ELEVATION")
+    center = parse_numbers(options.center, 3, "--center", "X,Y,Z")
+    if view is not None and not -90 <= view[1] <= 90:
+        raise UserError(f"--view: expected an elevation of -90 to 90 degrees, found {view[1]:g}")
+    if not 0 <= options.range <= 180:
+        raise UserError(f"--range: expected 0 to 180 degrees, found {options.range:g}")
+    if options.size_whole is not None and not 0 < options.size_whole < float("inf"):
+        raise UserError(f"--size-whole: expected a positive length, found {options.size_whole:g}")
+    return FramingRequest(
+        up=default_up if options.up == "auto" else options.up,
+        view_deg=None if view is None else (view[0], view[1]),
+        azimuth_range_deg=options.range,
+        center_file=None if center is None else (center[0], center[1], center[2]),
+        size_file=options.size_whole,
+    )
+
+
+def check_out(options: ObjectOptions, source_file: Path) -> None:
+    """Check the destination before the work starts.
+
+    Raises:
+        UserError: it exists and ``--overwrite`` is not given.
+    """
+    from splatcomplete_data.atomic_folder import check_destination
+
+    check_destination(options.out or default_folder(source_file), overwrite=options.overwrite)
+
+
+def default_folder(source_file: Path) -> Path:
+    """Return the object folder of a source when ``--out`` is not given."""
+    return Path(f"{source_file.stem or 'object'}_object")
+
+
+def recorded_options(options: ObjectOptions) -> dict[str, Any]:
+    """Return the options that decide the result, as JSON values."""
+    values = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
+    return {name: jsonio.to_json(v) for name, v in values.items() if name not in NOT_RECORDED}
+
+
+def say(options: Any, *lines: str) -> None:
+    """Print lines for a person: standard output, or standard error when that is for a machine."""
+    stream = sys.stderr if getattr(options, "json", False) else sys.stdout
+    for line in lines:
+        stream.write(f"{line}\n")
+
+
+@contextlib.contextmanager
+def progress(title: str) -> Iterator[Report]:
+    """Show a bar with an ETA on standard error; yield the callback that moves it."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import TimeRemainingColumn as Remaining
+
+    columns: Sequence[Any] = (
+        TextColumn(title),
+        BarColumn(),
+        TextColumn("{task.completed:,.0f}/{task.total:,.0f}"),
+        TimeElapsedColumn(),
+        TextColumn("ETA"),
+        Remaining(),
+    )
+    with Progress(*columns, console=Console(file=sys.stderr), transient=True) as bar:
+        task = bar.add_task(title, total=1)
+
+        def report(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=max(total, 1))
+
+        yield report

@@ -1,0 +1,65 @@
+"""``splatcomplete-data mesh``: a mesh file to splats, whole and part."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from splatcomplete_data.commands.common import Made, ObjectOptions, check_out, finish_object
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshOptions(ObjectOptions):
+    """Turn a mesh into flat splats on its surface.
+
+    Writes complete.ply, and partial.ply when --cut is given. Up is Y for glTF and GLB, else Z,
+    unless --up says otherwise; the file's own axes and units are kept either way.
+
+    Example: splatcomplete-data mesh duck.glb --count 100000 --cut plane:90 --out duck
+    """
+
+    file: Annotated[Path, tyro.conf.Positional]
+    """GLB, glTF, OBJ, PLY, STL, DAE or OFF."""
+    count: int = 100_000
+    """Number of splats."""
+    cut: tuple[str, ...] = ()
+    """What to keep for partial.ply: plane:AZIMUTH[,OFFSET], box:LX,LY,LZ,HX,HY,HZ (object frame) or
+    scan:AZ/EL[,AZ/EL...]."""
+    texture: Path | None = None
+    """Picture for a mesh whose file lost its own."""
+    gltf_colors: Literal["linear", "srgb"] = "linear"
+    """srgb for glTF files whose exporter wrote sRGB numbers as factors."""
+    seed: int = 0
+    """Seed of the sampling."""
+
+
+def run(options: MeshOptions) -> int:
+    """Convert the mesh; return the exit code."""
+    check_out(options, options.file)
+    return finish_object(options, make(options))
+
+
+def make(options: MeshOptions) -> Made:
+    """Convert the mesh and cut the part.
+
+    Raises:
+        UserError: the mesh cannot be read or has no surface, or a cut is wrong.
+    """
+    from splatcomplete_data.commands.common import framing_request
+    from splatcomplete_data.cuts import apply_cuts, parse_cut
+    from splatcomplete_data.framing import frame_of_whole
+    from splatcomplete_data.mesh.load import load_mesh, mesh_to_discs
+
+    cuts = [parse_cut(text) for text in options.cut]
+    is_gltf = options.file.suffix.lower() in (".glb", ".gltf")
+    mesh = load_mesh(options.file, texture=options.texture, gltf_colors=options.gltf_colors)
+    complete = mesh_to_discs(mesh, options.count, options.seed)
+    request = framing_request(options, "Y" if is_gltf else "Z")
+    part, steps = None, ()
+    if cuts:
+        frame = frame_of_whole(complete, request.up)
+        part, steps = apply_cuts(complete, frame, cuts, (), str(options.file))
+    return Made("mesh", options.file, part, complete, request.up, steps)

@@ -1,0 +1,332 @@
+"""Object folders: one partial splat object with all that is known about it.
+
+Conventions
+-----------
+* A folder holds ``object.json`` (this module's ``ObjectRecord``), ``partial.ply``,
+  ``complete.ply`` where the truth is known, and ``preview.png``.
+* All splats are in one frame, the file frame, in the source's own units and axes.
+  ``file_from_source`` says how it came from the source's frame: null where it is the source's.
+* ``frame`` is the object frame of the *whole* object within the file frame; ``views`` holds the
+  input view c and the ranges of V, in degrees in that object frame.
+* ``object.json`` is the same bytes for the same input, options and version: no times, no paths
+  of this machine other than those the user gave.
+* Folders are written whole or not at all (``atomic_folder``); SHA-256 covers every other file.
+
+Schema of object.json: the fields of ``ObjectRecord`` plus ``schema`` and ``version``. Unknown or
+missing fields are errors; a new version number announces new fields.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from gscomplete import __version__, jsonio
+from gscomplete.errors import UserError
+from gscomplete.splats import Similarity, Splats, read_splats, write_splats
+from gscomplete.views import ObjectFrame, ViewDistribution
+from splatcomplete_data.atomic_folder import atomic_folder
+from splatcomplete_data.boxes import CropBox
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+SCHEMA = "splatcomplete.object"
+"""Name of the JSON form."""
+SCHEMA_VERSION = 1
+"""Version of the JSON form; other versions are refused."""
+
+RECORD_FILE = "object.json"
+PARTIAL_FILE = "partial.ply"
+COMPLETE_FILE = "complete.ply"
+PREVIEW_FILE = "preview.png"
+
+Subset = Literal["multiview", "singleview", "lidar", "mesh"]
+"""Kinds of source, as in the paper's section "Dataset"."""
+
+
+@dataclass(frozen=True, slots=True)
+class SourceRecord:
+    """Where the object comes from."""
+
+    file: str
+    """Source file or folder, as the user named it."""
+    sha256: str | None = None
+    """Hash of the source file; None for a folder."""
+    licence: str | None = None
+    """Licence of the source; None = not stated."""
+    origin: str | None = None
+    """Who made it, or where it was found; None = not stated."""
+
+
+@dataclass(frozen=True, slots=True)
+class StepRecord:
+    """What one step of the making did to the number of points or splats."""
+
+    name: str
+    """The step, such as ``flying_pixels``."""
+    before: int
+    """Number before it."""
+    after: int
+    """Number after it."""
+    reasons: dict[str, int] = field(default_factory=dict)
+    """How many were removed for which reason."""
+    note: str = ""
+    """Anything else worth knowing, such as a chosen threshold."""
+
+    def summary(self) -> str:
+        """One line for people."""
+        removed = self.before - self.after
+        text = f"{self.name}: {self.before:,} -> {self.after:,}"
+        if removed:
+            why = ", ".join(f"{count:,} {name}" for name, count in self.reasons.items())
+            text += f" (removed {why or f'{removed:,}'})"
+        return f"{text}; {self.note}" if self.note else text
+
+
+@dataclass(frozen=True, slots=True)
+class FileRecord:
+    """One file of the folder."""
+
+    sha256: str
+    bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectRecord:
+    """Content of ``object.json``."""
+
+    id: str
+    """Name, unique within a dataset; the folder's name by default."""
+    subset: Subset
+    """Kind of source."""
+    prompt: str
+    """What the whole object is."""
+    source: SourceRecord
+    """Where it comes from."""
+    frame: ObjectFrame
+    """Up axis, centre and size of the whole object in the file frame."""
+    frame_origin: Literal["truth", "guess", "given"]
+    """Whether centre and size come from the known whole, a guess from the part, or the user."""
+    views: ViewDistribution
+    """Input view c and view distribution V."""
+    file_from_source: dict[str, Any] | None = None
+    """Similarity from the source's frame to the file frame (JSON form); None = identity."""
+    boxes: tuple[CropBox, ...] = ()
+    """Crop boxes, in the frame in which they were applied (the file frame)."""
+    splat_size: float | None = None
+    """Standard deviation of fixed-size splats in file units; None = sizes differ."""
+    steps: tuple[StepRecord, ...] = ()
+    """What each step kept and removed, in order."""
+    notes: tuple[str, ...] = ()
+    """Warnings and reasons of guesses, for people."""
+    details: dict[str, Any] = field(default_factory=dict)
+    """What only this kind of source has, such as the camera of a single view."""
+    options: dict[str, Any] = field(default_factory=dict)
+    """Resolved options of the command that made it."""
+    tool_version: str = __version__
+    """Version of the tool that made it."""
+    counts: dict[str, int] = field(default_factory=dict)
+    """Splats per PLY file and ``sh_degree``; filled in by ``write_object``."""
+    files: dict[str, FileRecord] = field(default_factory=dict)
+    """Hash and size of every other file; filled in by ``write_object``."""
+
+    def __post_init__(self) -> None:
+        """Check what would make the object useless.
+
+        Raises:
+            ValueError: the id is no plain file name, or the prompt is empty.
+        """
+        if not self.id or self.id.startswith(".") or set(self.id) & set("/\\\0\n"):
+            raise ValueError(f"id: expected a plain file name, found {self.id!r}")
+        if not self.prompt.strip():
+            raise ValueError("prompt: expected what the whole object is, found an empty text")
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the JSON form."""
+        data = jsonio.to_json(self)
+        data["views"] = self.views.to_json()
+        return {"schema": SCHEMA, "version": SCHEMA_VERSION, **data}
+
+    @classmethod
+    def from_json(cls, data: Any, source: str) -> ObjectRecord:
+        """Read the JSON form; ``source`` names the file in errors.
+
+        Raises:
+            UserError: another schema or version, or a field missing, unknown or wrong.
+        """
+        if not isinstance(data, dict):
+            raise UserError(f"{source}: expected an object, found {type(data).__name__}")
+        for name, expected in (("schema", SCHEMA), ("version", SCHEMA_VERSION)):
+            if data.get(name) != expected:
+                raise UserError(
+                    f"{source}: {name}: expected {expected!r}, found {data.get(name)!r}"
+                )
+        values = {key: value for key, value in data.items() if key not in ("schema", "version")}
+        views = ViewDistribution.from_json(values.get("views"), f"{source}: views")
+        record = jsonio.from_json(cls, {**values, "views": jsonio.to_json(views)}, source)
+        if record.file_from_source is not None:
+            try:
+                Similarity.from_json(record.file_from_source)
+            except ValueError as error:
+                raise UserError(f"{source}: file_from_source: {error}") from error
+        return record
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SplatObject:
+    """An object folder as read."""
+
+    folder: Path
+    record: ObjectRecord
+    partial: Splats
+    complete: Splats | None
+
+
+def write_object(
+    folder: Path,
+    record: ObjectRecord,
+    partial: Splats | None,
+    complete: Splats | None = None,
+    *,
+    overwrite: bool = False,
+    preview: Image.Image | None = None,
+    partial_file: Path | None = None,
+    extra_pictures: Mapping[str, Image.Image] | None = None,
+) -> ObjectRecord:
+    """Write an object folder, whole or not at all.
+
+    Args:
+        folder: the folder to create.
+        record: what is known; ``counts`` and ``files`` are filled in here.
+        partial: the part, finite, in the file frame. None = only the whole is known, and
+            ``complete`` must be given.
+        complete: the whole, in the same frame; None = not known.
+        overwrite: replace a folder that exists.
+        preview: picture for ``preview.png``; None = drawn here, part above whole from six views.
+        partial_file: a splat PLY with exactly the part, copied instead of writing ``partial``
+            anew (for crops that pass records on byte for byte).
+        extra_pictures: more pictures to store, by file name ending in ``.png``.
+
+    Returns:
+        The record as written.
+
+    Raises:
+        UserError: there is no splat to write, or the folder cannot be written.
+    """
+    if partial is None and complete is None:
+        raise UserError(f"{folder}: expected a part or a whole, found neither")
+    for name, splats in ((PARTIAL_FILE, partial), (COMPLETE_FILE, complete)):
+        if splats is not None and len(splats) == 0:
+            raise UserError(f"{folder}: {name}: no splats are left to write")
+    shown = partial if partial is not None else complete
+    assert shown is not None
+    counts = {"sh_degree": shown.sh_degree}
+    comments = (f"splatcomplete-data {record.tool_version}", f"object {record.id}")
+    with atomic_folder(folder, overwrite=overwrite) as temporary:
+        for name, splats in ((PARTIAL_FILE, partial), (COMPLETE_FILE, complete)):
+            if splats is None:
+                continue
+            counts[name.removesuffix(".ply")] = len(splats)
+            if name == PARTIAL_FILE and partial_file is not None:
+                (temporary / name).write_bytes(partial_file.read_bytes())
+            else:
+                write_splats(temporary / name, splats, comments)
+        pictures = dict(extra_pictures or {})
+        pictures[PREVIEW_FILE] = preview or draw_preview(record, partial, complete)
+        for name, picture in pictures.items():
+            picture.save(temporary / name, format="PNG")
+        files = {path.name: file_record(path) for path in sorted(temporary.iterdir())}
+        written = dataclasses.replace(record, counts=counts, files=files)
+        jsonio.write_json(temporary / RECORD_FILE, written.to_json())
+    return written
+
+
+def read_record(folder: Path) -> ObjectRecord:
+    """Read ``object.json`` of a folder.
+
+    Raises:
+        UserError: it is missing or not what it should be.
+    """
+    path = folder / RECORD_FILE
+    if not path.is_file():
+        raise UserError(f"{folder}: expected an object folder with {RECORD_FILE}, found none")
+    return ObjectRecord.from_json(jsonio.read_json(path), str(path))
+
+
+def read_object(folder: Path) -> SplatObject:
+    """Read an object folder; hashes are ``dataset validate``'s business.
+
+    Raises:
+        UserError: a file is missing or broken.
+    """
+    record = read_record(folder)
+    complete = None
+    if COMPLETE_FILE in record.files:
+        complete = read_splats(folder / COMPLETE_FILE).splats
+    if PARTIAL_FILE in record.files:
+        partial = read_splats(folder / PARTIAL_FILE).splats
+    elif complete is not None:
+        partial = complete
+    else:
+        raise UserError(f"{folder}: files: expected {PARTIAL_FILE}, found none")
+    return SplatObject(folder, record, partial, complete)
+
+
+def file_record(path: Path) -> FileRecord:
+    """Return hash and size of a file."""
+    return FileRecord(sha256_of(path), path.stat().st_size)
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file in hexadecimal.
+
+    Raises:
+        UserError: the file cannot be read.
+    """
+    try:
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise UserError(f"{path}: cannot read it ({error.strerror})") from error
+
+
+def draw_preview(
+    record: ObjectRecord, partial: Splats | None, complete: Splats | None, size_px: int = 192
+) -> Image.Image:
+    """Draw part above whole from six views, the input view c first."""
+    from gscomplete.evaluate.pictures import contact_sheet, render_images
+    from gscomplete.splats import transform_splats, usable_rows
+
+    cameras = record.views.preview_cameras(size_px)
+    rows, labels = [], []
+    for name, splats in (("partial", partial), ("complete", complete)):
+        if splats is None:
+            continue
+        drawable = splats.select(usable_rows(splats)[0])
+        rows.append(
+            render_images(transform_splats(drawable, record.frame.object_from_file), cameras)
+        )
+        labels.append(name)
+    columns = [f"c + {60 * index}" if index else "c (input view)" for index in range(6)]
+    return contact_sheet(
+        rows, row_labels=labels, column_labels=columns, title=f"{record.id}: {record.prompt}"
+    )
+
+
+def check_steps(steps: Sequence[StepRecord]) -> None:
+    """Check that every step starts where the one before it ended.
+
+    Raises:
+        ValueError: a step does not.
+    """
+    for first, second in zip(steps, steps[1:], strict=False):
+        if first.after != second.before:
+            raise ValueError(
+                f"steps: {first.name} leaves {first.after}, {second.name} starts with "
+                f"{second.before}"
+            )
