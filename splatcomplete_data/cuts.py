@@ -130,7 +130,7 @@ def apply_cuts(
         before = int(mask.sum())
         mask = mask & result.mask
         after = int(mask.sum())
-        removed = {result.kind: before - after} if after < before else {}
+        removed: dict[str, int] = {result.kind: before - after} if after < before else {}
         steps.append(StepRecord(f"cut_{result.kind}", before, after, removed, result.reason))
     if boxes:
         before = int(mask.sum())

@@ -74,7 +74,8 @@ def decide_framing(partial: Splats, complete: Splats | None, request: FramingReq
         anchor = partial.means.double().median(dim=0).values
         level = transform_splats(partial, Similarity(1.0, rotation, -(rotation @ anchor)))
         guess = guess_framing(level)
-        notes += guess.reasons
+        # the last reason is about centre and size
+        notes += guess.reasons[: None if center is None or size is None else -1]
         if center is None:
             lifted = rotation.T @ torch.tensor(guess.center, dtype=torch.float64) + anchor
             x, y, z = lifted.tolist()

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -324,7 +325,7 @@ def check_steps(steps: Sequence[StepRecord]) -> None:
     Raises:
         ValueError: a step does not.
     """
-    for first, second in zip(steps, steps[1:], strict=False):
+    for first, second in itertools.pairwise(steps):
         if first.after != second.before:
             raise ValueError(
                 f"steps: {first.name} leaves {first.after}, {second.name} starts with "

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from splatcomplete_data.commands.common import Made, ObjectOptions, check_out, finish_object
+
+if TYPE_CHECKING:
+    from gscomplete.splats import Splats
+    from splatcomplete_data.objects import StepRecord
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +62,8 @@ def make(options: MeshOptions) -> Made:
     mesh = load_mesh(options.file, texture=options.texture, gltf_colors=options.gltf_colors)
     complete = mesh_to_discs(mesh, options.count, options.seed)
     request = framing_request(options, "Y" if is_gltf else "Z")
-    part, steps = None, ()
+    part: Splats | None = None
+    steps: tuple[StepRecord, ...] = ()
     if cuts:
         frame = frame_of_whole(complete, request.up)
         part, steps = apply_cuts(complete, frame, cuts, (), str(options.file))

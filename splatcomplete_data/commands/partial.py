@@ -31,7 +31,7 @@ class PartialOptions(ObjectOptions):
     file: Annotated[Path, tyro.conf.Positional]
     """Splat file (.ply, .compressed.ply, .splat, .spz) or object folder."""
     cut: tuple[str, ...] = ()
-    """plane:AZIMUTH[,OFFSET], box:LX,LY,LZ,HX,HY,HZ or scan:AZ/EL[,AZ/EL...], in the object frame."""
+    """plane:AZIMUTH[,OFFSET], box:LX,LY,LZ,HX,HY,HZ or scan:AZ/EL[,AZ/EL...] (object frame)."""
     box: tuple[str, ...] = ()
     """Boxes in the file frame: [keep:|remove:]CX,CY,CZ,HX,HY,HZ[,QW,QX,QY,QZ]."""
     seen_from_views: int = 0
@@ -89,7 +89,7 @@ def make(options: PartialOptions) -> tuple[PartialOptions, Made]:
 
         if request.view_deg is None:
             raise UserError("--seen-from-views: expected --view AZ,EL as the middle of the views")
-        views = ViewDistribution(*request.view_deg, request.azimuth_range_deg)
+        views = ViewDistribution(*request.view_deg, azimuth_range_deg=request.azimuth_range_deg)
         angles = zip(*views.low_discrepancy(options.seen_from_views), strict=True)
         cuts.append(ScanCut(tuple((float(a), float(e)) for a, e in angles)))
     if not cuts and not boxes:
