@@ -1,0 +1,1 @@
+"""From photos to splats: poses, training, and cropping to the object."""
