@@ -1,0 +1,185 @@
+"""MVDream behind the common interface: the prior of the paper.
+
+Conventions
+-----------
+* Guidance 50, rescale 0.5, x0-reconstruction and the negative prompt are MVDream-threestudio's
+  defaults; the suffix ", 3d asset" of its image demo is not added, as in its distillation.
+* Framing: fov 40 degrees (trained: 15 to 60), elevations 0 to 30 (trained), visible extent 1.3 to
+  1.6 object sizes, so that an object fills most of the image, as in training, and is not cut.
+* 256 x 256 pixels, 32 x 32 latents.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from gscomplete.jsonio import to_json
+from gscomplete.priors.base import PriorViews
+from gscomplete.priors.mvdream.cameras import camera_matrices
+from gscomplete.priors.mvdream.guidance import NoiseSchedule
+from gscomplete.priors.mvdream.latent_prior import (
+    VIEWS,
+    LatentPrior,
+    PriorIdentity,
+    default_guidance,
+)
+from gscomplete.priors.mvdream.model import MultiViewUNet
+from gscomplete.priors.mvdream.settings import (
+    LatentPriorSettings,
+    MemoryPlan,
+    memory_plan,
+    unet_dtype,
+    vae_dtype,
+)
+from gscomplete.priors.mvdream.text import PromptEncoder, cache_home
+from gscomplete.priors.mvdream.tiny_vae import load_tiny_vae
+from gscomplete.priors.mvdream.tokenizer import Tokenizer
+from gscomplete.priors.mvdream.vae import LatentCodec
+from gscomplete.priors.mvdream.weights import Weights, open_weights
+from gscomplete.views import Cameras
+
+MVDREAM_VIEWS = PriorViews(
+    fov_deg=40.0, extent_range=(1.3, 1.6), elevation_range_deg=(0.0, 30.0), resolution_px=256
+)
+GUIDANCE_SCALE = 50.0
+NEGATIVE_PROMPT = (
+    "ugly, bad anatomy, blurry, pixelated obscure, unnatural colors, poor lighting, dull, and "
+    "unclear, cropped, lowres, low quality, artifacts, duplicate, morbid, mutilated, poorly drawn "
+    "face, deformed, dehydrated, bad proportions"
+)
+"""MVDream-threestudio's and DreamGaussian's, letter for letter."""
+
+_ONLY_SPEED = ("memory", "channels_last", "compile")
+
+
+class MultiViewDenoiser:
+    """MVDream's UNet on a device, in its precision, given our cameras."""
+
+    schedule = NoiseSchedule.stable_diffusion()
+    group = VIEWS
+
+    def __init__(
+        self,
+        network: MultiViewUNet,
+        device: torch.device,
+        dtype: torch.dtype,
+        settings: LatentPriorSettings,
+    ) -> None:
+        """Move the network to the device and prepare it as the knobs say."""
+        self._network: Any = prepare(network, device, dtype, settings)
+        self._device, self._dtype = device, dtype
+        self._front_azimuth_deg = settings.front_azimuth_deg
+        self._has_graphs = settings.compile == "cuda-graphs" and device.type == "cuda"
+
+    @torch.no_grad()
+    def __call__(self, noisy: Tensor, timestep: int, context: Tensor, cameras: Cameras) -> Tensor:
+        """Predict noise; see :class:`gscomplete.priors.mvdream.latent_prior.Denoiser`."""
+        passes = len(context)
+        matrices = camera_matrices(cameras, self._front_azimuth_deg).to(self._device, self._dtype)
+        if self._has_graphs:
+            torch.compiler.cudagraph_mark_step_begin()
+        noise = self._network(
+            noisy.to(self._dtype),
+            torch.full((len(noisy),), timestep, dtype=torch.int64, device=self._device),
+            context.to(self._dtype).repeat_interleave(VIEWS, dim=0),
+            matrices.repeat(passes, 1),
+        )
+        return torch.as_tensor(noise).to(torch.float32, copy=True)
+
+
+def prepare(
+    network: Any, device: torch.device, dtype: torch.dtype, settings: LatentPriorSettings
+) -> Any:
+    """Move a UNet to its device, and on a GPU set its memory format and compile it."""
+    network = network.to(device=device, dtype=dtype)
+    if device.type == "cuda" and settings.channels_last:
+        network = network.to(memory_format=torch.channels_last)
+    if device.type == "cuda" and settings.compile != "off":
+        mode = "reduce-overhead" if settings.compile == "cuda-graphs" else None
+        return torch.compile(network, mode=mode)
+    return network
+
+
+def prepare_codec(
+    vae: Any, device: torch.device, settings: LatentPriorSettings, plan: MemoryPlan
+) -> LatentCodec:
+    """Put an autoencoder on its device as the knobs say, or the tiny one in its place."""
+    chosen = vae if settings.tiny_vae is None else load_tiny_vae(settings.tiny_vae)
+    codec = LatentCodec(
+        chosen,
+        plan,
+        device,
+        vae_dtype(settings.vae_precision, device),
+        channels_last=settings.channels_last and device.type == "cuda",
+    )
+    if settings.compile != "off" and device.type == "cuda":
+        codec.compile()
+    return codec
+
+
+def deciding_settings(settings: LatentPriorSettings) -> dict[str, Any]:
+    """Return the knobs that decide a result by more than rounding, as JSON values."""
+    values = dataclasses.asdict(settings)
+    return {k: to_json(v) for k, v in values.items() if k not in _ONLY_SPEED}
+
+
+def mvdream_prior(
+    weights: Weights,
+    device: torch.device,
+    settings: LatentPriorSettings | None = None,
+    cache: Path | None = None,
+    views: PriorViews = MVDREAM_VIEWS,
+) -> LatentPrior:
+    """Build the prior from opened weights.
+
+    Args:
+        weights: of any layout.
+        device: where the networks run.
+        settings: knobs; None = the defaults.
+        cache: folder of remembered prompt embeddings; None = remember nothing.
+        views: framing.
+    """
+    settings = settings or LatentPriorSettings()
+    plan = memory_plan(settings.memory, device)
+    denoiser = MultiViewDenoiser(
+        weights.unet(), device, unet_dtype(settings.precision, device), settings
+    )
+    text = weights.config.text
+    encoder = PromptEncoder(
+        Tokenizer(text.length),
+        weights.text_tower,
+        weights.text_fingerprint(),
+        (text.length, text.width),
+        device,
+        cache,
+    )
+    return LatentPrior(
+        "mvdream",
+        denoiser,
+        prepare_codec(weights.vae(), device, settings, plan),
+        encoder,
+        views,
+        settings,
+        plan,
+        default_guidance(settings, GUIDANCE_SCALE),
+        NEGATIVE_PROMPT,
+        device,
+        PriorIdentity(weights.fingerprint(), deciding_settings(settings)),
+    )
+
+
+def load_mvdream(
+    path: Path, device: torch.device | str = "cpu", settings: LatentPriorSettings | None = None
+) -> LatentPrior:
+    """Load MVDream from its published file, a diffusers-style folder or a converted folder.
+
+    Raises:
+        UserError: the weights are missing, damaged, or not exactly MVDream's.
+    """
+    cache = cache_home() / "prompts"
+    return mvdream_prior(open_weights(path), torch.device(device), settings, cache)
