@@ -14,15 +14,19 @@ import tyro
 
 import gscomplete
 from gscomplete.command_line import let_threads_sleep, run_guarded
-from splatcomplete_data.commands import mesh, partial
+from splatcomplete_data.commands import crop, images, mesh, partial
 
 _RUNNERS: dict[type, Callable[[Any], int]] = {
+    crop.CropOptions: crop.run,
+    images.ImagesOptions: images.run,
     mesh.MeshOptions: mesh.run,
     partial.PartialOptions: partial.run,
 }
 
 Command = (
-    Annotated[mesh.MeshOptions, tyro.conf.subcommand("mesh")]
+    Annotated[crop.CropOptions, tyro.conf.subcommand("crop")]
+    | Annotated[images.ImagesOptions, tyro.conf.subcommand("images")]
+    | Annotated[mesh.MeshOptions, tyro.conf.subcommand("mesh")]
     | Annotated[partial.PartialOptions, tyro.conf.subcommand("partial")]
 )
 

@@ -90,9 +90,7 @@ def grow(
     keep = stays.clone()
     keep[chosen[wide]] = False
     parameters.edit(keep, concatenate([clones, halves]))
-    return GrowthReport(
-        len(clones), len(halves) // 2, int(transparent.sum()), int(large.sum())
-    )
+    return GrowthReport(len(clones), len(halves) // 2, int(transparent.sum()), int(large.sum()))
 
 
 def _halves(splats: Splats, generator: torch.Generator) -> Splats:

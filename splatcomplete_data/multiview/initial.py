@@ -68,9 +68,7 @@ def near_points(cloud: PointCloud, capture: PosedPhotos) -> PointCloud:
     return cloud.select(distance <= _FAR_CAMERAS * reach)
 
 
-def random_points(
-    capture: PosedPhotos, views: Sequence[View], count: int, seed: int
-) -> PointCloud:
+def random_points(capture: PosedPhotos, views: Sequence[View], count: int, seed: int) -> PointCloud:
     """Draw random points that at least two cameras see, coloured by the photos.
 
     Raises:

@@ -110,7 +110,9 @@ class GaussianParameters:
         self._adam = self._new_adam()
         for name, value in self._values.items():
             prefix = f"adam.{name}."
-            moments = {k[len(prefix) :]: v.clone() for k, v in state.items() if k.startswith(prefix)}
+            moments = {
+                k[len(prefix) :]: v.clone() for k, v in state.items() if k.startswith(prefix)
+            }
             if moments:
                 self._adam.state[value] = moments
 

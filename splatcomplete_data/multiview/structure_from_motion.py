@@ -267,7 +267,9 @@ def _listen(
 def _rows(database: Path, table: str) -> int:
     """Return how many rows a table of COLMAP's database has; 0 while it cannot be read."""
     with contextlib.suppress(sqlite3.Error):
-        connection = sqlite3.connect(f"{database.resolve().as_uri()}?mode=ro", uri=True, timeout=0.1)
+        connection = sqlite3.connect(
+            f"{database.resolve().as_uri()}?mode=ro", uri=True, timeout=0.1
+        )
         try:
             return int(connection.execute(f"SELECT COUNT(*) FROM {table}").fetchone()[0])
         finally:

@@ -1,0 +1,364 @@
+"""A reconstruction as a user runs it: photos in, capture folder out.
+
+A capture folder holds ``splats.ply`` (in the world frame of the poses), ``capture.json`` (all that
+decided the result, the cameras, and what came of it), ``preview.png`` (photos above renders),
+``log.jsonl`` (one line per step), ``checkpoints/`` and, after structure from motion, ``sfm/``. All
+but the log are written atomically.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import shutil
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from PIL import Image
+
+import gscomplete
+from gscomplete import jsonio
+from gscomplete.atomic import atomic_path
+from gscomplete.completion.checkpoint import load_checkpoint, save_checkpoint
+from gscomplete.errors import UserError
+from gscomplete.evaluate.pictures import contact_sheet, save_image, to_image
+from gscomplete.render import render
+from gscomplete.render.settings import RenderSettings
+from gscomplete.splats import Splats, write_splats
+from splatcomplete_data.multiview.capture import Capture, find_masks, open_capture, up_direction
+from splatcomplete_data.multiview.images import MaskMeaning, View, load_views
+from splatcomplete_data.multiview.initial import near_points, random_points, splats_from_points
+from splatcomplete_data.multiview.settings import TrainingSettings
+from splatcomplete_data.multiview.structure_from_motion import (
+    Progress,
+    SfmSettings,
+    has_pycolmap,
+    triangulate,
+)
+from splatcomplete_data.multiview.train import StepReport, Training, evaluate_views
+from splatcomplete_data.scan import PointCloud
+
+CAPTURE_FILE = "capture.json"
+SPLATS_FILE = "splats.ply"
+PREVIEW_FILE = "preview.png"
+LOG_FILE = "log.jsonl"
+CHECKPOINTS = "checkpoints"
+SFM_FOLDER = "sfm"
+SCHEMA = "splatcomplete.capture"
+_OURS = (CAPTURE_FILE, SPLATS_FILE, PREVIEW_FILE, LOG_FILE, CHECKPOINTS, SFM_FOLDER)
+
+Start = Literal["auto", "points", "random"]
+"""``points``: the capture's sparse cloud, triangulated with pycolmap if it has none. ``random``:
+random points that the cameras see. ``auto``: points where they can be had."""
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What a user asked for."""
+
+    images: Path
+    out: Path
+    poses: str = "auto"
+    masks: Path | None = None  # None = looked for beside the photos
+    mask_means: MaskMeaning = "object"
+    max_side_px: int = 640
+    hold_out: int = 0
+    """Every this many-th photo is kept for measuring; 0 = all are trained on."""
+    start: Start = "auto"
+    random_points: int = 30_000
+    checkpoint_every: int = 500
+    resume: bool = False
+    overwrite: bool = False
+    training: TrainingSettings = field(default_factory=TrainingSettings)
+    sfm: SfmSettings = field(default_factory=SfmSettings)
+
+
+@dataclass(slots=True)
+class Reconstruction:
+    """A reconstruction set up and ready to go."""
+
+    request: Request
+    capture: Capture
+    training: Training
+    train_views: list[View]
+    held_out: list[View]
+    identity: dict[str, Any]
+    notes: tuple[str, ...]
+    timings: dict[str, float]
+
+
+def prepare(
+    request: Request, device: torch.device, progress: Progress | None = None
+) -> Reconstruction:
+    """Read photos, find what is missing, and set up step 0 or that of the last checkpoint.
+
+    Raises:
+        UserError: the photos, an option or the output folder is wrong.
+    """
+    started = time.perf_counter()
+    _make_folder(request)
+    capture = open_capture(
+        request.images, request.poses, request.out / SFM_FOLDER, request.sfm, progress
+    )
+    timings = {"poses_s": time.perf_counter() - started}
+    started = time.perf_counter()
+    masks = request.masks or find_masks(request.images)
+    views = load_views(
+        capture.posed,
+        max_side_px=request.max_side_px,
+        masks=masks,
+        mask_means=request.mask_means,
+    )
+    train, held_out = _divide(views, request.hold_out)
+    timings["photos_s"] = time.perf_counter() - started
+    started = time.perf_counter()
+    points, note = _initial_points(request, capture, train, progress)
+    initial = splats_from_points(near_points(points, capture.posed))
+    timings["points_s"] = time.perf_counter() - started
+    notes = (
+        *capture.posed.notes,
+        f"{len(train)} photos to train on, {len(held_out)} held out, "
+        f"{views[0].camera.width} x {views[0].camera.height} pixels",
+        note,
+    )
+    if len(initial) > request.training.growth.max_splats:
+        raise UserError(
+            f"--max-splats: expected at least the {len(initial)} initial splats, found "
+            f"{request.training.growth.max_splats}"
+        )
+    training = Training(train, initial, capture.posed.extent(), request.training, device)
+    identity = _identity(request, capture, initial)
+    run = Reconstruction(request, capture, training, train, held_out, identity, notes, timings)
+    if request.resume and (request.out / CAPTURE_FILE).is_file():
+        _check_identity(request.out / CAPTURE_FILE, identity)
+        state = load_checkpoint(request.out / CHECKPOINTS)
+        if state is not None:
+            training.restore(state)
+    _write_capture_file(run, "running", None)
+    return run
+
+
+def execute(run: Reconstruction, on_step: Callable[[StepReport], None]) -> dict[str, Any]:
+    """Take all remaining steps, write the results, and return the content of ``capture.json``.
+
+    Raises:
+        UserError: a value stopped being finite, or a file cannot be written.
+    """
+    out, training = run.request.out, run.training
+    started = time.perf_counter()
+    _trim_log(out / LOG_FILE, training.step_number)
+    with (out / LOG_FILE).open("a", encoding="utf-8") as log:
+        try:
+            while not training.finished:
+                report = training.step()
+                log.write(json.dumps(dataclasses.asdict(report)) + "\n")
+                on_step(report)
+                if training.step_number % max(run.request.checkpoint_every, 1) == 0:
+                    log.flush()
+                    save_checkpoint(out / CHECKPOINTS, training.state())
+        except KeyboardInterrupt:
+            save_checkpoint(out / CHECKPOINTS, training.state())
+            raise
+    save_checkpoint(out / CHECKPOINTS, training.state())
+    run.timings["train_s"] = time.perf_counter() - started
+    return _finish(run)
+
+
+def _finish(run: Reconstruction) -> dict[str, Any]:
+    """Write the splats, measure, and draw the preview."""
+    out, settings = run.request.out, run.request.training
+    splats = run.training.splats()
+    write_splats(
+        out / SPLATS_FILE, splats, (f"splatcomplete-data images {gscomplete.__version__}",)
+    )
+    extent = run.training.extent
+    result: dict[str, Any] = {"splats": len(splats)}
+    sample = run.train_views[:: max(1, len(run.train_views) // 8)]
+    result["train_psnr_db"] = float(np.mean(evaluate_views(splats, sample, extent, settings)))
+    if run.held_out:
+        values = evaluate_views(splats, run.held_out, extent, settings)
+        result["held_out_psnr_db"] = float(np.mean(values))
+        names = [view.name for view in run.held_out]
+        result["held_out_psnr_db_per_photo"] = dict(zip(names, values, strict=True))
+    shown = run.held_out or run.train_views
+    save_image(_preview(splats, shown, extent, settings), out / PREVIEW_FILE)
+    return _write_capture_file(run, "finished", result)
+
+
+def _preview(
+    splats: Splats, views: Sequence[View], extent: float, settings: TrainingSettings
+) -> Image.Image:
+    """Show up to six photos above the renders of their views."""
+    chosen = views[:: max(1, -(-len(views) // 6))]
+    photos, renders = [], []
+    draw = RenderSettings(near=settings.near_extent * extent)
+    for view in chosen:
+        with torch.no_grad():
+            color = render(splats, view.camera.to(dtype=torch.float32), settings=draw).color[0]
+        size = (max(1, view.camera.width * 240 // view.camera.height), 240)
+        renders.append(to_image(color).resize(size))
+        photos.append(Image.fromarray(view.colors).resize(size))
+    return contact_sheet(
+        [photos, renders], row_labels=["photo", "splats"], column_labels=[v.name for v in chosen]
+    )
+
+
+def _initial_points(
+    request: Request, capture: Capture, views: list[View], progress: Progress | None
+) -> tuple[PointCloud, str]:
+    """Return the points to start from, and a note that says which.
+
+    Raises:
+        UserError: points are asked for and cannot be had.
+    """
+    posed = capture.posed
+    if request.start != "random":
+        points, source = posed.points, "the capture's own"
+        if points is None and (request.start == "points" or has_pycolmap()):
+            trained = {view.name for view in views}
+            known = tuple(photo for photo in posed.photos if photo.path.name in trained)
+            known_posed = dataclasses.replace(posed, photos=known)
+            points = triangulate(known_posed, request.out / SFM_FOLDER, request.sfm, progress)
+            source = "triangulated with the given poses"
+        if points is not None and len(points) >= 100:
+            return points, f"{len(points):,} initial points, {source}"
+        if request.start == "points":
+            raise UserError(
+                f"{request.images}: expected at least 100 matched points to start from, found "
+                f"{0 if points is None else len(points)}; --start random does without"
+            )
+    cloud = random_points(posed, views, request.random_points, request.training.seed)
+    return cloud, f"{len(cloud):,} initial points, random"
+
+
+def _divide(views: list[View], hold_out: int) -> tuple[list[View], list[View]]:
+    """Divide views into those trained on and every ``hold_out``-th, the first among them."""
+    if hold_out == 0:
+        return views, []
+    if hold_out < 2:
+        raise UserError(f"--hold-out: expected 0 or at least 2, found {hold_out}")
+    return [v for i, v in enumerate(views) if i % hold_out], views[::hold_out]
+
+
+def _identity(request: Request, capture: Capture, initial: Splats) -> dict[str, Any]:
+    """Return what a resumed run must have in common with the first."""
+    digest = hashlib.sha256()
+    for photo in capture.posed.photos:
+        digest.update(photo.path.name.encode() + photo.path.read_bytes())
+        digest.update(photo.camera_from_world.tobytes())
+        if photo.mask_path is not None:
+            digest.update(photo.mask_path.read_bytes())
+    digest.update(initial.means.numpy().tobytes())
+    return {
+        "photos_poses_points_sha256": digest.hexdigest(),
+        "max_side_px": request.max_side_px,
+        "hold_out": request.hold_out,
+        "mask_means": request.mask_means,
+        "training": jsonio.to_json(request.training),
+    }
+
+
+def _make_folder(request: Request) -> None:
+    """Create the output folder, or clear the old results out of it.
+
+    Raises:
+        UserError: it holds something and neither --resume nor --overwrite is given, or it holds
+            files that are not ours.
+    """
+    out = request.out
+    if request.resume:
+        if not any((out / name).exists() for name in (CAPTURE_FILE, SFM_FOLDER)):
+            raise UserError(f"{out}: nothing to resume: there is no {CAPTURE_FILE}")
+        return
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        if not request.overwrite or not out.is_dir():
+            raise UserError(
+                f"{out}: the output folder exists and is not empty; choose another --out, continue "
+                "with --resume, or start again with --overwrite"
+            )
+        foreign = sorted(path.name for path in out.iterdir() if path.name not in _OURS)
+        if foreign:
+            raise UserError(
+                f"{out}: --overwrite: holds {foreign[0]}, which this command did not write"
+            )
+        for path in out.iterdir():
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"{out}: cannot create the output folder: {error.strerror}") from error
+
+
+def _check_identity(path: Path, identity: dict[str, Any]) -> None:
+    """Refuse to resume a run with anything that would change its result."""
+    data = jsonio.read_json(path)
+    stored = data.get("identity", {}) if isinstance(data, dict) else {}
+    for key, value in identity.items():
+        found = stored.get(key)
+        if found == value:
+            continue
+        if isinstance(value, dict) and isinstance(found, dict):
+            key, value, found = next(
+                (f"{key}.{name}", value[name], found.get(name))
+                for name in value
+                if found.get(name) != value[name]
+            )
+        raise UserError(
+            f"{path}: cannot resume with another {key}: the run has {found!r}, asked for {value!r}"
+        )
+
+
+def _trim_log(path: Path, step: int) -> None:
+    """Drop log lines of steps that will be taken again."""
+    if not path.exists():
+        return
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)[:step]
+    with atomic_path(path) as temporary:
+        temporary.write_text("".join(lines), encoding="utf-8")
+
+
+def _write_capture_file(
+    run: Reconstruction, status: str, result: dict[str, Any] | None
+) -> dict[str, Any]:
+    """Write and return the content of ``capture.json``."""
+    posed, world = run.capture.posed, run.capture.world_from_source
+    held_out = {view.name for view in run.held_out}
+    cameras = [
+        {
+            "name": view.name,
+            "width": view.camera.width,
+            "height": view.camera.height,
+            "focal_px": view.camera.focal_px[0].tolist(),
+            "center_px": view.camera.center_px[0].tolist(),
+            "camera_from_world": view.camera.camera_from_world[0].tolist(),
+            "held_out": view.name in held_out,
+        }
+        for view in sorted([*run.train_views, *run.held_out], key=lambda view: view.name)
+    ]
+    content = {
+        "schema": SCHEMA,
+        "version": 1,
+        "status": status,
+        "source": {"images": str(run.request.images), "poses": posed.source},
+        "identity": run.identity,
+        "notes": list(run.notes),
+        "world_from_source": None if world is None else world.to_json(),
+        "look_at": posed.look_at().tolist(),
+        "up": up_direction(posed).tolist(),
+        "extent": run.training.extent,
+        "tool_version": gscomplete.__version__,
+        "timings": {name: round(seconds, 3) for name, seconds in run.timings.items()},
+        "result": result,
+        "cameras": cameras,
+    }
+    jsonio.write_json(run.request.out / CAPTURE_FILE, content)
+    return content

@@ -1,0 +1,191 @@
+"""A trained scene to crop from: a splat file, and its capture's cameras where they are known.
+
+Conventions
+-----------
+* A capture folder (``reconstruct``) gives cameras, what they look at, and the up direction; a
+  plain PLY gives none of them, and its up axis is -Y, as in most trained files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from gscomplete import jsonio
+from gscomplete.errors import UserError
+from gscomplete.splats import Splats, read_splats, usable_rows
+from gscomplete.splats.ply import SplatFile
+from gscomplete.splats.transform import Similarity
+from gscomplete.views import Cameras, UpAxis, orbit_cameras, radius_to_fit, up_rotation
+from splatcomplete_data.boxes import CropBox
+from splatcomplete_data.multiview.propose_box import Focus, focus_of_cameras, focus_of_splats
+from splatcomplete_data.multiview.reconstruct import CAPTURE_FILE, SCHEMA, SPLATS_FILE
+
+PICTURES = 4
+_PICTURE_PX = 360
+_NEAR_EXTENT = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """What is to be cropped."""
+
+    name: Path  # as the user named it
+    file: SplatFile
+    capture: dict[str, Any] | None  # content of capture.json
+    cameras: tuple[Cameras, ...]
+    up_axis: UpAxis
+    near: float
+    notes: tuple[str, ...]
+
+    def drawable(self) -> Splats:
+        """Return the splats that can be drawn."""
+        return self.file.splats.select(usable_rows(self.file.splats)[0])
+
+    def positions(self) -> NDArray[np.float64]:  # [V, 3]
+        """Return the camera centres."""
+        return np.stack([camera.positions[0].numpy() for camera in self.cameras])
+
+    def focus(self) -> Focus:
+        """Return where to look for the object."""
+        if self.capture is None:
+            return focus_of_splats(self.file.splats, self._up())
+        tangents = [
+            0.5 * min(camera.width, camera.height) / float(camera.focal_px[0].min())
+            for camera in self.cameras
+        ]
+        look_at = np.array(self.capture["look_at"], np.float64)
+        return focus_of_cameras(self.positions(), look_at, self._up(), float(np.median(tangents)))
+
+    def picture_cameras(self, boxes: Sequence[CropBox]) -> list[Cameras]:
+        """Return cameras to draw from: some of the capture's, or an orbit about the boxes."""
+        if self.cameras:
+            step = max(1, len(self.cameras) // PICTURES)
+            chosen = self.cameras[step // 2 :: step][:PICTURES]
+            return [_fitted(camera) for camera in chosen]
+        center, size = self._middle(boxes)
+        rotation = up_rotation(self.up_axis)
+        orbit = orbit_cameras(
+            torch.tensor([0.0, 90.0, 180.0, 270.0]),
+            torch.full((4,), 20.0),
+            radius=radius_to_fit(2.0 * size, 45.0),
+            fov_deg=45.0,
+            size_px=_PICTURE_PX,
+        )
+        # The orbit is about the origin of z-up axes; the file's axes are turned and shifted.
+        level = Similarity(1.0, rotation, -(rotation @ torch.from_numpy(center)))
+        matrix = torch.eye(4, dtype=torch.float64)
+        matrix[:3, :3], matrix[:3, 3] = level.rotation, level.translation
+        poses = orbit.camera_from_world.double() @ matrix
+        turned = Cameras(poses, orbit.focal_px, orbit.center_px, orbit.width, orbit.height)
+        return [turned[index] for index in range(len(turned))]
+
+    def front_position(self, boxes: Sequence[CropBox]) -> tuple[float, float, float] | None:
+        """Return the centre of the camera that looks at the boxes most straight."""
+        if not self.cameras:
+            return None
+        center, _ = self._middle(boxes)
+        scores = []
+        for camera, position in zip(self.cameras, self.positions(), strict=True):
+            toward = (center - position) / max(float(np.linalg.norm(center - position)), 1e-12)
+            scores.append(float(toward @ camera.camera_from_world[0, 2, :3].numpy()))
+        x, y, z = self.positions()[int(np.argmax(scores))].tolist()
+        return x, y, z
+
+    def details(self) -> dict[str, Any]:
+        """Return what the object's record should know about the capture."""
+        if self.capture is None:
+            return {}
+        kept = ("source", "world_from_source", "result", "identity")
+        return {"capture": {name: self.capture.get(name) for name in kept}}
+
+    def _middle(self, boxes: Sequence[CropBox]) -> tuple[NDArray[np.float64], float]:
+        """Return centre and size of what is kept: the first box, or all splats."""
+        for box in boxes:
+            if box.action == "keep":
+                return np.array(box.center), 2.0 * max(box.half_extents)
+        points = self.drawable().means.double().numpy()
+        low, high = np.quantile(points, [0.02, 0.98], axis=0)
+        return (low + high) / 2, max(float((high - low).max()), 1e-9)
+
+    def _up(self) -> NDArray[np.float64]:  # [3]
+        """Return the up direction in the file's frame."""
+        if self.capture is not None:
+            return np.array(self.capture["up"], np.float64)
+        return np.asarray(up_rotation(self.up_axis).numpy()[2])
+
+
+def _fitted(camera: Cameras) -> Cameras:
+    """Return a camera whose picture is about as high as the others of a sheet."""
+    factor = _PICTURE_PX / max(camera.width, camera.height)
+    return camera.resized(
+        max(1, round(camera.width * factor)), max(1, round(camera.height * factor))
+    )
+
+
+def read_scene(path: Path) -> Scene:
+    """Read a splat PLY or a capture folder.
+
+    Raises:
+        UserError: it is neither, or the capture is not finished.
+    """
+    if not path.is_dir():
+        note = "no cameras are known: the up axis is taken to be -Y unless --up says otherwise"
+        file = read_splats(path)
+        low, high = (corner.double() for corner in _bounds(file))
+        near = 1e-3 * max(float((high - low).max()), 1e-9)
+        return Scene(path, file, None, (), "-Y", near, (note,))
+    if not (path / CAPTURE_FILE).is_file():
+        raise UserError(f"{path}: expected a splat PLY or a capture folder with {CAPTURE_FILE}")
+    capture = jsonio.read_json(path / CAPTURE_FILE)
+    if not isinstance(capture, dict) or capture.get("schema") != SCHEMA:
+        raise UserError(f"{path / CAPTURE_FILE}: schema: expected {SCHEMA!r}")
+    if capture.get("status") != "finished":
+        raise UserError(f"{path}: the capture is not finished; continue it with images --resume")
+    try:
+        cameras = tuple(_camera(entry) for entry in capture["cameras"])
+        up = np.array(capture["up"], np.float64)
+        near = _NEAR_EXTENT * float(capture["extent"])
+        np.array(capture["look_at"], np.float64).reshape(3)
+    except (KeyError, TypeError, ValueError) as error:
+        raise UserError(f"{path / CAPTURE_FILE}: cannot understand it ({error!r})") from error
+    axis, angle = nearest_axis(up)
+    note = f"up axis {axis}, {angle:.0f} degrees from the cameras' mean up direction"
+    return Scene(path, read_splats(path / SPLATS_FILE), capture, cameras, axis, near, (note,))
+
+
+def nearest_axis(up: NDArray[np.float64]) -> tuple[UpAxis, float]:  # [3]
+    """Return the file axis nearest to a direction, and the angle between them in degrees."""
+    axes: tuple[UpAxis, ...] = ("X", "Y", "Z", "-X", "-Y", "-Z")
+    along = np.concatenate([up, -up]) / np.linalg.norm(up)
+    best = int(along.argmax())
+    return axes[best], float(np.degrees(np.arccos(min(along[best], 1.0))))
+
+
+def _bounds(file: SplatFile) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the box of the splats that can be drawn.
+
+    Raises:
+        UserError: there is none.
+    """
+    usable, _ = usable_rows(file.splats)
+    if not bool(usable.any()):
+        raise UserError(f"{file.path}: expected splats that can be drawn, found none")
+    return file.splats.select(usable).bounds()
+
+
+def _camera(entry: dict[str, Any]) -> Cameras:
+    """Read one camera of a capture."""
+    return Cameras(
+        torch.tensor([entry["camera_from_world"]], dtype=torch.float64),
+        torch.tensor([entry["focal_px"]], dtype=torch.float64),
+        torch.tensor([entry["center_px"]], dtype=torch.float64),
+        int(entry["width"]),
+        int(entry["height"]),
+    )
