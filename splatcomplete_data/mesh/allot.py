@@ -1,0 +1,137 @@
+"""Decide how many splats every triangle of a mesh gets, so that none is lost.
+
+Conventions
+-----------
+* A cell of area ``spacing``^2 is what one splat stands for.
+* A triangle gets splats of its own when it is not much smaller than a cell, or longer than the
+  spacing (slivers, wires): at least one, else area / cell, rounded.
+* The others are tiny: they are gathered in cubes of side ``spacing``, and every cube that holds
+  any gets at least one splat on one of them, of the size of what it stands for. So the smallest
+  isolated piece of a mesh still shows, and a finely cut surface is not counted twice.
+* The spacing for a target count is found by bisection: both counts fall as it grows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gscomplete.errors import UserError
+
+OWN_AREA = 0.4
+"""A triangle with at least this share of a cell's area gets splats of its own."""
+OWN_LENGTH = 1.5
+"""So does one whose longest edge is at least this many spacings."""
+MAX_SPLATS = 20_000_000
+"""More than this is refused: it is a typing error rather than a wish."""
+
+
+@dataclass(frozen=True, slots=True)
+class Allotment:
+    """Splats per triangle."""
+
+    spacing: float
+    """Side of a cell, in the units of the vertices."""
+    counts: NDArray[np.int64]  # [T]
+    tiny_area: NDArray[np.float64]  # [T] area that each splat of a tiny triangle stands for, else 0
+    tiny: int
+    """Number of triangles that share splats with others."""
+
+    @property
+    def total(self) -> int:
+        """Number of splats."""
+        return int(self.counts.sum())
+
+
+def allot_by_spacing(
+    vertices: NDArray[np.float32],  # [T, 3, 3]
+    areas: NDArray[np.float64],  # [T]
+    spacing: float,
+) -> Allotment:
+    """Give every triangle its splats at a given spacing.
+
+    Raises:
+        UserError: that would be more than ``MAX_SPLATS``.
+    """
+    cell = spacing * spacing
+    if not areas.sum() / max(cell, 1e-300) < MAX_SPLATS:
+        raise UserError(
+            f"mesh: a spacing of {spacing:g} gives {areas.sum() / max(cell, 1e-300):.3g} splats, "
+            f"expected at most {MAX_SPLATS:,}"
+        )
+    own = (areas >= OWN_AREA * cell) | (_longest_edges(vertices) >= OWN_LENGTH * spacing)
+    counts = np.where(own, np.maximum(np.rint(areas / cell), 1), 0).astype(np.int64)
+    stands_for = np.zeros(len(areas))
+    tiny = np.flatnonzero(~own)
+    if len(tiny):
+        chosen, number, share = _represent(vertices[tiny].mean(axis=1), areas[tiny], spacing)
+        counts[tiny[chosen]] = number
+        stands_for[tiny[chosen]] = share
+    return Allotment(spacing, counts, stands_for, len(tiny))
+
+
+def allot_by_count(
+    vertices: NDArray[np.float32],  # [T, 3, 3]
+    areas: NDArray[np.float64],  # [T]
+    count: int,
+) -> Allotment:
+    """Give every triangle its splats so that they are about ``count`` in all.
+
+    The number is within 2 % of ``count`` unless the mesh has more isolated small pieces or slivers
+    than that; it is then the least number that shows them all at a spacing of 1/20 of the box.
+
+    Raises:
+        UserError: ``count`` is not positive or above ``MAX_SPLATS``.
+    """
+    if not 1 <= count <= MAX_SPLATS:
+        raise UserError(f"mesh: count: expected 1 to {MAX_SPLATS:,}, found {count}")
+    side = float(np.ptp(vertices.reshape(-1, 3), axis=0).max())
+    low = 0.5 * np.sqrt(areas.sum() / count)
+    high = max(4.0 * low, side / 20.0)
+    best = allot_by_spacing(vertices, areas, 2.0 * low)
+    for _ in range(14):
+        if abs(best.total - count) <= 0.01 * count:
+            break
+        if best.total > count:
+            low = best.spacing
+        else:
+            high = best.spacing
+        best = allot_by_spacing(vertices, areas, float(np.sqrt(low * high)))
+    return best
+
+
+def _longest_edges(vertices: NDArray[np.float32]) -> NDArray[np.float64]:  # [T, 3, 3] -> [T]
+    """Return the length of every triangle's longest edge."""
+    edges = (np.roll(vertices, -1, axis=1) - vertices).astype(np.float64)
+    return np.sqrt(np.einsum("tec,tec->te", edges, edges).max(axis=1))
+
+
+def _represent(
+    centers: NDArray[np.float32],  # [M, 3]
+    areas: NDArray[np.float64],  # [M]
+    spacing: float,
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Choose which tiny triangles carry the splats of their cube.
+
+    Returns:
+        Indices of the chosen triangles, their numbers of splats, and the area each stands for.
+    """
+    cubes = np.floor((centers - centers.min(axis=0)) / spacing).astype(np.int64)
+    extent = cubes.max(axis=0) + 1
+    keys = (cubes[:, 0] * extent[1] + cubes[:, 1]) * extent[2] + cubes[:, 2]
+    order = np.argsort(keys, kind="stable")
+    starts = np.flatnonzero(np.diff(keys[order], prepend=-1))
+    totals = np.add.reduceat(areas[order], starts)
+    needed = np.maximum(np.rint(totals / (spacing * spacing)), 1).astype(np.int64)
+    # the splats of a cube sit at equal steps of its cumulative area
+    before = np.cumsum(areas[order]) - areas[order]
+    cube = np.repeat(np.arange(len(starts)), needed)
+    rank = np.arange(len(cube)) - np.repeat(np.cumsum(needed) - needed, needed)
+    target = before[starts][cube] + (rank + 0.5) * (totals / needed)[cube]
+    place = np.searchsorted(before, target, side="right") - 1
+    ends = np.append(starts[1:], len(order))
+    place = np.clip(place, starts[cube], ends[cube] - 1)
+    chosen, first, number = np.unique(place, return_index=True, return_counts=True)
+    return order[chosen], number, (totals / needed)[cube[first]]

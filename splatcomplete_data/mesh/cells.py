@@ -1,0 +1,190 @@
+"""Cut triangles into cells of about one size, each of which one flat splat stands for.
+
+Conventions
+-----------
+* A triangle lies on its longest edge, the base: x runs along the base, y up to the apex. It is cut
+  into m rows of equal height, row j into k_j equal pieces; a piece is a cell, a rectangle of
+  ``width x height`` in the tangent plane. In the frame (x, y) the map from a unit square to a cell
+  is diagonal: x and y are the singular vectors of its Jacobian, width and height its singular
+  values. A splat's tangent standard deviations are a multiple of them, its axes are x and y.
+* Triangles lower than one row get one row whose cells follow the triangle's local height, so
+  slivers become rows of thin splats that neither bulge nor vanish.
+* Edges marked ``inset`` (borders, folds) are moved inwards before cutting, by a fraction of the
+  cell: the soft rim of a splat then ends about where the surface does.
+* Barycentric weights belong to the corners in the caller's order.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float32]
+IntArray = NDArray[np.int64]
+
+WIDTH, HEIGHT = 0, 1
+"""Columns of ``sizes``."""
+
+
+@numba.njit(cache=True)
+def row_counts(base: float, height: float, count: int) -> tuple[int, float]:
+    """Return the number of rows m of a triangle cut into ``count`` cells, and a cell's side."""
+    side = math.sqrt(0.5 * base * height / count)
+    rows = int(round(height / side))
+    return min(max(rows, 1), count), side
+
+
+@numba.njit(cache=True)
+def _inset_triangle(
+    corners: NDArray[np.float64],  # [3, 3] barycentric weights, one row per corner; changed
+    lengths: NDArray[np.float64],  # [3] of the edges; edge e runs from corner e to corner e + 1
+    area: float,
+    marked: int,  # bit e = edge e is inset
+    depth: float,
+) -> None:
+    """Move marked edges inwards by ``depth`` or less: never past a third of the inradius each."""
+    inradius = 2.0 * area / (lengths[0] + lengths[1] + lengths[2])
+    depth = min(depth, inradius * 0.35)
+    shift = np.zeros(3)  # barycentric weight of the corner opposite an edge, on the moved edge
+    for edge in range(3):
+        if marked >> edge & 1:
+            shift[(edge + 2) % 3] = depth * lengths[edge] / (2.0 * area)
+    rest = 1.0 - shift[0] - shift[1] - shift[2]
+    for corner in range(3):
+        for axis in range(3):
+            corners[corner, axis] = shift[axis] + (rest if axis == corner else 0.0)
+
+
+@numba.njit(cache=True)
+def cut_into_cells(
+    vertices: FloatArray,  # [T, 3, 3]
+    counts: IntArray,  # [T] cells per triangle
+    areas: NDArray[np.float64],  # [T]
+    marked: NDArray[np.uint8],  # [T] bit e set = edge e (corner e to e + 1) is inset
+    inset: float,  # depth of the inset over the cell's side
+    triangle: IntArray,  # [N] out
+    weights: FloatArray,  # [N, 3] out: barycentric weights of the cell's middle
+    steps: FloatArray,  # [N, 2, 3] out: weights' change over a quarter cell along x and y
+    axes: FloatArray,  # [N, 2, 3] out: unit x and y
+    sizes: FloatArray,  # [N, 2] out: width and height
+) -> int:
+    """Fill the cells of all triangles in order; return their number."""
+    made = 0
+    corners = np.empty((3, 3))
+    points = np.empty((3, 3))
+    lengths = np.empty(3)
+    for t in range(len(counts)):
+        count = counts[t]
+        if count < 1:
+            continue
+        for corner in range(3):
+            for axis in range(3):
+                corners[corner, axis] = 1.0 if axis == corner else 0.0
+        _edge_lengths(vertices[t], lengths)
+        if marked[t] and inset > 0.0:
+            side = math.sqrt(areas[t] / count)
+            _inset_triangle(corners, lengths, areas[t], marked[t], inset * side)
+        for corner in range(3):
+            for axis in range(3):
+                total = 0.0
+                for k in range(3):
+                    total += corners[corner, k] * vertices[t, k, axis]
+                points[corner, axis] = total
+        made = _cut_one(
+            points, corners, count, made, triangle, weights, steps, axes, sizes, t
+        )
+    return made
+
+
+@numba.njit(cache=True)
+def _edge_lengths(corners: NDArray, lengths: NDArray[np.float64]) -> None:
+    """Fill in the lengths of the edges 0-1, 1-2, 2-0."""
+    for edge in range(3):
+        total = 0.0
+        for axis in range(3):
+            difference = float(corners[(edge + 1) % 3, axis]) - float(corners[edge, axis])
+            total += difference * difference
+        lengths[edge] = math.sqrt(total)
+
+
+@numba.njit(cache=True)
+def _cut_one(
+    points: NDArray[np.float64],  # [3, 3]
+    corners: NDArray[np.float64],  # [3, 3]
+    count: int,
+    made: int,
+    triangle: IntArray,
+    weights: FloatArray,
+    steps: FloatArray,
+    axes: FloatArray,
+    sizes: FloatArray,
+    index: int,
+) -> int:
+    """Cut one triangle; see ``cut_into_cells``."""
+    lengths = np.empty(3)
+    _edge_lengths(points, lengths)
+    longest = 0
+    for edge in range(1, 3):
+        if lengths[edge] > lengths[longest]:
+            longest = edge
+    a, b, c = longest, (longest + 1) % 3, (longest + 2) % 3  # base from a to b, apex c
+    base = lengths[longest]
+    x_axis, y_axis = np.empty(3), np.empty(3)
+    along = 0.0
+    for axis in range(3):
+        x_axis[axis] = (points[b, axis] - points[a, axis]) / base
+        along += (points[c, axis] - points[a, axis]) * x_axis[axis]
+    height = 0.0
+    for axis in range(3):
+        y_axis[axis] = points[c, axis] - points[a, axis] - along * x_axis[axis]
+        height += y_axis[axis] * y_axis[axis]
+    height = max(math.sqrt(height), 1e-7 * base)
+    for axis in range(3):
+        y_axis[axis] /= height
+    apex = min(max(along / base, 0.0), 1.0)
+    rows, _ = row_counts(base, height, count)
+    placed, passed = 0, 0.0
+    for row in range(rows):
+        middle = (row + 0.5) / rows if rows > 1 else 0.0
+        passed += 1.0 - (row + 0.5) / rows
+        until = int(math.floor(count * passed / (0.5 * rows) + 0.5))
+        if row == rows - 1:
+            until = count
+        pieces = until - placed
+        for piece in range(pieces):
+            u = (piece + 0.5) / pieces  # along the row
+            if rows > 1:
+                v, cell_height = middle, height / rows
+                x = apex * v + u * (1.0 - v)  # both in units of the base
+            else:
+                x = u if pieces > 1 else (1.0 + apex) / 3.0
+                left = x / apex if x < apex else 1.0
+                right = (1.0 - x) / (1.0 - apex) if x > apex else 1.0
+                local = min(left, right)
+                v = 0.5 * local if pieces > 1 else 1.0 / 3.0
+                cell_height = height * local if pieces > 1 else height * 0.75
+            width = base * (1.0 - middle) / pieces
+            if rows == 1 and pieces == 1:
+                width = base * 0.75
+            place = made + placed
+            triangle[place] = index
+            sizes[place, 0], sizes[place, 1] = width, cell_height
+            weight_b = x - apex * v
+            weight_a = 1.0 - v - weight_b
+            du = 0.25 * width / base
+            dv = 0.25 * cell_height / height
+            for axis in range(3):
+                weights[place, axis] = (
+                    weight_a * corners[a, axis] + weight_b * corners[b, axis] + v * corners[c, axis]
+                )
+                steps[place, 0, axis] = du * (corners[b, axis] - corners[a, axis])
+                steps[place, 1, axis] = dv * (
+                    corners[c, axis] - apex * corners[b, axis] - (1.0 - apex) * corners[a, axis]
+                )
+                axes[place, 0, axis] = x_axis[axis]
+                axes[place, 1, axis] = y_axis[axis]
+            placed += 1
+    return made + placed
