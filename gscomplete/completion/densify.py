@@ -36,10 +36,10 @@ class PruneReport:
 class GradientStatistics:
     """Mean length of the screen-space gradient of every splat over all views that saw it."""
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, device: torch.device | str = "cpu") -> None:
         """Start with no views."""
-        self.total = torch.zeros(count)
-        self.views = torch.zeros(count)
+        self.total = torch.zeros(count, device=device)
+        self.views = torch.zeros(count, device=device)
 
     def add(self, offsets_grad: Tensor, size_px: int) -> None:  # [V, N, 2] dL/dpixel
         """Add views; gradients are per half image, so that they do not depend on resolution."""
@@ -74,7 +74,7 @@ def subdivide(
     large = splats.scales[chosen].amax(dim=1) > settings.split_scale
     halves = _halves(splats.select(chosen[large]), generator_for(seed, step, "split"))
     clones = splats.select(chosen[~large])
-    keep = torch.ones(count, dtype=torch.bool)
+    keep = torch.ones(count, dtype=torch.bool, device=chosen.device)
     keep[chosen[large]] = False
     parameters.extend(concatenate([halves, clones]), keep)
     return len(parameters) - count
@@ -83,7 +83,7 @@ def subdivide(
 def _halves(splats: Splats, generator: torch.Generator) -> Splats:
     """Replace every splat by two smaller ones drawn from it."""
     twice = concatenate([splats, splats])
-    local = torch.randn(twice.means.shape, generator=generator) * twice.scales
+    local = torch.randn(twice.means.shape, generator=generator).to(twice.scales) * twice.scales
     offset = (rotation_matrices(twice.quaternions) @ local[:, :, None])[:, :, 0]
     return Splats(
         twice.means + offset,

@@ -61,6 +61,7 @@ class Completion:
         distribution: ViewDistribution,
         settings: CompletionSettings,
         initial_diameter: float = 1.0,
+        device: torch.device | str = "cpu",
     ) -> None:
         """Set up step 0.
 
@@ -72,8 +73,10 @@ class Completion:
             settings: every knob.
             initial_diameter: of the sphere of new splats, object-frame units; the paper takes the
                 largest side of P's box.
+            device: where splats are rendered and moved; the prior may run on another.
         """
-        self.partial = partial.detach()
+        self.partial = partial.detach().to("cpu")  # step 0 is set up there, whatever the device
+        self._device = torch.device(device)
         self.settings = settings
         self.step_number = 0
         self._prior, self._conditioning, self._distribution = prior, conditioning, distribution
@@ -82,8 +85,9 @@ class Completion:
         self._max_radius = settings.max_radius or extent / 2
         bounds = Bounds(settings.min_scale_px * extent / self._size_px, settings.max_scale)
         start, self.start_note, self._is_blank = self._start(bounds, initial_diameter)
-        self.parameters = SplatParameters(start, bounds, settings.learning_rates)
-        self._statistics = GradientStatistics(len(self.parameters))
+        self.partial = self.partial.to(self._device)
+        self.parameters = SplatParameters(start.to(self._device), bounds, settings.learning_rates)
+        self._statistics = GradientStatistics(len(self.parameters), self._device)
         self._rings = RingMemory(settings.ring_memory)
 
     @property
@@ -114,9 +118,10 @@ class Completion:
             preservation_cameras = self._distribution.cameras(angles, self._size_px)
             views = join_cameras([ring_cameras, preservation_cameras])
         splats = self.parameters.splats()
-        offsets = torch.zeros(len(views), len(splats), 2, requires_grad=True)
+        offsets = torch.zeros(len(views), len(splats), 2, device=self._device, requires_grad=True)
         drawn = render(splats, views, frozen=self.partial, screen_offsets=offsets)
         background = random_background(generator_for(settings.seed, step, "background"))
+        background = background.to(self._device)
         guidance = self._guidance_loss(_part(drawn, 0, 4), ring_cameras, ring, timestep, background)
         total, preservation = guidance, None
         if preserving:
@@ -156,6 +161,10 @@ class Completion:
     def restore(self, state: dict[str, Tensor]) -> None:
         """Continue from :meth:`state`."""
         self.step_number = int(state["step"])
+        state = {
+            name: value if _stays_on_cpu(name) else value.to(self._device)
+            for name, value in state.items()
+        }
         self.parameters.restore(state)
         self._statistics.total = state["statistics.total"].clone()
         self._statistics.views = state["statistics.views"].clone()
@@ -219,7 +228,7 @@ class Completion:
             )
             target = cameras.resized(color.shape[2], color.shape[1])
             partial = render(self.partial, target)
-            trusted = inside_distribution(target, self._distribution)
+            trusted = inside_distribution(target, self._distribution).to(self._device)
             mask = torch.where(trusted[:, None, None], partial.alpha, 0.0)
             color = color * (1 - mask)[..., None] + partial.color * trusted[:, None, None, None]
             alpha = torch.maximum(alpha * (1 - mask) + mask, mask)
@@ -253,7 +262,7 @@ class Completion:
             generator_for(self.settings.seed, self.step_number, "noise"),
             self._input_views(cameras),
             self._guidance_scales(),
-        )
+        ).to(self._device)
 
     def _edit_splats(self, step: int) -> None:
         """Subdivide and prune when the schedule says so; statistics start anew."""
@@ -266,7 +275,7 @@ class Completion:
             keep, report = prune_mask(self.new_splats(), opacity, self._max_radius)
             if report.total and bool(keep.any()):
                 self.parameters.keep(keep)
-            self._statistics = GradientStatistics(len(self.parameters))
+            self._statistics = GradientStatistics(len(self.parameters), self._device)
 
     def _check_finite(self, step: int, guidance: Tensor, preservation: Tensor | None) -> None:
         """Stop the run before a non-finite value reaches the parameters."""
@@ -282,6 +291,11 @@ class Completion:
                 f"step {step}: {culprit} is not finite; the run stops here and its last "
                 "checkpoint is kept"
             )
+
+
+def _stays_on_cpu(name: str) -> bool:
+    """Whether a tensor of a checkpoint is a camera, or a count that Adam keeps there."""
+    return name.endswith(("step", "_px", "camera_from_world"))
 
 
 def _part(drawn: Render, start: int, stop: int) -> Render:

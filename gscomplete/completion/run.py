@@ -28,10 +28,11 @@ from gscomplete.completion.framing import guess_framing
 from gscomplete.completion.optimise import Completion, StepReport
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.completion.working_set import WorkingSet, working_set
+from gscomplete.device import peak_gpu_bytes
 from gscomplete.errors import UserError
 from gscomplete.evaluate.pictures import preview_sheet, save_image, save_turntable
 from gscomplete.evaluate.report import evaluate
-from gscomplete.priors.base import Prior
+from gscomplete.priors.base import Prior, prior_identity
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.ply import SplatFile, append_splats, read_splats
 from gscomplete.splats.transform import Similarity, transform_splats
@@ -75,8 +76,13 @@ class Run:
     timings: dict[str, float] = field(default_factory=dict)
 
 
-def prepare(request: Request, prior: Prior) -> Run:
+def prepare(request: Request, prior: Prior, device: torch.device | str = "cpu") -> Run:
     """Read P, decide the frame and views, and set up step 0 or the step of the last checkpoint.
+
+    Args:
+        request: what the user asked for.
+        prior: the model that guides.
+        device: where splats are rendered and moved.
 
     Raises:
         UserError: the input, an option or the output folder is wrong.
@@ -98,12 +104,13 @@ def prepare(request: Request, prior: Prior) -> Run:
         distribution,
         request.settings,
         _largest_side(chosen.splats) / frame.size_file,
+        device,
     )
     identity = {
         "input_sha256": hashlib.sha256(request.partial_path.read_bytes()).hexdigest(),
         "prompt": request.prompt,
         "negative_prompt": request.negative_prompt,
-        "prior": prior.name,
+        "prior": prior_identity(prior),
         "frame": frame.to_json(),
         "views": distribution.to_json(),
         "settings": jsonio.to_json(request.settings),
@@ -156,7 +163,7 @@ def _finish(run: Run) -> dict[str, Any]:
     """Write the completed splats, measure, and draw the pictures."""
     out = run.request.out
     started = time.perf_counter()
-    new = run.completion.new_splats()
+    new = run.completion.new_splats().to("cpu")
     in_file = transform_splats(new, run.frame.file_from_object)
     append_splats(
         out / OUTPUT_FILE,
@@ -168,7 +175,7 @@ def _finish(run: Run) -> dict[str, Any]:
         ),
     )
     run.timings["write_s"] = time.perf_counter() - started
-    partial = run.completion.partial
+    partial = run.completion.partial.to("cpu")
     whole = concatenate([partial, new])
     started = time.perf_counter()
     metrics = jsonio.to_json(evaluate(whole, partial, run.distribution))
@@ -178,7 +185,8 @@ def _finish(run: Run) -> dict[str, Any]:
     save_image(sheet, out / "preview.png")
     save_turntable(whole, run.distribution, out / "turntable.webp")
     run.timings["pictures_s"] = time.perf_counter() - started
-    return _write_run_file(run, "finished", {"metrics": metrics, "new_splats": len(new)})
+    result = {"metrics": metrics, "new_splats": len(new), "peak_gpu_bytes": peak_gpu_bytes()}
+    return _write_run_file(run, "finished", result)
 
 
 def _decide_frame(

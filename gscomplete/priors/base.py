@@ -16,11 +16,12 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
+from gscomplete.jsonio import to_json
 from gscomplete.render.record import Render
 from gscomplete.views.cameras import Cameras, radius_to_fit
 
@@ -95,6 +96,16 @@ class Guidance:
     rescale: float = 0.0  # 0 to 1: pull the contrast back to the conditional image's
 
 
+def prior_identity(prior: Prior) -> str | dict[str, Any]:
+    """Return what of a prior decides a run's result, as JSON values.
+
+    A prior may say it by an attribute ``identity`` (digest of its weights, its knobs); for others
+    it is the name.
+    """
+    identity = getattr(prior, "identity", None)
+    return prior.name if identity is None else {"name": prior.name, **to_json(identity)}
+
+
 class Conditioning(Protocol):
     """A prompt as a prior understood it; opaque but for its report."""
 
@@ -132,7 +143,8 @@ class Prior(Protocol):
 
         Args:
             prompt: free text; empty means no text.
-            negative_prompt: what guidance leads away from; None = no text.
+            negative_prompt: what guidance leads away from, "" = no text; None = the prior's
+                default, which is no text for most.
         """
         ...
 
