@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from gscomplete.errors import UserError
+from gscomplete.priors.mvdream.settings import LatentPriorSettings
 
 if TYPE_CHECKING:
     from gscomplete.completion.optimise import StepReport
@@ -48,9 +49,12 @@ class CompleteOptions:
     size: float | None = None
     """Largest side of the WHOLE object in file units; None = guessed from P."""
     prior: str = "embedded"
-    """Name or path of the prior."""
+    """embedded, mvdream, or the path of weights: MVDream's file or folder, a folder of any
+    diffusers text-to-image model, or an export of the embedded prior."""
+    diffusion: LatentPriorSettings = dataclasses.field(default_factory=LatentPriorSettings)
+    """Knobs of latent diffusion priors (all but embedded)."""
     negative_prompt: str | None = None
-    """What to lead away from; None = nothing."""
+    """What to lead away from, "" = nothing; None = the prior's default."""
     preset: Literal["default", "fast", "distill", "paper"] = "default"
     """default: best of time and quality. fast: fewer rounds. distill: the paper's method in fewer
     steps. paper: the paper's settings to the letter (6,000 steps)."""
@@ -73,12 +77,15 @@ class CompleteOptions:
 def run(options: CompleteOptions) -> int:
     """Complete the object; return the exit code."""
     from gscomplete.completion.run import prepare
-    from gscomplete.device import choose_device
+    from gscomplete.device import choose_device, choose_render_device
     from gscomplete.priors import load_prior
 
-    prior = load_prior(options.prior, choose_device(options.device))
-    job = prepare(_request(options, prior), prior)
-    _say(options, *job.notes)
+    device = choose_device(options.device)
+    render_device, fallback = choose_render_device(options.device, device)
+    knobs = None if options.diffusion == LatentPriorSettings() else options.diffusion
+    prior = load_prior(options.prior, device, knobs)
+    job = prepare(_request(options, prior), prior, render_device)
+    _say(options, *job.notes, *([fallback] if fallback else []))
     if job.completion.step_number:
         _say(options, f"resuming at step {job.completion.step_number}")
     content = _with_progress(job)
@@ -89,12 +96,18 @@ def run(options: CompleteOptions) -> int:
     c, views = result["metrics"]["input_view"], result["metrics"]["all_views"]
     _say(
         options,
-        f"{result['new_splats']:,} new splats in {content['timings']['optimise_s']:.1f} s",
+        f"{result['new_splats']:,} new splats in {content['timings']['optimise_s']:.1f} s"
+        + _memory_note(result["peak_gpu_bytes"]),
         f"E_color {c['color']:.6f} from c, {views['color']:.6f} over V; "
         f"E_depth {c['depth']:.6f} from c, {views['depth']:.6f} over V",
         f"written: {job.request.out}/completed.ply, preview.png, turntable.webp, run.json",
     )
     return 0
+
+
+def _memory_note(peak_bytes: int | None) -> str:
+    """Return the peak of GPU memory as words, or nothing without a GPU."""
+    return "" if peak_bytes is None else f", at most {peak_bytes / 2**30:.2f} GiB of GPU memory"
 
 
 def _request(options: CompleteOptions, prior: Prior) -> Request:

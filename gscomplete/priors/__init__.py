@@ -39,7 +39,7 @@ def load_prior(
             MVDream (diffusers' style or converted), any diffusers text-to-image model, or weights
             of the embedded prior as the training recipe exports them.
         device: where it runs.
-        settings: knobs of latent diffusion priors; None = their defaults. Not used by others.
+        settings: knobs of latent diffusion priors; None = their defaults.
 
     Raises:
         UserError: there is no such prior, or its weights are missing or damaged.
@@ -48,6 +48,8 @@ def load_prior(
     if name_or_path == "embedded" or (path / "model.safetensors").is_file():
         from gscomplete.priors.embedded.prior import load_embedded
 
+        if settings is not None:
+            raise UserError("--diffusion.*: the embedded prior has none of these knobs")
         return load_embedded(None if name_or_path == "embedded" else path, device)
     if name_or_path not in PRIOR_NAMES and not path.exists():
         raise UserError(

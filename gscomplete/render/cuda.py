@@ -2,6 +2,12 @@
 
 gsplat draws the definition in ``settings`` with alpha_min = 1/255 and alpha_max = 0.999 fixed in
 its kernels; other values of these are refused. It stops at a transmittance of 1e-4 in any case.
+
+Frozen splats are detached before they are joined to the others: nothing is kept for them, but
+gsplat's backward kernel still visits every splat of a tile, so unlike on the CPU they are not free.
+
+gsplat compiles its kernels at the first use where no ready-made ones are installed, which takes
+minutes and needs the CUDA toolkit; :func:`check_cuda_renderer` finds out before a run begins.
 """
 
 from __future__ import annotations
@@ -27,12 +33,39 @@ def _gsplat() -> Any:
     """
     try:
         import gsplat
-    except ImportError as error:
-        raise UserError(
-            f"rendering on CUDA needs gsplat, which cannot be imported here ({error}); install "
-            "the extra gscomplete[cuda], or run with --device cpu"
-        ) from error
+    except Exception as error:  # a failed build of its kernels raises whatever the compiler did
+        raise _unusable(error) from error
     return gsplat
+
+
+def check_cuda_renderer(device: torch.device) -> None:
+    """Draw one splat, forward and backward, to find out whether gsplat works here.
+
+    Raises:
+        UserError: it is not installed, its kernels cannot be built, or the GPU is not supported.
+    """
+    one = torch.ones(1, 1, 3, device=device)
+    means = torch.tensor([[0.0, 0.0, 2.0]], device=device, requires_grad=True)
+    quaternions = torch.tensor([[1.0, 0.0, 0.0, 0.0]], device=device)
+    splats = Splats(means, quaternions, 0.2 * one[0], 0.5 * one[0, :, 0], one)
+    cameras = Cameras(torch.eye(4)[None], torch.full((1, 2), 8.0), torch.full((1, 2), 4.0), 8, 8)
+    gsplat = _gsplat()
+    try:
+        images = rasterize(splats, cameras, None, None, RenderSettings())
+        images.sum().backward()
+        visible = float(images[..., 4].detach().max()) > 0.1
+    except Exception as error:
+        raise _unusable(error) from error
+    if not visible:
+        raise _unusable(f"version {getattr(gsplat, '__version__', '?')} draws nothing")
+
+
+def _unusable(reason: Exception | str) -> UserError:
+    text = (str(reason).strip().split("\n")[0] or type(reason).__name__)[:200]
+    return UserError(
+        f"rendering on CUDA needs gsplat, which cannot be used here ({text}); install the extra "
+        "gscomplete[cuda] (and the CUDA toolkit, where it has to compile), or use --device cpu"
+    )
 
 
 def rasterize(
