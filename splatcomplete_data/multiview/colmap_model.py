@@ -147,7 +147,7 @@ def read_colmap(model: Path, images: Path) -> PosedPhotos:
             )
         lens = _fit_to_photo(lenses[image.camera_id], path)
         photos.append(PosedPhoto(path, lens, _pose(image, images_path)))
-    notes = ()
+    notes: tuple[str, ...] = ()
     if missing:
         notes = (
             f"{len(missing)} of {len(stored)} images of the model left out: not in {images} "

@@ -114,4 +114,5 @@ def _seen(
         index = np.flatnonzero(inside)[shown]
         times[index] += 1
         total[index] += view.colors[row[shown], column[shown]].astype(np.float32) / 255.0
-    return times, total / np.maximum(times, 1)[:, None].astype(np.float32)
+    mean: NDArray[np.float32] = total / np.maximum(times, 1).astype(np.float32)[:, None]
+    return times, mean

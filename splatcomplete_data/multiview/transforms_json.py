@@ -59,7 +59,7 @@ def read_transforms(path: Path, images: Path | None = None) -> PosedPhotos:
         lens = _lens(values, photo_path, where)
         pose = _camera_from_world(frame.get("transform_matrix"), where)
         photos.append(PosedPhoto(photo_path, lens, pose, _mask(path.parent, frame, where)))
-    notes = ()
+    notes: tuple[str, ...] = ()
     if missing:
         notes = (
             f"{len(missing)} of {len(data['frames'])} frames left out: their photo does not exist "
@@ -174,4 +174,5 @@ def _camera_from_world(value: Any, where: str) -> NDArray[np.float64]:  # [4, 4]
         raise UserError(f"{where}: transform_matrix: expected 4 x 4 finite numbers")
     if abs(np.linalg.det(matrix[:3, :3])) < 1e-9:
         raise UserError(f"{where}: transform_matrix: expected a rotation, found a singular matrix")
-    return np.linalg.inv(matrix @ _OPENCV_FROM_OPENGL)
+    inverse: NDArray[np.float64] = np.linalg.inv(matrix @ _OPENCV_FROM_OPENGL)
+    return inverse
