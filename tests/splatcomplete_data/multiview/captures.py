@@ -1,0 +1,143 @@
+"""Small made-up captures: photos on disk with every form of poses."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+
+from gscomplete.render import render
+from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.views import Cameras, orbit_cameras
+
+SIZE_PX = 32
+FOV_DEG = 50.0
+
+
+def cameras(count: int = 8, size_px: int = SIZE_PX) -> Cameras:
+    """Cameras on a ring, looking at the origin."""
+    azimuths = torch.arange(count, dtype=torch.float64) * (360.0 / count)
+    elevations = torch.full((count,), 20.0, dtype=torch.float64)
+    return orbit_cameras(azimuths, elevations, radius=3.0, fov_deg=FOV_DEG, size_px=size_px)
+
+
+def ball(count: int = 400, seed: int = 0) -> Splats:
+    """A coloured ball of splats of radius 0.6 about the origin."""
+    generator = torch.Generator().manual_seed(seed)
+    points = torch.nn.functional.normalize(torch.randn(count, 3, generator=generator), dim=1)
+    quaternions = torch.zeros(count, 4)
+    quaternions[:, 0] = 1.0
+    return Splats(
+        0.6 * points,
+        quaternions,
+        torch.full((count, 3), 0.06),
+        torch.full((count,), 0.95),
+        colors_to_sh(0.5 + 0.4 * points),
+    )
+
+
+def photos(folder: Path, views: Cameras, *, alpha: bool = False) -> list[str]:
+    """Write photos of the ball; return their names."""
+    folder.mkdir(parents=True, exist_ok=True)
+    drawn = render(ball(), views)
+    names = []
+    for index in range(len(views)):
+        color = drawn.color[index].clamp(0, 1)
+        pixels = (color * 255).round().to(torch.uint8).numpy()
+        if alpha:
+            shown = (drawn.alpha[index].clamp(0, 1) * 255).round().to(torch.uint8).numpy()
+            pixels = np.dstack([pixels, shown])
+        names.append(f"photo_{index:02}.png")
+        Image.fromarray(pixels).save(folder / names[-1])
+    return names
+
+
+def transforms_file(path: Path, views: Cameras, names: list[str], **extra: object) -> None:
+    """Write a transforms.json for photos in ``images`` beside it."""
+    flip = np.diag([1.0, -1.0, -1.0, 1.0])
+    frames = [
+        {
+            "file_path": f"images/{name}",
+            "transform_matrix": (
+                np.linalg.inv(views.camera_from_world[index].double().numpy()) @ flip
+            ).tolist(),
+        }
+        for index, name in enumerate(names)
+    ]
+    data = {
+        "fl_x": float(views.focal_px[0, 0]),
+        "fl_y": float(views.focal_px[0, 1]),
+        "cx": views.width / 2,
+        "cy": views.height / 2,
+        "w": views.width,
+        "h": views.height,
+        "frames": frames,
+    }
+    path.write_text(json.dumps({**data, **extra}))
+
+
+def transforms_capture(folder: Path, count: int = 8, *, alpha: bool = False) -> Path:
+    """Write a whole capture with a transforms.json; return its folder."""
+    views = cameras(count)
+    names = photos(folder / "images", views, alpha=alpha)
+    transforms_file(folder / "transforms.json", views, names)
+    return folder
+
+
+def quaternion_of(rotation: np.ndarray) -> np.ndarray:
+    """Quaternion wxyz by the eigenvector that the rotation leaves, independent of the code."""
+    k = np.empty((4, 4))
+    m = rotation
+    k[0] = [m[0, 0] + m[1, 1] + m[2, 2], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]]
+    k[1] = [k[0, 1], m[0, 0] - m[1, 1] - m[2, 2], m[1, 0] + m[0, 1], m[2, 0] + m[0, 2]]
+    k[2] = [k[0, 2], k[1, 2], m[1, 1] - m[0, 0] - m[2, 2], m[1, 2] + m[2, 1]]
+    k[3] = [k[0, 3], k[1, 3], k[2, 3], m[2, 2] - m[0, 0] - m[1, 1]]
+    return np.linalg.eigh(k)[1][:, 3]
+
+
+def colmap_model(
+    model: Path, views: Cameras, names: list[str], *, text: bool, camera: tuple | None = None
+) -> None:
+    """Write cameras, images and three points as COLMAP does.
+
+    Args:
+        model: the folder.
+        views: poses.
+        names: of the photos.
+        text: .txt files, else .bin.
+        camera: (model name, model id, width, height, numbers); None = PINHOLE of the views.
+    """
+    model.mkdir(parents=True, exist_ok=True)
+    focal = [float(f) for f in views.focal_px[0]]
+    pinhole = ("PINHOLE", 1, views.width, views.height, [*focal, views.width / 2, views.height / 2])
+    name, number, width, height, numbers = camera or pinhole
+    poses = views.camera_from_world.double().numpy()
+    points = [(0.1 * i, 0.2, 0.3, 10 * i, 20, 255) for i in range(3)]
+    if text:
+        row = " ".join(str(value) for value in numbers)
+        (model / "cameras.txt").write_text(f"# comment\n1 {name} {width} {height} {row}\n")
+        lines = ["# comment"]
+        for index, photo in enumerate(names):
+            q, t = quaternion_of(poses[index, :3, :3]), poses[index, :3, 3]
+            values = " ".join(repr(float(v)) for v in (*q, *t))
+            lines += [f"{index + 1} {values} 1 {photo}", "" if index % 2 else "1.0 2.0 -1"]
+        (model / "images.txt").write_text("\n".join(lines) + "\n")
+        rows = [f"{i} " + " ".join(map(str, p)) + " 0.5 1 1 2 2" for i, p in enumerate(points)]
+        (model / "points3D.txt").write_text("\n".join(rows) + "\n")
+        return
+    data = struct.pack("<QiiQQ", 1, 1, number, width, height)
+    (model / "cameras.bin").write_bytes(data + struct.pack(f"<{len(numbers)}d", *numbers))
+    data = struct.pack("<Q", len(names))
+    for index, photo in enumerate(names):
+        q, t = quaternion_of(poses[index, :3, :3]), poses[index, :3, 3]
+        data += struct.pack("<i7di", index + 1, *q, *t, 1) + photo.encode() + b"\0"
+        data += struct.pack("<Q", 2) + struct.pack("<ddqddq", 1, 2, -1, 3, 4, 1)
+    (model / "images.bin").write_bytes(data)
+    data = struct.pack("<Q", len(points))
+    for index, (x, y, z, r, g, b) in enumerate(points):
+        data += struct.pack("<Q3d3BdQ", index, x, y, z, r, g, b, 0.5, 2) + struct.pack("<4i", *[1] * 4)
+    (model / "points3D.bin").write_bytes(data)
