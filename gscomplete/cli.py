@@ -10,18 +10,20 @@ import tyro
 
 import gscomplete
 from gscomplete.command_line import let_threads_sleep, run_guarded
-from gscomplete.commands import complete, render, validate
+from gscomplete.commands import complete, render, validate, weights
 
 _RUNNERS: dict[type, Callable[[Any], int]] = {
     complete.CompleteOptions: complete.run,
     render.RenderOptions: render.run,
     validate.ValidateOptions: validate.run,
+    weights.WeightsOptions: weights.run,
 }
 
 Command = (
     Annotated[complete.CompleteOptions, tyro.conf.subcommand("complete")]
     | Annotated[render.RenderOptions, tyro.conf.subcommand("render")]
     | Annotated[validate.ValidateOptions, tyro.conf.subcommand("validate")]
+    | Annotated[weights.WeightsOptions, tyro.conf.subcommand("weights")]
 )
 
 

@@ -19,7 +19,7 @@ import torch
 from safetensors.torch import save_file
 
 from gscomplete.errors import UserError
-from gscomplete.jsonio import to_json, write_json
+from gscomplete.jsonio import read_json, to_json, write_json
 from gscomplete.priors.mvdream.tensor_files import sha256_of
 from gscomplete.priors.mvdream.weights import (
     COMPONENTS,
@@ -78,6 +78,21 @@ def convert(source: Path, out: Path, storage: Storage = "keep") -> Weights:
     finally:
         shutil.rmtree(staging, ignore_errors=True)
     return open_weights(out)
+
+
+def verify_digests(folder: Path) -> None:
+    """Read a converted folder's files whole and compare them with their manifest.
+
+    Raises:
+        UserError: a file is missing or differs.
+    """
+    manifest = read_json(folder / MANIFEST_FILE)
+    for name in COMPONENTS:
+        path = folder / f"{name}.safetensors"
+        expected = manifest["files"][name]["sha256"]
+        found = sha256_of(path) if path.is_file() else "no file"
+        if found != expected:
+            raise UserError(f"{path}: sha256: expected {expected}, found {found}")
 
 
 def _write(weights: Weights, name: str, folder: Path, storage: Storage) -> dict[str, Any]:

@@ -94,7 +94,7 @@ def fetch_mvdream(folder: Path) -> Path:
     """
     hub = require("huggingface_hub")
     destination = folder / MVDREAM.filename
-    size, sha256 = _recorded(hub)
+    size, sha256 = _recorded(hub, folder)
     if destination.is_file() and destination.stat().st_size == size:
         _check_digest(destination, sha256)
         return destination
@@ -115,7 +115,7 @@ def fetch_mvdream(folder: Path) -> Path:
             )
         )
     except Exception as error:
-        raise _network_error(error) from error
+        raise _network_error(error, folder) from error
     _check_digest(staged, sha256)
     open_weights(staged)
     staged.replace(destination)
@@ -123,14 +123,14 @@ def fetch_mvdream(folder: Path) -> Path:
     return destination
 
 
-def _recorded(hub: Any) -> tuple[int, str]:
+def _recorded(hub: Any, folder: Path) -> tuple[int, str]:
     """Return length and SHA-256 of the file as the hub records them for the pinned revision."""
     try:
         paths = hub.HfApi().get_paths_info(
             MVDREAM.repository, [MVDREAM.filename], revision=MVDREAM.revision
         )
     except Exception as error:
-        raise _network_error(error) from error
+        raise _network_error(error, folder) from error
     if not paths or paths[0].lfs is None:
         raise UserError(
             f"{MVDREAM.repository}: {MVDREAM.filename}: expected a large file at revision "
@@ -155,10 +155,10 @@ def _check_digest(path: Path, expected: str) -> None:
         )
 
 
-def _network_error(error: Exception) -> UserError:
+def _network_error(error: Exception, folder: Path) -> UserError:
     reason = str(error).strip().split("\n")[0][:200]
     return UserError(
         f"weights fetch mvdream: the hub cannot be used from here ({type(error).__name__}: "
         f"{reason}); fetch {MVDREAM.filename} of {MVDREAM.repository}, revision "
-        f"{MVDREAM.revision}, on another machine and put it into {weights_folder()}"
+        f"{MVDREAM.revision}, on another machine and put it into {folder}"
     )

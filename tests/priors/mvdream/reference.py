@@ -1,4 +1,4 @@
-"""MVDream's three networks once more: float64, functional, from original tensor names, no diffusers.
+"""MVDream's three networks once more: float64, from original tensor names, no diffusers.
 
 Structure is read off the names that are there, so nothing is shared with the code under test. The
 timestep embedding is computed in float32 and then widened, as the original does.

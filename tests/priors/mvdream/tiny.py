@@ -1,4 +1,4 @@
-"""Reduced-width MVDreams with random numbers, in every layout. Nothing in the package makes such."""
+"""Reduced-width MVDreams with random numbers, in every layout. The package makes none."""
 
 import json
 import math
