@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from gscomplete.splats import Similarity, Splats
     from splatcomplete_data.boxes import CropBox
+    from splatcomplete_data.framing import FramingRequest
     from splatcomplete_data.objects import ObjectRecord, StepRecord, Subset
 
 NOT_RECORDED = ("out", "json", "overwrite", "prompt", "licence", "origin", "id")
@@ -175,7 +176,7 @@ def store_object(options: ObjectOptions, made: Made) -> ObjectRecord:
     )
 
 
-def framing_request(options: ObjectOptions, default_up: UpAxis) -> Any:
+def framing_request(options: ObjectOptions, default_up: UpAxis) -> FramingRequest:
     """Parse the flags about frame and views into a ``FramingRequest``.
 
     Raises:

@@ -27,8 +27,15 @@ class MeshOptions(ObjectOptions):
 
     file: Annotated[Path, tyro.conf.Positional]
     """GLB, glTF, OBJ, PLY, STL, DAE or OFF."""
-    count: int = 100_000
-    """Number of splats."""
+    count: int | None = None
+    """About how many splats; None = 100,000, unless --spacing is given."""
+    spacing: float | None = None
+    """Side of the square of surface that a splat stands for, in file units, instead of --count."""
+    mode: Literal["cells", "grid", "random"] = "cells"
+    """cells: every triangle cut into equal cells. grid: mesh2splat's density, one splat per grid
+    cell. random: uniform random points with round splats, for comparison."""
+    sigma: float = 0.5
+    """Tangent standard deviation over the cell's side; below 0.45 holes show."""
     cut: tuple[str, ...] = ()
     """What to keep for partial.ply: plane:AZIMUTH[,OFFSET], box:LX,LY,LZ,HX,HY,HZ (object frame) or
     scan:AZ/EL[,AZ/EL...]."""
@@ -55,16 +62,22 @@ def make(options: MeshOptions) -> Made:
     from splatcomplete_data.commands.common import framing_request
     from splatcomplete_data.cuts import apply_cuts, parse_cut
     from splatcomplete_data.framing import frame_of_whole
-    from splatcomplete_data.mesh.load import load_mesh, mesh_to_discs
+    from splatcomplete_data.mesh.convert import ConvertSettings, convert_mesh
+    from splatcomplete_data.mesh.load import load_mesh
 
     cuts = [parse_cut(text) for text in options.cut]
     is_gltf = options.file.suffix.lower() in (".glb", ".gltf")
     mesh = load_mesh(options.file, texture=options.texture, gltf_colors=options.gltf_colors)
-    complete = mesh_to_discs(mesh, options.count, options.seed)
+    settings = ConvertSettings(options.mode, options.sigma, seed=options.seed)
+    count = 100_000 if options.count is None and options.spacing is None else options.count
+    made = convert_mesh(mesh, count, spacing=options.spacing, settings=settings)
+    complete = made.splats
     request = framing_request(options, "Y" if is_gltf else "Z")
     part: Splats | None = None
     steps: tuple[StepRecord, ...] = ()
     if cuts:
         frame = frame_of_whole(complete, request.up)
         part, steps = apply_cuts(complete, frame, cuts, (), str(options.file))
-    return Made("mesh", options.file, part, complete, request.up, steps)
+    notes = (*mesh.notes, f"{len(complete):,} splats, spacing {made.spacing:.4g} file units")
+    steps = (*made.steps, *steps)
+    return Made("mesh", options.file, part, complete, request.up, steps, notes)

@@ -33,7 +33,7 @@ WIDTH, HEIGHT = 0, 1
 def row_counts(base: float, height: float, count: int) -> tuple[int, float]:
     """Return the number of rows m of a triangle cut into ``count`` cells, and a cell's side."""
     side = math.sqrt(0.5 * base * height / count)
-    rows = int(round(height / side))
+    rows = round(height / side)
     return min(max(rows, 1), count), side
 
 
@@ -93,9 +93,7 @@ def cut_into_cells(
                 for k in range(3):
                     total += corners[corner, k] * vertices[t, k, axis]
                 points[corner, axis] = total
-        made = _cut_one(
-            points, corners, count, made, triangle, weights, steps, axes, sizes, t
-        )
+        made = _cut_one(points, corners, count, made, triangle, weights, steps, axes, sizes, t)
     return made
 
 
@@ -150,7 +148,7 @@ def _cut_one(
     for row in range(rows):
         middle = (row + 0.5) / rows if rows > 1 else 0.0
         passed += 1.0 - (row + 0.5) / rows
-        until = int(math.floor(count * passed / (0.5 * rows) + 0.5))
+        until = math.floor(count * passed / (0.5 * rows) + 0.5)
         if row == rows - 1:
             until = count
         pieces = until - placed

@@ -6,9 +6,10 @@ Conventions
   (``cells``), quaternions turn those axes into the file's; opacity is finite and below 1.
 * Frame and units are the mesh file's. Colours are sRGB in [0, 1], the mean of four texture
   look-ups spread over the cell: a splat shows the average of what it covers, not one texel of it.
+* Cut-outs are dropped where alpha is below 1/2; blended surfaces give their alpha to the splats.
 * Modes: ``cells`` cuts every triangle into equal cells (the default); ``grid`` is mesh2splat's
   density, one splat per cell of a grid on the triangle's dominant axis plane; ``random`` is the
-  naive way, uniform random points with round splats, kept to measure the others against.
+  naive way, uniform random points with round (spherical) splats, to measure the others against.
 * Nothing is dropped without a count: ``Conversion.steps`` says what became of every triangle.
 """
 
@@ -27,7 +28,6 @@ from gscomplete.errors import UserError
 from gscomplete.splats import Splats, colors_to_sh
 from splatcomplete_data.mesh.allot import Allotment, allot_by_count, allot_by_spacing
 from splatcomplete_data.mesh.cells import cut_into_cells
-from splatcomplete_data.mesh.discs import triangle_areas_and_normals
 from splatcomplete_data.mesh.edges import marked_edges
 from splatcomplete_data.mesh.grid import grid_cells
 from splatcomplete_data.mesh.load import BakedLight, Mesh, MeshPart
@@ -36,6 +36,9 @@ from splatcomplete_data.objects import StepRecord
 FloatArray = NDArray[np.float32]
 ConvertMode = Literal["cells", "grid", "random"]
 """How splats are placed; see the module's conventions."""
+
+FAINT = 0.02
+"""Blended surface with a smaller alpha is dropped."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +108,8 @@ def convert_mesh(
     chosen = settings or ConvertSettings()
     _check(count, spacing, chosen)
     vertices = np.concatenate([part.vertices for part in mesh.parts])
-    areas, normals = triangle_areas_and_normals(vertices.astype(np.float64))
+    normals = np.cross(*np.diff(vertices.astype(np.float64), axis=1).swapaxes(0, 1))
+    areas = 0.5 * np.linalg.norm(normals, axis=1)
     allotment: Allotment | None = None
     if chosen.mode == "random":
         number = count or max(1, round(float(areas.sum()) / float(spacing or 1.0) ** 2))
@@ -122,16 +126,26 @@ def convert_mesh(
         cells, step = _even_cells(vertices, areas, normals, allotment, chosen)
         side = allotment.spacing
     rgba = shade_cells(mesh.parts, cells)
-    kept = rgba[:, 3] >= 0.5
+    opacities = np.full(len(rgba), chosen.opacity, np.float32)
+    blended = np.repeat(
+        [part.blended for part in mesh.parts], [len(p.vertices) for p in mesh.parts]
+    )
+    see_through = blended[cells.triangle]
+    opacities[see_through] *= rgba[see_through, 3]
+    kept = np.where(see_through, rgba[:, 3] >= FAINT, rgba[:, 3] >= 0.5)
     hidden = int(len(kept) - kept.sum())
-    steps = (step, StepRecord("cut_outs", len(kept), len(kept) - hidden, _reason(hidden)))
+    steps = (
+        *_load_steps(mesh),
+        step,
+        StepRecord("cut_outs", len(kept), len(kept) - hidden, _reason(hidden)),
+    )
     if hidden == len(kept):
-        raise UserError("mesh: expected something opaque, found alpha below 1/2 everywhere")
+        raise UserError("mesh: expected something opaque, found transparency everywhere")
     colors = rgba[:, :3]
     if light is not None:
         unit = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
         colors = colors * light.shade(unit[cells.triangle])[:, None]
-    splats = _splats(vertices, cells, colors, chosen)
+    splats = _splats(vertices, cells, colors, opacities, chosen)
     if hidden:
         splats = splats.select(torch.from_numpy(kept))
     return Conversion(splats, side, steps)
@@ -147,6 +161,14 @@ def _check(count: int | None, spacing: float | None, settings: ConvertSettings) 
         raise UserError(f"mesh: count: expected a positive number, found {count}")
     if not 0 < settings.opacity < 1 or settings.sigma_per_cell <= 0:
         raise UserError("mesh: expected an opacity in (0, 1) and a positive sigma_per_cell")
+
+
+def _load_steps(mesh: Mesh) -> tuple[StepRecord, ...]:
+    """Tell which triangles of the file the mesh lacks."""
+    reasons = {"no_area": mesh.degenerate, "not_finite": mesh.non_finite}
+    reasons = {name: count for name, count in reasons.items() if count}
+    before = mesh.triangles + mesh.degenerate + mesh.non_finite
+    return (StepRecord("triangles_of_the_file", before, mesh.triangles, reasons),)
 
 
 def _reason(hidden: int) -> dict[str, int]:
@@ -243,9 +265,7 @@ def _grid(
     return Cells(triangle, weights, steps, axes, sizes), step
 
 
-def _grid_step(
-    areas: NDArray[np.float64], normals: NDArray[np.float64], count: int
-) -> float:
+def _grid_step(areas: NDArray[np.float64], normals: NDArray[np.float64], count: int) -> float:
     """Grid step for about ``count`` splats: projected area over count."""
     length = np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
     projected = areas * np.abs(normals).max(axis=1) / length
@@ -261,7 +281,9 @@ def shade_cells(parts: tuple[MeshPart, ...], cells: Cells) -> FloatArray:  # [N,
     for part in parts:
         last = first + len(part.vertices)
         chosen = np.flatnonzero((cells.triangle >= first) & (cells.triangle < last))
-        textured = part.uv is not None and part.texture is not None
+        uv, texture = part.uv, part.texture
+        if uv is None or texture is None:
+            uv, texture = nothing, blank
         _shade(
             chosen,
             cells.triangle,
@@ -269,10 +291,12 @@ def shade_cells(parts: tuple[MeshPart, ...], cells: Cells) -> FloatArray:  # [N,
             cells.weights,
             cells.steps,
             part.colors,
-            part.uv if textured else nothing,
-            part.texture if textured else blank,
+            uv,
+            texture,
             rgba,
         )
+        if part.alpha != 1.0:
+            rgba[chosen, 3] *= part.alpha
         first = last
     return np.clip(rgba, 0.0, 1.0)
 
@@ -329,7 +353,11 @@ def _shade(
 
 
 def _splats(
-    vertices: FloatArray, cells: Cells, colors: FloatArray, settings: ConvertSettings
+    vertices: FloatArray,
+    cells: Cells,
+    colors: FloatArray,
+    opacities: FloatArray,
+    settings: ConvertSettings,
 ) -> Splats:
     """Turn cells into splats."""
     count = len(cells.triangle)
@@ -338,12 +366,13 @@ def _splats(
     scales = np.empty((count, 3), np.float32)
     _place(vertices, cells.triangle, cells.weights, cells.axes, means, quaternions)
     scales[:, :2] = cells.sizes * np.float32(settings.sigma_per_cell)
-    scales[:, 2] = scales[:, :2].min(axis=1) * np.float32(settings.normal_per_tangent)
+    flatness = 1.0 if settings.mode == "random" else settings.normal_per_tangent
+    scales[:, 2] = scales[:, :2].min(axis=1) * np.float32(flatness)
     return Splats(
         torch.from_numpy(means),
         torch.from_numpy(quaternions),
         torch.from_numpy(scales),
-        torch.full((count,), settings.opacity),
+        torch.from_numpy(opacities),
         colors_to_sh(torch.from_numpy(np.ascontiguousarray(colors, np.float32))),
     )
 
@@ -380,5 +409,3 @@ def _place(
         length = math.sqrt(w * w + x * x + y * y + z * z)
         quaternions[n, 0], quaternions[n, 1] = w / length, x / length
         quaternions[n, 2], quaternions[n, 3] = y / length, z / length
-
-

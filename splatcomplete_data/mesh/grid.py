@@ -135,9 +135,7 @@ def _jacobian(
 
 
 @numba.njit(cache=True)
-def _own_shape(
-    corners: FloatArray, steps: FloatArray, axes: FloatArray, sizes: FloatArray
-) -> None:
+def _own_shape(corners: FloatArray, steps: FloatArray, axes: FloatArray, sizes: FloatArray) -> None:
     """Fill in the cell of a triangle as a whole: the spread of its corners about the centroid."""
     spread = np.empty((3, 3))
     for axis in range(3):

@@ -10,16 +10,21 @@ Conventions
   next to a photo), while a glTF's factor multiplies as specified.
 * Texture coordinates are OpenGL's: v upwards, wrapping round, bilinear between texels. Textures
   larger than ``MAX_TEXTURE_PX`` are box-filtered down: splats are far coarser than texels.
-* Surfaces marked as cut-outs or blended are kept where alpha is at least 1/2 in the texture.
+* Alpha is texture x factor (x vertex alpha) where the material says so. Cut-outs (glTF MASK) are
+  kept where it reaches the material's cutoff; blended surfaces (BLEND) keep it as opacity.
+* What trimesh drops almost silently is noticed: textures that are missing, Draco geometry,
+  triangles that are not finite or have no area. ``Mesh.notes`` and ``Mesh.step`` tell.
 """
 
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
+from urllib.parse import unquote
 
 import numpy as np
 import trimesh
@@ -71,6 +76,8 @@ class MeshPart:
     colors: FloatArray  # [T, 3, 3] sRGB in [0, 1] at the corners
     uv: FloatArray | None = None  # [T, 3, 2]
     texture: FloatArray | None = None  # [H, W, 4] sRGB and alpha in [0, 1], top row first
+    alpha: float = 1.0  # factor on the texture's alpha
+    blended: bool = False  # True = alpha is opacity; False = what is below 1/2 is cut out
 
     def colors_at(
         self,
@@ -83,6 +90,7 @@ class MeshPart:
         if self.uv is not None and self.texture is not None:
             uv = np.einsum("nk,nkc->nc", weights, self.uv[triangle])
             rgba *= sample_texture(self.texture, uv)
+        rgba[:, 3] *= self.alpha
         return rgba
 
 
@@ -91,6 +99,12 @@ class Mesh:
     """A mesh file's surface, ready for sampling."""
 
     parts: tuple[MeshPart, ...]
+    notes: tuple[str, ...] = ()
+    """What a user should know about the file, such as a texture that is missing."""
+    degenerate: int = 0
+    """Triangles without area, left out."""
+    non_finite: int = 0
+    """Triangles with coordinates that are not finite, left out."""
 
     @property
     def triangles(self) -> int:
@@ -104,7 +118,11 @@ class Mesh:
 
 
 def load_mesh(
-    path: Path, *, texture: Path | None = None, gltf_colors: GltfColors = "linear"
+    path: Path,
+    *,
+    texture: Path | None = None,
+    gltf_colors: GltfColors = "linear",
+    max_texture_px: int = MAX_TEXTURE_PX,
 ) -> Mesh:
     """Read a mesh file.
 
@@ -112,25 +130,37 @@ def load_mesh(
         path: the file; materials and textures are found through it, also outside its folder.
         texture: image that replaces the base colour of every part, for files that lost theirs.
         gltf_colors: how a glTF's factors and vertex colours are to be read.
+        max_texture_px: larger textures are reduced to this side.
 
     Raises:
         UserError: the file cannot be read, or has no surface (a Draco-compressed file without a
             decoder gives one point).
     """
+    if not path.is_file():
+        raise UserError(
+            f"{path}: expected a mesh file, found {'a folder' if path.is_dir() else 'none'}"
+        )
+    if path.stat().st_size == 0:
+        raise UserError(f"{path}: expected a mesh file, found an empty file")
+    check_not_splats(path)
+    _refuse_draco(path)
     try:
         resolver = FilePathResolver(str(path), allow_anywhere=True)
         scene = trimesh.load_scene(str(path), resolver=resolver)
     except Exception as error:  # trimesh raises whatever its format readers happen to raise
         raise UserError(f"{path}: cannot read it as a mesh ({error})") from error
     is_linear = path.suffix.lower() in (".gltf", ".glb") and gltf_colors == "linear"
-    override = None if texture is None else _texture_array(_open_image(texture), True)
-    parts = tuple(_parts(scene, is_linear, override))
+    reader = _PartReader(path, is_linear, max_texture_px)
+    if texture is not None:
+        reader.override = reader.texture_array(_open_image(texture), True)
+    parts = tuple(reader.parts(scene))
     if not parts:
+        found = f"{reader.degenerate} without area, {reader.non_finite} not finite"
         raise UserError(
-            f"{path}: expected a surface, found no triangle with an area "
-            "(Draco-compressed, or a point cloud?)"
+            f"{path}: expected a surface, found no usable triangle ({found}; a point cloud?)"
         )
-    return Mesh(parts)
+    notes = [*_missing_files(path), *dict.fromkeys(reader.notes)]
+    return Mesh(parts, tuple(notes), reader.degenerate, reader.non_finite)
 
 
 def mesh_to_discs(
@@ -201,62 +231,181 @@ def srgb_from_linear(values: FloatArray) -> FloatArray:
     return encoded.astype(np.float32)
 
 
-def _parts(scene: Any, is_linear: bool, override: FloatArray | None) -> Iterator[MeshPart]:
-    """Yield the coloured triangles of every mesh that the scene graph places."""
-    for node in scene.graph.nodes_geometry:
-        transform, name = scene.graph[node]
-        geometry = scene.geometry[name]
-        if not isinstance(geometry, trimesh.Trimesh) or len(geometry.faces) == 0:
-            continue
-        points = geometry.vertices @ transform[:3, :3].T + transform[:3, 3]
-        vertices = points[geometry.faces]
-        areas, _ = triangle_areas_and_normals(vertices)
-        kept = np.isfinite(areas) & (areas > 0)
-        if not kept.any():
-            continue
-        colors, uv, texture = _appearance(geometry, is_linear, override)
-        uv_kept = None if uv is None else uv[geometry.faces][kept].astype(np.float32)
-        yield MeshPart(vertices[kept].astype(np.float32), colors[kept], uv_kept, texture)
+@dataclass(slots=True)
+class _PartReader:
+    """Turns a loaded scene into parts and notes what is odd on the way."""
+
+    path: Path
+    is_linear: bool
+    max_texture_px: int
+    override: FloatArray | None = None
+    notes: list[str] = field(default_factory=list)
+    degenerate: int = 0
+    non_finite: int = 0
+    textures: dict[tuple[int, bool], FloatArray] = field(default_factory=dict)
+
+    def parts(self, scene: Any) -> Iterator[MeshPart]:
+        """Yield the coloured triangles of every mesh that the scene graph places."""
+        for node in scene.graph.nodes_geometry:
+            transform, name = scene.graph[node]
+            geometry = scene.geometry[name]
+            if not isinstance(geometry, trimesh.Trimesh) or len(geometry.faces) == 0:
+                continue
+            points = geometry.vertices @ transform[:3, :3].T + transform[:3, 3]
+            vertices = points[geometry.faces]
+            with np.errstate(all="ignore"):
+                areas, _ = triangle_areas_and_normals(vertices.astype(np.float32))
+            finite = np.isfinite(areas)
+            kept = finite & (areas > 0)
+            self.non_finite += int((~finite).sum())
+            self.degenerate += int((finite & ~kept).sum())
+            if not kept.any():
+                continue
+            part = self.appearance(geometry)
+            yield MeshPart(
+                vertices[kept].astype(np.float32),
+                part.colors[kept],
+                None if part.uv is None else part.uv[kept],
+                part.texture,
+                part.alpha,
+                part.blended,
+            )
+
+    def appearance(self, geometry: Any) -> MeshPart:
+        """Return colours, texture coordinates and texture of one mesh; its vertices are unused."""
+        visual, faces = geometry.visual, geometry.faces
+        corners = np.ones((len(faces), 3, 3), np.float32)
+        if visual.kind == "face":
+            return MeshPart(corners, corners * _unit(visual.face_colors)[:, None, :])
+        if visual.kind == "vertex":
+            colors = _convert(_unit(visual.vertex_colors), self.is_linear)
+            return MeshPart(corners, colors[faces])
+        if visual.kind != "texture":
+            return MeshPart(corners, corners * np.float32(GREY))
+        uv = getattr(visual, "uv", None)
+        material = visual.material
+        image = self.base_image(material)
+        mode = str(getattr(material, "alphaMode", None) or "OPAQUE").upper()
+        texture = self.override if uv is not None else None
+        if texture is None and image is not None and uv is not None:
+            texture = self.texture_array(image, mode != "OPAQUE")
+        factor = getattr(material, "baseColorFactor", None)
+        alpha = 1.0
+        if factor is not None and mode != "OPAQUE" and len(np.atleast_1d(factor)) > 3:
+            alpha = float(_unit4(np.asarray(factor))[3])
+        if mode == "MASK":  # scaled so that the material's cutoff lands on 1/2
+            cutoff = getattr(material, "alphaCutoff", None)
+            alpha *= 0.5 / max(float(0.5 if cutoff is None else cutoff), 1e-3)
+        if factor is None and texture is None:
+            factor = getattr(material, "diffuse", None)
+        if factor is not None and self.override is None:
+            corners = corners * _convert(_unit(np.asarray(factor)), self.is_linear)
+        painted = (getattr(visual, "vertex_attributes", None) or {}).get("color")
+        if painted is not None:
+            corners = corners * _convert(_unit(np.asarray(painted)), self.is_linear)[faces]
+        corner_uv = None
+        if texture is not None and uv is not None:
+            corner_uv = uv[faces].astype(np.float32)
+        colors = corners.astype(np.float32)
+        return MeshPart(colors, colors, corner_uv, texture, alpha, mode == "BLEND")
+
+    def base_image(self, material: Any) -> Image.Image | None:
+        """Return a material's colour image, if it has a real one."""
+        image = getattr(material, "baseColorTexture", None)
+        if image is None:
+            image = getattr(material, "image", None)
+        if image is None:
+            return None
+        if max(image.size) <= 2:
+            self.note(f"a texture is a placeholder of {image.size} pixels: missing file?")
+        return image
+
+    def note(self, text: str) -> None:
+        """Keep a note, and log it."""
+        _logger.warning("%s: %s", self.path, text)
+        self.notes.append(text)
+
+    def texture_array(self, image: Image.Image, has_alpha: bool) -> FloatArray:  # [H, W, 4]
+        """Turn an image into colours in [0, 1], reduced to ``max_texture_px``.
+
+        Raises:
+            UserError: the image is damaged.
+        """
+        key = (id(image), has_alpha)
+        if key not in self.textures:
+            try:
+                self.textures[key] = _texture_array(image, has_alpha, self.max_texture_px)
+            except (OSError, ValueError, SyntaxError) as error:
+                raise UserError(f"{self.path}: texture: cannot read it ({error})") from error
+        return self.textures[key]
 
 
-def _appearance(
-    geometry: Any, is_linear: bool, override: FloatArray | None
-) -> tuple[FloatArray, NDArray[np.floating] | None, FloatArray | None]:
-    """Return corner colours [T, 3, 3], texture coordinates [V, 2] and texture of one mesh."""
-    visual = geometry.visual
-    corners = np.ones((len(geometry.faces), 3, 3), np.float32)
-    if visual.kind == "face":
-        return corners * _unit(visual.face_colors)[:, None, :], None, None
-    if visual.kind == "vertex":
-        return _convert(_unit(visual.vertex_colors), is_linear)[geometry.faces], None, None
-    if visual.kind != "texture":
-        return corners * np.float32(GREY), None, None
-    uv = getattr(visual, "uv", None)
-    material = visual.material
-    image = _base_image(material)
-    texture = override
-    if texture is None and image is not None and uv is not None:
-        alpha_mode = getattr(material, "alphaMode", None) or "OPAQUE"
-        texture = _texture_array(image, alpha_mode != "OPAQUE")
-    factor = getattr(material, "baseColorFactor", None)
-    if factor is None and texture is None:
-        factor = getattr(material, "diffuse", None)
-    if factor is not None and override is None:
-        corners = corners * _convert(_unit(np.asarray(factor)), is_linear)
-    painted = (getattr(visual, "vertex_attributes", None) or {}).get("color")
-    if painted is not None:
-        corners = corners * _convert(_unit(np.asarray(painted)), is_linear)[geometry.faces]
-    return corners.astype(np.float32), uv if texture is not None else None, texture
+def check_not_splats(path: Path) -> None:
+    """Refuse a splat PLY where a mesh is expected.
+
+    Raises:
+        UserError: the file holds splats.
+    """
+    if path.suffix.lower() != ".ply":
+        return
+    with path.open("rb") as stream:
+        head = stream.read(4096)
+    if b"property float rot_0" in head or b"packed_position" in head:
+        raise UserError(f"{path}: expected a mesh, found Gaussian splats (use: partial, crop)")
 
 
-def _base_image(material: Any) -> Image.Image | None:
-    """Return a material's colour image, if it has a real one."""
-    image = getattr(material, "baseColorTexture", None)
-    if image is None:
-        image = getattr(material, "image", None)
-    if image is not None and max(image.size) <= 2:
-        _logger.warning("a texture is a placeholder of %s pixels: missing file?", image.size)
-    return image
+def _refuse_draco(path: Path) -> None:
+    """Refuse glTF with Draco or meshopt geometry, of which trimesh reads nothing but zeros.
+
+    Raises:
+        UserError: the file needs a decoder.
+    """
+    if path.suffix.lower() not in (".glb", ".gltf"):
+        return
+    text = _gltf_text(path)
+    for name in ("KHR_draco_mesh_compression", "EXT_meshopt_compression"):
+        if name in text:
+            raise UserError(
+                f"{path}: geometry is compressed with {name}, expected plain buffers; decode it "
+                "first: npx @gltf-transform/cli copy in.glb out.glb (Draco), or export without"
+            )
+
+
+def _missing_files(path: Path) -> Iterator[str]:
+    """Yield a note for every file that a mesh file names and that is not there."""
+    suffix = path.suffix.lower()
+    named: list[str] = []
+    if suffix in (".gltf", ".glb"):
+        text = _gltf_text(path)
+        if re.search(r'"baseColorTexture"\s*:\s*\{[^{}]*"texCoord"\s*:\s*[1-9]', text):
+            yield "a base colour texture asks for a second UV set; it is drawn with the first"
+        named = re.findall(r'"uri"\s*:\s*"(?!data:)([^"]+)"', text)
+    elif suffix == ".dae":
+        named = re.findall(r"<init_from>\s*(?:<ref>)?\s*([^<\s][^<]*?\.\w{3,4})\s*<", _text(path))
+    elif suffix == ".obj":
+        named = re.findall(r"^mtllib\s+(.+?)\s*$", _text(path), re.MULTILINE)
+        for library in [path.parent / name for name in named]:
+            if library.is_file():
+                maps = re.findall(r"^\s*map_Kd\s+(.+?)\s*$", _text(library), re.MULTILINE)
+                named += [line.split()[-1] if line.startswith("-") else line for line in maps]
+    for name in dict.fromkeys(named):
+        plain = unquote(name.strip().strip('"').removeprefix("file://")).replace("\\", "/")
+        if not (path.parent / plain).exists() and not Path(plain).is_file():
+            yield f"missing file {name}: parts of the mesh are without their texture or material"
+
+
+def _gltf_text(path: Path) -> str:
+    """Return the JSON of a glTF or GLB file, as it is."""
+    with path.open("rb") as stream:
+        head = stream.read(20)
+        if head[:4] != b"glTF":
+            return _text(path)
+        return stream.read(int.from_bytes(head[12:16], "little")).decode("utf-8", "replace")
+
+
+def _text(path: Path) -> str:
+    """Read a text file, whatever its encoding."""
+    return path.read_text(encoding="utf-8", errors="replace")
 
 
 def _open_image(path: Path) -> Image.Image:
@@ -271,13 +420,13 @@ def _open_image(path: Path) -> Image.Image:
         raise UserError(f"{path}: cannot read it as an image ({error})") from error
 
 
-def _texture_array(image: Image.Image, has_alpha: bool) -> FloatArray:  # [H, W, 4]
-    """Turn an image into colours in [0, 1], reduced to ``MAX_TEXTURE_PX``."""
+def _texture_array(image: Image.Image, has_alpha: bool, max_px: int) -> FloatArray:  # [H, W, 4]
+    """Turn an image into colours in [0, 1], reduced so that no side is above twice ``max_px``."""
     image = image.convert("RGBA")
-    factor = max(image.size) // MAX_TEXTURE_PX
+    factor = max(image.size) // max_px
     if factor > 1:
         image = image.reduce(factor)
-    pixels = np.asarray(image, np.float32) / 255.0
+    pixels = np.asarray(image, np.float32) / np.float32(255.0)
     if not has_alpha:
         pixels = pixels.copy()
         pixels[..., 3] = 1.0
@@ -286,7 +435,11 @@ def _texture_array(image: Image.Image, has_alpha: bool) -> FloatArray:  # [H, W,
 
 def _unit(colors: NDArray[Any]) -> FloatArray:
     """Scale colours [..., 3 or 4] of any type to RGB in [0, 1]."""
-    values = np.asarray(colors)[..., :3]
+    return _unit4(np.asarray(colors)[..., :3])
+
+
+def _unit4(values: NDArray[Any]) -> FloatArray:
+    """Scale colours of any type to [0, 1]."""
     if np.issubdtype(values.dtype, np.integer):
         return (values / np.iinfo(values.dtype).max).astype(np.float32)
     return values.astype(np.float32)
