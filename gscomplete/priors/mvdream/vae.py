@@ -43,9 +43,8 @@ class LatentCodec:
         """
         self._vae, self._plan, self._device, self._dtype = vae, plan, device, dtype
         self._format = torch.channels_last if channels_last else torch.contiguous_format
-        vae.to(dtype=dtype)
         for name, part in vae.named_children():
-            part.to(device=self._home(name), memory_format=self._format)
+            part.to(device=self._home(name), dtype=dtype, memory_format=self._format)
         self._is_tiny = not hasattr(vae, "quant_conv")
         self._factor = float(vae.config.scaling_factor)
         self._encoder = vae.encoder
