@@ -6,6 +6,8 @@ Conventions
   (Kerbl et al. 2023), opacity 0.1, with its own colour.
 * Random points come from (seed): a box about what the cameras look at, kept where at least two
   cameras see them; their colour is the mean of the photos they project into.
+* Where photos have object masks, points that a photo shows outside its mask are dropped: what is
+  left lies within the object's visual hull.
 """
 
 from __future__ import annotations
@@ -27,6 +29,8 @@ INITIAL_OPACITY = 0.1
 NEIGHBOURS = 3
 _FEWEST_POINTS = 50
 """Clouds smaller than this are not worth starting from."""
+_OBJECT_BOX, _SCENE_BOX = 0.6, 1.5
+"""Half the box of random points, in mean camera distances, with object masks and without."""
 _FAR_CAMERAS = 3.0
 """Points farther from what the cameras look at than this many camera distances are dropped."""
 
@@ -77,12 +81,15 @@ def random_points(capture: PosedPhotos, views: Sequence[View], count: int, seed:
     rng = np.random.default_rng((seed, 21))
     middle = capture.look_at()
     reach = float(np.linalg.norm(capture.positions - middle, axis=1).mean())
+    # An object lies within the cameras, not in the long shadow that its masks throw behind it.
+    half = reach * (_OBJECT_BOX if views[0].alpha is not None else _SCENE_BOX)
     points, colors = np.zeros((0, 3)), np.zeros((0, 3), np.float32)
     for _ in range(40):
-        drawn = middle + reach * 1.5 * rng.uniform(-1.0, 1.0, (count, 3))
-        times, mean = _seen(drawn, views)
-        points = np.concatenate([points, drawn[times >= 2]])
-        colors = np.concatenate([colors, mean[times >= 2]])
+        drawn = middle + half * rng.uniform(-1.0, 1.0, (count, 3))
+        times, outside, mean = _seen(drawn, views)
+        kept = (times >= 2) & (outside == 0)
+        points = np.concatenate([points, drawn[kept]])
+        colors = np.concatenate([colors, mean[kept]])
         if len(points) >= count:
             return PointCloud(points[:count], colors[:count])
     raise UserError(
@@ -91,12 +98,18 @@ def random_points(capture: PosedPhotos, views: Sequence[View], count: int, seed:
     )
 
 
+def masked_points(cloud: PointCloud, views: Sequence[View]) -> PointCloud:
+    """Drop points that a photo shows outside its object mask."""
+    _, outside, _ = _seen(cloud.points, views)
+    return cloud.select(outside == 0)
+
+
 def _seen(
     points: NDArray[np.float64],  # [N, 3]
     views: Sequence[View],
-) -> tuple[NDArray[np.int64], NDArray[np.float32]]:  # [N], [N, 3]
-    """Return how many photos show each point, and the mean colour there in [0, 1]."""
-    times = np.zeros(len(points), np.int64)
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:  # [N], [N], [N, 3]
+    """Return how many photos show each point, how many outside a mask, and its mean colour."""
+    times, outside = np.zeros((2, len(points)), np.int64)
     total = np.zeros((len(points), 3), np.float32)
     for view in views:
         camera = view.camera
@@ -107,12 +120,15 @@ def _seen(
         pixel += camera.center_px[0].double().numpy()
         inside = (local[:, 2] > 1e-6) & (pixel >= 0).all(axis=1)
         inside &= (pixel < (camera.width, camera.height)).all(axis=1)
-        column, row = pixel[inside].astype(np.int64).T
+        index = np.flatnonzero(inside)
+        column, row = pixel[index].astype(np.int64).T
         shown = view.weight[row, column] > 0
         if view.alpha is not None:
-            shown &= view.alpha[row, column] > 127
-        index = np.flatnonzero(inside)[shown]
-        times[index] += 1
-        total[index] += view.colors[row[shown], column[shown]].astype(np.float32) / 255.0
+            empty = shown & (view.alpha[row, column] == 0)
+            outside[index[empty]] += 1
+            shown &= ~empty
+        times[index[shown]] += 1
+        colors = view.colors[row[shown], column[shown]]
+        total[index[shown]] += colors.astype(np.float32) / 255.0
     mean: NDArray[np.float32] = total / np.maximum(times, 1).astype(np.float32)[:, None]
-    return times, mean
+    return times, outside, mean

@@ -33,7 +33,12 @@ from gscomplete.render.settings import RenderSettings
 from gscomplete.splats import Splats, write_splats
 from splatcomplete_data.multiview.capture import Capture, find_masks, open_capture, up_direction
 from splatcomplete_data.multiview.images import MaskMeaning, View, load_views
-from splatcomplete_data.multiview.initial import near_points, random_points, splats_from_points
+from splatcomplete_data.multiview.initial import (
+    masked_points,
+    near_points,
+    random_points,
+    splats_from_points,
+)
 from splatcomplete_data.multiview.settings import TrainingSettings
 from splatcomplete_data.multiview.structure_from_motion import (
     Progress,
@@ -119,7 +124,8 @@ def prepare(
     timings["photos_s"] = time.perf_counter() - started
     started = time.perf_counter()
     points, note = _initial_points(request, capture, train, progress)
-    initial = splats_from_points(near_points(points, capture.posed))
+    points = masked_points(near_points(points, capture.posed), train)
+    initial = splats_from_points(points)
     timings["points_s"] = time.perf_counter() - started
     notes = (
         *capture.posed.notes,

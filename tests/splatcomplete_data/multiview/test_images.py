@@ -1,0 +1,124 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gscomplete.errors import UserError
+from splatcomplete_data.multiview.images import list_photos, load_views, read_photo, scaled_size
+from splatcomplete_data.multiview.posed import PosedPhotos
+from splatcomplete_data.multiview.transforms_json import read_transforms
+from tests.splatcomplete_data.multiview import captures
+
+
+def posed(folder: Path, **values: object) -> PosedPhotos:
+    return read_transforms(captures.transforms_capture(folder, 3, **values) / "transforms.json")
+
+
+def masks(folder: Path, count: int = 3, size: int = captures.SIZE_PX) -> Path:
+    """Masks whose left half is white."""
+    folder.mkdir(parents=True)
+    pixels = np.zeros((size, size), np.uint8)
+    pixels[:, : size // 2] = 255
+    for index in range(count):
+        Image.fromarray(pixels).save(folder / f"photo_{index:02}.png")
+    return folder
+
+
+def test_views_keep_colours_and_scale_the_camera(tmp_path):
+    capture = posed(tmp_path)
+    whole = load_views(capture, max_side_px=100)[0]
+    half = load_views(capture, max_side_px=16)[0]
+    stored = np.asarray(Image.open(capture.photos[0].path))
+    np.testing.assert_array_equal(whole.colors, stored)
+    assert (half.camera.width, half.camera.height) == (16, 16)
+    np.testing.assert_allclose(half.camera.focal_px, whole.camera.focal_px / 2)
+    blocks = stored.reshape(16, 2, 16, 2, 3).mean(axis=(1, 3))
+    assert np.abs(half.colors - blocks).max() <= 1.01  # Pillow rounds after rows and columns
+    assert (whole.weight == 255).all()
+    assert whole.alpha is None
+
+
+def test_undistorted_edges_do_not_count(tmp_path):
+    folder = captures.transforms_capture(tmp_path, 3)
+    views = captures.cameras(3)
+    names = [f"photo_{i:02}.png" for i in range(3)]
+    captures.transforms_file(folder / "transforms.json", views, names, k1=0.3)
+    view = load_views(read_transforms(folder / "transforms.json"), max_side_px=100)[0]
+    assert view.weight[0, 0] == 0
+    assert view.weight[16, 16] == 255
+
+
+def test_alpha_channels_become_object_masks(tmp_path):
+    view = load_views(posed(tmp_path, alpha=True), max_side_px=100)[0]
+    assert view.alpha is not None
+    assert view.alpha[16, 16] > 250
+    assert view.alpha[0, 0] == 0
+
+
+def test_masks_restrict_to_the_object_or_leave_pixels_out(tmp_path):
+    capture, folder = posed(tmp_path / "c"), masks(tmp_path / "masks")
+    thing = load_views(capture, max_side_px=100, masks=folder)[0]
+    assert thing.alpha is not None
+    assert (thing.alpha[:, :16] == 255).all()
+    assert (thing.alpha[:, 16:] == 0).all()
+    assert (thing.weight == 255).all()
+    ignore = load_views(capture, max_side_px=100, masks=folder, mask_means="ignore")[0]
+    assert ignore.alpha is None
+    assert (ignore.weight[:, 16:] == 0).all()
+
+
+def test_a_missing_mask_and_one_of_another_size_are_named(tmp_path):
+    capture = posed(tmp_path / "c")
+    with pytest.raises(UserError, match="found none for photo_02.png"):
+        load_views(capture, max_side_px=100, masks=masks(tmp_path / "two", 2))
+    with pytest.raises(UserError, match="32 x 32, found 20 x 20"):
+        load_views(capture, max_side_px=100, masks=masks(tmp_path / "small", 3, 20))
+
+
+def test_some_masks_are_not_enough(tmp_path):
+    capture = posed(tmp_path, alpha=True)
+    path = capture.photos[1].path
+    Image.open(path).convert("RGB").save(path)
+    with pytest.raises(UserError, match="found 2 masks for 3 photos"):
+        load_views(capture, max_side_px=100)
+
+
+def test_damaged_and_foreign_files_are_named(tmp_path):
+    path = tmp_path / "a.png"
+    path.write_bytes(b"")
+    with pytest.raises(UserError, match=r"a\.png: cannot read it as a picture"):
+        read_photo(path)
+    Image.new("RGB", (40, 40)).save(path)
+    path.write_bytes(path.read_bytes()[:-30])
+    with pytest.raises(UserError, match=r"a\.png"):
+        read_photo(path)
+
+
+def test_a_photo_that_changed_its_size_is_named(tmp_path):
+    capture = posed(tmp_path)
+    Image.new("RGB", (9, 9)).save(capture.photos[0].path)
+    with pytest.raises(UserError, match="expected 32 x 32 pixels as its camera has, found 9 x 9"):
+        load_views(capture, max_side_px=100)
+
+
+def test_empty_and_missing_folders_are_named(tmp_path):
+    with pytest.raises(UserError, match="expected photos"):
+        list_photos(tmp_path)
+    with pytest.raises(UserError, match="expected a folder"):
+        list_photos(tmp_path / "none")
+
+
+def test_grey_and_palette_photos_are_read_as_rgb(tmp_path):
+    for mode in ("L", "P", "CMYK", "I;16"):
+        path = tmp_path / f"{mode[0]}.tif"
+        Image.new(mode, (4, 3)).save(path)
+        assert read_photo(path).shape == (3, 4, 3)
+
+
+def test_scaling_never_enlarges():
+    assert scaled_size(1080, 1920, 480) == (270, 480)
+    assert scaled_size(10, 20, 480) == (10, 20)
+    assert scaled_size(3000, 1, 100) == (100, 1)
