@@ -1,0 +1,61 @@
+"""``gscomplete weights`` as a user runs it, in this process."""
+
+import json
+
+import pytest
+
+pytest.importorskip("diffusers", reason="the extra gscomplete[mvdream] is not installed")
+pytest.importorskip("transformers", reason="the extra gscomplete[mvdream] is not installed")
+
+from gscomplete.cli import main
+from gscomplete.priors.mvdream.text import CACHE_VARIABLE
+from tests.priors.mvdream.tiny import write_folder, write_original
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "home"))
+    return tmp_path / "home/weights/mvdream"
+
+
+def listed(capsys, *more: str) -> tuple[int, dict]:
+    code = main(["weights", "list", "--json", *more])
+    entries = json.loads(capsys.readouterr().out)["priors"]
+    return code, {entry["prior"]: entry for entry in entries}
+
+
+def test_lists_what_is_missing_and_what_is_there(home, capsys):
+    code, entries = listed(capsys)
+    assert code == 0
+    assert entries["embedded"]["state"] == "ready"
+    assert entries["mvdream"]["state"] == "missing"
+    assert "OpenRAIL" in entries["mvdream"]["note"]
+    home.parent.mkdir(parents=True)
+    write_folder(home)
+    assert listed(capsys)[1]["mvdream"]["state"] == "ready"
+    assert main(["weights", "list"]) == 0
+    assert "folder" in capsys.readouterr().out
+
+
+def test_converts_and_verifies(home, tmp_path, capsys):
+    source = write_original(tmp_path)
+    assert main(["weights", "convert", str(source), str(home), "--storage", "float16"]) == 0
+    assert "written" in capsys.readouterr().out
+    assert listed(capsys, "--verify")[1]["mvdream"]["state"] == "ready"
+    path = home / "unet.safetensors"
+    data = bytearray(path.read_bytes())
+    data[-1] ^= 1
+    path.write_bytes(bytes(data))
+    code, entries = listed(capsys, "--verify")
+    assert code == 1
+    assert entries["mvdream"]["state"] == "damaged"
+    assert main(["weights", "convert", str(source), str(home)]) == 2
+    assert "does not exist yet" in capsys.readouterr().err
+
+
+def test_bad_sources_are_named(home, tmp_path, capsys):
+    assert main(["weights", "convert", str(tmp_path / "no.pt"), str(home)]) == 2
+    assert "no.pt" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as caught:
+        main(["weights", "fetch", "something"])
+    assert caught.value.code == 2

@@ -1,0 +1,79 @@
+"""What ``--prior`` accepts, and what it says of anything else."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import save_file
+
+from gscomplete.errors import UserError
+from gscomplete.priors import load_prior
+from gscomplete.priors.mvdream.settings import LatentPriorSettings
+from gscomplete.priors.mvdream.store import MVDREAM, find_mvdream
+from gscomplete.priors.mvdream.text import CACHE_VARIABLE
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "home"))
+    return tmp_path / "home/weights/mvdream"
+
+
+def test_missing_weights_are_one_message_with_all_that_is_needed(home):
+    with pytest.raises(UserError) as caught:
+        load_prior("mvdream")
+    message = str(caught.value)
+    for part in (MVDREAM.filename, MVDREAM.repository, "4.9 GiB", "OpenRAIL", str(home),
+                 "gscomplete weights fetch mvdream", "--prior PATH"):  # fmt: skip
+        assert part in message
+
+
+def test_layouts_are_looked_for_in_order(home):
+    home.mkdir(parents=True)
+    (home / MVDREAM.filename).touch()
+    assert find_mvdream() == home / MVDREAM.filename
+    (home / "unet").mkdir()
+    (home / "unet/config.json").write_text("{}")
+    assert find_mvdream() == home
+
+
+def test_unknown_priors_are_named(tmp_path):
+    with pytest.raises(UserError, match="expected embedded, mvdream, or a file"):
+        load_prior("mvdrean")
+    with pytest.raises(UserError, match="found none of them"):
+        load_prior(str(tmp_path))
+    (tmp_path / "weights.pt").write_bytes(b"no")
+    with pytest.raises(UserError, match=r"weights\.pt"):
+        load_prior(str(tmp_path / "weights.pt"))
+
+
+def test_knobs_of_latent_priors_are_refused_by_the_embedded_one():
+    with pytest.raises(UserError, match="--diffusion"):
+        load_prior("embedded", settings=LatentPriorSettings(loss="epsilon"))
+
+
+def test_without_the_extra_there_is_one_line(home):
+    """In a process of its own, where the optional packages cannot be imported."""
+    home.mkdir(parents=True)
+    code = (
+        "import sys\n"
+        "for name in ('diffusers', 'transformers'): sys.modules[name] = None\n"
+        "from gscomplete.cli import main\n"
+        "sys.exit(main(['complete', 'recipes/demo/partial.ply', '--prompt', 'x', '--prior', "
+        "sys.argv[1], '--out', sys.argv[2]]))\n"
+    )
+    path = home / "tiny.safetensors"
+    save_file({"a": torch.zeros(1)}, path)
+    result = subprocess.run(
+        [sys.executable, "-c", code, str(path), str(home / "out")],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        cwd=Path(__file__).resolve().parents[2],
+    )
+    assert result.returncode == 2, result.stderr
+    assert "install the extra gscomplete[mvdream]" in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+    assert not (home / "out").exists()
