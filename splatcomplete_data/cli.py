@@ -14,20 +14,24 @@ import tyro
 
 import gscomplete
 from gscomplete.command_line import let_threads_sleep, run_guarded
-from splatcomplete_data.commands import crop, images, mesh, partial
+from splatcomplete_data.commands import crop, depth, images, mesh, partial, scan
 
 _RUNNERS: dict[type, Callable[[Any], int]] = {
     crop.CropOptions: crop.run,
+    depth.DepthOptions: depth.run,
     images.ImagesOptions: images.run,
     mesh.MeshOptions: mesh.run,
     partial.PartialOptions: partial.run,
+    scan.ScanOptions: scan.run,
 }
 
 Command = (
     Annotated[crop.CropOptions, tyro.conf.subcommand("crop")]
+    | Annotated[depth.DepthOptions, tyro.conf.subcommand("depth")]
     | Annotated[images.ImagesOptions, tyro.conf.subcommand("images")]
     | Annotated[mesh.MeshOptions, tyro.conf.subcommand("mesh")]
     | Annotated[partial.PartialOptions, tyro.conf.subcommand("partial")]
+    | Annotated[scan.ScanOptions, tyro.conf.subcommand("scan")]
 )
 
 

@@ -57,14 +57,25 @@ def points_to_splats(
     points: NDArray[np.floating],  # [N, 3]
     colors: NDArray[np.floating],  # [N, 3] sRGB in [0, 1]
     settings: PointSplatSettings | None = None,
+    *,
+    sigma: float | None = None,
 ) -> Splats:
-    """Turn coloured points into round splats of one size; None means the default settings.
+    """Turn coloured points into round splats of one size.
+
+    Args:
+        points: the cloud.
+        colors: its colours.
+        settings: None means the default settings.
+        sigma: standard deviation of every splat; None = from the spacing.
 
     Raises:
-        UserError: there are fewer than two distinct points.
+        UserError: there are fewer than two distinct points, or ``sigma`` is not positive.
     """
     chosen = settings or PointSplatSettings()
-    sigma = chosen.sigma_per_spacing * median_spacing(points, chosen.max_points_for_spacing)
+    if sigma is None:
+        sigma = chosen.sigma_per_spacing * median_spacing(points, chosen.max_points_for_spacing)
+    if not 0 < sigma < float("inf"):
+        raise UserError(f"--size: expected a positive standard deviation, found {sigma:g}")
     count = len(points)
     quaternions = torch.zeros(count, 4)
     quaternions[:, 0] = 1.0
@@ -75,3 +86,54 @@ def points_to_splats(
         opacities=torch.full((count,), chosen.opacity),
         sh=colors_to_sh(torch.from_numpy(np.array(colors, dtype=np.float32))),
     )
+
+
+def thin_to_spacing(
+    points: NDArray[np.floating],  # [N, 3]
+    spacing: float,
+) -> NDArray[np.bool_]:  # [N]
+    """Keep one point, the one nearest to the middle, in every cube of side ``spacing``.
+
+    Raises:
+        UserError: the spacing is not positive.
+    """
+    if not 0 < spacing < float("inf"):
+        raise UserError(f"--spacing: expected a positive length, found {spacing:g}")
+    local = (np.asarray(points, np.float64) - points.min(axis=0)) / spacing
+    cubes = np.floor(local).astype(np.int64)
+    off_center = np.square(local - cubes - 0.5).sum(axis=1)
+    extent = cubes.max(axis=0) + 1
+    keys = (cubes[:, 0] * extent[1] + cubes[:, 1]) * extent[2] + cubes[:, 2]
+    order = np.lexsort((off_center, keys))
+    first = np.flatnonzero(np.diff(keys[order], prepend=-1))
+    keep = np.zeros(len(points), np.bool_)
+    keep[order[first]] = True
+    return keep
+
+
+def thin_to_count(
+    points: NDArray[np.floating],  # [N, 3]
+    count: int,
+) -> tuple[NDArray[np.bool_], float]:  # [N]
+    """Keep at most, and nearly, ``count`` evenly spread points; return the spacing found too.
+
+    Raises:
+        UserError: the count is not positive.
+    """
+    if count < 1:
+        raise UserError(f"--count: expected a positive number, found {count}")
+    if count >= len(points):
+        return np.ones(len(points), np.bool_), 0.0
+    high = float(np.ptp(points, axis=0).max()) * 1.01 + 1e-30
+    low = high * 1e-5
+    best, spacing = thin_to_spacing(points, high), high
+    for _ in range(24):
+        middle = float(np.sqrt(low * high))
+        mask = thin_to_spacing(points, middle)
+        if mask.sum() > count:
+            low = middle
+        else:
+            best, spacing, high = mask, middle, middle
+            if mask.sum() > 0.98 * count:
+                break
+    return best, spacing

@@ -17,29 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
+from splatcomplete_data.scan.cloud import PointCloud, grey_colors
 
-GREY = 0.6
-"""Colour of points without any."""
 _TYPES = {"F": "f", "U": "u", "I": "i"}
 _MAX_POINTS = 2**31
-
-
-@dataclass(frozen=True, slots=True)
-class PointCloud:
-    """N coloured points."""
-
-    points: NDArray[np.float64]  # [N, 3]
-    colors: NDArray[np.float32]  # [N, 3] sRGB in [0, 1]
-    labels: NDArray[np.int64] | None = None  # [N], None = the file has none
-
-    def __len__(self) -> int:
-        """Return the number of points."""
-        return len(self.points)
-
-    def select(self, index: NDArray[np.generic]) -> PointCloud:
-        """Return the points picked by a mask or by indices."""
-        labels = None if self.labels is None else self.labels[index]
-        return PointCloud(self.points[index], self.colors[index], labels)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +60,7 @@ def read_pcd(path: Path) -> PointCloud:
     packed = columns.get("rgba", columns.get("rgb"))
     if packed is not None and packed.dtype.itemsize != 4:
         raise UserError(f"{path}: rgb: expected 4 bytes, found {packed.dtype.itemsize}")
-    colors = np.full(points.shape, GREY, np.float32) if packed is None else _unpack(packed)
+    colors = grey_colors(len(points)) if packed is None else _unpack(packed)
     labels = columns["label"].astype(np.int64) if "label" in columns else None
     finite = np.flatnonzero(np.isfinite(points).all(axis=1))
     return PointCloud(points, colors, labels).select(finite)

@@ -1,0 +1,77 @@
+"""``splatcomplete-data scan``: an object out of a LiDAR or RGB-D scan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from gscomplete.commands.complete import parse_numbers
+from gscomplete.errors import UserError
+from splatcomplete_data.commands.common import Made, check_out, finish_object
+from splatcomplete_data.commands.points import PointOptions, made_from_points
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanOptions(PointOptions):
+    """Cut one object out of a scan and turn it into splats of one size.
+
+    Boxes, planes, outliers and clutter are removed in this order, each with a count; removed.png
+    shows the removed points in colours of their own. Up is Z unless --up says otherwise.
+
+    Example: splatcomplete-data scan room.ply --box 1.2,0.4,0.3,0.5,0.5,0.6 --planes 1 --clusters 1
+    """
+
+    file: Annotated[Path, tyro.conf.Positional]
+    """PLY, PCD, LAS/LAZ, XYZ text, or a scan mesh (PLY, OBJ, GLB, ...)."""
+    label: int | None = None
+    """Keep points with this label // 10 (labelled PCD files); None = all."""
+    viewpoint: str | None = None
+    """Where the scanner stood, as X,Y,Z in the file's frame; None = unknown."""
+
+
+def run(options: ScanOptions) -> int:
+    """Make the object; return the exit code."""
+    check_out(options, options.file)
+    return finish_object(options, make(options))
+
+
+def make(options: ScanOptions) -> Made:
+    """Read the scan and make the part.
+
+    Raises:
+        UserError: the file cannot be read, a flag is wrong, or a step keeps nothing.
+    """
+    import numpy as np
+
+    from splatcomplete_data.objects import StepRecord
+    from splatcomplete_data.scan.read import read_scan
+
+    scan = read_scan(options.file)
+    cloud = scan.cloud
+    dropped = {"not_finite": scan.rows - len(cloud)} if scan.rows > len(cloud) else {}
+    steps = [StepRecord("read", scan.rows, len(cloud), dropped)]
+    if options.label is not None:
+        if cloud.labels is None:
+            raise UserError(f"{options.file}: --label: expected a label field, found none")
+        inside = np.flatnonzero(cloud.labels // 10 == options.label)
+        if len(inside) == 0:
+            found = sorted(set((cloud.labels // 10).tolist()))
+            raise UserError(f"{options.file}: --label: expected one of {found}")
+        counts = {"other_label": len(cloud) - len(inside)}
+        steps.append(StepRecord("label", len(cloud), len(inside), counts))
+        cloud = cloud.select(inside)
+    eye = parse_numbers(options.viewpoint, 3, "--viewpoint", "X,Y,Z")
+    return made_from_points(
+        options,
+        cloud,
+        options.file,
+        "lidar",
+        "Z",
+        viewpoint=None if eye is None else (eye[0], eye[1], eye[2]),
+        steps=tuple(steps),
+        notes=scan.notes,
+        details={},
+    )

@@ -1,0 +1,133 @@
+"""From points to a finished part: boxes, cleaning, levelling, thinning, fixed-size splats.
+
+Shared by scans and single views, which differ only in where their points come from.
+
+Conventions
+-----------
+* Boxes and ``seed_point`` are in the source's frame, before levelling.
+* Levelling turns the cloud so that the first plane removed lies horizontally (z up, origin where
+  it was); the rotation is returned and recorded, never silent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from gscomplete.errors import UserError
+from gscomplete.splats import Similarity, Splats
+from splatcomplete_data.boxes import CropBox, inside_boxes
+from splatcomplete_data.objects import StepRecord
+from splatcomplete_data.points import points_to_splats, thin_to_count, thin_to_spacing
+from splatcomplete_data.scan.clean import CleanSettings, clean, level_rotation
+from splatcomplete_data.scan.cloud import PointCloud
+
+BLACK_RIM = "outside_boxes"
+
+
+@dataclass(frozen=True, slots=True)
+class PartSettings:
+    """What happens to the points."""
+
+    boxes: tuple[CropBox, ...] = ()
+    """Boxes that keep or remove, source frame."""
+    cleaning: CleanSettings | None = None
+    """Planes, outliers and clutter; None = nothing is cleaned."""
+    level: bool = False
+    """Turn the cloud so that the first plane found is horizontal."""
+    count: int | None = None
+    """Thin to at most this many points; None = keep all."""
+    spacing: float | None = None
+    """Thin to one point per cube of this side; None = keep all."""
+    sigma: float | None = None
+    """Standard deviation of the splats, source units; None = from the spacing."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """The part, and what became of every point."""
+
+    splats: Splats
+    sigma: float
+    steps: tuple[StepRecord, ...]
+    turn: Similarity | None
+    """Similarity from the source's frame to the splats'; None = identity."""
+    cloud: PointCloud
+    """All points within the boxes, source frame."""
+    reason: NDArray[np.int8]  # [N] of ``cloud``: why a point was removed, -1 = kept
+    reasons: tuple[str, ...]
+
+
+def make_part(
+    cloud: PointCloud,
+    settings: PartSettings,
+    source: str,
+    viewpoint: Sequence[float] = (0.0, 0.0, 0.0),
+) -> Part:
+    """Turn points into the splats of one object.
+
+    Args:
+        cloud: finite points.
+        settings: the steps.
+        source: the file named in errors.
+        viewpoint: where the scanner stood; it tells a plane's upper side from its lower.
+
+    Raises:
+        UserError: a step keeps nothing, or levelling is asked for and no plane was found.
+    """
+    steps: list[StepRecord] = []
+    if settings.boxes:
+        inside = inside_boxes(cloud.points, settings.boxes)
+        before, after = len(cloud), int(inside.sum())
+        steps.append(StepRecord("boxes", before, after, {BLACK_RIM: before - after}))
+        if after == 0:
+            low, high = cloud.points.min(axis=0).round(3), cloud.points.max(axis=0).round(3)
+            raise UserError(
+                f"{source}: --box: expected points inside, found none of {before:,} (they span "
+                f"{low.tolist()} to {high.tolist()})"
+            )
+        cloud = cloud.select(np.flatnonzero(inside))
+    reason = np.full(len(cloud), -1, np.int8)
+    reasons: tuple[str, ...] = ()
+    planes: tuple[NDArray[np.float64], ...] = ()
+    if settings.cleaning is not None:
+        cleaned = clean(cloud.points, settings.cleaning)
+        reason, reasons, planes = cleaned.reason, cleaned.reasons, cleaned.planes
+        steps += cleaned.steps
+    kept = cloud.select(np.flatnonzero(reason < 0))
+    kept, thinning = _thin(kept, settings)
+    steps += thinning
+    turn = None
+    if settings.level:
+        if not planes:
+            raise UserError(f"{source}: --level: expected a plane to level on, found none")
+        rotation = level_rotation(planes[0], np.asarray(viewpoint, np.float64))
+        turn = Similarity(1.0, torch.from_numpy(rotation), torch.zeros(3))
+    points = kept.points if turn is None else turn.apply(torch.from_numpy(kept.points)).numpy()
+    splats = points_to_splats(points, kept.colors, sigma=settings.sigma)
+    return Part(splats, float(splats.scales[0, 0]), tuple(steps), turn, cloud, reason, reasons)
+
+
+def _thin(cloud: PointCloud, settings: PartSettings) -> tuple[PointCloud, list[StepRecord]]:
+    """Thin to a spacing, then to a count."""
+    steps = []
+    if settings.spacing is not None:
+        mask = thin_to_spacing(cloud.points, settings.spacing)
+        steps.append(_thinned(len(cloud), mask, settings.spacing))
+        cloud = cloud.select(np.flatnonzero(mask))
+    if settings.count is not None:
+        mask, spacing = thin_to_count(cloud.points, settings.count)
+        steps.append(_thinned(len(cloud), mask, spacing))
+        cloud = cloud.select(np.flatnonzero(mask))
+    return cloud, steps
+
+
+def _thinned(before: int, mask: NDArray[np.bool_], spacing: float) -> StepRecord:
+    """Record a thinning."""
+    after = int(mask.sum())
+    removed = {"closer_than_spacing": before - after} if after < before else {}
+    return StepRecord("thin", before, after, removed, f"one point per {spacing:.4g}")

@@ -1,0 +1,196 @@
+"""Read scans of every kind: PLY, PCD, XYZ text, LAS/LAZ, and meshes of scanned rooms.
+
+Conventions
+-----------
+* Points are in the file's frame and units, float64 (LAS scales and offsets applied); rows with a
+  coordinate that is not finite are dropped and counted.
+* Colours become sRGB in [0, 1]: bytes over 255, 16-bit over 65535 (LAS files that hold bytes in
+  16-bit fields are noticed), floats as they are. A cloud without colour is grey.
+* A mesh becomes points spread evenly over its surface.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gscomplete.errors import UserError
+from gscomplete.splats.ply_header import Element, PlyError, PlyHeader, read_header
+from gscomplete.splats.ply_payload import parse_records, read_payload
+from splatcomplete_data.scan.cloud import PointCloud, grey_colors
+from splatcomplete_data.scan.pcd import read_pcd
+
+MESH_SUFFIXES = (".obj", ".glb", ".gltf", ".stl", ".dae", ".off")
+TEXT_SUFFIXES = (".xyz", ".xyzrgb", ".txt", ".pts", ".asc", ".csv")
+MESH_POINTS = 500_000
+"""Points that a scan mesh is sampled with."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """A scan as read."""
+
+    cloud: PointCloud
+    rows: int
+    """Points in the file, before those that are not finite were dropped."""
+    notes: tuple[str, ...] = ()
+
+
+def read_scan(path: Path) -> Scan:
+    """Read a scan, by the file's suffix.
+
+    Raises:
+        UserError: the file is missing, empty, of no known kind, or holds no finite point.
+    """
+    if not path.is_file():
+        kind = "a folder" if path.is_dir() else "none"
+        raise UserError(f"{path}: expected a scan file, found {kind}")
+    if path.stat().st_size == 0:
+        raise UserError(f"{path}: expected a scan file, found an empty file")
+    suffix = path.suffix.lower()
+    if suffix == ".pcd":
+        scan = _checked(read_pcd(path), None, ())
+    elif suffix == ".ply":
+        scan = _read_ply(path)
+    elif suffix in (".las", ".laz"):
+        scan = _read_las(path)
+    elif suffix in TEXT_SUFFIXES:
+        scan = _read_text(path)
+    elif suffix in MESH_SUFFIXES:
+        scan = _read_mesh(path)
+    else:
+        known = ", ".join((".ply", ".pcd", ".las", ".laz", *TEXT_SUFFIXES, *MESH_SUFFIXES))
+        raise UserError(f"{path}: expected a scan ({known}), found suffix {suffix!r}")
+    if len(scan.cloud) == 0:
+        raise UserError(f"{path}: expected points with finite coordinates, found none")
+    return scan
+
+
+def _checked(cloud: PointCloud, rows: int | None, notes: tuple[str, ...]) -> Scan:
+    """Drop points that are not finite."""
+    finite = np.isfinite(cloud.points).all(axis=1)
+    count = len(cloud) if rows is None else rows
+    return Scan(cloud if finite.all() else cloud.select(np.flatnonzero(finite)), count, notes)
+
+
+def _read_ply(path: Path) -> Scan:
+    """Read the vertices of a PLY; with faces, the surface (its vertices may be far apart)."""
+    try:
+        header = read_header(path)
+        vertex = header.find("vertex")
+        if vertex is None:
+            raise PlyError(path, "bad_header", "expected an element 'vertex', found none")
+        if "rot_0" in vertex.names or "packed_position" in vertex.names:
+            raise UserError(f"{path}: expected a point cloud, found Gaussian splats (use: crop)")
+        faces = header.find("face")
+        if faces is not None and faces.count > 0:
+            return _read_mesh(path)
+        return _ply_points(path, header, vertex)
+    except (ValueError, MemoryError, OverflowError) as error:
+        raise UserError(f"{path}: cannot read it as a point cloud ({error})") from error
+
+
+def _ply_points(path: Path, header: PlyHeader, vertex: Element) -> Scan:
+    """Read points and colours of a PLY's vertices."""
+    if vertex.has_lists:
+        raise UserError(f"{path}: element vertex: expected plain numbers, found lists")
+    records = parse_records(path, header, vertex, read_payload(path, header, vertex))
+    places = {name: f"p{i}" for i, name in enumerate(vertex.names)}
+    if not {"x", "y", "z"} <= set(places):
+        found = ", ".join(vertex.names)
+        raise UserError(f"{path}: element vertex: expected x, y, z; found {found}")
+    points = np.stack([records[places[axis]].astype(np.float64) for axis in "xyz"], axis=1)
+    for prefix in ("", "diffuse_"):
+        channels = [places.get(prefix + name) for name in ("red", "green", "blue")]
+        if None not in channels:
+            values = [records[channel] for channel in channels if channel is not None]
+            colors = _unit_colors(np.stack(values, axis=1))
+            return _checked(PointCloud(points, colors), None, ())
+    return _checked(PointCloud(points, grey_colors(len(points))), None, ("no colour: grey",))
+
+
+def _read_las(path: Path) -> Scan:
+    """Read LAS or LAZ by way of laspy."""
+    from splatcomplete_data.optional import import_optional
+
+    laspy = import_optional("laspy", "reading LAS and LAZ files")
+    try:
+        las = laspy.read(str(path))
+        points = np.stack([np.asarray(las.x), np.asarray(las.y), np.asarray(las.z)], axis=1)
+        names = set(las.point_format.dimension_names)
+        channels = None
+        if {"red", "green", "blue"} <= names:
+            channels = np.stack([np.asarray(las[name]) for name in ("red", "green", "blue")], 1)
+    except Exception as error:  # laspy and its decoders raise errors of many kinds
+        raise UserError(f"{path}: cannot read it as LAS or LAZ ({error})") from error
+    if channels is None or not channels.any():
+        cloud = PointCloud(points.astype(np.float64), grey_colors(len(points)))
+        return _checked(cloud, None, ("no colour: grey",))
+    notes: tuple[str, ...] = ()
+    if channels.max() <= 255:
+        channels, notes = channels.astype(np.uint8), ("colours are bytes in 16-bit fields",)
+    return _checked(PointCloud(points.astype(np.float64), _unit_colors(channels)), None, notes)
+
+
+def _read_text(path: Path) -> Scan:
+    """Read rows of ``x y z``, ``x y z r g b``, or ``x y z intensity r g b``."""
+    lines = path.read_text(encoding="utf-8", errors="replace").replace(",", " ").splitlines()
+    rows = [line.split() for line in lines if line.strip() and line.lstrip()[0] not in "#/"]
+    if rows and len(rows[0]) == 1:  # .pts files start with their number of points
+        rows = rows[1:]
+    if rows and not _is_number(rows[0][0]):
+        rows = rows[1:]
+    if not rows:
+        raise UserError(f"{path}: expected rows of x y z [r g b], found none")
+    width = len(rows[0])
+    if width not in (3, 4, 6, 7) or any(len(row) != width for row in rows):
+        raise UserError(f"{path}: expected rows of 3, 4, 6 or 7 numbers, found {width} or mixed")
+    try:
+        table = np.array(rows, np.float64)
+    except ValueError as error:
+        raise UserError(f"{path}: expected numbers ({error})") from error
+    points = table[:, :3]
+    if width < 6:
+        return _checked(PointCloud(points, grey_colors(len(points))), None, ("no colour: grey",))
+    values = table[:, -3:]
+    colors = values / 255.0 if np.nanmax(values) > 1.0 else values
+    unit = np.clip(np.nan_to_num(colors), 0, 1).astype(np.float32)
+    return _checked(PointCloud(points, unit), None, ())
+
+
+def _read_mesh(path: Path) -> Scan:
+    """Sample a scan mesh evenly."""
+    from splatcomplete_data.mesh.convert import convert_mesh
+    from splatcomplete_data.mesh.load import load_mesh
+
+    mesh = load_mesh(path)
+    made = convert_mesh(mesh, MESH_POINTS)
+    points = made.splats.means.numpy().astype(np.float64)
+    colors = made.splats.base_colors.numpy().clip(0, 1).astype(np.float32)
+    note = f"a mesh of {mesh.triangles:,} triangles, sampled at a spacing of {made.spacing:.4g}"
+    return _checked(PointCloud(points, colors), None, (*mesh.notes, note))
+
+
+def _is_number(word: str) -> bool:
+    """Tell whether a word is a number."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _unit_colors(values: NDArray[Any]) -> NDArray[np.float32]:
+    """Scale colours of any type to [0, 1]."""
+    if np.issubdtype(values.dtype, np.integer):
+        top = float(np.iinfo(values.dtype).max)
+        return np.clip(values / np.float64(top), 0, 1).astype(np.float32)
+    with np.errstate(invalid="ignore"):
+        scaled = values.astype(np.float64)
+        if np.nanmax(scaled, initial=0.0) > 1.0:
+            scaled = scaled / 255.0
+        return np.clip(np.nan_to_num(scaled), 0, 1).astype(np.float32)

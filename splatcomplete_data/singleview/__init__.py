@@ -1,0 +1,1 @@
+"""One picture and its depth turned into coloured points."""

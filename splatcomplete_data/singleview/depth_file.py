@@ -1,0 +1,209 @@
+"""Read depth images: NPY, NPZ, 16-bit PNG, PGM, TIFF, EXR, and Depth Anything 3's results.npz.
+
+Conventions
+-----------
+* What a file holds is ``DepthImage.values``, float64 [H, W], unknown pixels NaN: zeros, negative
+  values, infinities and NaN of any coding are unknown.
+* ``metric_depth`` turns values into distances along the optical axis (camera-space z):
+  ``metric`` value x unit; ``disparity`` focal x baseline / (value + offset); ``inverse``
+  unit / value. Nothing is guessed but the unit of integer images, which is said: 16-bit integers
+  are millimetres unless ``unit`` is given.
+* Depth Anything 3 works at its own resolution, and gives intrinsics for that or none at all; its
+  picture, intrinsics and confidence come along when they are there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from gscomplete.errors import UserError
+from splatcomplete_data.optional import import_optional
+
+DepthKind = Literal["metric", "disparity", "inverse"]
+"""What the numbers are; see the module's conventions."""
+MILLIMETRE = 0.001
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthImage:
+    """A depth file as read."""
+
+    values: NDArray[np.float64]  # [H, W], unknown = NaN
+    is_integer: bool
+    color: NDArray[np.uint8] | None = None  # [H, W, 3], None = the file has none
+    intrinsics: NDArray[np.float64] | None = None  # [3, 3], None = the file has none
+    confidence: NDArray[np.float64] | None = None  # [H, W], None = the file has none
+    notes: tuple[str, ...] = ()
+
+
+def read_depth(path: Path, frame: int = 0) -> DepthImage:
+    """Read a depth file.
+
+    Args:
+        path: the file.
+        frame: which picture of an NPZ or NPY that holds several.
+
+    Raises:
+        UserError: it is missing, of no known kind, damaged, or has no valid pixel.
+    """
+    if not path.is_file():
+        raise UserError(f"{path}: expected a depth file, found none")
+    suffix = path.suffix.lower()
+    try:
+        if suffix == ".npz":
+            image = _read_npz(path, frame)
+        elif suffix == ".npy":
+            image = _plain(np.load(path, allow_pickle=False), frame, path)
+        elif suffix in (".exr", ".tif", ".tiff"):
+            image = _plain(_read_oiio(path), 0, path)
+        elif suffix in (".png", ".pgm"):
+            image = _plain(_read_picture(path), 0, path)
+        else:
+            known = ".npy, .npz, .png, .pgm, .tif, .exr"
+            raise UserError(f"{path}: depth: expected {known}, found suffix {suffix!r}")
+    except UserError:
+        raise
+    except Exception as error:  # damaged files raise whatever their reader happens to raise
+        raise UserError(f"{path}: cannot read it as depth ({error})") from error
+    if not np.isfinite(image.values).any():
+        raise UserError(f"{path}: depth: expected positive finite values, found none")
+    return image
+
+
+def metric_depth(
+    image: DepthImage,
+    kind: DepthKind,
+    *,
+    unit: float | None = None,
+    focal_px: float = 1.0,
+    baseline: float | None = None,
+    offset: float = 0.0,
+) -> tuple[NDArray[np.float64], str]:  # [H, W], NaN = unknown
+    """Turn a file's values into camera-space z.
+
+    Args:
+        image: as read.
+        kind: what the values are.
+        unit: length of one unit of ``metric``, or the z of value 1 of ``inverse``; None = 0.001
+            for integers, else 1.
+        focal_px: focal length in pixels of the depth image, for disparity.
+        baseline: distance of the two cameras, for disparity.
+        offset: what is added to disparities (the difference of the principal points).
+
+    Returns:
+        Depths, and a sentence on what was assumed.
+
+    Raises:
+        UserError: a number that the kind needs is missing or wrong.
+    """
+    values = image.values
+    if kind == "disparity":
+        if baseline is None or baseline <= 0:
+            raise UserError("--baseline: expected a positive distance for disparities, found none")
+        shifted = np.where(values + offset > 0, values + offset, np.nan)
+        return focal_px * baseline / shifted, f"z = {focal_px:g} x {baseline:g} / (d + {offset:g})"
+    scale = (MILLIMETRE if image.is_integer else 1.0) if unit is None else unit
+    if not 0 < scale < float("inf"):
+        raise UserError(f"--unit: expected a positive number, found {scale:g}")
+    assumed = " (assumed: integers are millimetres)" if unit is None and image.is_integer else ""
+    if kind == "inverse":
+        return scale / values, f"z = {scale:g} / value"
+    return values * scale, f"z = value x {scale:g}{assumed}"
+
+
+def _plain(values: NDArray[np.generic], frame: int, path: Path) -> DepthImage:
+    """Turn an array into a depth image."""
+    if values.dtype == object or not np.issubdtype(values.dtype, np.number):
+        raise UserError(f"{path}: depth: expected numbers, found {values.dtype}")
+    while values.ndim > 2 and values.shape[-1] == 1:
+        values = values[..., 0]
+    if values.ndim == 3 and values.shape[-1] in (3, 4) and len(values) > 8:
+        raise UserError(
+            f"{path}: depth: expected one channel, found {values.shape[-1]} (a picture)"
+        )
+    if values.ndim == 3:
+        if not 0 <= frame < len(values):
+            raise UserError(f"{path}: --frame: expected 0 to {len(values) - 1}, found {frame}")
+        values = values[frame]
+    if values.ndim != 2 or 0 in values.shape:
+        raise UserError(f"{path}: depth: expected height x width, found shape {values.shape}")
+    is_integer = bool(np.issubdtype(values.dtype, np.integer))
+    numbers = values.astype(np.float64)
+    numbers[~(np.isfinite(numbers) & (numbers > 0))] = np.nan
+    return DepthImage(numbers, is_integer)
+
+
+def _read_npz(path: Path, frame: int) -> DepthImage:
+    """Read an NPZ: Depth Anything 3's results, or any with one array or one called depth."""
+    with np.load(path, allow_pickle=False) as data:
+        names = list(data.files)
+        key = next((n for n in ("depth", "disparity", "disp", "arr_0") if n in names), None)
+        if key is None and len(names) == 1:
+            key = names[0]
+        if key is None:
+            raise UserError(f"{path}: expected an array 'depth', found {', '.join(names)}")
+        plain = _plain(data[key], frame, path)
+        shape = plain.values.shape
+
+        def extra(name: str, tail: tuple[int, ...]) -> NDArray[np.generic] | None:
+            if name not in names:
+                return None
+            array = data[name]
+            array = array[frame] if array.ndim == len(tail) + 1 else array
+            if array.shape != tail:
+                raise UserError(f"{path}: {name}: expected shape {tail}, found {array.shape}")
+            return array
+
+        color = extra("image", (*shape, 3))
+        matrix = extra("intrinsics", (3, 3))
+        confidence = extra("conf", shape)
+    notes = () if matrix is not None else ("the depth file has no intrinsics",)
+    return DepthImage(
+        plain.values,
+        plain.is_integer,
+        None if color is None else color.astype(np.uint8),
+        None if matrix is None else matrix.astype(np.float64),
+        None if confidence is None else confidence.astype(np.float64),
+        notes,
+    )
+
+
+def _read_picture(path: Path) -> NDArray[np.generic]:
+    """Read a PNG or PGM of 8, 16 or 32 bits."""
+    with Image.open(path) as image:
+        if image.mode in ("RGB", "RGBA", "P"):
+            raise UserError(f"{path}: depth: expected one channel, found a {image.mode} picture")
+        if image.mode in ("1", "L"):
+            raise UserError(f"{path}: depth: expected 16 bits a pixel, found 8 (a preview?)")
+        values = np.asarray(image)
+    if np.issubdtype(values.dtype, np.signedinteger):  # Pillow's mode I holds 16-bit PNGs
+        values = values.astype(np.int64)
+    return values
+
+
+def _read_oiio(path: Path) -> NDArray[np.generic]:
+    """Read EXR or TIFF by way of OpenImageIO; of several channels the one called Z or depth."""
+    oiio = import_optional("OpenImageIO", "reading EXR and TIFF files")
+    source = oiio.ImageInput.open(str(path))
+    if source is None:
+        raise UserError(f"{path}: cannot read it ({oiio.geterror()})")
+    spec = source.spec()
+    names = [name.lower() for name in spec.channelnames]
+    is_float = str(spec.format) in ("float", "half", "double")
+    values = np.asarray(source.read_image("float" if is_float else str(spec.format)))
+    source.close()
+    if values.ndim < 2:
+        raise UserError(f"{path}: cannot read it ({source.geterror()})")
+    if values.ndim == 3 and values.shape[-1] > 1:
+        known = [i for i, name in enumerate(names) if name in ("z", "depth", "y")]
+        same = bool(np.array_equal(values[..., 0], values[..., 1], equal_nan=True))
+        if not known and not same:
+            raise UserError(f"{path}: depth: expected a channel Z or one, found {', '.join(names)}")
+        values = values[..., known[0] if known else 0]
+    return values

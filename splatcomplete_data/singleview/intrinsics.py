@@ -1,0 +1,190 @@
+"""Find a picture's pinhole intrinsics: options, a file, the depth file, EXIF, a field of view.
+
+Conventions
+-----------
+* ``Intrinsics`` are in pixels of an image of ``width x height``; pixel centres at +0.5, so a
+  principal point given for pixel centres at whole numbers (most files) is shifted by half a pixel
+  where a file's convention is known; half a pixel is within such files' own accuracy.
+* Order of trust: options, file, the depth file's own, EXIF, a field of view. Without any of them
+  it is an error: a scale is never guessed silently.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from gscomplete.errors import UserError
+
+_EXIF_FOCAL_35MM = 41989
+_EXIF_IFD = 0x8769
+_WIDTH_35MM = 36.0
+
+
+@dataclass(frozen=True, slots=True)
+class Intrinsics:
+    """A pinhole camera's numbers."""
+
+    focal_x_px: float
+    focal_y_px: float
+    center_x_px: float
+    center_y_px: float
+    width: int
+    height: int
+    origin: str
+    """Where they come from, for the record."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            UserError: a focal length is not positive and finite, or the centre is not finite.
+        """
+        numbers = (self.focal_x_px, self.focal_y_px, self.center_x_px, self.center_y_px)
+        if not all(math.isfinite(n) for n in numbers) or min(numbers[:2]) <= 0:
+            raise UserError(
+                f"intrinsics ({self.origin}): expected positive focal lengths and a finite "
+                f"centre, found {numbers}"
+            )
+
+    def resized(self, width: int, height: int) -> Intrinsics:
+        """Return the intrinsics of the same picture at another size.
+
+        Raises:
+            UserError: the aspect ratio differs by more than 2 %.
+        """
+        x, y = width / self.width, height / self.height
+        if abs(x / y - 1.0) > 0.02:
+            raise UserError(
+                f"intrinsics ({self.origin}) are for {self.width} x {self.height} pixels, the "
+                f"depth has {width} x {height}: another aspect ratio"
+            )
+        return Intrinsics(
+            self.focal_x_px * x,
+            self.focal_y_px * y,
+            self.center_x_px * x,
+            self.center_y_px * y,
+            width,
+            height,
+            self.origin,
+        )
+
+
+def from_numbers(
+    focal: list[float] | None,
+    center: list[float] | None,
+    fov_deg: float | None,
+    width: int,
+    height: int,
+) -> Intrinsics | None:
+    """Build intrinsics from options; None when none is given.
+
+    Raises:
+        UserError: both a focal length and a field of view are given, or the latter is out of range.
+    """
+    if focal is None and fov_deg is None:
+        return None
+    if focal is not None and fov_deg is not None:
+        raise UserError("--focal, --fov: expected one of them, found both")
+    if fov_deg is not None:
+        if not 1 <= fov_deg <= 175:
+            raise UserError(f"--fov: expected 1 to 175 degrees, found {fov_deg:g}")
+        length = 0.5 * width / math.tan(math.radians(fov_deg) / 2)
+        focal = [length, length]
+    assert focal is not None
+    middle = center or [width / 2, height / 2]
+    fx, fy = focal[0], focal[-1]
+    return Intrinsics(fx, fy, middle[0], middle[1], width, height, "options")
+
+
+def from_matrix(
+    matrix: NDArray[np.float64],  # [3, 3]
+    width: int,
+    height: int,
+    origin: str,
+) -> Intrinsics:
+    """Build intrinsics from a camera matrix."""
+    return Intrinsics(
+        float(matrix[0, 0]),
+        float(matrix[1, 1]),
+        float(matrix[0, 2]),
+        float(matrix[1, 2]),
+        width,
+        height,
+        origin,
+    )
+
+
+def read_intrinsics(path: Path, width: int, height: int) -> Intrinsics:
+    """Read an intrinsics file: JSON (Open3D, or fx, fy, cx, cy), or four numbers as text.
+
+    Args:
+        path: the file.
+        width: image width assumed where the file names none.
+        height: image height assumed where the file names none.
+
+    Raises:
+        UserError: it cannot be read, or names no intrinsics.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"{path}: intrinsics: cannot read it ({error})") from error
+    try:
+        data: Any = json.loads(text)
+    except json.JSONDecodeError:
+        data = None
+    try:
+        if isinstance(data, dict):
+            return _from_json(data, path, width, height)
+        words = [float(word) for word in text.replace(",", " ").split()]
+        if len(words) == 9:
+            return from_matrix(np.array(words).reshape(3, 3), width, height, path.name)
+        if len(words) == 4:
+            return Intrinsics(words[0], words[1], words[2], words[3], width, height, path.name)
+    except (ValueError, TypeError, KeyError, IndexError) as error:
+        raise UserError(f"{path}: intrinsics: malformed ({error})") from error
+    raise UserError(f"{path}: intrinsics: expected JSON, 4 numbers (fx fy cx cy) or a 3 x 3 matrix")
+
+
+def _from_json(data: dict[str, Any], path: Path, width: int, height: int) -> Intrinsics:
+    """Read Open3D's PinholeCameraIntrinsic, or keys fx, fy, cx, cy (fl_x, ... too)."""
+    w = int(data.get("width", data.get("w", width)))
+    h = int(data.get("height", data.get("h", height)))
+    matrix = data.get("intrinsic_matrix")
+    if matrix is not None:
+        numbers = np.array(matrix, np.float64).ravel()
+        if numbers.size != 9:
+            raise ValueError("intrinsic_matrix: expected 9 numbers")
+        square = numbers.reshape(3, 3)
+        # Open3D writes column by column
+        return from_matrix(square.T if square[0, 2] == 0 else square, w, h, path.name)
+    for names in (("fx", "fy", "cx", "cy"), ("fl_x", "fl_y", "cx", "cy")):
+        if names[0] in data:
+            fx = float(data[names[0]])
+            fy = float(data.get(names[1], fx))
+            cx = float(data.get(names[2], w / 2))
+            return Intrinsics(fx, fy, cx, float(data.get(names[3], h / 2)), w, h, path.name)
+    raise ValueError(f"expected intrinsic_matrix or fx, fy, cx, cy; found {', '.join(data)}")
+
+
+def from_exif(image: Image.Image) -> Intrinsics | None:
+    """Read the 35 mm equivalent focal length of a photo; None when it has none."""
+    tags = image.getexif()
+    value = tags.get_ifd(_EXIF_IFD).get(_EXIF_FOCAL_35MM) or tags.get(_EXIF_FOCAL_35MM)
+    try:
+        focal_mm = float(value) if value is not None else 0.0
+    except (TypeError, ValueError):
+        return None
+    if not 5 <= focal_mm <= 2000:
+        return None
+    width, height = image.size
+    focal = focal_mm / _WIDTH_35MM * max(width, height)
+    return Intrinsics(focal, focal, width / 2, height / 2, width, height, "EXIF")

@@ -1,0 +1,238 @@
+"""One picture with depth to a coloured point cloud in camera axes.
+
+Conventions
+-----------
+* Everything happens at the depth's resolution: the picture is resized to it (box filter when it
+  shrinks), its intrinsics scale with it, and both must have one aspect ratio.
+* Steps in order: known depth, near/far, confidence, mask, flying pixels; each counted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from gscomplete.errors import UserError
+from splatcomplete_data.objects import StepRecord
+from splatcomplete_data.scan.cloud import PointCloud
+from splatcomplete_data.singleview import intrinsics as lens
+from splatcomplete_data.singleview.depth_file import DepthImage, DepthKind, metric_depth, read_depth
+from splatcomplete_data.singleview.intrinsics import Intrinsics
+from splatcomplete_data.singleview.unproject import FLYING_JUMP, flying_pixels, unproject
+
+
+@dataclass(frozen=True, slots=True)
+class SingleViewSettings:
+    """How picture and depth are read; None = from the files, or not at all."""
+
+    kind: DepthKind = "metric"
+    """What the depth values are."""
+    unit: float | None = None
+    """Length of one depth unit; None = 0.001 for integers, else 1."""
+    baseline: float | None = None
+    """Distance of the two cameras of a disparity."""
+    disparity_offset: float = 0.0
+    """Added to disparities."""
+    intrinsics: Path | None = None
+    """Intrinsics file."""
+    focal_px: tuple[float, ...] | None = None
+    """fx[, fy] in pixels of the picture."""
+    center_px: tuple[float, float] | None = None
+    """Principal point in pixels of the picture; None = the middle."""
+    fov_deg: float | None = None
+    """Horizontal field of view."""
+    mask: Path | None = None
+    """Picture that is not black where the object is."""
+    crop_px: tuple[int, int, int, int] | None = None
+    """Keep columns x0 to x1 and rows y0 to y1 of the depth image."""
+    near: float | None = None
+    """Drop what is nearer, in the depth's unit after scaling."""
+    far: float | None = None
+    """Drop what is farther."""
+    min_confidence: float | None = None
+    """Drop pixels of smaller confidence (Depth Anything 3)."""
+    flying_jump: float = FLYING_JUMP
+    """Depth jump, over the depth, that makes a pixel fly; 0 = keep all."""
+    frame: int = 0
+    """Which picture of a file that holds several."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SingleView:
+    """A single view as points."""
+
+    cloud: PointCloud
+    camera: Intrinsics
+    kept: NDArray[np.bool_]  # [H, W] pixels that became points, row by row
+    color: NDArray[np.float32]  # [H, W, 3] the picture at the depth's resolution
+    steps: tuple[StepRecord, ...]
+    notes: tuple[str, ...]
+
+
+def load_single_view(
+    image_path: Path | None, depth_path: Path, settings: SingleViewSettings | None = None
+) -> SingleView:
+    """Read a picture and its depth.
+
+    Args:
+        image_path: the picture; None = the one in the depth file.
+        depth_path: the depth file.
+        settings: knobs; None = defaults.
+
+    Raises:
+        UserError: a file is missing, damaged or of the wrong size, there are no intrinsics, or no
+            pixel is left.
+    """
+    chosen = settings or SingleViewSettings()
+    depth = read_depth(depth_path, chosen.frame)
+    height, width = depth.values.shape
+    picture = _open(image_path, depth, depth_path)
+    notes = [*depth.notes, *_check_aspect(picture, width, height, image_path or depth_path)]
+    if chosen.intrinsics or chosen.focal_px or chosen.fov_deg or depth.intrinsics is not None:
+        notes = [note for note in notes if "no intrinsics" not in note]
+    camera = _find_camera(chosen, picture, depth).resized(width, height)
+    z, how = metric_depth(
+        depth,
+        chosen.kind,
+        unit=chosen.unit,
+        focal_px=camera.focal_x_px,
+        baseline=chosen.baseline,
+        offset=chosen.disparity_offset,
+    )
+    notes += [how, f"intrinsics from {camera.origin}: fx {camera.focal_x_px:.5g} px"]
+    resized = picture.convert("RGB").resize((width, height), Image.Resampling.BOX)
+    color = np.asarray(resized, np.float32) / np.float32(255.0)
+    keep, steps = _select(z, depth, picture, chosen, str(depth_path))
+    points = unproject(z, camera, keep)
+    cloud = PointCloud(points, color[keep])
+    return SingleView(cloud, camera, keep, color, tuple(steps), tuple(notes))
+
+
+def _open(path: Path | None, depth: DepthImage, depth_path: Path) -> Image.Image:
+    """Open the picture, or take the depth file's."""
+    if path is None:
+        if depth.color is None:
+            raise UserError(f"{depth_path}: expected a picture in it, or an image file; found none")
+        return Image.fromarray(depth.color)
+    try:
+        picture = Image.open(path)
+        picture.load()
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise UserError(f"{path}: cannot read it as an image ({error})") from error
+    return picture
+
+
+def _check_aspect(picture: Image.Image, width: int, height: int, path: Path) -> list[str]:
+    """Check that picture and depth show the same; say when one is resized."""
+    if abs(picture.width / picture.height / (width / height) - 1.0) > 0.02:
+        raise UserError(
+            f"{path}: expected the depth's aspect ratio ({width} x {height}), found "
+            f"{picture.width} x {picture.height} pixels"
+        )
+    if picture.size == (width, height):
+        return []
+    return [f"picture {picture.width} x {picture.height} resized to the depth's {width} x {height}"]
+
+
+def _find_camera(
+    settings: SingleViewSettings, picture: Image.Image, depth: DepthImage
+) -> Intrinsics:
+    """Find intrinsics in the order of trust.
+
+    Raises:
+        UserError: there are none.
+    """
+    focal = None if settings.focal_px is None else list(settings.focal_px)
+    center = None if settings.center_px is None else list(settings.center_px)
+    given = lens.from_numbers(focal, center, settings.fov_deg, picture.width, picture.height)
+    if given is not None:
+        return given
+    if settings.intrinsics is not None:
+        return lens.read_intrinsics(settings.intrinsics, picture.width, picture.height)
+    if depth.intrinsics is not None:
+        height, width = depth.values.shape
+        return lens.from_matrix(depth.intrinsics, width, height, "the depth file")
+    found = lens.from_exif(picture)
+    if found is not None:
+        return found
+    raise UserError(
+        "intrinsics: expected --focal FX,FY, --intrinsics FILE, --fov DEGREES, or a photo with "
+        "EXIF; found none of them"
+    )
+
+
+def _select(
+    z: NDArray[np.float64],
+    depth: DepthImage,
+    picture: Image.Image,
+    settings: SingleViewSettings,
+    source: str,
+) -> tuple[NDArray[np.bool_], list[StepRecord]]:
+    """Choose the pixels that become points."""
+    height, width = z.shape
+    keep = np.ones(z.shape, np.bool_)
+    steps: list[StepRecord] = []
+
+    def apply(name: str, passed: NDArray[np.bool_], reason: str) -> None:
+        nonlocal keep
+        before = int(keep.sum())
+        keep = keep & passed
+        after = int(keep.sum())
+        steps.append(
+            StepRecord(name, before, after, {reason: before - after} if after < before else {})
+        )
+        if after == 0:
+            raise UserError(f"{source}: {name}: expected pixels to stay, all {before:,} went")
+
+    known = np.isfinite(z)
+    apply("known_depth", known, "unknown")
+    if settings.near is not None or settings.far is not None:
+        low, high = settings.near or 0.0, settings.far or np.inf
+        with np.errstate(invalid="ignore"):
+            apply("near_far", (z >= low) & (z <= high), "too_near_or_far")
+    if settings.min_confidence is not None:
+        if depth.confidence is None:
+            raise UserError(f"{source}: --min-confidence: the file has no confidence ('conf')")
+        apply("confidence", depth.confidence >= settings.min_confidence, "low_confidence")
+    if settings.crop_px is not None:
+        x0, y0, x1, y1 = settings.crop_px
+        inside = np.zeros(z.shape, np.bool_)
+        inside[max(y0, 0) : max(y1, 0), max(x0, 0) : max(x1, 0)] = True
+        apply("crop_px", inside, "outside")
+    if settings.mask is not None:
+        apply("mask", _mask(settings.mask, width, height), "masked")
+    elif "A" in picture.getbands():
+        alpha = picture.getchannel("A").resize((width, height), Image.Resampling.BOX)
+        apply("alpha", np.asarray(alpha) >= 128, "transparent")
+    if settings.flying_jump > 0:
+        # judged on the whole depth: the mask's border is no depth edge
+        flying = flying_pixels(np.where(known, z, np.nan), settings.flying_jump)
+        apply("flying_pixels", ~flying, "flying")
+    return keep, steps
+
+
+def _mask(path: Path, width: int, height: int) -> NDArray[np.bool_]:
+    """Read a mask picture at the depth's size.
+
+    Raises:
+        UserError: it cannot be read, has another aspect ratio, or is black.
+    """
+    try:
+        with Image.open(path) as image:
+            image.load()
+            if abs(image.width / image.height / (width / height) - 1.0) > 0.02:
+                raise UserError(
+                    f"{path}: mask: expected the aspect ratio of {width} x {height}, found "
+                    f"{image.width} x {image.height}"
+                )
+            grey = image.getchannel("A") if "A" in image.getbands() else image.convert("L")
+            mask = np.asarray(grey.resize((width, height), Image.Resampling.NEAREST)) > 127
+    except (OSError, ValueError, SyntaxError) as error:
+        raise UserError(f"{path}: mask: cannot read it as an image ({error})") from error
+    if not mask.any():
+        raise UserError(f"{path}: mask: expected white where the object is, found only black")
+    return mask
