@@ -14,10 +14,14 @@ import tyro
 
 import gscomplete
 from gscomplete.command_line import let_threads_sleep, run_guarded
-from splatcomplete_data.commands import crop, depth, images, mesh, partial, scan
+from splatcomplete_data.commands import crop, dataset, depth, images, mesh, partial, scan
 
 _RUNNERS: dict[type, Callable[[Any], int]] = {
     crop.CropOptions: crop.run,
+    dataset.BuildOptions: dataset.run_build,
+    dataset.ListOptions: dataset.run_list,
+    dataset.StatsOptions: dataset.run_stats,
+    dataset.ValidateOptions: dataset.run_validate,
     depth.DepthOptions: depth.run,
     images.ImagesOptions: images.run,
     mesh.MeshOptions: mesh.run,
@@ -27,6 +31,10 @@ _RUNNERS: dict[type, Callable[[Any], int]] = {
 
 Command = (
     Annotated[crop.CropOptions, tyro.conf.subcommand("crop")]
+    | Annotated[dataset.BuildOptions, tyro.conf.subcommand("build")]
+    | Annotated[dataset.ListOptions, tyro.conf.subcommand("list")]
+    | Annotated[dataset.StatsOptions, tyro.conf.subcommand("stats")]
+    | Annotated[dataset.ValidateOptions, tyro.conf.subcommand("validate")]
     | Annotated[depth.DepthOptions, tyro.conf.subcommand("depth")]
     | Annotated[images.ImagesOptions, tyro.conf.subcommand("images")]
     | Annotated[mesh.MeshOptions, tyro.conf.subcommand("mesh")]

@@ -1,0 +1,1 @@
+"""Datasets: folders of object folders, built from a recipe, checked, and counted."""

@@ -1,0 +1,272 @@
+"""Build a dataset from a recipe: parallel, idempotent, resumable, and past failures.
+
+Conventions
+-----------
+* Every object is made by its command in a worker process that stands in the data folder, so that
+  records name sources relative to it and are the same bytes wherever the data lie.
+* ``OUT/.build/ID.json`` holds a fingerprint (entry, tool version, hashes of the sources) and the
+  hash of the object.json that came of it. An object whose fingerprint fits and whose files are
+  whole is left alone; so a second build does nothing, and one that was killed goes on where it
+  stopped. A killed object leaves nothing but a temporary folder, which the next build removes.
+* Captures (training from photos) go to ``OUT/.build/captures`` and resume from their checkpoints.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import json
+import logging
+import os
+import traceback
+from collections.abc import Callable
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, Literal
+
+from gscomplete import __version__, jsonio
+from gscomplete.errors import UserError
+from splatcomplete_data.atomic_folder import forget_leftovers
+from splatcomplete_data.dataset.recipe import Entry, Recipe
+from splatcomplete_data.objects import RECORD_FILE, read_record, sha256_of
+
+STATE_FOLDER = ".build"
+CAPTURE_FOLDER = "captures"
+INDEX_FILE = "dataset.json"
+INDEX_SCHEMA = "splatcomplete.dataset"
+
+Status = Literal["built", "up to date", "failed"]
+_logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of one entry."""
+
+    id: str
+    status: Status
+    message: str = ""
+    """Why it failed, or what the command said."""
+
+
+def build(
+    recipe: Recipe,
+    data: Path,
+    out: Path,
+    *,
+    workers: int,
+    only: tuple[str, ...] = (),
+    on_outcome: Callable[[Outcome, int, int], None] = lambda outcome, done, total: None,
+) -> list[Outcome]:
+    """Build what is not up to date.
+
+    Args:
+        recipe: as read.
+        data: folder that the recipe's paths are relative to.
+        out: the dataset folder.
+        workers: processes at a time.
+        only: ids to build; none = all.
+        on_outcome: called with each outcome, and how many of how many are done.
+
+    Returns:
+        The outcomes in the recipe's order; failures do not stop the others.
+
+    Raises:
+        UserError: a folder is missing or cannot be written, or ``only`` names no object.
+    """
+    if not data.is_dir():
+        raise UserError(f"{data}: --data: expected the folder of the sources, found none")
+    unknown = sorted(set(only) - {entry.id for entry in recipe.objects})
+    if unknown:
+        raise UserError(f"--only: the recipe has no object {unknown[0]!r}")
+    if workers < 1:
+        raise UserError(f"--workers: expected 1 or more, found {workers}")
+    data, out = data.resolve(), out.resolve()
+    state = out / STATE_FOLDER
+    try:
+        (state / CAPTURE_FOLDER).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"{out}: cannot create the folder: {error.strerror}") from error
+    forget_leftovers(out)
+    objects = [entry for entry in recipe.objects if not only or entry.id in only]
+    needed = {name for entry in objects for name in entry.captures()}
+    captures = [entry for entry in recipe.captures if entry.id in needed]
+    total, done = len(captures) + len(objects), 0
+    outcomes: dict[str, Outcome] = {}
+
+    def tell(outcome: Outcome) -> None:
+        nonlocal done
+        done += 1
+        on_outcome(outcome, done, total)
+
+    failed: dict[str, str] = {}
+    for outcome in _run_all(captures, data, out, 1, {}, tell):
+        if outcome.status == "failed":
+            failed[outcome.id] = outcome.message
+    for outcome in _run_all(objects, data, out, workers, failed, tell):
+        outcomes[outcome.id] = outcome
+    write_index(recipe, out)
+    return [
+        *(Outcome(name, "failed", text) for name, text in failed.items()),
+        *(outcomes[entry.id] for entry in objects),
+    ]
+
+
+def write_index(recipe: Recipe, out: Path) -> None:
+    """Write ``dataset.json``: what the dataset holds, in the recipe's order."""
+    rows = []
+    for entry in recipe.objects:
+        folder = out / entry.id
+        if (folder / RECORD_FILE).is_file():
+            record = read_record(folder)
+            rows.append(
+                {
+                    "id": record.id,
+                    "subset": record.subset,
+                    "prompt": record.prompt,
+                    "object_sha256": sha256_of(folder / RECORD_FILE),
+                }
+            )
+    content = {"schema": INDEX_SCHEMA, "version": 1, "name": recipe.name, "objects": rows}
+    path = out / INDEX_FILE
+    if not path.is_file() or path.read_text(encoding="utf-8") != jsonio.dumps(content):
+        jsonio.write_json(path, content)
+
+
+def fingerprint(entry: Entry, data: Path, out: Path) -> str:
+    """Return the hash of everything that decides an entry's result.
+
+    Folders count with the names, sizes and hashes of their files; captures with the hash of their
+    splats.
+    """
+    digest = hashlib.sha256()
+    digest.update(json.dumps([__version__, entry.command, entry.values], sort_keys=True).encode())
+    paths = list(entry.sources(data))
+    for name in entry.captures():
+        paths.append(out / STATE_FOLDER / CAPTURE_FOLDER / name / "splats.ply")
+    for path in paths:
+        inner = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())
+        for file in inner:
+            digest.update(f"{file.name} {sha256_of(file)}".encode())
+    return digest.hexdigest()
+
+
+def is_up_to_date(entry: Entry, data: Path, out: Path) -> bool:
+    """Tell whether an entry's folder is whole and made from the same things."""
+    with contextlib.suppress(UserError, OSError, KeyError, TypeError):
+        state = jsonio.read_json(out / STATE_FOLDER / f"{entry.id}.json")
+        if state["fingerprint"] != fingerprint(entry, data, out):
+            return False
+        if entry.is_capture:
+            return bool(state["result"] == sha256_of(_folder(entry, out) / "splats.ply"))
+        folder = out / entry.id
+        if state["result"] != sha256_of(folder / RECORD_FILE):
+            return False
+        files = read_record(folder).files
+        return all(sha256_of(folder / name) == file.sha256 for name, file in files.items())
+    return False
+
+
+def _folder(entry: Entry, out: Path) -> Path:
+    """Return the folder that an entry writes."""
+    return out / STATE_FOLDER / CAPTURE_FOLDER / entry.id if entry.is_capture else out / entry.id
+
+
+def _run_all(
+    entries: list[Entry],
+    data: Path,
+    out: Path,
+    workers: int,
+    failed: dict[str, str],
+    tell: Callable[[Outcome], None],
+) -> list[Outcome]:
+    """Make entries in worker processes; one that dies fails only what it was making."""
+    outcomes: list[Outcome] = []
+
+    def settle(outcome: Outcome) -> None:
+        outcomes.append(outcome)
+        tell(outcome)
+
+    waiting = []
+    for entry in entries:
+        broken = [name for name in entry.captures() if name in failed]
+        if broken:
+            settle(Outcome(entry.id, "failed", f"its capture {broken[0]!r} failed"))
+        elif is_up_to_date(entry, data, out):
+            settle(Outcome(entry.id, "up to date"))
+        else:
+            waiting.append(entry)
+    alone = False
+    while waiting:
+        # after a worker died, entries go one at a time, so that only the guilty one fails
+        batch = waiting[:1] if alone else waiting
+        waiting = waiting[len(batch) :]
+        count = min(workers, len(batch))
+        share = str(max(1, (os.cpu_count() or 1) // count))
+        os.environ.update(OMP_NUM_THREADS=share, NUMBA_NUM_THREADS=share)
+        with ProcessPoolExecutor(count, get_context("spawn"), _enter, (str(data),)) as pool:
+            futures: dict[Future[Outcome], Entry] = {
+                pool.submit(_make, entry, str(out)): entry for entry in batch
+            }
+            try:
+                for future in as_completed(futures):
+                    try:
+                        settle(future.result())
+                    except BrokenProcessPool:
+                        entry = futures[future]
+                        if alone:
+                            settle(Outcome(entry.id, "failed", "its process died (memory?)"))
+                        else:
+                            waiting.append(entry)
+            except KeyboardInterrupt:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+        alone = alone or bool(waiting)
+    return outcomes
+
+
+def _enter(data: str) -> None:
+    """Prepare a worker: stand in the data folder."""
+    os.chdir(data)
+    logging.getLogger().setLevel(logging.ERROR)
+
+
+def _make(entry: Entry, out_text: str) -> Outcome:
+    """Make one entry in a worker; never raises."""
+    out = Path(out_text)
+    folder = _folder(entry, out)
+    said = io.StringIO()
+    try:
+        print_ = fingerprint(entry, Path(), out)
+        options = entry.options(folder, out / STATE_FOLDER / CAPTURE_FOLDER)
+        _run_command(entry, options, folder, said)
+        result = "splats.ply" if entry.is_capture else RECORD_FILE
+        state: dict[str, Any] = {"fingerprint": print_, "result": sha256_of(folder / result)}
+        jsonio.write_json(out / STATE_FOLDER / f"{entry.id}.json", state)
+    except UserError as error:
+        return Outcome(entry.id, "failed", str(error))
+    except OSError as error:
+        return Outcome(entry.id, "failed", f"{error.filename}: {error.strerror}")
+    except Exception as error:
+        _logger.debug("%s", traceback.format_exc())
+        return Outcome(entry.id, "failed", f"internal error: {type(error).__name__}: {error}")
+    return Outcome(entry.id, "built", said.getvalue())
+
+
+def _run_command(entry: Entry, options: Any, folder: Path, said: io.StringIO) -> None:
+    """Run the entry's command, catching what it prints."""
+    import dataclasses
+    import importlib
+
+    module = importlib.import_module(f"splatcomplete_data.commands.{entry.command}")
+    if entry.is_capture:
+        goes_on = (folder / "checkpoints").is_dir() or (folder / "capture.json").is_file()
+        options = dataclasses.replace(options, resume=goes_on)
+    else:
+        options = dataclasses.replace(options, overwrite=True)
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(io.StringIO()):
+        module.run(options)

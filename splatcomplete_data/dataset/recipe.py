@@ -1,0 +1,156 @@
+"""Recipe files: which objects a dataset has, and the command and options that make each.
+
+Conventions
+-----------
+* A recipe is YAML: ``schema: splatcomplete.recipe``, ``version: 1``, ``name``, an optional list
+  ``captures`` and a list ``objects``. Every entry has an ``id``, a ``command`` (that of
+  ``splatcomplete-data``), and that command's options by their names in Python (``seed_point``, not
+  ``--seed-point``); positional ones too (``file``, ``image``, ``depth``, ``images``).
+* Paths are relative to the data folder given to ``build``. ``capture:ID`` names what a capture
+  wrote; captures are made before all objects and are no part of the dataset.
+* Options are checked before anything is built: an unknown one is an error that names the entry.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gscomplete import jsonio
+from gscomplete.errors import UserError
+from splatcomplete_data.optional import import_optional
+
+SCHEMA = "splatcomplete.recipe"
+SCHEMA_VERSION = 1
+CAPTURE_PREFIX = "capture:"
+OBJECT_COMMANDS = {
+    "crop": "CropOptions",
+    "depth": "DepthOptions",
+    "mesh": "MeshOptions",
+    "partial": "PartialOptions",
+    "scan": "ScanOptions",
+}
+CAPTURE_COMMANDS = {"images": "ImagesOptions"}
+_RESERVED = ("out", "json", "overwrite", "resume", "propose")
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One object, or one capture, of a recipe."""
+
+    id: str
+    command: str
+    values: dict[str, Any]
+    """Options by name, as in the recipe."""
+    is_capture: bool = False
+
+    def options(self, out: Path, captures: Path) -> Any:
+        """Return the command's options, writing to ``out``.
+
+        Args:
+            out: the folder to write.
+            captures: the folder of all captures, for ``capture:ID``.
+
+        Raises:
+            UserError: an option is unknown or of the wrong type.
+        """
+        table = CAPTURE_COMMANDS if self.is_capture else OBJECT_COMMANDS
+        module = importlib.import_module(f"splatcomplete_data.commands.{self.command}")
+        cls = getattr(module, table[self.command])
+        values = {}
+        for field in dataclasses.fields(cls):
+            if field.default is not dataclasses.MISSING:
+                values[field.name] = jsonio.to_json(field.default)
+        for name, value in self.values.items():
+            is_capture = isinstance(value, str) and value.startswith(CAPTURE_PREFIX)
+            values[name] = (
+                str(captures / value.removeprefix(CAPTURE_PREFIX)) if is_capture else value
+            )
+        values |= {"out": str(out)} | ({} if self.is_capture else {"id": self.id})
+        return jsonio.from_json(cls, values, f"recipe entry {self.id!r}")
+
+    def captures(self) -> tuple[str, ...]:
+        """Return the ids of the captures that the entry needs."""
+        found = [v for v in self.values.values() if isinstance(v, str)]
+        return tuple(v.removeprefix(CAPTURE_PREFIX) for v in found if v.startswith(CAPTURE_PREFIX))
+
+    def sources(self, data: Path) -> tuple[Path, ...]:
+        """Return the files and folders below ``data`` that the options name."""
+        texts = [v for v in self.values.values() if isinstance(v, str) and "\n" not in v]
+        paths = [data / text for text in texts if text and len(text) < 1000]
+        return tuple(path for path in paths if path.exists() and path != data)
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """A recipe as read."""
+
+    name: str
+    captures: tuple[Entry, ...]
+    objects: tuple[Entry, ...]
+
+
+def read_recipe(path: Path) -> Recipe:
+    """Read and check a recipe.
+
+    Raises:
+        UserError: it is missing, no YAML, or an entry is wrong; the message names the entry.
+    """
+    yaml = import_optional("yaml", "reading recipes")
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"{path}: cannot read it ({error})") from error
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise UserError(f"{path}: expected YAML ({error})") from error
+    if not isinstance(data, dict):
+        raise UserError(f"{path}: expected a mapping, found {type(data).__name__}")
+    for name, expected in (("schema", SCHEMA), ("version", SCHEMA_VERSION)):
+        if data.get(name) != expected:
+            raise UserError(f"{path}: {name}: expected {expected!r}, found {data.get(name)!r}")
+    unknown = sorted(set(map(str, data)) - {"schema", "version", "name", "captures", "objects"})
+    if unknown:
+        raise UserError(f"{path}: unknown field {unknown[0]!r}")
+    captures = _entries(path, data.get("captures") or [], is_capture=True)
+    objects = _entries(path, data.get("objects") or [], is_capture=False)
+    if not objects:
+        raise UserError(f"{path}: objects: expected at least one, found none")
+    known = {entry.id for entry in captures}
+    for entry in objects:
+        for needed in entry.captures():
+            if needed not in known:
+                raise UserError(f"{path}: {entry.id}: no capture is called {needed!r}")
+    return Recipe(str(data.get("name") or path.stem), captures, objects)
+
+
+def _entries(path: Path, rows: Any, *, is_capture: bool) -> tuple[Entry, ...]:
+    """Check a list of entries."""
+    if not isinstance(rows, list):
+        raise UserError(f"{path}: expected a list of entries, found {type(rows).__name__}")
+    commands = CAPTURE_COMMANDS if is_capture else OBJECT_COMMANDS
+    entries: list[Entry] = []
+    for number, row in enumerate(rows, start=1):
+        if not isinstance(row, dict) or not isinstance(row.get("id"), str):
+            raise UserError(f"{path}: entry {number}: expected a mapping with an id")
+        name, command = row["id"], row.get("command")
+        if not name or name.startswith(".") or set(name) & set("/\\\0\n"):
+            raise UserError(f"{path}: entry {number}: id: expected a plain name, found {name!r}")
+        if name in [entry.id for entry in entries]:
+            raise UserError(f"{path}: {name}: expected each id once, found it twice")
+        if command not in commands:
+            found = f"expected one of {', '.join(commands)}, found {command!r}"
+            raise UserError(f"{path}: {name}: command: {found}")
+        values = {str(k): v for k, v in row.items() if k not in ("id", "command")}
+        reserved = sorted(set(values) & set(_RESERVED))
+        if reserved:
+            raise UserError(f"{path}: {name}: {reserved[0]}: set by build, not by a recipe")
+        entry = Entry(name, str(command), values, is_capture)
+        try:
+            entry.options(Path("out"), Path("captures"))
+        except UserError as error:
+            raise UserError(f"{path}: {error}") from error
+        entries.append(entry)
+    return tuple(entries)
