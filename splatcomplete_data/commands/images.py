@@ -55,6 +55,8 @@ class ImagesOptions:
     start: Literal["auto", "points", "random"] = "auto"
     """Initial splats: the sparse cloud (triangulated if need be), or random points. auto = the
     cloud where it can be had."""
+    random_points: int = 30_000
+    """Number of random points, where they are used."""
     steps: int = 7000
     """Optimiser steps, one photo each; all schedules stretch with it."""
     max_splats: int = 120_000
@@ -125,6 +127,7 @@ def make_request(options: ImagesOptions) -> Request:
         ("max_side", 16),
         ("steps", 1),
         ("max_splats", 100),
+        ("random_points", 100),
         ("hold_out", 0),
         ("checkpoint_every", 1),
         ("sfm_features", 100),
@@ -149,6 +152,7 @@ def make_request(options: ImagesOptions) -> Request:
         max_side_px=options.max_side,
         hold_out=options.hold_out,
         start=options.start,
+        random_points=options.random_points,
         checkpoint_every=options.checkpoint_every,
         resume=options.resume,
         overwrite=options.overwrite,

@@ -139,5 +139,7 @@ def colmap_model(
     (model / "images.bin").write_bytes(data)
     data = struct.pack("<Q", len(points))
     for index, (x, y, z, r, g, b) in enumerate(points):
-        data += struct.pack("<Q3d3BdQ", index, x, y, z, r, g, b, 0.5, 2) + struct.pack("<4i", *[1] * 4)
+        data += struct.pack("<Q3d3BdQ", index, x, y, z, r, g, b, 0.5, 2) + struct.pack(
+            "<4i", *[1] * 4
+        )
     (model / "points3D.bin").write_bytes(data)

@@ -93,7 +93,8 @@ def test_nothing_grows_outside_an_object_mask(tmp_path):
     views = load_views(posed, max_side_px=100)
     # The photos show white where the object is not: what the splats must not imitate.
     views = [
-        dataclasses.replace(v, colors=np.where(v.alpha[:, :, None] > 0, v.colors, 255)) for v in views
+        dataclasses.replace(v, colors=np.where(v.alpha[:, :, None] > 0, v.colors, 255))
+        for v in views
     ]
     start = splats_from_points(random_points(posed, views, 300, seed=0))
     settings = dataclasses.replace(SETTINGS, steps=120)

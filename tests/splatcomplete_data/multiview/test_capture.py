@@ -1,0 +1,142 @@
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from gscomplete.errors import UserError
+from gscomplete.splats import Similarity
+from splatcomplete_data.multiview import structure_from_motion as sfm
+from splatcomplete_data.multiview.capture import (
+    find_masks,
+    levelled,
+    open_capture,
+    transformed,
+    up_direction,
+)
+from splatcomplete_data.multiview.posed import PosedPhotos
+from splatcomplete_data.multiview.transforms_json import read_transforms
+from splatcomplete_data.scan import PointCloud
+from tests.splatcomplete_data.multiview import captures
+
+
+def with_points(posed: PosedPhotos) -> PosedPhotos:
+    points = np.random.default_rng(0).uniform(-0.5, 0.5, (20, 3))
+    return dataclasses.replace(posed, points=PointCloud(points, np.ones((20, 3), np.float32)))
+
+
+@pytest.fixture
+def posed(tmp_path: Path) -> PosedPhotos:
+    folder = captures.transforms_capture(tmp_path)
+    return with_points(read_transforms(folder / "transforms.json"))
+
+
+def tilted() -> Similarity:
+    axis, angle = np.array([1.0, 2.0, 3.0]) / np.sqrt(14), 2.2
+    k = np.cross(np.eye(3), -axis)
+    rotation = np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
+    return Similarity(7.0, torch.from_numpy(rotation), torch.tensor([5.0, -3.0, 11.0]))
+
+
+def pixels(posed: PosedPhotos) -> np.ndarray:  # [V, N, 2]
+    out = []
+    assert posed.points is not None
+    for photo in posed.photos:
+        pose = photo.camera_from_world
+        local = posed.points.points @ pose[:3, :3].T + pose[:3, 3]
+        out.append(local[:, :2] / local[:, 2:])
+    return np.stack(out)
+
+
+def test_another_world_frame_shows_the_same_pictures(posed):
+    moved = transformed(posed, tilted())
+    np.testing.assert_allclose(pixels(moved), pixels(posed), atol=1e-9)
+    expected = tilted().apply(torch.from_numpy(posed.positions)).numpy()
+    np.testing.assert_allclose(moved.positions, expected, atol=1e-9)
+
+
+def test_levelling_undoes_any_frame(posed):
+    moved = transformed(posed, tilted())
+    result = levelled(moved)
+    assert result.world_from_source is not None
+    np.testing.assert_allclose(pixels(result.posed), pixels(posed), atol=1e-9)
+    np.testing.assert_allclose(up_direction(result.posed), [0, 0, 1], atol=1e-6)
+    np.testing.assert_allclose(result.posed.look_at(), 0, atol=1e-6)
+    distance = np.linalg.norm(result.posed.positions, axis=1)
+    assert distance.mean() == pytest.approx(1.0)
+    # Ring cameras at 20 degrees of elevation stand above the object again.
+    np.testing.assert_allclose(result.posed.positions[:, 2], np.sin(np.deg2rad(20)), atol=1e-6)
+
+
+def test_up_of_a_short_arc_is_the_photos_own(posed):
+    arc = dataclasses.replace(posed, photos=posed.photos[:1] * 3)
+    expected = -posed.photos[0].camera_from_world[1, :3]
+    np.testing.assert_allclose(up_direction(arc), expected, atol=1e-9)
+
+
+def test_poses_are_found_where_they_stand(tmp_path):
+    folder = captures.transforms_capture(tmp_path / "a")
+    assert open_capture(folder, "auto", tmp_path / "w").posed.source.endswith("transforms.json")
+    views = captures.cameras()
+    names = captures.photos(tmp_path / "b" / "images", views)
+    captures.colmap_model(tmp_path / "b" / "sparse/0", views, names, text=False)
+    found = open_capture(tmp_path / "b", "auto", tmp_path / "w")
+    assert found.posed.source.endswith("sparse/0")
+    assert found.world_from_source is None
+    given = open_capture(tmp_path / "b", str(tmp_path / "b/sparse/0"), tmp_path / "w")
+    assert len(given.posed.photos) == 8
+    given = open_capture(tmp_path / "b", str(folder / "transforms.json"), tmp_path / "w")
+    assert given.posed.photos[0].path.parent == tmp_path / "b/images"
+
+
+def test_what_is_not_there_is_named(tmp_path):
+    with pytest.raises(UserError, match="expected a folder of photos"):
+        open_capture(tmp_path / "none", "auto", tmp_path / "w")
+    with pytest.raises(UserError, match="expected photos"):
+        open_capture(tmp_path, "auto", tmp_path / "w")
+    with pytest.raises(UserError, match="--poses: expected auto, sfm"):
+        open_capture(tmp_path, str(tmp_path / "nothing.json"), tmp_path / "w")
+
+
+def test_masks_are_found_beside_the_photos(tmp_path):
+    (tmp_path / "capture/images").mkdir(parents=True)
+    assert find_masks(tmp_path / "capture") is None
+    (tmp_path / "capture/masks").mkdir()
+    assert find_masks(tmp_path / "capture") == tmp_path / "capture/masks"
+    assert find_masks(tmp_path / "capture/images") == tmp_path / "capture/masks"
+
+
+def test_missing_pycolmap_is_one_line(tmp_path, monkeypatch):
+    captures.photos(tmp_path / "images", captures.cameras(3))
+    monkeypatch.setattr(sfm, "has_pycolmap", lambda: False)
+    with pytest.raises(UserError, match=r"needs pycolmap.*gscomplete\[data\].*--poses"):
+        sfm.find_poses(tmp_path / "images", tmp_path / "work")
+
+
+@pytest.mark.skipif(not sfm.has_pycolmap(), reason="pycolmap is not installed")
+def test_photos_that_do_not_register_say_how_many_and_what_to_try(tmp_path):
+    for index in range(3):
+        noise = np.random.default_rng(index).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+        (tmp_path / "images").mkdir(exist_ok=True)
+        Image.fromarray(noise).save(tmp_path / f"images/{index}.png")
+    stages = []
+    with pytest.raises(UserError, match=r"0 of 3 photos registered, expected at least 3\. Try"):
+        sfm.find_poses(
+            tmp_path / "images", tmp_path / "work", progress=lambda *told: stages.append(told[0])
+        )
+    assert set(stages) <= {"features", "pairs", "cameras"}
+
+
+@pytest.mark.skipif(not sfm.has_pycolmap(), reason="pycolmap is not installed")
+def test_a_native_failure_is_a_message(tmp_path):
+    (tmp_path / "images").mkdir()
+    for index in range(3):
+        Image.new("RGB", (32, 32)).save(tmp_path / f"images/{index}.png")
+    (tmp_path / "work").mkdir()
+    (tmp_path / "work/database.db").write_bytes(b"this is no database, " * 400)
+    with pytest.raises(UserError, match="COLMAP failed"):
+        sfm.find_poses(tmp_path / "images", tmp_path / "work")

@@ -1,0 +1,177 @@
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from gscomplete.errors import UserError
+from gscomplete.splats import Splats, concatenate, read_splats, write_splats
+from splatcomplete_data.boxes import CropBox, parse_box
+from splatcomplete_data.cli import main
+from splatcomplete_data.commands.crop import box_text
+from splatcomplete_data.multiview.box_picture import box_corners
+from splatcomplete_data.multiview.crop import kept_rows, write_rows
+from splatcomplete_data.multiview.propose_box import Focus, focus_of_splats, propose_box
+from splatcomplete_data.multiview.scene import nearest_axis
+from tests.splatcomplete_data.multiview import captures
+
+TURN = (0.9, 0.1, -0.3, 0.2)
+
+
+def table(height: float = -0.6, count: int = 1500) -> Splats:
+    """A flat square of large splats below the ball, 4 x 4."""
+    generator = torch.Generator().manual_seed(3)
+    flat = captures.ball(count, seed=1)
+    place = 4 * torch.rand(count, 3, generator=generator) - 2
+    place[:, 2] = height
+    scales = torch.tensor([0.1, 0.1, 0.001]).repeat(count, 1)
+    return dataclasses.replace(flat, means=place, scales=scales)
+
+
+def scene() -> Splats:
+    return concatenate([captures.ball(2000), table()])
+
+
+@pytest.mark.parametrize("form", ["binary_little_endian", "ascii"])
+def test_kept_records_are_copied_byte_for_byte(tmp_path, form):
+    path = tmp_path / "a.ply"
+    write_splats(path, captures.ball(50), ("a comment",))
+    if form == "ascii":
+        from plyfile import PlyData
+
+        data = PlyData.read(str(path))
+        data.text = True
+        data.write(str(path))
+    source = read_splats(path)
+    mask, reasons = kept_rows(source, [CropBox((0.5, 0, 0), (0.5, 2, 2))])
+    write_rows(tmp_path / "b.ply", source, mask)
+    result = read_splats(tmp_path / "b.ply")
+    assert result.n_rows == mask.sum() < 50
+    assert reasons == {"outside_boxes": 50 - int(mask.sum())}
+    assert (source.splats.means[torch.from_numpy(mask)] == result.splats.means).all()
+    if form != "ascii":
+        rows = source.payload.records.reshape(50, -1)[mask]
+        assert rows.tobytes() == result.payload.records.tobytes()
+    else:
+        assert set(result.payload.records.tobytes().splitlines()) <= set(
+            source.payload.records.tobytes().splitlines()
+        )
+
+
+def test_boxes_that_keep_nothing_say_where_the_splats_are(tmp_path):
+    write_splats(tmp_path / "a.ply", captures.ball(50))
+    source = read_splats(tmp_path / "a.ply")
+    with pytest.raises(UserError, match=r"keep none of 50 splats; 98 % of the splats lie within"):
+        kept_rows(source, [CropBox((9, 9, 9), (1, 1, 1))])
+
+
+def test_rows_that_cannot_be_drawn_are_dropped_with_a_count(tmp_path):
+    ball = captures.ball(50)
+    write_splats(tmp_path / "a.ply", ball)
+    source = read_splats(tmp_path / "a.ply")
+    source.splats.means[3] = float("nan")
+    mask, reasons = kept_rows(source, [])
+    assert not mask[3]
+    assert reasons == {"non_finite_mean": 1}
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_auto_box_holds_the_object_and_leaves_the_table(known):
+    splats = scene()
+    up = np.array([0.0, 0.0, 1.0])
+    focus = Focus(np.array([0.1, -0.1, 0.1]), 1.3, up) if known else focus_of_splats(splats, up)
+    proposal = propose_box(splats, focus)
+    assert len(proposal.planes) == 1
+    inside = proposal.box.contains(splats.means.numpy())
+    ball, flat = inside[:2000], inside[2000:]
+    assert ball.mean() > 0.9  # the lowest splats touch the table
+    assert flat.mean() < 0.001
+    assert max(proposal.box.half_extents) < 0.9
+
+
+def test_auto_box_turns_with_the_scene():
+    from gscomplete.splats import Similarity, transform_splats
+
+    box = CropBox((0, 0, 0), (1, 1, 1), TURN)
+    world = Similarity(3.0, torch.from_numpy(box.rotation), torch.tensor([5.0, 6.0, 7.0]))
+    splats = transform_splats(scene(), world)
+    center = world.apply(torch.zeros(1, 3, dtype=torch.float64))[0].numpy()
+    proposal = propose_box(splats, Focus(center, 3.9, box.rotation[:, 2]))
+    inside = proposal.box.contains(splats.means.numpy())
+    assert inside[:2000].mean() > 0.9
+    assert inside[2000:].mean() < 0.001
+
+
+def test_auto_box_where_nothing_is():
+    with pytest.raises(UserError, match="expected splats where the cameras look"):
+        propose_box(captures.ball(50), Focus(np.full(3, 90.0), 1.0, np.array([0, 0, 1.0])))
+    faint = dataclasses.replace(captures.ball(50), opacities=torch.full((50,), 0.01))
+    with pytest.raises(UserError, match="found 0 solid ones"):
+        propose_box(faint, Focus(np.zeros(3), 1.0, np.array([0, 0, 1.0])))
+
+
+def test_corners_are_the_boxs_own():
+    box = CropBox((1, 2, 3), (0.5, 1, 2), TURN)
+    corners = box_corners(box)
+    shrunk = np.array(box.center) + 0.999 * (corners - np.array(box.center))
+    assert box.contains(shrunk).all()
+    assert not box.contains(2 * corners - np.array(box.center)).any()
+    assert np.linalg.norm(corners[0] - corners[7]) == pytest.approx(2 * np.sqrt(0.25 + 1 + 4))
+
+
+def test_printed_boxes_read_back():
+    for box in (CropBox((1, 2, 3), (0.5, 1, 2)), CropBox((1, 2, 3), (0.5, 1, 2), TURN, "remove")):
+        again = parse_box(box_text(box))
+        np.testing.assert_allclose(again.center, box.center)
+        np.testing.assert_allclose(again.quaternion, box.quaternion, atol=1e-5)
+        assert again.action == box.action
+
+
+def test_nearest_axis():
+    assert nearest_axis(np.array([0.1, -2.0, 0.1]))[0] == "-Y"
+    assert nearest_axis(np.array([0.0, 0.0, 5.0])) == ("Z", 0.0)
+
+
+def test_the_command_writes_an_object_with_its_boxes(tmp_path, capsys):
+    write_splats(tmp_path / "scene.ply", scene())
+    out = tmp_path / "ball"
+    arguments = ["crop", str(tmp_path / "scene.ply"), "--up", "Z", "--out", str(out)]
+    boxes = ["--box", "0,0,0.1,0.7,0.7,0.65", "remove:0.6,0,0,0.1,2,2"]
+    assert main([*arguments, *boxes, "--prompt", "a ball", "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["subset"] == "multiview"
+    assert [box["action"] for box in record["boxes"]] == ["keep", "remove"]
+    assert record["steps"][0]["before"] == 3500
+    kept = read_splats(out / "partial.ply").splats
+    assert record["counts"]["partial"] == len(kept) == record["steps"][0]["after"]
+    assert kept.means[:, 0].max() < 0.5
+    assert (out / "boxes.png").stat().st_size > 1000
+    assert main([*arguments, *boxes]) == 2
+    assert "not empty" in capsys.readouterr().err
+
+
+def test_proposing_prints_and_draws_only(tmp_path, capsys):
+    write_splats(tmp_path / "scene.ply", scene())
+    arguments = ["crop", str(tmp_path / "scene.ply"), "--up", "Z", "--box", "auto", "--propose"]
+    assert main([*arguments, "--out", str(tmp_path / "p")]) == 0
+    printed = capsys.readouterr().out
+    assert "--box " in printed
+    assert sorted(path.name for path in (tmp_path / "p").iterdir()) == ["boxes.png"]
+
+
+def test_folders_that_are_no_capture_are_named(tmp_path, capsys):
+    assert main(["crop", str(tmp_path), "--box", "auto"]) == 2
+    assert "capture.json" in capsys.readouterr().err
+    (tmp_path / "capture.json").write_text("{}")
+    assert main(["crop", str(tmp_path), "--box", "auto"]) == 2
+    assert "schema" in capsys.readouterr().err
+
+
+def test_a_nan_box_is_refused(tmp_path: Path, capsys):
+    write_splats(tmp_path / "scene.ply", captures.ball(30))
+    assert main(["crop", str(tmp_path / "scene.ply"), "--box", "nan,0,0,1,1,1"]) == 2
+    assert "--box" in capsys.readouterr().err
