@@ -14,9 +14,10 @@ import tyro
 
 import gscomplete
 from gscomplete.command_line import let_threads_sleep, run_guarded
-from splatcomplete_data.commands import crop, dataset, depth, images, mesh, partial, scan
+from splatcomplete_data.commands import convert, crop, dataset, depth, images, mesh, partial, scan
 
 _RUNNERS: dict[type, Callable[[Any], int]] = {
+    convert.ConvertOptions: convert.run,
     crop.CropOptions: crop.run,
     dataset.BuildOptions: dataset.run_build,
     dataset.ListOptions: dataset.run_list,
@@ -30,7 +31,8 @@ _RUNNERS: dict[type, Callable[[Any], int]] = {
 }
 
 Command = (
-    Annotated[crop.CropOptions, tyro.conf.subcommand("crop")]
+    Annotated[convert.ConvertOptions, tyro.conf.subcommand("convert")]
+    | Annotated[crop.CropOptions, tyro.conf.subcommand("crop")]
     | Annotated[dataset.BuildOptions, tyro.conf.subcommand("build")]
     | Annotated[dataset.ListOptions, tyro.conf.subcommand("list")]
     | Annotated[dataset.StatsOptions, tyro.conf.subcommand("stats")]

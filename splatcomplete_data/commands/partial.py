@@ -56,9 +56,9 @@ def make(options: PartialOptions) -> tuple[PartialOptions, Made]:
     Raises:
         UserError: the file cannot be read, no cut is given, or the cuts keep nothing.
     """
-    from gscomplete.splats import read_splats
     from splatcomplete_data.boxes import parse_box
     from splatcomplete_data.cuts import ScanCut, apply_cuts, parse_cut
+    from splatcomplete_data.formats import read_any_splats
     from splatcomplete_data.framing import frame_of_whole
     from splatcomplete_data.objects import read_object
 
@@ -66,7 +66,8 @@ def make(options: PartialOptions) -> tuple[PartialOptions, Made]:
     boxes = tuple(parse_box(text) for text in options.box)
     subset = options.subset
     default_up: Literal["X", "Y", "Z", "-X", "-Y", "-Z"] = "-Y"
-    details = {}
+    details: dict[str, str] = {}
+    notes: tuple[str, ...] = ()
     if options.file.is_dir():
         source = read_object(options.file)
         if source.complete is None:
@@ -81,7 +82,8 @@ def make(options: PartialOptions) -> tuple[PartialOptions, Made]:
         )
         details = {"complete_from": record.id, "source": record.source.file}
     else:
-        complete = read_splats(options.file).splats
+        found = read_any_splats(options.file)
+        complete, notes = found.splats, found.notes
     request = framing_request(options, default_up)
     frame = frame_of_whole(complete, request.up)
     if options.seen_from_views > 0:
@@ -95,5 +97,5 @@ def make(options: PartialOptions) -> tuple[PartialOptions, Made]:
     if not cuts and not boxes:
         raise UserError("partial: expected --cut, --box or --seen-from-views, found none of them")
     part, steps = apply_cuts(complete, frame, cuts, boxes, str(options.file))
-    made = Made(subset, options.file, part, complete, request.up, steps, boxes=boxes)
+    made = Made(subset, options.file, part, complete, request.up, steps, notes, boxes=boxes)
     return options, dataclasses.replace(made, details=details)
