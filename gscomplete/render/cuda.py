@@ -90,8 +90,7 @@ def rasterize(
     together = splats
     if frozen is not None:
         together = concatenate([frozen.detach().to(device), splats])
-    cameras = cameras.to(device)
-    intrinsics = torch.zeros(len(cameras), 3, 3, device=device)
+    intrinsics = torch.zeros_like(cameras.camera_from_world[:, :3, :3])
     intrinsics[:, 0, 0], intrinsics[:, 1, 1] = cameras.focal_px.unbind(1)
     intrinsics[:, :2, 2] = cameras.center_px
     intrinsics[:, 2, 2] = 1.0
@@ -101,8 +100,8 @@ def rasterize(
         together.scales,
         together.opacities,
         together.sh,
-        cameras.camera_from_world,
-        intrinsics,
+        cameras.camera_from_world.to(device),
+        intrinsics.to(device),
         cameras.width,
         cameras.height,
         near_plane=settings.near,

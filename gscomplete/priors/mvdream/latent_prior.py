@@ -268,9 +268,12 @@ def matte(images: Tensor) -> tuple[Tensor, Tensor]:
     """
     side = images.shape[-1]
     width = max(1, side // 16)
-    inner = torch.zeros(side, side, dtype=torch.bool, device=images.device)
-    inner[width : side - width, width : side - width] = True
-    background = images[:, :, ~inner].median(dim=2).values[:, :, None, None]
+    strips = [images[:, :, :width], images[:, :, side - width :]]
+    strips += [
+        images[:, :, width : side - width, part] for part in (slice(width), slice(-width, None))
+    ]
+    border = torch.cat([strip.flatten(2) for strip in strips], dim=2)
+    background = border.median(dim=2).values[:, :, None, None]
     difference = (images - background).abs().amax(dim=1)
     alpha = ((difference - _MATTE_LOW) / (_MATTE_HIGH - _MATTE_LOW)).clamp(0, 1)
     color = (images - (1 - alpha)[:, None] * background).clamp(min=0)

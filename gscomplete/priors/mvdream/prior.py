@@ -96,11 +96,11 @@ def prepare(
     network: Any, device: torch.device, dtype: torch.dtype, settings: LatentPriorSettings
 ) -> Any:
     """Move a UNet to its device, and on a GPU set its memory format and compile it."""
+    is_gpu = device.type == "cuda"
+    layout = torch.channels_last if is_gpu and settings.channels_last else torch.contiguous_format
     # torch's own ``to``: diffusers' warns of precisions that this network does not ask for
-    torch.nn.Module.to(network, device=device, dtype=dtype)
-    if device.type == "cuda" and settings.channels_last:
-        torch.nn.Module.to(network, memory_format=torch.channels_last)
-    if device.type == "cuda" and settings.compile != "off":
+    torch.nn.Module.to(network, device=device, dtype=dtype, memory_format=layout)
+    if is_gpu and settings.compile != "off":
         mode = "reduce-overhead" if settings.compile == "cuda-graphs" else None
         return torch.compile(network, mode=mode)
     return network
