@@ -174,5 +174,5 @@ def _camera_from_world(value: Any, where: str) -> NDArray[np.float64]:  # [4, 4]
         raise UserError(f"{where}: transform_matrix: expected 4 x 4 finite numbers")
     if abs(np.linalg.det(matrix[:3, :3])) < 1e-9:
         raise UserError(f"{where}: transform_matrix: expected a rotation, found a singular matrix")
-    inverse: NDArray[np.float64] = np.linalg.inv(matrix @ _OPENCV_FROM_OPENGL)
+    inverse: NDArray[np.float64] = np.linalg.inv(matrix @ _OPENCV_FROM_OPENGL).astype(np.float64)
     return inverse

@@ -142,9 +142,11 @@ def test_mutated_files_end_in_a_message_or_a_result(tmp_path_factory, name, text
     at = int(place * len(good))
     bad = (good[:at] + junk + good[at + len(junk) :])[: int(cut * len(good)) + 1]
     path.write_bytes(bad)
+    message = str(folder)
     try:
         read_colmap(model, folder / "images")
     except UserError as error:
-        assert str(folder) in str(error)
+        message = str(error)
     finally:
         path.write_bytes(good)
+    assert str(folder) in message

@@ -72,7 +72,7 @@ def test_masks_restrict_to_the_object_or_leave_pixels_out(tmp_path):
 
 def test_a_missing_mask_and_one_of_another_size_are_named(tmp_path):
     capture = posed(tmp_path / "c")
-    with pytest.raises(UserError, match="found none for photo_02.png"):
+    with pytest.raises(UserError, match=r"found none for photo_02\.png"):
         load_views(capture, max_side_px=100, masks=masks(tmp_path / "two", 2))
     with pytest.raises(UserError, match="32 x 32, found 20 x 20"):
         load_views(capture, max_side_px=100, masks=masks(tmp_path / "small", 3, 20))

@@ -61,7 +61,7 @@ def test_missing_photos_are_counted_not_silent(capture):
 def test_too_few_photos_say_why(capture):
     for path in sorted((capture.parent / "images").iterdir())[:-2]:
         path.unlink()
-    with pytest.raises(UserError, match="at least 3 photos.*found 2; 6 of 8 frames left out"):
+    with pytest.raises(UserError, match=r"at least 3 photos.*found 2; 6 of 8 frames left out"):
         read_transforms(capture)
 
 
@@ -124,7 +124,7 @@ def test_something_else_is_refused(tmp_path):
     for text in ("", "[]", "{", '{"frames": {}}'):
         path = tmp_path / "transforms.json"
         path.write_text(text)
-        with pytest.raises(UserError, match="transforms.json"):
+        with pytest.raises(UserError, match=r"transforms\.json"):
             read_transforms(path)
 
 
