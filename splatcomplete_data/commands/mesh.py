@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from gscomplete.views import UpAxis
 from splatcomplete_data.commands.common import Made, ObjectOptions, check_out, finish_object
 
 if TYPE_CHECKING:
@@ -43,8 +44,27 @@ class MeshOptions(ObjectOptions):
     """Picture for a mesh whose file lost its own."""
     gltf_colors: Literal["linear", "srgb"] = "linear"
     """srgb for glTF files whose exporter wrote sRGB numbers as factors."""
+    light: bool = False
+    """Multiply soft light from above into the colours, as a photo would show them; recorded."""
     seed: int = 0
     """Seed of the sampling."""
+
+
+LIGHT_Z_UP = (0.5, -0.35, 0.8)
+"""Where the soft light comes from, z up."""
+
+
+def in_file_axes(
+    direction_z_up: tuple[float, float, float], up: UpAxis
+) -> tuple[float, float, float]:
+    """Turn a z-up direction into the file's axes."""
+    import torch
+
+    from gscomplete.views import up_rotation
+
+    turned = up_rotation(up).T @ torch.tensor(direction_z_up, dtype=torch.float64)
+    x, y, z = turned.tolist()
+    return x, y, z
 
 
 def run(options: MeshOptions) -> int:
@@ -63,16 +83,17 @@ def make(options: MeshOptions) -> Made:
     from splatcomplete_data.cuts import apply_cuts, parse_cut
     from splatcomplete_data.framing import frame_of_whole
     from splatcomplete_data.mesh.convert import ConvertSettings, convert_mesh
-    from splatcomplete_data.mesh.load import load_mesh
+    from splatcomplete_data.mesh.load import BakedLight, load_mesh
 
     cuts = [parse_cut(text) for text in options.cut]
     is_gltf = options.file.suffix.lower() in (".glb", ".gltf")
     mesh = load_mesh(options.file, texture=options.texture, gltf_colors=options.gltf_colors)
     settings = ConvertSettings(options.mode, options.sigma, seed=options.seed)
     count = 100_000 if options.count is None and options.spacing is None else options.count
-    made = convert_mesh(mesh, count, spacing=options.spacing, settings=settings)
-    complete = made.splats
     request = framing_request(options, "Y" if is_gltf else "Z")
+    light = BakedLight(in_file_axes(LIGHT_Z_UP, request.up)) if options.light else None
+    made = convert_mesh(mesh, count, spacing=options.spacing, settings=settings, light=light)
+    complete = made.splats
     part: Splats | None = None
     steps: tuple[StepRecord, ...] = ()
     if cuts:
