@@ -24,9 +24,8 @@ from gscomplete.completion.parameters import Bounds, SplatParameters
 from gscomplete.completion.randomness import generator_for, uniform
 from gscomplete.completion.rings import Ring, RingMemory, inside_distribution, random_ring
 from gscomplete.completion.settings import CompletionSettings
-from gscomplete.completion.symmetry import best_symmetry, symmetric_splats
 from gscomplete.errors import UserError
-from gscomplete.priors.base import Conditioning, FourViews, Guidance, Prior
+from gscomplete.priors.base import Conditioning, FourViews, Guidance, Prior, ShapePrior
 from gscomplete.render import Render, render
 from gscomplete.splats import Splats
 from gscomplete.views import Cameras, ViewDistribution, join_cameras
@@ -173,17 +172,17 @@ class Completion:
     def _start(self, bounds: Bounds, diameter: float) -> tuple[Splats, str, bool]:
         """Return the new splats of step 0, a line that says where they are, and if it is blank."""
         settings = self.settings
-        if settings.start == "symmetry":
-            symmetry = best_symmetry(self.partial, self._distribution, settings.seed)
-            if symmetry is not None:
-                copied = symmetric_splats(
-                    self.partial, symmetry, settings.new_splats, settings.seed
-                )
-                note = (
-                    f"start: {len(copied):,} splats of P {symmetry.name} "
-                    f"({100 * symmetry.novelty:.0f} % of it where P is not)"
-                )
-                return copied, note, False
+        if settings.start == "guess" and isinstance(self._prior, ShapePrior):
+            guess = self._prior.first_guess(
+                self.partial,
+                self._distribution,
+                self._conditioning,
+                generator_for(settings.seed, 0, "first guess"),
+                settings.new_splats,
+            )
+            if guess is not None:
+                note = f"start: {len(guess.splats):,} splats on the surface the prior guesses"
+                return guess.splats, note, False
         scattered = initial_splats(
             self.partial,
             settings.new_splats,

@@ -15,7 +15,7 @@ def timestep_at(settings: CompletionSettings, step: int, *, blank: bool = False)
     Args:
         settings: of the run.
         step: counted from 0.
-        blank: the run started from a sphere although a symmetry was asked for.
+        blank: the run started from a sphere although a guess was asked for.
     """
     progress = (step + 0.5) / settings.steps
     stages = settings.blank_timesteps if blank and settings.blank_timesteps else settings.timesteps

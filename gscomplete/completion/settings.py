@@ -21,9 +21,9 @@ Mode = Literal["distill", "reconstruct"]
 ``reconstruct``: denoise a ring of views for several steps, then fit the splats to it for many
 cheap steps (after MicroDreamer); the preservation loss is the same."""
 
-Start = Literal["sphere", "symmetry"]
-"""``sphere``: new splats uniform in a sphere (paper, section 3.3). ``symmetry``: on a
-turned or mirrored copy of P where one is believable (``symmetry``), else in the sphere."""
+Start = Literal["sphere", "guess"]
+"""``sphere``: new splats uniform in a sphere (paper, section 3.3). ``guess``: on the surface that a
+prior with an idea of shape guesses (``priors.base.ShapePrior``), else in the sphere."""
 
 PresetName = Literal["default", "fast", "distill", "paper"]
 """``default``: the best of time and quality for the prior. ``fast``: fewer rounds.
@@ -101,8 +101,8 @@ class CompletionSettings:
     )
     """Schedule of the diffusion time (section 3.3, with T = 980)."""
     blank_timesteps: tuple[TimestepStage, ...] | None = None
-    """Schedule of runs that found no symmetry to start from, so that the first renders hold no
-    hint; None = ``timesteps``."""
+    """Schedule of runs that start from a sphere although a guess was asked for, so that the first
+    renders hold no hint; None = ``timesteps``."""
     text_scale: float | None = None
     """Guidance towards the prompt; None = the prior's own default."""
     input_scale: float | None = None
@@ -195,7 +195,7 @@ RECONSTRUCT = dataclasses.replace(
     rounds=16,
     denoise_steps=2,
     ring_memory=5,
-    start="symmetry",
+    start="guess",
     preservation_every=1,
     timesteps=(
         TimestepStage(0.5, 450.0, 700.0),

@@ -14,6 +14,8 @@ Conventions
   other reading, mean((M_c * difference)^2) over all pixels and channels: the value of L_p.
 * Depth is the expected camera-space z. Where O shows nothing in front of P's mask, its depth is
   undefined and the error counts as one object size.
+* ``silhouette_iou`` compares whole silhouettes, P's part included, view by view: the input alone
+  does not score 0, and a view from which P shows everything scores high for any completion.
 * The hidden region of a view is where P shows nothing (alpha below 1/2) but O or T does (alpha at
   least 1/2): there, and only there, the completion had to be invented.
 * Sums run in float64.
@@ -62,6 +64,8 @@ class PreservationErrors:
 class TruthErrors:
     """How far a completion's invented part is from the true object."""
 
+    silhouette_iou: float
+    """Intersection over union of the whole silhouettes, mean over the views."""
     hidden_iou: float
     """Intersection over union of the silhouettes within the hidden region; 1 if it is empty."""
     hidden_color_psnr_db: float | None
@@ -171,7 +175,9 @@ def truth_errors_of_renders(completed: Render, partial: Render, truth: Render) -
     hidden = open_ & either
     both = int((hidden & ours & real).sum())
     squared = (completed.color.double() - truth.color.double()).square().mean(dim=-1)
+    shared, joined = (ours & real).sum(dim=(1, 2)), either.sum(dim=(1, 2))
     return TruthErrors(
+        silhouette_iou=float((shared / joined.clamp_min(1))[joined > 0].mean()),
         hidden_iou=_ratio(both, int(hidden.sum())),
         hidden_color_psnr_db=_psnr_db(squared, hidden) if bool(hidden.any()) else None,
         hidden_precision=_ratio(both, int((open_ & ours).sum())),

@@ -16,14 +16,16 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
 
 from gscomplete.jsonio import to_json
 from gscomplete.render.record import Render
+from gscomplete.splats.record import Splats
 from gscomplete.views.cameras import Cameras, radius_to_fit
+from gscomplete.views.distribution import ViewDistribution
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,5 +191,40 @@ class Prior(Protocol):
         Iterative reconstruction in the manner of MicroDreamer. A timestep of
         ``num_timesteps - 1`` or more starts from pure noise, so that ``views`` gives only the
         cameras. The result has the prior's resolution and no graph.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class FirstGuess:
+    """A rough idea of the whole, made before any view is denoised."""
+
+    splats: Splats  # new splats in the object frame, where P has none
+    box: Tensor  # [2, 3] lower and upper corner of the whole as guessed
+
+
+@runtime_checkable
+class ShapePrior(Protocol):
+    """A prior that can also guess the whole from P at once, for new splats to start from."""
+
+    def first_guess(
+        self,
+        partial: Splats,
+        distribution: ViewDistribution,
+        conditioning: Conditioning,
+        generator: torch.Generator,
+        count: int,
+    ) -> FirstGuess | None:
+        """Guess what is missing.
+
+        Args:
+            partial: P in the object frame.
+            distribution: V: what its views find empty stays empty.
+            conditioning: from ``condition`` of the same prior.
+            generator: chooses where splats sit.
+            count: most splats.
+
+        Returns:
+            None if nothing seems to be missing, or these weights cannot guess.
         """
         ...

@@ -1,4 +1,4 @@
-"""Quaternions (w, x, y, z) to rotation matrices."""
+"""Quaternions (w, x, y, z): to rotation matrices, and from directions."""
 
 from __future__ import annotations
 
@@ -17,3 +17,15 @@ def rotation_matrices(quaternions: Tensor) -> Tensor:  # [N, 4] wxyz -> [N, 3, 3
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
     return torch.stack([torch.stack(row, dim=1) for row in rows], dim=1)
+
+
+def quaternions_facing(normals: Tensor) -> Tensor:  # [N, 3] unit -> [N, 4] wxyz
+    """Return quaternions that turn +z onto each normal or onto its opposite.
+
+    Discs look the same from both sides, so normals are flipped to z >= 0 first: the shortest turn is
+    then never near its singularity at -z.
+    """
+    upper = torch.where(normals[:, 2:] < 0, -normals, normals)
+    zero = torch.zeros_like(upper[:, 0])
+    parts = [1.0 + upper[:, 2], -upper[:, 1], upper[:, 0], zero]
+    return torch.nn.functional.normalize(torch.stack(parts, dim=1), dim=1)

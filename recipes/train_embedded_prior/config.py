@@ -15,6 +15,7 @@ from typing import Literal
 
 from gscomplete.priors.base import PriorViews
 from gscomplete.priors.embedded.model import ModelConfig
+from gscomplete.priors.embedded.shape.model import ShapeModelConfig
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +41,25 @@ class DataConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class TrainConfig:
-    """One training run."""
+class ShapeDataConfig:
+    """How sets of the shape network are made. Changing anything changes the data of every index."""
+
+    corrupt_share: float = 0.5
+    """Share of sets whose P is disturbed the way real captures are."""
+    guess_share: float = 0.7
+    """Share of sets whose frame and input view are guessed from P, as runs guess them; the others
+    have the true frame with a small error."""
+    frame_jitter: float = 0.04
+    """Standard deviation of that error, object sizes."""
+    most_cells: int = 4096
+    """Most filled cells stored of P and of each of its mirror images."""
+    most_surface_cells: int = 6144
+    """Most surface cells stored of the whole."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunConfig:
+    """One training run, whatever is trained."""
 
     out: Path
     """Folder of checkpoints, data shards, log and sample sheets."""
@@ -64,11 +82,8 @@ class TrainConfig:
     clip_norm: float = 1.0
     ema_decay: float = 0.999
     """Decay per step of the averaged weights, which are the ones shipped; warmed up."""
-    drop_input: float = 0.25
-    """Share of sets trained with P withheld. At 0.15 the prompt was hardly learned: where P is seen
-    there is little left for words to say; but completing P is what the prior is for."""
     drop_text: float = 0.1
-    """Share of sets trained without text, independently of the former."""
+    """Share of sets trained without text."""
     precision: Literal["bfloat16", "float32"] = "bfloat16"
     device: str = "cpu"
     replicas: int = 2
@@ -85,8 +100,6 @@ class TrainConfig:
     evaluation_sets: int = 12
     shard_sets: int = 32
     """Sets per data file."""
-    data: DataConfig = field(default_factory=DataConfig)
-    model: ModelConfig = field(default_factory=lambda: ModelConfig())
 
     def __post_init__(self) -> None:
         """Check ranges.
@@ -94,10 +107,39 @@ class TrainConfig:
         Raises:
             ValueError: the length of the run or the number of replicas makes no sense.
         """
+        name = type(self).__name__
         if (self.minutes is None) == (self.steps is None):
-            raise ValueError("TrainConfig: expected exactly one of minutes and steps")
+            raise ValueError(f"{name}: expected exactly one of minutes and steps")
         if self.batch_sets % self.replicas != 0:
             raise ValueError(
-                f"TrainConfig: expected batch_sets to be a multiple of replicas, found "
+                f"{name}: expected batch_sets to be a multiple of replicas, found "
                 f"{self.batch_sets} and {self.replicas}"
             )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainConfig(RunConfig):
+    """Training of the four-view denoiser."""
+
+    drop_input: float = 0.25
+    """Share of sets trained with P withheld. At 0.15 the prompt was hardly learned: where P is seen
+    there is little left for words to say; but completing P is what the prior is for."""
+    data: DataConfig = field(default_factory=DataConfig)
+    model: ModelConfig = field(default_factory=lambda: ModelConfig())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShapeTrainConfig(RunConfig):
+    """Training of the shape network."""
+
+    batch_sets: int = 8
+    learning_rate: float = 6e-4
+    drop_text: float = 0.3
+    """Share of sets trained without text."""
+    fresh_sets: int = 4
+    """New sets per step; the others of the batch are drawn from those of the last steps, in
+    another orientation."""
+    replay_shards: int = 60
+    """How far back sets are drawn from."""
+    data: ShapeDataConfig = field(default_factory=ShapeDataConfig)
+    model: ShapeModelConfig = field(default_factory=lambda: ShapeModelConfig(vocabulary_size=1024))

@@ -198,7 +198,7 @@ def main() -> int:
     from recipes.train_embedded_prior.source import procedural_source
 
     try:
-        model, config = load_weights(options.weights)
+        model, _, config = load_weights(options.weights)
         spec = ShardSpec(
             procedural_source,
             DataConfig(),

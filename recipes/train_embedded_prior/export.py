@@ -1,4 +1,4 @@
-"""Turn a checkpoint into shippable weights: ``python -m recipes.train_embedded_prior.export``.
+"""Turn checkpoints into shippable weights: ``python -m recipes.train_embedded_prior.export``.
 
 Conventions
 -----------
@@ -26,22 +26,27 @@ from gscomplete.errors import UserError
 from gscomplete.jsonio import from_json, read_json
 from gscomplete.priors.embedded.model import FourViewDenoiser, count_parameters
 from gscomplete.priors.embedded.prior import packaged_weights
+from gscomplete.priors.embedded.shape.grid import CELL_SIDE, CELLS
+from gscomplete.priors.embedded.shape.model import ShapeCompleter
 from gscomplete.priors.embedded.text import FIRST_WORD_TOKEN, STOP_WORDS, split_words
 from gscomplete.priors.embedded.weights import (
     FORMAT_VERSION,
     PriorConfig,
+    ShapeRecord,
     Storage,
     TrainingRecord,
     load_weights,
     save_weights,
 )
-from recipes.train_embedded_prior.config import TrainConfig
+from recipes.train_embedded_prior.config import ShapeTrainConfig, TrainConfig
 from recipes.train_embedded_prior.evaluate import held_out_sets, measure_losses
-from recipes.train_embedded_prior.shards import ShardSpec
+from recipes.train_embedded_prior.procedural.objects import make_object
+from recipes.train_embedded_prior.shape_task import ShapeTask
+from recipes.train_embedded_prior.source import procedural_source
 from recipes.train_embedded_prior.state import RUN, RunRecord, TrainState
+from recipes.train_embedded_prior.views_task import ViewsTask
 
 _LOG = logging.getLogger(__name__)
-_WORDS = "text.words.weight"
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,11 +54,13 @@ class ExportConfig:
     """What to export, and where to."""
 
     run: Path
-    """Folder of the training run."""
+    """Folder of the denoiser's training run."""
+    shape_run: Path | None = None
+    """Folder of the shape network's training run; None = export no shape network."""
     out: Path = dataclasses.field(default_factory=packaged_weights)
     """Folder for the weights; the default is the package's own."""
     storage: Storage = "int8"
-    captions: int = 4000
+    words_from: int = 4000
     """Captions read to find the words that training has shown."""
     evaluation_sets: int = 32
     """Held-out sets on which the stored weights are compared with the trained ones; 0 = none."""
@@ -65,50 +72,96 @@ def words_seen(words: tuple[str, ...], captions: Iterable[str]) -> tuple[str, ..
     return tuple(word for word in words if word in seen)
 
 
-def keep_words(
-    state: dict[str, Tensor], words: tuple[str, ...], kept: tuple[str, ...]
-) -> dict[str, Tensor]:
-    """Return the weights with the embeddings of the kept words only, in the order of ``kept``."""
-    rows = [*range(FIRST_WORD_TOKEN), *(FIRST_WORD_TOKEN + words.index(word) for word in kept)]
-    return state | {_WORDS: state[_WORDS][torch.tensor(rows)]}
+@dataclass(frozen=True, slots=True)
+class TrainedRun:
+    """A training run as it stands."""
+
+    config: TrainConfig | ShapeTrainConfig
+    state: TrainState
+    words: tuple[str, ...]
+
+    @classmethod
+    def load(cls, folder: Path) -> TrainedRun:
+        """Read a run folder.
+
+        Raises:
+            UserError: the folder holds no run.
+        """
+        record = from_json(RunRecord, read_json(folder / RUN), str(folder / RUN))
+        config = dataclasses.replace(record.config, out=folder)
+        task = (
+            ShapeTask(config, procedural_source, record.words)
+            if isinstance(config, ShapeTrainConfig)
+            else ViewsTask(config, procedural_source, record.words)
+        )
+        state = TrainState.start(config, task.make_model)
+        state.load(folder)
+        return cls(config, state, record.words)
+
+    def weights(self, kept: tuple[str, ...]) -> dict[str, Tensor]:
+        """Return the averaged weights with the embeddings of the kept words, in their order."""
+        state = self.state.ema.state_dict()
+        name = "words.weight" if isinstance(self.config, ShapeTrainConfig) else "text.words.weight"
+        places = (FIRST_WORD_TOKEN + self.words.index(word) for word in kept)
+        rows = torch.tensor([*range(FIRST_WORD_TOKEN), *places])
+        return state | {name: state[name][rows]}
+
+    def record(self) -> TrainingRecord:
+        """Say how the weights came to be."""
+        config = self.config
+        per_step = config.fresh_sets if isinstance(config, ShapeTrainConfig) else config.batch_sets
+        return TrainingRecord(
+            steps=self.state.step,
+            sets=self.state.step * per_step,
+            hours=round(self.state.elapsed_s / 3600, 3),
+            machine=f"{config.replicas} {config.device} replicas, {platform.machine()}",
+            seed=config.seed,
+        )
 
 
 def export(
-    train: TrainConfig, state: TrainState, words: tuple[str, ...], kept: tuple[str, ...],
-    out: Path, storage: Storage,
-) -> PriorConfig:  # fmt: skip
+    views: TrainedRun, shape: TrainedRun | None, kept: tuple[str, ...], out: Path, storage: Storage
+) -> PriorConfig:
     """Write weights and configuration.
 
     Returns:
         The configuration that was written.
     """
+    train = views.config
+    assert isinstance(train, TrainConfig)
     size = FIRST_WORD_TOKEN + len(kept)
-    sets = state.step * train.batch_sets
+    shape_record = None
+    if shape is not None:
+        assert isinstance(shape.config, ShapeTrainConfig)
+        shape_model = dataclasses.replace(shape.config.model, vocabulary_size=size)
+        shape_record = ShapeRecord(shape_model, shape.record())
     config = PriorConfig(
         format_version=FORMAT_VERSION,
         model=dataclasses.replace(train.model, vocabulary_size=size),
         views=train.data.views(train.model.resolution_px),
         words=kept,
         storage=storage,
-        training=TrainingRecord(
-            steps=state.step,
-            sets=sets,
-            hours=round(state.elapsed_s / 3600, 3),
-            machine=f"{train.replicas} {train.device} replicas, {platform.machine()}",
-            seed=train.seed,
-        ),
+        training=views.record(),
+        shape=shape_record,
     )
-    save_weights(out, keep_words(state.ema.state_dict(), words, kept), config)
+    save_weights(out, views.weights(kept), config, None if shape is None else shape.weights(kept))
     return config
 
 
-def card(config: PriorConfig, model: FourViewDenoiser, losses: dict[str, dict[str, float]]) -> str:
+def card(
+    config: PriorConfig,
+    model: FourViewDenoiser,
+    shape: ShapeCompleter | None,
+    losses: dict[str, dict[str, float]],
+    shape_losses: dict[str, float],
+) -> str:
     """Describe the weights in Markdown."""
     views, training = config.views, config.training
     lines = [
         "# Embedded prior",
         "",
         "A four-view, camera-, text- and input-conditioned denoiser of premultiplied RGBA images,",
+        "and a three-dimensional network that guesses the whole from a part at once; both",
         "trained by `recipes/train_embedded_prior` on procedural objects only: no photographs, no",
         "third-party models, no downloads. Licence: Apache-2.0, as the rest of the repository.",
         "",
@@ -134,6 +187,19 @@ def card(config: PriorConfig, model: FourViewDenoiser, losses: dict[str, dict[st
             ),
             "",
         ]
+    if shape is not None and config.shape is not None:
+        made = config.shape.training
+        lines += [
+            "## Shape network",
+            "",
+            f"* Parameters: {count_parameters(shape) / 1e6:.1f} million, stored as "
+            f"{config.storage}; {CELLS}^3 cells of {CELL_SIDE:g} object sizes.",
+            f"* Training: {made.steps} steps, {made.sets} objects with their parts, each seen "
+            f"about twice in different orientations, {made.hours:.2f} hours on {made.machine}, "
+            f"seed {made.seed}.",
+            *(f"* Held-out {name}: {value:.4f}" for name, value in shape_losses.items()),
+            "",
+        ]
     lines += [
         "Known limits: one object per image, the things named by its words and simple shapes,",
         "64 x 64 pixels; coarse shape and the colours of P are reliable, lettering and fine",
@@ -143,42 +209,54 @@ def card(config: PriorConfig, model: FourViewDenoiser, losses: dict[str, dict[st
     return "\n".join(lines)
 
 
+def measure_export(
+    views: TrainedRun, options: ExportConfig
+) -> tuple[dict[str, dict[str, float]], dict[str, float]]:
+    """Measure the stored weights on held-out sets, the denoiser's beside the trained ones."""
+    model, shape, config = load_weights(options.out)
+    count, train = options.evaluation_sets, views.config
+    assert isinstance(train, TrainConfig)
+    if not count:
+        return {}, {}
+    task = ViewsTask(train, procedural_source, config.words)
+    batch = held_out_sets(task.spec, count)
+    trained = FourViewDenoiser(config.model)
+    trained.load_state_dict(views.weights(config.words))
+    name = f"shipped, {options.storage}"
+    losses = {
+        "trained, float32": measure_losses(trained, batch, "float32"),
+        name: measure_losses(model, batch, "float32"),
+        f"{name}, run in bfloat16": measure_losses(model, batch, "bfloat16"),
+    }
+    if shape is None:
+        return losses, {}
+    shape_train = ShapeTrainConfig(out=options.out, seed=train.seed, evaluation_sets=count)
+    shape_task = ShapeTask(shape_train, procedural_source, config.words)
+    return losses, shape_task.measure(shape)
+
+
 def main() -> int:
     """Run from the command line."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     options = tyro.cli(ExportConfig, description=__doc__)
-    from recipes.train_embedded_prior.procedural.objects import make_object
-    from recipes.train_embedded_prior.source import procedural_source
-
     try:
-        record = from_json(RunRecord, read_json(options.run / RUN), str(options.run / RUN))
-        train = dataclasses.replace(record.config, out=options.run)
-        state = TrainState.start(train)
-        state.load(options.run)
-        captions = (make_object(train.seed, index).caption for index in range(options.captions))
-        kept = words_seen(record.words, captions)
-        export(train, state, record.words, kept, options.out, options.storage)
-        model, config = load_weights(options.out)
+        views = TrainedRun.load(options.run)
+        shape = None if options.shape_run is None else TrainedRun.load(options.shape_run)
+        seed = views.config.seed
+        captions = [make_object(seed, index).caption for index in range(options.words_from)]
+        kept = words_seen(views.words, captions)
+        if shape is not None:
+            kept = tuple(word for word in kept if word in shape.words)
+        export(views, shape, kept, options.out, options.storage)
+        losses, shape_losses = measure_export(views, options)
+        model, shape_model, config = load_weights(options.out)
     except UserError as error:
         _LOG.error("%s", error)
         return error.exit_code
-    losses = {}
-    if options.evaluation_sets:
-        spec = ShardSpec(
-            procedural_source, train.data, kept, config.model.text_length,
-            config.model.resolution_px, train.seed, train.shard_sets,
-        )  # fmt: skip
-        batch = held_out_sets(spec, options.evaluation_sets)
-        trained = FourViewDenoiser(config.model)
-        trained.load_state_dict(keep_words(state.ema.state_dict(), record.words, kept))
-        losses["trained, float32"] = measure_losses(trained, batch, "float32")
-        losses[f"shipped, {options.storage}"] = measure_losses(model, batch, "float32")
-        losses[f"shipped, {options.storage}, run in bfloat16"] = measure_losses(
-            model, batch, "bfloat16"
-        )
-    (options.out / "CARD.md").write_text(card(config, model, losses), encoding="utf-8")
+    text = card(config, model, shape_model, losses, shape_losses)
+    (options.out / "CARD.md").write_text(text, encoding="utf-8")
     size = sum(path.stat().st_size for path in options.out.iterdir())
-    left_out = sorted(set(record.words) - set(kept) - STOP_WORDS)
+    left_out = sorted(set(views.words) - set(kept) - STOP_WORDS)
     _LOG.info("%s: %.1f MB, %d words", options.out, size / 1e6, len(kept))
     _LOG.info("left out, in no caption: %s", " ".join(left_out) or "none")
     return 0

@@ -104,4 +104,6 @@ def _flat(gradient: Tensor) -> Tensor:
         return gradient.view(-1)
     if gradient.ndim == 4 and gradient.is_contiguous(memory_format=torch.channels_last):
         return gradient.permute(0, 2, 3, 1).reshape(-1)
+    if gradient.ndim == 5 and gradient.is_contiguous(memory_format=torch.channels_last_3d):
+        return gradient.permute(0, 2, 3, 4, 1).reshape(-1)
     raise ValueError(f"gradient of shape {tuple(gradient.shape)} is not dense")

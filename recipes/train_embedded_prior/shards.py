@@ -17,11 +17,11 @@ import multiprocessing
 import os
 import signal
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -37,9 +37,26 @@ _LOG = logging.getLogger(__name__)
 _POLL_S = 0.05
 
 
+class SetSpec(Protocol):
+    """What the shards of one folder hold; picklable for worker processes."""
+
+    @property
+    def shard_sets(self) -> int:
+        """Sets per shard."""
+        ...
+
+    def maker(self, seed: int | None = None) -> Callable[[int], np.ndarray]:
+        """Return the function that makes the sets, of another seed if one is given."""
+        ...
+
+    def key(self) -> str:
+        """Name the contents: folders of different options never mix."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class ShardSpec:
-    """What the shards of one folder hold."""
+    """The sets of the four-view denoiser."""
 
     source: Source
     data: DataConfig
@@ -69,13 +86,31 @@ class ShardReader:
     """
 
     def __init__(
-        self, spec: ShardSpec, folder: Path, *, workers: int | None, first: int, ahead: int = 12
+        self,
+        spec: SetSpec,
+        folder: Path,
+        *,
+        workers: int | None,
+        first: int,
+        ahead: int = 12,
+        behind: int = 1,
     ) -> None:
+        """Prepare to read.
+
+        Args:
+            spec: what to read.
+            folder: where shards are buffered, in a folder of their own.
+            workers: see above.
+            first: the set to start with.
+            ahead: shards made before they are wanted.
+            behind: shards kept after the newest one that was wanted.
+        """
         self._spec = spec
         self._folder = folder / spec.key()
         self._folder.mkdir(parents=True, exist_ok=True)
         self._workers = workers
         self._ahead = ahead
+        self._behind = behind
         context = multiprocessing.get_context("spawn")
         self._wanted = context.Value("q", first // spec.shard_sets)
         self._context = context
@@ -108,19 +143,19 @@ class ShardReader:
             process.join()
 
     def read(self, indices: Sequence[int]) -> np.ndarray:  # [B] of set_dtype
-        """Return sets by ascending index, waiting for those not made yet.
+        """Return sets, the newest last, waiting for those not made yet.
 
         Raises:
             UserError: a worker died.
         """
         size = self._spec.shard_sets
-        self._pass(indices[0] // size)
+        self._pass(indices[-1] // size)
         return np.stack([self._shard(index // size)[index % size] for index in indices])
 
     def _pass(self, number: int) -> None:
         """Note where reading is; forget and delete shards well behind it."""
         self._wanted.value = max(self._wanted.value, number)
-        for old in [k for k in self._open if k < number - 1]:
+        for old in [k for k in self._open if k < number - self._behind]:
             del self._open[old]
             if self._workers is not None:
                 shard_path(self._folder, old).unlink(missing_ok=True)
@@ -152,16 +187,16 @@ def shard_path(folder: Path, number: int) -> Path:
     return folder / f"sets-{number:06d}.npy"
 
 
-def _make_shard(maker: SetMaker, spec: ShardSpec, folder: Path, number: int) -> None:
+def _make_shard(
+    maker: Callable[[int], np.ndarray], spec: SetSpec, folder: Path, number: int
+) -> None:
     first = number * spec.shard_sets
     stored = np.stack([maker(index) for index in range(first, first + spec.shard_sets)])
     with atomic_path(shard_path(folder, number)) as temporary, temporary.open("wb") as file:
         np.save(file, stored)
 
 
-def _work(
-    spec: ShardSpec, folder: Path, number: int, workers: int, ahead: int, wanted: Any
-) -> None:
+def _work(spec: SetSpec, folder: Path, number: int, workers: int, ahead: int, wanted: Any) -> None:
     """Make this worker's shards in order, staying near the reader."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(19)

@@ -10,6 +10,7 @@ Conventions
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,9 +22,8 @@ from torch import Tensor, nn
 from gscomplete.atomic import atomic_path
 from gscomplete.errors import UserError
 from gscomplete.jsonio import from_json, read_json, write_json
-from gscomplete.priors.embedded.model import FourViewDenoiser
 from gscomplete.priors.embedded.text import FIRST_WORD_TOKEN
-from recipes.train_embedded_prior.config import TrainConfig
+from recipes.train_embedded_prior.config import RunConfig, ShapeTrainConfig, TrainConfig
 
 CHECKPOINT = "checkpoint.safetensors"
 RUN = "run.json"
@@ -33,7 +33,7 @@ RUN = "run.json"
 class RunRecord:
     """What a run was started with."""
 
-    config: TrainConfig
+    config: TrainConfig | ShapeTrainConfig
     words: tuple[str, ...]
 
 
@@ -41,23 +41,23 @@ class RunRecord:
 class TrainState:
     """Weights, their average, the optimiser, and how far the run is."""
 
-    model: FourViewDenoiser
-    ema: FourViewDenoiser
+    model: nn.Module
+    ema: nn.Module
     optimizer: torch.optim.Optimizer
     step: int = 0
     elapsed_s: float = 0.0
 
     @classmethod
-    def start(cls, config: TrainConfig) -> TrainState:
+    def start(cls, config: RunConfig, make_model: Callable[[], nn.Module]) -> TrainState:
         """Initialise a run; the weights are a function of the seed."""
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
-            model = FourViewDenoiser(config.model).to(config.device)
-            ema = FourViewDenoiser(config.model).to(config.device).requires_grad_(False)
+            model = make_model().to(config.device)
+            ema = make_model().to(config.device).requires_grad_(False)
         ema.load_state_dict(model.state_dict())
         return cls(model, ema, make_optimizer(model, config))
 
-    def update(self, config: TrainConfig, learning_rate: float) -> None:
+    def update(self, config: RunConfig, learning_rate: float) -> None:
         """Take one optimiser step with the gradients at hand and move the average along."""
         for group in self.optimizer.param_groups:
             group["lr"] = learning_rate * group["factor"]
@@ -110,7 +110,7 @@ class TrainState:
                 }
 
 
-def make_optimizer(model: nn.Module, config: TrainConfig) -> torch.optim.Optimizer:
+def make_optimizer(model: nn.Module, config: RunConfig) -> torch.optim.Optimizer:
     """Return AdamW; only matrices and kernels decay, and the text's part learns faster."""
     groups = []
     for reads_text, factor in ((False, 1.0), (True, config.text_rate_factor)):
@@ -125,10 +125,10 @@ def make_optimizer(model: nn.Module, config: TrainConfig) -> torch.optim.Optimiz
 
 
 def _reads_text(name: str) -> bool:
-    return "text" in name or name.startswith("pooled.")
+    return "text" in name or name.startswith(("pooled.", "words."))
 
 
-def open_run(config: TrainConfig, words: tuple[str, ...]) -> tuple[str, ...]:
+def open_run(config: TrainConfig | ShapeTrainConfig, words: tuple[str, ...]) -> tuple[str, ...]:
     """Create the run folder, or check that a resumed one is the same run.
 
     A resumed run keeps its words in their order; words that the generator has learned since then

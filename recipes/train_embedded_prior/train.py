@@ -1,110 +1,95 @@
-"""Train the embedded prior: ``python -m recipes.train_embedded_prior.train --out DIR``.
+"""Train a network of the embedded prior.
+
+``python -m recipes.train_embedded_prior.train views --out DIR`` trains the four-view denoiser,
+``... shape --out DIR`` the shape network.
 
 Conventions
 -----------
 * Step s is a function of the weights before it and of (seed, s): its sets, noise, timesteps and
   dropped conditions. With ``--steps`` a resumed run ends with the same bits as one that was not
   interrupted; with ``--minutes`` the learning rate follows running time, which no run repeats.
-* The loss is the mean over sets of ``loss_weight(t) * mean((v - v_hat)^2)`` (``diffusion``).
 * SIGTERM and SIGINT end the run at the next step with a checkpoint.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import logging
 import os
 import signal
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 import torch
 import tyro
-from torch import Tensor
+from torch import Tensor, nn
 
 from gscomplete.errors import UserError
-from gscomplete.priors.embedded.diffusion import NUM_TIMESTEPS, add_noise, loss_weight, velocity
-from gscomplete.priors.embedded.model import (
-    IMAGE_CHANNELS,
-    VIEWS,
-    FourViewDenoiser,
-)
-from gscomplete.priors.embedded.text import NO_TEXT_TOKEN
-from recipes.train_embedded_prior.config import TrainConfig
-from recipes.train_embedded_prior.dataset import Batch, Source, decode_sets
-from recipes.train_embedded_prior.evaluate import (
-    autocast,
-    held_out_sets,
-    measure_losses,
-    save_sample_sheet,
-)
+from recipes.train_embedded_prior.config import RunConfig, ShapeTrainConfig, TrainConfig
+from recipes.train_embedded_prior.evaluate import autocast
 from recipes.train_embedded_prior.replicas import GradientExchange, Signals
-from recipes.train_embedded_prior.shards import ShardReader, ShardSpec
+from recipes.train_embedded_prior.shape_task import ShapeTask
+from recipes.train_embedded_prior.shards import SetSpec, ShardReader
 from recipes.train_embedded_prior.state import TrainState, open_run
+from recipes.train_embedded_prior.views_task import ViewsTask
 
 _LOG = logging.getLogger(__name__)
 _LOG_EVERY = 20
 
 
-@dataclass(frozen=True, slots=True)
-class StepNoise:
-    """The random part of one step."""
+class Task(Protocol):
+    """What is trained; picklable to replicas."""
 
-    timestep: Tensor  # [B]
-    noise: Tensor  # [B, 4, 4, S, S]
-    keep_input: Tensor  # [B] bool
-    keep_text: Tensor  # [B] bool
+    @property
+    def config(self) -> TrainConfig | ShapeTrainConfig:
+        """The run."""
+        ...
 
-    def select(self, index: slice, device: str) -> StepNoise:
-        """Return the part for some of the sets, on a device."""
-        fields = dataclasses.fields(self)
-        return StepNoise(**{f.name: getattr(self, f.name)[index].to(device) for f in fields})
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The vocabulary, in the order the embeddings are trained in."""
+        ...
 
+    @property
+    def spec(self) -> SetSpec:
+        """What training sets are."""
+        ...
 
-def draw_step_noise(config: TrainConfig, step: int) -> StepNoise:
-    """Draw a step's random numbers from (seed, step).
+    @property
+    def behind(self) -> int:
+        """How many shards behind the newest a step may read."""
+        ...
 
-    Timesteps are stratified over the batch and lean towards the noisy end (half of them above
-    750): there shape and colour of what is missing are decided, and runs hardly go below 300.
-    """
-    count, size = config.batch_sets, config.model.resolution_px
-    entropy = np.random.SeedSequence((config.seed, step, 3)).generate_state(1, np.uint64)[0]
-    generator = torch.Generator().manual_seed(int(entropy >> np.uint64(1)))
-    strata = torch.randperm(count, generator=generator) + torch.rand(count, generator=generator)
-    noise = torch.randn(count, VIEWS, IMAGE_CHANNELS, size, size, generator=generator)
-    keep_input = torch.rand(count, generator=generator) >= config.drop_input
-    keep_text = torch.rand(count, generator=generator) >= config.drop_text
-    share = 1 - (1 - strata / count) ** 2
-    return StepNoise(share * (NUM_TIMESTEPS - 1), noise, keep_input, keep_text)
+    def make_model(self) -> nn.Module:
+        """Build the network."""
+        ...
 
+    def set_indices(self, step: int) -> Sequence[int]:
+        """Return the sets of a step, the newest last."""
+        ...
 
-def training_loss(model: FourViewDenoiser, batch: Batch, drawn: StepNoise) -> Tensor:  # []
-    """Return the weighted squared error of v with conditions dropped as drawn."""
-    noisy = add_noise(batch.images, drawn.noise, drawn.timestep)
-    target = velocity(batch.images, drawn.noise, drawn.timestep)
-    mapped = batch.input_map * drawn.keep_input[:, None, None, None, None]
-    no_text = torch.zeros_like(batch.tokens)
-    no_text[:, 0] = NO_TEXT_TOKEN
-    tokens = torch.where(drawn.keep_text[:, None], batch.tokens, no_text)
-    predicted = model(noisy, mapped, drawn.timestep, batch.ring, tokens)
-    error = (predicted - target).square().mean(dim=(1, 2, 3, 4))
-    return (loss_weight(drawn.timestep) * error).mean()
+    def loss(self, model: nn.Module, stored: np.ndarray, step: int, own: slice) -> Tensor:
+        """Return the loss of a replica's share of a step's sets."""
+        ...
+
+    def evaluate(self, model: nn.Module, sheet: Path) -> dict[str, float]:
+        """Measure on held-out sets and draw a sheet."""
+        ...
 
 
-def learning_rate(config: TrainConfig, step: int, progress: float) -> float:
+def learning_rate(config: RunConfig, step: int, progress: float) -> float:
     """Return the rate at a step: linear warm-up, constant, linear to zero at progress 1."""
     warm = min(1.0, (step + 1) / max(config.warmup_steps, 1))
     fall = min(1.0, max(0.0, (1 - progress) / max(config.decay_share, 1e-9)))
     return config.learning_rate * warm * fall
 
 
-def progress(config: TrainConfig, step: int, elapsed_s: float) -> float:
+def progress(config: RunConfig, step: int, elapsed_s: float) -> float:
     """Return the share of the run that is done, by steps or by running time."""
     if config.steps is not None:
         return step / config.steps
@@ -116,35 +101,22 @@ class Trainer:
     """The loop of one replica: data, steps; in the first replica also log and checkpoints."""
 
     def __init__(
-        self,
-        config: TrainConfig,
-        source: Source,
-        words: tuple[str, ...],
-        *,
-        rank: int = 0,
-        exchange: GradientExchange | None = None,
+        self, task: Task, *, rank: int = 0, exchange: GradientExchange | None = None
     ) -> None:
         """Build the state, or take it from the checkpoint.
 
         Args:
-            config: the run.
-            source: where objects come from.
-            words: the vocabulary.
+            task: what to train.
             rank: number of this replica.
             exchange: how replicas meet; None = this is the only one.
 
         Raises:
             UserError: there is no checkpoint to resume from.
         """
-        self.config = config
-        self.state = TrainState.start(config)
-        if config.resume:
-            self.state.load(config.out)
-        size = self.state.model.config
-        self._spec = ShardSpec(
-            source, config.data, words, size.text_length, size.resolution_px,
-            config.seed, config.shard_sets,
-        )  # fmt: skip
+        self.task, self.config = task, task.config
+        self.state = TrainState.start(self.config, task.make_model)
+        if self.config.resume:
+            self.state.load(self.config.out)
         self._rank = rank
         self._exchange = exchange
         self._stop = False
@@ -156,8 +128,14 @@ class Trainer:
         started = time.monotonic() - state.elapsed_s
         last_saved = last_sampled = state.elapsed_s
         workers = config.workers if self._rank == 0 else None
-        first = state.step * config.batch_sets
-        reader = ShardReader(self._spec, config.out / "sets", workers=workers, first=first)
+        first = self.task.set_indices(state.step)[-1]
+        reader = ShardReader(
+            self.task.spec,
+            config.out / "sets",
+            workers=workers,
+            first=first,
+            behind=self.task.behind,
+        )
         with _signals(self._on_signal), reader:
             done = progress(config, state.step, state.elapsed_s) >= 1
             while not done:
@@ -182,12 +160,9 @@ class Trainer:
         config, state = self.config, self.state
         began, waited = time.monotonic(), reader.waited_s
         own = slice(self._rank, None, config.replicas)
-        first = state.step * config.batch_sets
-        indices = range(first, first + config.batch_sets)[own]
-        batch = decode_sets(reader.read(indices)).to(config.device)
-        drawn = draw_step_noise(config, state.step).select(own, config.device)
+        stored = reader.read(self.task.set_indices(state.step)[own])
         with autocast(config.device, config.precision):
-            loss = training_loss(state.model, batch, drawn)
+            loss = self.task.loss(state.model, stored, state.step, own)
         state.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         mean_loss = float(loss.detach())
@@ -219,12 +194,9 @@ class Trainer:
             )
 
     def _evaluate(self) -> None:
-        config, state = self.config, self.state
         began = time.monotonic()
-        batch = held_out_sets(self._spec, config.evaluation_sets).to(config.device)
-        losses = measure_losses(state.ema, batch, config.precision)
-        path = config.out / f"samples-{state.step:06d}.png"
-        save_sample_sheet(state.ema, batch, config.precision, path)
+        path = self.config.out / f"samples-{self.state.step:06d}.png"
+        losses = self.task.evaluate(self.state.ema, path)
         self._log("held_out", ms=1000 * (time.monotonic() - began), **losses)
 
     def _log(self, kind: str, **values: Any) -> None:
@@ -238,46 +210,37 @@ class Trainer:
         self._stop = True
 
 
-def train(config: TrainConfig, source: Source, words: tuple[str, ...]) -> TrainState:
+def train(task: Task) -> TrainState:
     """Train with as many replicas as configured; this process is the first of them.
 
     Args:
-        config: the run.
-        source: where objects come from; a module-level function.
-        words: the vocabulary, in the order the embeddings are trained in.
+        task: what to train; its run folder has been opened (``open_run``).
 
     Raises:
-        UserError: the folder and the options do not fit together, or a replica died.
+        UserError: a replica died, or there is no checkpoint to resume from.
     """
-    words = open_run(config, words)
+    config = task.config
     if config.replicas == 1:
-        return Trainer(config, source, words).run()
+        return Trainer(task).run()
     context = torch.multiprocessing.get_context("spawn")
-    parameters = FourViewDenoiser(config.model).parameters()
-    exchange = GradientExchange.create(context, config.replicas, parameters)
+    exchange = GradientExchange.create(context, config.replicas, task.make_model().parameters())
     others = [
-        context.Process(target=_run_replica, args=(config, source, words, rank, exchange))
+        context.Process(target=_run_replica, args=(task, rank, exchange))
         for rank in range(1, config.replicas)
     ]
     for process in others:
         process.start()
     try:
-        return Trainer(config, source, words, exchange=exchange).run()
+        return Trainer(task, exchange=exchange).run()
     finally:
         for process in others:
             process.join(timeout=30)
             process.terminate()
 
 
-def _run_replica(
-    config: TrainConfig,
-    source: Source,
-    words: tuple[str, ...],
-    rank: int,
-    exchange: GradientExchange,
-) -> None:
-    torch.set_num_threads(config.threads)
-    Trainer(config, source, words, rank=rank, exchange=exchange).run()
+def _run_replica(task: Task, rank: int, exchange: GradientExchange) -> None:
+    torch.set_num_threads(task.config.threads)
+    Trainer(task, rank=rank, exchange=exchange).run()
 
 
 @contextmanager
@@ -299,13 +262,21 @@ def _rounded(value: Any) -> Any:
 def main() -> int:
     """Run from the command line."""
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
-    config = tyro.cli(TrainConfig, description=__doc__)
+    config = tyro.cli(
+        Annotated[TrainConfig, tyro.conf.subcommand("views")]
+        | Annotated[ShapeTrainConfig, tyro.conf.subcommand("shape")],  # type: ignore[arg-type]
+        description=__doc__,
+    )
     os.nice(config.nice)
     torch.set_num_threads(config.threads)
     from recipes.train_embedded_prior.source import procedural_source, procedural_words
 
     try:
-        train(config, procedural_source, procedural_words())
+        words = open_run(config, procedural_words())
+        if isinstance(config, ShapeTrainConfig):
+            train(ShapeTask(config, procedural_source, words))
+        else:
+            train(ViewsTask(config, procedural_source, words))
     except UserError as error:
         _LOG.error("%s", error)
         return error.exit_code

@@ -21,7 +21,13 @@ import torch
 from torch import Tensor
 
 from gscomplete.errors import UserError
-from gscomplete.priors.base import Conditioning, FourViews, Guidance, PriorViews
+from gscomplete.priors.base import (
+    Conditioning,
+    FirstGuess,
+    FourViews,
+    Guidance,
+    PriorViews,
+)
 from gscomplete.priors.embedded.diffusion import (
     NUM_TIMESTEPS,
     add_noise,
@@ -32,8 +38,18 @@ from gscomplete.priors.embedded.diffusion import (
 from gscomplete.priors.embedded.inputs import images_to_color_alpha, input_map, network_images
 from gscomplete.priors.embedded.model import INPUT_CHANNELS, VIEWS, FourViewDenoiser
 from gscomplete.priors.embedded.rays import ring_numbers
+from gscomplete.priors.embedded.shape.inputs import shape_inputs
+from gscomplete.priors.embedded.shape.model import ShapeCompleter
+from gscomplete.priors.embedded.shape.predict import predict_whole
+from gscomplete.priors.embedded.shape.surface import (
+    SurfaceSettings,
+    filled_box,
+    surface_splats,
+)
 from gscomplete.priors.embedded.text import Tokenizer
 from gscomplete.priors.embedded.weights import PriorConfig, load_weights
+from gscomplete.splats import Splats
+from gscomplete.views import ViewDistribution
 
 Precision = Literal["auto", "bfloat16", "float32"]
 
@@ -70,18 +86,21 @@ class EmbeddedPrior:
         config: PriorConfig,
         device: torch.device | str = "cpu",
         precision: Precision = "auto",
+        shape: ShapeCompleter | None = None,
     ) -> None:
-        """Wrap a denoiser.
+        """Wrap a denoiser and a shape network.
 
         Args:
             model: in evaluation mode.
             config: what goes with it.
             device: where it runs.
             precision: of the network; ``auto`` = bfloat16 where hardware has it.
+            shape: in evaluation mode; None = no first guess of the whole.
         """
         self.views: PriorViews = config.views
         self._device = torch.device(device)
         self._model = model.to(self._device)
+        self._shape = shape  # always on the CPU: one pass of a second
         self._tokenizer = Tokenizer(config.words, config.model.text_length)
         self._bfloat16 = precision == "bfloat16" or (
             precision == "auto" and _multiplies_bfloat16(self._device)
@@ -94,8 +113,8 @@ class EmbeddedPrior:
         Raises:
             UserError: the weights are missing or damaged.
         """
-        model, config = load_weights(folder)
-        return cls(model, config, device)
+        model, shape, config = load_weights(folder)
+        return cls(model, config, device, shape=shape)
 
     def condition(self, prompt: str, negative_prompt: str | None = None) -> EmbeddedConditioning:
         """Encode a prompt; see :class:`gscomplete.priors.base.Prior`."""
@@ -106,6 +125,24 @@ class EmbeddedPrior:
         return EmbeddedConditioning(
             self._tokenizer.encode(prompt), self._tokenizer.encode(negative_prompt or ""), report
         )
+
+    def first_guess(
+        self,
+        partial: Splats,
+        distribution: ViewDistribution,
+        conditioning: Conditioning,
+        generator: torch.Generator,
+        count: int,
+    ) -> FirstGuess | None:
+        """Return the whole as the shape network sees it; see :class:`base.ShapePrior`."""
+        if self._shape is None:
+            return None
+        assert isinstance(conditioning, EmbeddedConditioning)
+        seen = shape_inputs(partial, distribution)
+        output = predict_whole(self._shape, seen, conditioning.tokens, bfloat16=self._bfloat16)
+        settings = SurfaceSettings(count=count)
+        splats = surface_splats(output, seen, partial, settings, generator)
+        return FirstGuess(splats, filled_box(output)) if len(splats) else None
 
     def distill(
         self,

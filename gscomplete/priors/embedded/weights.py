@@ -1,4 +1,7 @@
-"""Weights of the embedded prior on disk: ``model.safetensors``, ``config.json``, ``CARD.md``.
+"""Weights of the embedded prior on disk.
+
+``model.safetensors`` holds the four-view denoiser, ``shape.safetensors`` the shape network (it may
+be absent), ``config.json`` what goes with them, and ``CARD.md`` tells people about them.
 
 Conventions
 -----------
@@ -6,7 +9,7 @@ Conventions
   first axis): ``NAME`` and ``NAME.scale``, value = int8 * scale. Vectors are float16. ``float32``
   storage keeps everything as it is.
 * ``config.json`` holds what inference needs (architecture, framing, vocabulary) and how the
-  weights came to be; both files carry one digest, so that they cannot be mixed up.
+  weights came to be; all files carry one digest of the words, so that they cannot be mixed up.
 """
 
 from __future__ import annotations
@@ -19,17 +22,20 @@ from typing import Literal
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
-from torch import Tensor
+from torch import Tensor, nn
 
 from gscomplete.atomic import atomic_path
 from gscomplete.errors import UserError
 from gscomplete.jsonio import from_json, read_json, write_json
 from gscomplete.priors.base import PriorViews
 from gscomplete.priors.embedded.model import FourViewDenoiser, ModelConfig
+from gscomplete.priors.embedded.shape.grid import COARSE_CELLS
+from gscomplete.priors.embedded.shape.model import ShapeCompleter, ShapeModelConfig
 
 WEIGHTS_FILE = "model.safetensors"
+SHAPE_FILE = "shape.safetensors"
 CONFIG_FILE = "config.json"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 _SCALE = ".scale"
 _DIGEST = "words_digest"
 
@@ -48,8 +54,16 @@ class TrainingRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class ShapeRecord:
+    """All that goes with the weights of the shape network."""
+
+    model: ShapeModelConfig
+    training: TrainingRecord
+
+
+@dataclass(frozen=True, slots=True)
 class PriorConfig:
-    """All that goes with a file of weights."""
+    """All that goes with the weights."""
 
     format_version: int
     model: ModelConfig
@@ -57,6 +71,8 @@ class PriorConfig:
     words: tuple[str, ...]
     storage: Storage
     training: TrainingRecord
+    shape: ShapeRecord | None = None
+    """The shape network; None = there is none, and completions start without a first guess."""
 
 
 def words_digest(words: tuple[str, ...]) -> str:
@@ -92,53 +108,81 @@ def unpack_tensors(packed: dict[str, Tensor]) -> dict[str, Tensor]:
     return state
 
 
-def save_weights(folder: Path, state: dict[str, Tensor], config: PriorConfig) -> None:
+def save_weights(
+    folder: Path,
+    state: dict[str, Tensor],
+    config: PriorConfig,
+    shape_state: dict[str, Tensor] | None = None,
+) -> None:
     """Write weights and configuration to a folder, creating it.
+
+    Args:
+        folder: to write to.
+        state: of the denoiser.
+        config: what goes with them.
+        shape_state: of the shape network; given exactly if ``config.shape`` is.
 
     Raises:
         UserError: the folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     metadata = {_DIGEST: words_digest(config.words)}
-    with atomic_path(folder / WEIGHTS_FILE) as temporary:
-        temporary.write_bytes(save(pack_tensors(state, config.storage), metadata=metadata))
+    files = {WEIGHTS_FILE: state}
+    if shape_state is not None:
+        files[SHAPE_FILE] = shape_state
+    for name, tensors in files.items():
+        with atomic_path(folder / name) as temporary:
+            temporary.write_bytes(save(pack_tensors(tensors, config.storage), metadata=metadata))
     write_json(folder / CONFIG_FILE, config)
 
 
-def load_weights(folder: Path) -> tuple[FourViewDenoiser, PriorConfig]:
-    """Read a denoiser in float32 on the CPU.
+def load_weights(folder: Path) -> tuple[FourViewDenoiser, ShapeCompleter | None, PriorConfig]:
+    """Read the networks in float32 on the CPU.
 
     Raises:
-        UserError: a file is missing, damaged, of another version, or does not belong to the other.
+        UserError: a file is missing, damaged, of another version, or does not belong to the others.
     """
-    for name in (WEIGHTS_FILE, CONFIG_FILE):
-        if not (folder / name).is_file():
-            raise UserError(
-                f"{folder / name}: weights of the embedded prior are missing; expected a folder "
-                f"with {WEIGHTS_FILE} and {CONFIG_FILE}"
-            )
+    _require(folder / CONFIG_FILE)
     config = _read_config(folder / CONFIG_FILE)
-    path = folder / WEIGHTS_FILE
+    digest = words_digest(config.words)
+    denoiser = FourViewDenoiser(config.model)
+    _load(denoiser, folder / WEIGHTS_FILE, digest)
+    if config.shape is None:
+        return denoiser, None, config
+    shape = ShapeCompleter(config.shape.model, COARSE_CELLS)
+    _load(shape, folder / SHAPE_FILE, digest)
+    return denoiser, shape, config
+
+
+def _require(path: Path) -> None:
+    if not path.is_file():
+        raise UserError(
+            f"{path}: weights of the embedded prior are missing; expected a folder with "
+            f"{WEIGHTS_FILE} and {CONFIG_FILE}"
+        )
+
+
+def _load(model: nn.Module, path: Path, digest: str) -> None:
+    """Fill a network from a file, for evaluation."""
+    _require(path)
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
             packed = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError) as error:
         raise UserError(f"{path}: expected a safetensors file, found damage ({error})") from error
-    expected = words_digest(config.words)
-    if metadata.get(_DIGEST) != expected:
+    if metadata.get(_DIGEST) != digest:
         raise UserError(
-            f"{path}: {_DIGEST}: expected {expected} as in {CONFIG_FILE}, found "
-            f"{metadata.get(_DIGEST)}; the two files are not of one export"
+            f"{path}: {_DIGEST}: expected {digest} as in {CONFIG_FILE}, found "
+            f"{metadata.get(_DIGEST)}; the files are not of one export"
         )
-    model = FourViewDenoiser(config.model)
     try:
         model.load_state_dict(unpack_tensors(packed))
     except (RuntimeError, KeyError) as error:
         raise UserError(
             f"{path}: tensors do not fit the model of {CONFIG_FILE}: {error}"
         ) from error
-    return model.eval().requires_grad_(False), config
+    model.eval().requires_grad_(False)
 
 
 def _read_config(path: Path) -> PriorConfig:

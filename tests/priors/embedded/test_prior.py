@@ -135,7 +135,7 @@ def test_another_priors_conditioning_is_refused(prior):
 def test_unknown_prior_and_empty_folder_are_user_errors(tmp_path):
     with pytest.raises(UserError, match="expected embedded"):
         load_prior("no-such-prior")
-    with pytest.raises(UserError, match="missing"):
+    with pytest.raises(UserError, match="found none of them"):
         load_prior(str(tmp_path))
 
 

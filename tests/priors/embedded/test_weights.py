@@ -44,9 +44,9 @@ def test_wider_storage_is_closer(storage, tolerance):
 
 
 def test_saving_what_was_loaded_keeps_it(folder, tmp_path):
-    model, config = load_weights(folder)
+    model, _, config = load_weights(folder)
     save_weights(tmp_path / "again", model.state_dict(), config)
-    again, _ = load_weights(tmp_path / "again")
+    again, _, _ = load_weights(tmp_path / "again")
     for name, value in model.state_dict().items():
         torch.testing.assert_close(again.state_dict()[name], value, rtol=1e-3, atol=1e-7)
     assert (folder / CONFIG_FILE).read_bytes() == (tmp_path / "again" / CONFIG_FILE).read_bytes()
@@ -69,7 +69,7 @@ def test_damaged_weights_are_refused(folder):
 def test_other_version_is_refused(folder):
     path = folder / CONFIG_FILE
     path.write_text(json.dumps(json.loads(path.read_text()) | {"format_version": 99}))
-    with pytest.raises(UserError, match="format_version: expected 1, found 99"):
+    with pytest.raises(UserError, match="format_version: expected 2, found 99"):
         load_weights(folder)
 
 
@@ -84,7 +84,7 @@ def test_files_of_two_exports_are_not_mixed(folder):
 
 def test_missing_tensor_is_refused(folder):
     path = folder / WEIGHTS_FILE
-    _, config = load_weights(folder)
+    _, _, config = load_weights(folder)
     tensors = load_file(path)
     tensors.pop("head.bias")
     save_file(tensors, path, metadata={"words_digest": words_digest(config.words)})

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from gscomplete.priors.embedded.shape.model import ShapeModelConfig
 from gscomplete.splats.record import Splats, colors_to_sh
-from recipes.train_embedded_prior.config import DataConfig, TrainConfig
+from recipes.train_embedded_prior.config import DataConfig, ShapeTrainConfig, TrainConfig
 from recipes.train_embedded_prior.dataset import TrainingObject
 from tests.priors.embedded.tiny import TINY
 
@@ -48,4 +49,23 @@ def tiny_run(out: Path, **changes: object) -> TrainConfig:
         "data": DATA,
         "model": TINY,
     }
-    return TrainConfig(out, **(options | changes))  # type: ignore[arg-type]
+    return TrainConfig(out=out, **(options | changes))  # type: ignore[arg-type]
+
+
+def tiny_shape_run(out: Path, **changes: object) -> ShapeTrainConfig:
+    options: dict[str, object] = {
+        "minutes": None,
+        "steps": 4,
+        "batch_sets": 3,
+        "fresh_sets": 2,
+        "warmup_steps": 2,
+        "replicas": 1,
+        "workers": 0,
+        "evaluation_sets": 0,
+        "shard_sets": 2,
+        "precision": "float32",
+        "model": ShapeModelConfig(
+            vocabulary_size=2 + len(WORDS), widths=(8, 8, 16), blocks=(1, 1, 1), embedding=8
+        ),
+    }
+    return ShapeTrainConfig(out=out, **(options | changes))  # type: ignore[arg-type]

@@ -73,7 +73,7 @@ def test_corrupt_share_is_respected():
 )
 def test_senseless_runs_are_refused(tmp_path, changes):
     with pytest.raises(ValueError, match="TrainConfig"):
-        TrainConfig(tmp_path, **changes)
+        TrainConfig(out=tmp_path, **changes)
 
 
 def test_stored_bytes_are_exact_for_nothing_and_everything():

@@ -2,9 +2,20 @@ import torch
 
 from gscomplete.priors import load_prior
 from gscomplete.priors.embedded.weights import load_weights
-from recipes.train_embedded_prior.export import card, export, keep_words, words_seen
-from recipes.train_embedded_prior.state import TrainState
-from tests.recipes.train_embedded_prior.stub import WORDS, tiny_run
+from recipes.train_embedded_prior.export import TrainedRun, card, export, words_seen
+from recipes.train_embedded_prior.shape_task import ShapeTask
+from recipes.train_embedded_prior.state import TrainState, open_run
+from recipes.train_embedded_prior.views_task import ViewsTask
+from tests.recipes.train_embedded_prior.stub import WORDS, stub_source, tiny_run, tiny_shape_run
+
+
+def trained(task, steps=0):
+    """Write a run folder as the trainer leaves it, and read it."""
+    open_run(task.config, task.words)
+    state = TrainState.start(task.config, task.make_model)
+    state.step = steps
+    state.save(task.config.out)
+    return TrainedRun.load(task.config.out)
 
 
 def test_only_words_seen_in_captions_are_kept():
@@ -12,24 +23,33 @@ def test_only_words_seen_in_captions_are_kept():
 
 
 def test_kept_words_keep_their_embeddings(tmp_path):
-    state = TrainState.start(tiny_run(tmp_path)).ema.state_dict()
-    kept = keep_words(state, WORDS, ("red",))
-    name = "text.words.weight"
-    assert torch.equal(kept[name], state[name][[0, 1, 2 + WORDS.index("red")]])
+    views = trained(ViewsTask(tiny_run(tmp_path / "a"), stub_source, WORDS))
+    shape = trained(ShapeTask(tiny_shape_run(tmp_path / "b"), stub_source, WORDS))
+    rows = [0, 1, 2 + WORDS.index("red")]
+    for run, name in ((views, "text.words.weight"), (shape, "words.weight")):
+        everything = run.state.ema.state_dict()
+        assert torch.equal(run.weights(("red",))[name], everything[name][rows])
 
 
 def test_exported_weights_make_a_prior(tmp_path):
-    config = tiny_run(tmp_path)
-    state = TrainState.start(config)
-    state.step = 7
-    written = export(config, state, WORDS, ("ball", "red"), tmp_path / "out", "int8")
-    model, read = load_weights(tmp_path / "out")
+    views = trained(ViewsTask(tiny_run(tmp_path / "a"), stub_source, WORDS), steps=7)
+    shape = trained(ShapeTask(tiny_shape_run(tmp_path / "b"), stub_source, WORDS), steps=5)
+    written = export(views, shape, ("ball", "red"), tmp_path / "out", "int8")
+    model, shape_model, read = load_weights(tmp_path / "out")
     assert read == written
+    assert shape_model is not None
     assert read.training.sets == 14
     prior = load_prior(str(tmp_path / "out"))
-    assert prior.views.resolution_px == config.model.resolution_px
+    assert prior.views.resolution_px == views.config.model.resolution_px
     assert "unknown to this prior: blue" in " ".join(prior.condition("a blue ball").report)
     losses = {"stored": {"input_mean": 0.1, "text_mean": 0.2}}
-    text = card(read, model, losses)
+    text = card(read, model, shape_model, losses, {"iou": 0.5})
     assert "| stored | 0.1000 | 0.2000 |" in text
     assert "7 steps, 14 four-view sets" in text
+    assert "Held-out iou: 0.5000" in text
+
+
+def test_weights_without_a_shape_network_make_a_prior_that_does_not_guess(tmp_path):
+    views = trained(ViewsTask(tiny_run(tmp_path / "a"), stub_source, WORDS))
+    export(views, None, WORDS, tmp_path / "out", "float16")
+    assert load_weights(tmp_path / "out")[1] is None

@@ -10,8 +10,15 @@ import torch
 from gscomplete.errors import UserError
 from gscomplete.priors.embedded.diffusion import NUM_TIMESTEPS
 from recipes.train_embedded_prior.replicas import GradientExchange, Signals
-from recipes.train_embedded_prior.train import draw_step_noise, learning_rate, train
+from recipes.train_embedded_prior.state import open_run
+from recipes.train_embedded_prior.train import learning_rate
+from recipes.train_embedded_prior.train import train as train_task
+from recipes.train_embedded_prior.views_task import ViewsTask, draw_step_noise
 from tests.recipes.train_embedded_prior.stub import WORDS, stub_source, tiny_run
+
+
+def train(config, source, words):
+    return train_task(ViewsTask(config, source, open_run(config, words)))
 
 
 def weights(state):

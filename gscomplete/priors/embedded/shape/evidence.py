@@ -1,0 +1,88 @@
+"""What the input views say about space: seen to be empty, hidden behind P, or beside P.
+
+Conventions
+-----------
+* P is rendered from a few views of V. A point in front of P's surface was seen to be empty, else
+  it would hide P; behind it, nothing is known; on a ray that misses P there may be something that
+  was cut away.
+* Depth is camera-space z; pixels as in ``views.cameras``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from gscomplete.priors.embedded.shape.grid import FloatArray
+from gscomplete.render import render
+from gscomplete.splats import Splats
+from gscomplete.views import ViewDistribution
+
+_VIEW_OFFSETS = (0.0, -0.6, 0.6)
+"""Azimuths of the views in ranges of V, about c."""
+SIZE_PX = 48
+FRONT_TOLERANCE = 0.03
+"""A point this much nearer than P's surface is in front of it (object sizes)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """P's depth from a few views of V."""
+
+    depth: FloatArray  # [V, S, S] of P's surface; inf where P is not
+    camera_from_world: FloatArray  # [V, 4, 4]
+    focal_px: float
+
+    def classify(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
+        """Return for every point the shares of views that find it in front, behind, beside P."""
+        flat = np.ascontiguousarray(points.reshape(-1, 3).astype(np.float32))
+        return _classify(flat, self.depth, self.camera_from_world, self.focal_px)
+
+
+def gather_evidence(partial: Splats, distribution: ViewDistribution) -> Evidence:
+    """Render P's depth from c and to both sides of it."""
+    offsets = np.array(_VIEW_OFFSETS) * distribution.azimuth_range_deg
+    angles = (
+        distribution.azimuth_deg + offsets,
+        np.full(len(offsets), np.clip(distribution.elevation_deg, -80.0, 80.0)),
+    )
+    cameras = distribution.cameras(angles, SIZE_PX)
+    with torch.no_grad():
+        seen = render(partial.with_sh_degree(0), cameras)
+    depth = torch.where(seen.alpha > 0.5, seen.depth, torch.inf).float().numpy()
+    return Evidence(
+        np.ascontiguousarray(depth),
+        np.ascontiguousarray(cameras.camera_from_world.float().numpy()),
+        float(cameras.focal_px[0, 0]),
+    )
+
+
+@numba.njit(cache=True)
+def _classify(
+    points: FloatArray,  # [N, 3]
+    depth: FloatArray,  # [V, S, S]
+    camera_from_world: FloatArray,  # [V, 4, 4]
+    focal_px: float,
+) -> NDArray[np.float32]:  # [N, 3]
+    shares = np.zeros((len(points), 3), np.float32)
+    views, size = depth.shape[0], depth.shape[1]
+    for n in range(len(points)):
+        for v in range(views):
+            m = camera_from_world[v]
+            x = m[0, 0] * points[n, 0] + m[0, 1] * points[n, 1] + m[0, 2] * points[n, 2] + m[0, 3]
+            y = m[1, 0] * points[n, 0] + m[1, 1] * points[n, 1] + m[1, 2] * points[n, 2] + m[1, 3]
+            z = m[2, 0] * points[n, 0] + m[2, 1] * points[n, 1] + m[2, 2] * points[n, 2] + m[2, 3]
+            kind = 2
+            if z > 1e-3:
+                px = x / z * focal_px + 0.5 * size
+                py = y / z * focal_px + 0.5 * size
+                if 0 <= px < size and 0 <= py < size:
+                    surface = depth[v, int(py), int(px)]
+                    if surface < np.inf:
+                        kind = 0 if z < surface - FRONT_TOLERANCE else 1
+            shares[n, kind] += 1.0 / views
+    return shares

@@ -1,0 +1,194 @@
+"""Splats on the surface that the shape network believes in.
+
+Conventions
+-----------
+* The surface is where the interpolated occupancy logit is zero; outward is where it falls. Cells
+  of thin walls are filled whole, so the surface lies ``_INWARD`` cells outside the true one on
+  average: splats are set that much inside it.
+* Splats are flat discs facing outward. Those on surface that P has are left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from gscomplete.priors.embedded.shape.grid import CELL_SIDE, HALF_SIDE
+from gscomplete.priors.embedded.shape.inputs import SOURCES, ShapeInputs
+from gscomplete.priors.embedded.shape.model import ShapeOutput
+from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.splats.rotations import quaternions_facing
+
+_INWARD = 0.4
+_SEEDS_PER_CELL = 6
+_NEWTON_STEPS = 5
+_FLATNESS = 0.1
+_OVERLAP = 0.75
+"""Tangent standard deviation per spacing, so that neighbours overlap into a closed surface."""
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceSettings:
+    """How the surface is covered; lengths in object sizes."""
+
+    count: int = 8000
+    """Most splats."""
+    opacity: float = 0.95
+    near_partial: float = 0.03
+    """Surface points this near to P's splats are P's own."""
+    color_reach: float = 0.06
+    """A source's colour counts where it has a splat this near."""
+
+
+def surface_splats(
+    output: ShapeOutput,
+    inputs: ShapeInputs,
+    partial: Splats,
+    settings: SurfaceSettings,
+    generator: torch.Generator,
+) -> Splats:
+    """Cover the surface of one object where P does not.
+
+    Args:
+        output: of the network for a batch of one.
+        inputs: what the network saw.
+        partial: P in the object frame, for colours and to know what is there already.
+        settings: knobs.
+        generator: chooses where splats sit.
+    """
+    logits = output.occupancy[0].float().clamp(-8, 8)
+    points = _seeds(logits, generator)
+    points, normals, on_surface = _project(logits, points)
+    points = (points - _INWARD * CELL_SIDE * normals)[on_surface]
+    normals = normals[on_surface]
+    few = partial.means[torch.randperm(len(partial), generator=generator)[:20_000]].float()
+    is_new = _nearest(points, few)[0] > settings.near_partial
+    points, normals = points[is_new], normals[is_new]
+    points, normals, spacing = _spread(points, normals, settings.count, generator)
+    colors = _colors(output, inputs, partial, points, settings, generator)
+    scales = torch.full((len(points), 3), _OVERLAP * spacing)
+    scales[:, 2] *= _FLATNESS
+    return Splats(
+        points,
+        quaternions_facing(normals),
+        scales,
+        torch.full((len(points),), settings.opacity),
+        colors_to_sh(colors.clamp(0.0, 1.0)),
+    )
+
+
+def filled_box(output: ShapeOutput) -> Tensor:  # [2, 3]
+    """Return the corners of the box about everything filled; the whole grid if nothing is."""
+    places = torch.nonzero(output.occupancy[0] > 0)
+    if len(places) == 0:
+        return torch.tensor([[-HALF_SIDE] * 3, [HALF_SIDE] * 3])
+    low, high = places.amin(dim=0), places.amax(dim=0) + 1
+    return torch.stack([low, high]) * CELL_SIDE - HALF_SIDE
+
+
+def sample_volume(volume: Tensor, points: Tensor) -> Tensor:  # [C, n, n, n], [N, 3] -> [N, C]
+    """Interpolate a volume of cell-centred values at points of the object frame."""
+    place = (points / HALF_SIDE).flip(-1)[None, None, None]  # grid_sample wants z, y, x
+    found = F.grid_sample(volume[None], place, align_corners=False, padding_mode="border")
+    return found[0, :, 0, 0].T
+
+
+def _seeds(logits: Tensor, generator: torch.Generator) -> Tensor:  # [N, 3]
+    """Draw points in the cells about the surface."""
+    filled = (logits > 0).float()[None]
+    mixed = F.max_pool3d(filled, 3, 1, 1) - (1 - F.max_pool3d(1 - filled, 3, 1, 1))
+    cells = torch.nonzero(mixed[0] > 0).repeat(_SEEDS_PER_CELL, 1).float()
+    jitter = torch.rand(cells.shape, generator=generator)
+    return (cells + jitter) * CELL_SIDE - HALF_SIDE
+
+
+def _project(logits: Tensor, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Move points to the surface; return them, outward normals, and which ones arrived."""
+    smooth = F.avg_pool3d(logits[None], 3, 1, 1, count_include_pad=False)[0]
+    field = 0.5 * (logits + smooth)
+    slopes = torch.stack(torch.gradient(field, spacing=CELL_SIDE))
+    both = torch.cat([field[None], slopes])
+    home = points
+    for _ in range(_NEWTON_STEPS):
+        found = sample_volume(both, points)
+        slope = found[:, 1:]
+        move = -found[:, :1] * slope / slope.square().sum(dim=1, keepdim=True).clamp_min(1e-3)
+        points = points + move.clamp(-CELL_SIDE, CELL_SIDE)
+    found = sample_volume(both, points)
+    normals = -F.normalize(found[:, 1:], dim=1)
+    steep = found[:, 1:].norm(dim=1).clamp_min(1e-3)
+    arrived = (found[:, 0].abs() / steep < 0.1 * CELL_SIDE) & (
+        (points - home).norm(dim=1) < 2.5 * CELL_SIDE
+    )
+    return points, normals, arrived
+
+
+def _spread(
+    points: Tensor, normals: Tensor, count: int, generator: torch.Generator
+) -> tuple[Tensor, Tensor, float]:
+    """Keep at most ``count`` evenly spread points; return their spacing too.
+
+    One point is kept per cell of a grid whose side is searched for; points that face opposite ways
+    are kept apart, so that thin walls stay double.
+    """
+    order = torch.randperm(len(points), generator=generator)
+    points, normals = points[order], normals[order]
+    side_low, side_high = 0.002, 0.2
+    kept = torch.arange(len(points))
+    for _ in range(12):
+        side = (side_low * side_high) ** 0.5
+        found = _one_per_cell(points, normals, side)
+        if len(found) > count:
+            side_low = side
+        else:
+            side_high = side
+            kept = found
+    return points[kept], normals[kept], side_high
+
+
+def _one_per_cell(points: Tensor, normals: Tensor, side: float) -> Tensor:  # [K]
+    """Return the index of the first point of every grid cell and facing."""
+    cells = torch.floor((points + 1.0) / side).long()
+    facing = (normals @ torch.tensor([0.9, 0.35, 0.25]) > 0).long()
+    keys = ((cells[:, 0] * 4096 + cells[:, 1]) * 4096 + cells[:, 2]) * 2 + facing
+    _, inverse = torch.unique(keys, return_inverse=True)
+    first = torch.full((int(inverse.max()) + 1 if len(keys) else 0,), len(keys))
+    return first.scatter_reduce(0, inverse, torch.arange(len(keys)), "amin")
+
+
+def _colors(
+    output: ShapeOutput,
+    inputs: ShapeInputs,
+    partial: Splats,
+    points: Tensor,
+    settings: SurfaceSettings,
+    generator: torch.Generator,
+) -> Tensor:  # [N, 3]
+    """Take each point's colour from the sources, in the shares the network gives them."""
+    order = torch.randperm(len(partial), generator=generator)[:40_000]
+    means, base = partial.means[order].float(), partial.base_colors[order].float().clamp(0, 1)
+    logits = sample_volume(output.sources[0].float(), points)
+    free = sample_volume(output.colors[0].float(), points)
+    found = [free]
+    known = [torch.ones(len(points), dtype=torch.bool)]
+    places = [points] + [
+        torch.from_numpy(symmetry.undo(points.numpy())) for symmetry in inputs.symmetries
+    ]
+    for place in places:
+        distance, nearest = _nearest(place, means)
+        found.append(base[nearest])
+        known.append(distance < settings.color_reach)
+    shares = torch.cat([logits[:, SOURCES:], logits[:, :SOURCES]], dim=1)
+    shares = shares.masked_fill(~torch.stack(known, dim=1), -30.0).softmax(dim=1)
+    sharpened = shares.square() / shares.square().sum(dim=1, keepdim=True)
+    return (sharpened[:, :, None] * torch.stack(found, dim=1)).sum(dim=1)
+
+
+def _nearest(points: Tensor, others: Tensor) -> tuple[Tensor, Tensor]:  # [N], [N]
+    """Return distance and index of the nearest of other points."""
+    distance, index = cKDTree(others.numpy()).query(points.numpy())
+    return torch.from_numpy(distance).float(), torch.from_numpy(index)

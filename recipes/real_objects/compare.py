@@ -1,0 +1,224 @@
+"""Compare ways to complete real objects: ``python -m recipes.real_objects.compare --out DIR``.
+
+Every object is completed (or not) in six ways and compared with the truth from eight views:
+
+* ``input``: P alone.
+* ``mirror``: P and the best of its three likely mirror images, *chosen with the truth*: more than
+  a method without the truth could reach by mirroring alone.
+* ``start``: P and the shape network's first guess, before any optimisation.
+* ``text``: the default preset with P withheld from the prior (no first guess, no renders of P).
+* ``fast``: the fast preset.
+* ``default``: the default preset.
+
+Scans have no truth: their pictures are drawn and their preservation errors measured. Results go to
+``comparison.json`` and ``comparison.png``; an interrupted comparison goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+import tyro
+from PIL import Image
+from rich.console import Console
+from rich.progress import track
+
+from gscomplete import jsonio
+from gscomplete.atomic import atomic_path
+from gscomplete.completion.framing import FramingGuess, guess_framing
+from gscomplete.completion.optimise import Completion
+from gscomplete.completion.settings import CompletionSettings, preset
+from gscomplete.evaluate.metrics import against_truth, preservation
+from gscomplete.evaluate.pictures import contact_sheet, render_images, save_image
+from gscomplete.priors import Prior, load_prior
+from gscomplete.priors.embedded.shape.inputs import shape_inputs
+from gscomplete.splats import Splats, concatenate, read_splats, write_splats
+from gscomplete.splats.transform import transform_splats
+from gscomplete.views import ObjectFrame, ViewDistribution, up_rotation
+from recipes.real_objects.complete import DATA
+from recipes.real_objects.load import RealObject, load_real_object
+
+Way = Literal["input", "mirror", "start", "text", "fast", "default"]
+WAYS: tuple[Way, ...] = ("input", "mirror", "start", "text", "fast", "default")
+OBJECTS = (
+    "blue_mug", "bowl", "apple", "stapler", "armchair", "refrigerator", "lantern", "sofa",
+    "soccer_ball", "duck", "knight", "chair", "donut", "frying_pan", "statue", "cow", "bottle",
+    "speaker", "biker", "armadillo", "tree", "scan_cake_tin", "scan_yellow_bowl", "scan_cereal_box",
+)  # fmt: skip
+"""Eighteen meshes of as many kinds, three others (a trained splat file, a statue without colours, a
+tree of loose parts), and three scans."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Compare ways to complete real objects."""
+
+    out: Path
+    """Folder for results; completions are kept in it as splat files."""
+    names: tuple[str, ...] = OBJECTS
+    """Objects by name."""
+    ways: tuple[Way, ...] = WAYS
+    """Ways to complete them."""
+    data: Path = DATA
+    """Folder of the real data."""
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Posed:
+    """A real object in the frame that was guessed from its part."""
+
+    item: RealObject
+    partial: Splats
+    truth: Splats | None
+    views: ViewDistribution
+
+
+def pose(item: RealObject) -> Posed:
+    """Guess the frame and the input view from the part, as a run does."""
+    rotation = up_rotation(item.up)
+    level = dataclasses.replace(
+        item.partial, means=(item.partial.means.double() @ rotation.T).float()
+    )
+    guess: FramingGuess = guess_framing(level)
+    frame = ObjectFrame.from_z_up(item.up, guess.center, guess.size)
+    truth = item.complete
+    return Posed(
+        item,
+        transform_splats(item.partial, frame.object_from_file),
+        None if truth is None else transform_splats(truth, frame.object_from_file),
+        ViewDistribution(guess.view_azimuth_deg, guess.view_elevation_deg),
+    )
+
+
+def new_splats(posed: Posed, way: Way, prior: Prior, seed: int) -> tuple[Splats | None, float]:
+    """Return the new splats of a way to complete, and its seconds; None = no new splats."""
+    started = time.perf_counter()
+    if way == "input":
+        return None, 0.0
+    if way == "mirror":
+        return best_mirror(posed), time.perf_counter() - started
+    settings = settings_of(way, prior, seed)
+    conditioning = prior.condition(posed.item.prompt)
+    run = Completion(posed.partial, prior, conditioning, posed.views, settings)
+    while way != "start" and not run.finished:
+        run.step()
+    return run.new_splats(), time.perf_counter() - started
+
+
+def settings_of(way: Way, prior: Prior, seed: int) -> CompletionSettings:
+    """Return the settings of a way to complete."""
+    chosen = preset("fast" if way == "fast" else "default", prior.name)
+    if way == "text":
+        chosen = dataclasses.replace(chosen, see_input=False, start="sphere")
+    return dataclasses.replace(chosen, seed=seed)
+
+
+def best_mirror(posed: Posed) -> Splats | None:
+    """Return the mirror image of P that is best by the truth."""
+    partial = posed.partial.with_sh_degree(0)
+    if posed.truth is None:
+        return None
+    best, best_iou = None, -1.0
+    for symmetry in shape_inputs(partial, posed.views).symmetries:
+        means = torch.from_numpy(symmetry.apply(partial.means.numpy()))
+        # Only silhouettes and colours are compared: widths are made round rather than turned.
+        size = partial.scales.amax(dim=1, keepdim=True).expand(-1, 3)
+        copy = dataclasses.replace(partial, means=means, scales=size.contiguous())
+        cameras = posed.views.ring(8, 128)
+        found = against_truth(concatenate([partial, copy]), partial, posed.truth, cameras)
+        if found.silhouette_iou > best_iou:
+            best, best_iou = copy, found.silhouette_iou
+    return best
+
+
+def measure(posed: Posed, new: Splats | None, seconds: float) -> dict[str, Any]:
+    """Return the numbers of one completion."""
+    partial = posed.partial.with_sh_degree(0)
+    whole = partial if new is None else concatenate([partial, new])
+    kept = preservation(whole, partial, posed.views.cameras(posed.views.low_discrepancy(16), 128))
+    row: dict[str, Any] = {
+        "seconds": seconds,
+        "new_splats": 0 if new is None else len(new),
+        "e_color_v": kept.color,
+        "e_depth_v": kept.depth,
+    }
+    if posed.truth is not None:
+        truth = posed.truth.with_sh_degree(0)
+        row |= jsonio.to_json(against_truth(whole, partial, truth, posed.views.ring(8, 256)))
+    return row
+
+
+def main(options: Options) -> None:
+    """Complete, measure, draw."""
+    prior = load_prior("embedded", "cpu")
+    options.out.mkdir(parents=True, exist_ok=True)
+    path = options.out / "comparison.json"
+    results: dict[str, dict[str, Any]] = json.loads(path.read_text()) if path.exists() else {}
+    pictures: list[list[Image.Image]] = []
+    for name in track(options.names, "objects", console=Console(file=sys.stderr)):
+        posed = pose(load_real_object(name, options.data))
+        rows = results.setdefault(name, {"prompt": posed.item.prompt})
+        for way in options.ways:
+            kept = options.out / f"{name}.{way}.ply"
+            if way not in rows:
+                new, seconds = new_splats(posed, way, prior, options.seed)
+                rows[way] = measure(posed, new, seconds)
+                if new is not None:
+                    write_splats(kept, new)
+                with atomic_path(path) as temporary:
+                    temporary.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+        pictures.append(_picture_row(posed, options.out / f"{name}.default.ply"))
+    sheet = contact_sheet(
+        pictures, row_labels=list(options.names), title="input | completion | truth"
+    )
+    save_image(sheet, options.out / "comparison.png")
+    sys.stdout.write(table(results, options.ways))
+
+
+def _picture_row(posed: Posed, completed: Path) -> list[Image.Image]:
+    """Draw input, completion and truth (or the completion from elsewhere) from four sides."""
+    cameras = posed.views.preview_cameras(144)[[0, 1, 3, 5]]
+    partial = posed.partial.with_sh_degree(0)
+    whole = partial
+    if completed.exists():
+        whole = concatenate([partial, read_splats(completed).splats])
+    row = [*render_images(partial, cameras), *render_images(whole, cameras)]
+    return row if posed.truth is None else [*row, *render_images(posed.truth, cameras)]
+
+
+def table(results: dict[str, dict[str, Any]], ways: tuple[Way, ...]) -> str:
+    """Show every object's silhouettes by way, then the means of everything."""
+    lines = [f"{'silhouette IoU':18}" + "".join(f"{way:>9}" for way in ways)]
+    known = [name for name, rows in results.items() if "silhouette_iou" in rows.get(ways[0], {})]
+    for name in known:
+        values = (results[name][way]["silhouette_iou"] for way in ways)
+        lines.append(f"{name:18}" + "".join(f"{value:9.3f}" for value in values))
+    for key, label in (
+        ("silhouette_iou", "mean silhouette"),
+        ("hidden_iou", "mean hidden IoU"),
+        ("hidden_color_psnr_db", "hidden PSNR dB"),
+        ("color_psnr_db", "PSNR dB"),
+        ("e_color_v", "E_color over V"),
+        ("e_depth_v", "E_depth over V"),
+        ("seconds", "seconds"),
+    ):
+        means = [
+            np.mean([results[name][way].get(key) or 0.0 for name in known or results])
+            for way in ways
+        ]
+        form = "9.5f" if key.startswith("e_") else "9.3f"
+        lines.append(f"{label:18}" + "".join(f"{mean:{form}}" for mean in means))
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))

@@ -1,0 +1,208 @@
+"""Training of the shape network: its sets, loss and evaluation.
+
+Conventions
+-----------
+* The loss is the cross entropy of the filled cells, heavier near the whole's surface, plus the
+  absolute error of the surface's colour where P is not.
+* While training, a source's colour in a cell is that of its filled cells nearby.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from PIL import Image
+from torch import Tensor, nn
+
+from gscomplete.atomic import atomic_path
+from gscomplete.priors.embedded.shape.grid import COARSE_CELLS
+from gscomplete.priors.embedded.shape.inputs import SOURCES
+from gscomplete.priors.embedded.shape.model import ShapeCompleter, ShapeOutput
+from gscomplete.priors.embedded.text import NO_TEXT_TOKEN
+from recipes.train_embedded_prior.config import ShapeTrainConfig
+from recipes.train_embedded_prior.dataset import HELD_OUT_SEED_OFFSET, Source
+from recipes.train_embedded_prior.shape_dataset import (
+    ShapeBatch,
+    ShapeSpec,
+    decode_sets,
+    turn_batch,
+)
+
+_SURFACE_WEIGHT = 4.0
+_COLOR_WEIGHT = 0.5
+_SEEN_WEIGHT = 0.1
+_SHEET_SETS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeTask:
+    """What the trainer trains."""
+
+    config: ShapeTrainConfig
+    source: Source
+    words: tuple[str, ...]
+
+    @property
+    def behind(self) -> int:
+        """How many shards behind the newest a step may read."""
+        return self.config.replay_shards + 1
+
+    @property
+    def spec(self) -> ShapeSpec:
+        """What training sets are."""
+        c = self.config
+        return ShapeSpec(self.source, c.data, self.words, c.seed, c.shard_sets)
+
+    def make_model(self) -> nn.Module:
+        """Build the network."""
+        return ShapeCompleter(self.config.model, COARSE_CELLS)
+
+    def set_indices(self, step: int) -> Sequence[int]:
+        """Return the sets of a step: some of the past, then the new ones."""
+        fresh = self.config.fresh_sets
+        first = step * fresh
+        reach = min(first, self.config.replay_shards * self.config.shard_sets)
+        old = self.config.batch_sets - fresh
+        if reach < self.config.shard_sets:
+            return [first + k % fresh for k in range(old)] + list(range(first, first + fresh))
+        rng = np.random.default_rng((self.config.seed, step, 5))
+        past = first - 1 - rng.integers(reach, size=old)
+        return [*past.tolist(), *range(first, first + fresh)]
+
+    def loss(self, model: nn.Module, stored: np.ndarray, step: int, own: slice) -> Tensor:  # []
+        """Return the loss of this replica's share of a step."""
+        config = self.config
+        rng = np.random.default_rng((config.seed, step, 6, own.start))
+        batch = decode_sets(stored)
+        batch = turn_batch(batch, int(rng.integers(4)), bool(rng.random() < 0.5))
+        dropped = torch.from_numpy(rng.random(len(batch.tokens)) < config.drop_text)
+        no_text = torch.zeros_like(batch.tokens)
+        no_text[:, 0] = NO_TEXT_TOKEN
+        tokens = torch.where(dropped[:, None], no_text, batch.tokens)
+        out = model(batch.volumes, batch.evidence, batch.scores, tokens)
+        losses = shape_losses(out, batch)
+        return losses["occupancy"] + _COLOR_WEIGHT * losses["color"]
+
+    def evaluate(self, model: nn.Module, sheet: Path) -> dict[str, float]:
+        """Measure on held-out sets and draw a sheet."""
+        batch = self._held_out()
+        out = self._predict(model, batch)
+        save_sheet(out, batch, sheet)
+        return _measured(out, batch)
+
+    def measure(self, model: nn.Module) -> dict[str, float]:
+        """Measure on held-out sets."""
+        batch = self._held_out()
+        return _measured(self._predict(model, batch), batch)
+
+    def _held_out(self) -> ShapeBatch:
+        maker = self.spec.maker(self.config.seed + HELD_OUT_SEED_OFFSET)
+        return decode_sets(np.stack([maker(k) for k in range(self.config.evaluation_sets)]))
+
+    @torch.no_grad()
+    def _predict(self, model: nn.Module, batch: ShapeBatch) -> ShapeOutput:
+        with torch.autocast("cpu", torch.bfloat16, enabled=self.config.precision == "bfloat16"):
+            out: ShapeOutput = model(batch.volumes, batch.evidence, batch.scores, batch.tokens)
+        return out
+
+
+def _measured(out: ShapeOutput, batch: ShapeBatch) -> dict[str, float]:
+    losses = {name: float(value) for name, value in shape_losses(out, batch).items()}
+    return losses | filled_iou(out, batch)
+
+
+def shape_losses(out: ShapeOutput, batch: ShapeBatch) -> dict[str, Tensor]:
+    """Return the parts of the loss."""
+    solid = batch.solid
+    around = F.max_pool3d(solid[:, None], 3, 1, 1) + F.max_pool3d(1 - solid[:, None], 3, 1, 1)
+    weight = 1 + _SURFACE_WEIGHT * (around[:, 0] - 1)
+    occupancy = F.binary_cross_entropy_with_logits(out.occupancy, solid, reduction="none")
+    true_colors, there = coarse_colors(batch.surface)
+    error = (blended_colors(out, batch.volumes) - true_colors).abs().mean(dim=1)
+    seen = F.max_pool3d(batch.volumes[:, 0, :1], 2)[:, 0] > 0
+    where = there * torch.where(seen, _SEEN_WEIGHT, 1.0)
+    return {
+        "occupancy": (weight * occupancy).mean() * 10,
+        "color": (where * error).sum() / where.sum().clamp_min(1.0),
+    }
+
+
+def coarse_colors(volume: Tensor) -> tuple[Tensor, Tensor]:
+    """Return mean colours of coarse cells [B, 3, n, n, n] and where there are any [B, n, n, n].
+
+    Args:
+        volume: [B, 4, C, C, C], occupancy and colour.
+    """
+    weight = volume[:, :1]
+    pooled = F.avg_pool3d(torch.cat([weight, volume[:, 1:] * weight], dim=1), 2)
+    return pooled[:, 1:] / pooled[:, :1].clamp_min(1e-4), pooled[:, 0] > 1e-4
+
+
+def blended_colors(out: ShapeOutput, volumes: Tensor) -> Tensor:  # [B, 3, C/2, C/2, C/2]
+    """Mix the sources' colours near each coarse cell and the network's own."""
+    flat = volumes.flatten(0, 1)
+    weight = flat[:, :1]
+    pooled = F.avg_pool3d(torch.cat([weight, flat[:, 1:] * weight], dim=1), 2)
+    near = F.avg_pool3d(pooled, 3, 1, 1).unflatten(0, (-1, SOURCES))
+    known = near[:, :, 0] > 1e-4
+    colors = near[:, :, 1:] / near[:, :, :1].clamp_min(1e-4)
+    logits = torch.cat(
+        [out.sources[:, :SOURCES].masked_fill(~known, -30.0), out.sources[:, SOURCES:]], dim=1
+    )
+    share = logits.softmax(dim=1)
+    mixed = (share[:, :SOURCES, None] * colors).sum(dim=1)
+    return mixed + share[:, SOURCES:] * out.colors
+
+
+def filled_iou(out: ShapeOutput, batch: ShapeBatch) -> dict[str, float]:
+    """Return mean intersections over union: of the network, and of P with its best mirror image."""
+    inside = out.occupancy > 0
+    solid = batch.solid > 0
+    iou = (inside & solid).sum(dim=(1, 2, 3)) / (inside | solid).sum(dim=(1, 2, 3))
+    missing = batch.surface[:, 0] > 0
+    missing &= F.max_pool3d(batch.volumes[:, 0, 0][:, None], 3, 1, 1)[:, 0] == 0
+    found = (missing & inside).sum() / missing.sum().clamp_min(1)
+    copied = F.max_pool3d(batch.volumes[:, 1, 0][:, None], 3, 1, 1)[:, 0] > 0
+    copy_found = (missing & copied).sum() / missing.sum().clamp_min(1)
+    return {
+        "iou": float(iou.mean()),
+        "hidden_recall": float(found),
+        "copy_recall": float(copy_found),
+    }
+
+
+def save_sheet(out: ShapeOutput, batch: ShapeBatch, path: Path) -> None:
+    """Draw truth, P and prediction from two sides and from above, as first filled cells."""
+    columns = []
+    colors = F.interpolate(blended_colors(out, batch.volumes), scale_factor=2.0)
+    for n in range(min(_SHEET_SETS, len(batch.solid))):
+        rows = []
+        for filled, color in (
+            (batch.surface[n, 0] > 0, batch.surface[n, 1:]),
+            (batch.volumes[n, 0, 0] > 0, batch.volumes[n, 0, 1:]),
+            (out.occupancy[n] > 0, colors[n]),
+        ):
+            for axis, backward in ((0, False), (0, True), (1, False), (2, True)):
+                rows.append(_first_filled(filled, color, axis, backward))
+        columns.append(torch.cat(rows, dim=0))
+    pixels = (torch.cat(columns, dim=1).clamp(0, 1) * 255).round().to(torch.uint8).numpy()
+    with atomic_path(path) as temporary:
+        image = Image.fromarray(pixels)
+        image.resize((image.width * 2, image.height * 2), Image.Resampling.NEAREST).save(
+            temporary, "PNG"
+        )
+
+
+def _first_filled(filled: Tensor, color: Tensor, axis: int, backward: bool) -> Tensor:
+    """Draw the first filled cells along an axis, z up."""
+    if backward:
+        filled, color = filled.flip(axis), color.flip(axis + 1)
+    first = filled.float().argmax(dim=axis, keepdim=True)
+    seen = color.gather(axis + 1, first[None].expand(3, *first.shape)).squeeze(axis + 1)
+    seen = torch.where(filled.any(dim=axis)[None], seen, torch.full_like(seen, 0.5))
+    return seen.permute(2, 1, 0).flip(0)
