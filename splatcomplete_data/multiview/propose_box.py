@@ -5,8 +5,9 @@ Conventions
 * Splats count by the area they cover times their opacity, so that a smooth wall of few large
   splats weighs as much as a detailed one of many small ones.
 * Three steps: look within a ball about what the cameras look at; take away planes that the object
-  stands on or hangs at (table, bed, wall), found by RANSAC; take the heaviest cluster about the
-  ball's centre. The box stands on the plane, turned to fit, and holds nearly all of the cluster.
+  stands on or hangs at (table, bed, wall), found by RANSAC, with all that lies behind them; take
+  the heaviest cluster. A splat counts the more, the nearer to their middle the photos show it. The
+  box stands on the plane, turned to fit, and holds nearly all of the cluster.
 * It is a proposal: ``crop`` draws it, and people correct it.
 * Random numbers come from the seed alone.
 """
@@ -21,9 +22,12 @@ from scipy import ndimage
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, usable_rows
+from gscomplete.views import Cameras
 from splatcomplete_data.boxes import CropBox
 
 FloatArray = NDArray[np.float64]
+_FEWEST = 20
+"""Fewer splats are nothing to enclose."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,16 +36,22 @@ class ProposalSettings:
 
     min_opacity: float = 0.2
     """Fainter splats do not count."""
+    ball: float = 1.3
+    """Radius within which the cluster is looked for."""
+    plane_ball: float = 1.4
+    """Radius within which planes are looked for."""
     most_planes: int = 2
     """Planes taken away at most: a table and a wall."""
     plane_samples: int = 600
     """RANSAC's tries for every plane."""
     plane_slack: float = 0.025
     """Half thickness of a plane."""
+    plane_reach: float = 0.15
+    """A plane's upper side is looked for up to this height: walls have reliefs, beds wrinkles."""
     plane_share: float = 0.12
     """Least share of the weight that a plane holds."""
-    one_side_share: float = 0.9
-    """Least share of the other weight that lies on one side of a plane that bears the object."""
+    front_share: float = 0.6
+    """Least share of the other weight that lies before a plane that bears the object."""
     cells: int = 40
     """Cells of the clustering grid along the ball's diameter."""
     cell_share: float = 0.02
@@ -54,33 +64,72 @@ class ProposalSettings:
     """Of RANSAC."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
+class Plane:
+    """The upper side of what the object stands on or hangs at."""
+
+    normal: FloatArray  # [3] unit, towards the object
+    top: float  # normal . x on the upper side
+
+    def before(self, points: FloatArray) -> NDArray[np.bool_]:  # [N, 3] -> [N]
+        """Mark the points on the object's side."""
+        mask: NDArray[np.bool_] = points @ self.normal > self.top
+        return mask
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Proposal:
     """A box, and how it was found."""
 
     box: CropBox
-    planes: tuple[tuple[FloatArray, float], ...]  # normal towards the object, offset
+    planes: tuple[Plane, ...]  # in the file's frame
     notes: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Focus:
-    """Where to look: a ball in the file's frame."""
+    """Where to look: a ball in the file's frame, and the cameras that look there."""
 
     center: FloatArray  # [3]
     radius: float
     up: FloatArray  # [3]; the box stands along it when there is no plane
+    cameras: tuple[Cameras, ...] = ()  # none: not known
+
+    def attention(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N]
+        """Return how near to their middle the photos show points, 0 to 1; 1 without cameras."""
+        if not self.cameras:
+            return np.ones(len(points))
+        total = np.zeros(len(points))
+        for camera in self.cameras:
+            pose = camera.camera_from_world[0].double().numpy()
+            local = points @ pose[:3, :3].T + pose[:3, 3]
+            pixel = local[:, :2] / np.maximum(local[:, 2:], 1e-9)
+            pixel = pixel * camera.focal_px[0].double().numpy()
+            pixel += camera.center_px[0].double().numpy() - (camera.width / 2, camera.height / 2)
+            far = np.square(pixel / (0.35 * min(camera.width, camera.height))).sum(axis=1)
+            total += np.where(local[:, 2] > 0, np.exp(-np.minimum(far, 50.0)), 0.0)
+        return total / len(self.cameras)
+
+    def toward_cameras(self) -> FloatArray | None:  # [3]
+        """Return the mean direction to the cameras; None without any."""
+        if not self.cameras:
+            return None
+        positions = np.stack([camera.positions[0].double().numpy() for camera in self.cameras])
+        away = positions - self.center
+        mean: FloatArray = (away / np.linalg.norm(away, axis=1, keepdims=True)).mean(axis=0)
+        return mean
 
 
 def focus_of_cameras(
-    positions: FloatArray,  # [V, 3]
+    cameras: tuple[Cameras, ...],
     look_at: FloatArray,  # [3]
     up: FloatArray,  # [3]
-    half_fov_tangent: float,
 ) -> Focus:
-    """Return the ball that a photo of the object frames at the cameras' median distance."""
+    """Return the ball that a photo frames at the cameras' median distance."""
+    positions = np.stack([camera.positions[0].double().numpy() for camera in cameras])
     distance = float(np.median(np.linalg.norm(positions - look_at, axis=1)))
-    return Focus(look_at, max(0.9 * distance * half_fov_tangent, 1e-9), up)
+    tangents = [0.5 * min(c.width, c.height) / float(c.focal_px[0].min()) for c in cameras]
+    return Focus(look_at, max(0.9 * distance * float(np.median(tangents)), 1e-9), up, cameras)
 
 
 def focus_of_splats(splats: Splats, up: FloatArray) -> Focus:
@@ -103,34 +152,40 @@ def propose_box(splats: Splats, focus: Focus, settings: ProposalSettings | None 
     """
     settings = settings or ProposalSettings()
     points, weight = _solid(splats, settings.min_opacity)
-    local = (points - focus.center) / focus.radius
-    near = np.linalg.norm(local, axis=1) <= 1.4
-    if near.sum() < 20:
+    near = np.linalg.norm(points - focus.center, axis=1) <= 2.5 * focus.radius
+    if near.sum() < _FEWEST:
         raise UserError(
             "--box auto: expected splats where the cameras look, found none within "
             f"{focus.radius:.4g} of {focus.center.round(4).tolist()}; give the box as numbers"
         )
-    local, weight = local[near], weight[near]
-    planes = _supporting_planes(local, weight, settings)
-    free = np.linalg.norm(local, axis=1) <= 1.0
-    for normal, offset in planes:
-        free &= local @ normal - offset > settings.plane_slack
-    notes = [
-        f"plane {index + 1} (normal {(normal.round(2) + 0.0).tolist()}) taken away"
-        for index, (normal, _) in enumerate(planes)
-    ]
-    if free.sum() < 20:
-        raise UserError("--box auto: found nothing beside a plane; give the box as numbers")
-    cluster = _central_cluster(local[free], weight[free], settings)
-    members = local[free][cluster]
-    notes.append(f"central cluster of {len(members):,} of {len(splats):,} splats")
-    axis = planes[0][0] if planes else focus.up / np.linalg.norm(focus.up)
+    weight = weight[near] * focus.attention(points[near])
+    local = (points[near] - focus.center) / focus.radius
+    ball = np.linalg.norm(local, axis=1) <= settings.plane_ball
+    planes = _supporting_planes(local[ball], weight[ball], focus.toward_cameras(), settings)
+    free = np.all([plane.before(local) for plane in planes], axis=0) if planes else weight >= 0
+    middle = np.zeros(3)
+    for _ in range(3):  # what the cameras look at may lie well before the plane behind it
+        inside = free & (np.linalg.norm(local - middle, axis=1) <= settings.ball)
+        if inside.sum() < _FEWEST:
+            raise UserError("--box auto: found nothing beside a plane; give the box as numbers")
+        if planes:
+            middle = np.average(local[inside], axis=0, weights=weight[inside])
+    cluster = _central_cluster(local[inside] - middle, weight[inside], settings)
+    members = local[inside][cluster]
+    axis = planes[0].normal if planes else focus.up / np.linalg.norm(focus.up)
     box = _fit(members, axis, planes, settings)
     center = focus.center + focus.radius * np.array(box.center)
     half = focus.radius * np.array(box.half_extents)
-    in_file = CropBox(_three(center), _three(half), box.quaternion)
-    unscaled = tuple((n, float(n @ focus.center + focus.radius * o)) for n, o in planes)
-    return Proposal(in_file, unscaled, tuple(notes))
+    notes = [
+        f"plane {index + 1} taken away, normal {(plane.normal.round(2) + 0.0).tolist()}"
+        for index, plane in enumerate(planes)
+    ]
+    notes.append(f"central cluster of {len(members):,} of {len(splats):,} splats")
+    in_file = [
+        Plane(p.normal, float(p.normal @ focus.center + focus.radius * p.top)) for p in planes
+    ]
+    result = CropBox(_three(center), _three(half), box.quaternion)
+    return Proposal(result, tuple(in_file), tuple(notes))
 
 
 def _three(values: FloatArray) -> tuple[float, float, float]:
@@ -143,7 +198,7 @@ def _solid(splats: Splats, min_opacity: float) -> tuple[FloatArray, FloatArray]:
     """Return points [N, 3] and weights [N] of the splats that count."""
     usable, _ = usable_rows(splats)
     chosen = splats.select(usable & (splats.opacities >= min_opacity))
-    if len(chosen) < 20:
+    if len(chosen) < _FEWEST:
         raise UserError(f"--box auto: expected splats to enclose, found {len(chosen)} solid ones")
     sizes = np.sort(chosen.scales.double().numpy(), axis=1)
     area = sizes[:, 1] * sizes[:, 2]
@@ -162,30 +217,45 @@ def _weighted_median(points: FloatArray, weight: FloatArray) -> FloatArray:  # [
 
 
 def _supporting_planes(
-    local: FloatArray, weight: FloatArray, settings: ProposalSettings
-) -> list[tuple[FloatArray, float]]:
-    """Find planes that bear the object: heavy, and with the rest on one side."""
-    planes: list[tuple[FloatArray, float]] = []
+    local: FloatArray,
+    weight: FloatArray,
+    toward: FloatArray | None,  # [3] mean direction to the cameras
+    settings: ProposalSettings,
+) -> list[Plane]:
+    """Find planes that bear the object: heavy, and with most of the rest before them."""
+    planes: list[Plane] = []
     rng = np.random.default_rng(settings.seed)
     free = np.ones(len(local), np.bool_)
     total = float(weight.sum())
     for _ in range(settings.most_planes):
         points, mass = local[free], weight[free]
-        if len(points) < 20:
+        if len(points) < _FEWEST:
             break
         normal, offset, held = _heaviest_plane(points, mass, settings, rng)
-        distance = points @ normal - offset
-        above = float(mass[distance > settings.plane_slack].sum())
-        below = float(mass[distance < -settings.plane_slack].sum())
-        if below > above:
-            normal, offset, above, below = -normal, -offset, below, above
+        height = points @ normal - offset
+        before = float(mass[height > settings.plane_slack].sum())
+        behind = float(mass[height < -settings.plane_slack].sum())
+        turned = before < behind if toward is None else float(normal @ toward) < 0
+        if turned:
+            normal, offset, height, before, behind = -normal, -offset, -height, behind, before
         if held < settings.plane_share * total:
             break
-        if above < settings.one_side_share * (above + below) or above <= 0:
+        if before < settings.front_share * (before + behind) or before <= 0:
             break
-        planes.append((normal, offset))
-        free &= local @ normal - offset > settings.plane_slack
+        plane = Plane(normal, offset + _upper_side(height, mass, settings))
+        planes.append(plane)
+        free &= plane.before(local)
     return planes
+
+
+def _upper_side(height: FloatArray, weight: FloatArray, settings: ProposalSettings) -> float:
+    """Return the height at which a plane's layer ends: its weight falls off or stops falling."""
+    step = settings.plane_slack / 2
+    edges = np.arange(0.0, settings.plane_reach + step, step)
+    layers, _ = np.histogram(height, edges, weights=weight)
+    thin = np.flatnonzero(layers < 0.2 * max(float(layers[:2].max()), 1e-12))
+    top = float(edges[thin[0]]) if len(thin) else settings.plane_reach
+    return max(top, settings.plane_slack)
 
 
 def _heaviest_plane(
@@ -217,7 +287,7 @@ def _central_cluster(
 ) -> NDArray[np.bool_]:
     """Mark the connected cells that weigh most, the nearer to the centre the more."""
     cells = settings.cells
-    index = np.clip(((local + 1.0) * (0.5 * cells)).astype(np.int64), 0, cells - 1)
+    index = np.clip(((local / settings.ball + 1) * (0.5 * cells)).astype(np.int64), 0, cells - 1)
     grid = np.zeros((cells, cells, cells))
     np.add.at(grid, tuple(index.T), weight)
     full = grid >= settings.cell_share * np.quantile(grid[grid > 0], 0.99)
@@ -233,7 +303,7 @@ def _central_cluster(
 def _fit(
     members: FloatArray,
     axis: FloatArray,
-    planes: list[tuple[FloatArray, float]],
+    planes: list[Plane],
     settings: ProposalSettings,
 ) -> CropBox:
     """Fit a box along ``axis``, turned about it to the smallest base, down to the plane."""
@@ -255,7 +325,7 @@ def _fit(
     low, high = np.quantile(members @ turn, [low_q, high_q], axis=0)
     low, high = low - settings.margin, high + settings.margin
     if planes:
-        low[2] = planes[0][1] + settings.plane_slack
+        low[2] = planes[0].top
         high[2] = max(high[2], low[2] + settings.margin)
     half = np.maximum((high - low) / 2, 1e-6)
     center = turn @ ((low + high) / 2)

@@ -56,12 +56,8 @@ class Scene:
         """Return where to look for the object."""
         if self.capture is None:
             return focus_of_splats(self.file.splats, self._up())
-        tangents = [
-            0.5 * min(camera.width, camera.height) / float(camera.focal_px[0].min())
-            for camera in self.cameras
-        ]
         look_at = np.array(self.capture["look_at"], np.float64)
-        return focus_of_cameras(self.positions(), look_at, self._up(), float(np.median(tangents)))
+        return focus_of_cameras(self.cameras, look_at, self._up())
 
     def picture_cameras(self, boxes: Sequence[CropBox]) -> list[Cameras]:
         """Return cameras to draw from: some of the capture's, or an orbit about the boxes."""
