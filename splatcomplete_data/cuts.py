@@ -28,6 +28,10 @@ from splatcomplete_data.partial import PartialCut, by_plane, by_visibility, crop
 
 SCAN_DISTANCE = 2.2
 """Distance of a scanner from the centre, in object sizes (as ``ViewDistribution.radius``)."""
+SCAN_GRID_PX = 256
+"""Side of a scanner's depth image; one pixel is about 0.01 object sizes."""
+SCAN_TOLERANCE = 0.025
+"""Depth slack in object sizes: what a slanted surface spans within two pixels."""
 FORMS = "plane:AZIMUTH[,OFFSET], box:LX,LY,LZ,HX,HY,HZ or scan:AZ/EL[,AZ/EL...]"
 
 
@@ -72,7 +76,9 @@ class ScanCut:
         azimuths, elevations = np.deg2rad(np.array(self.directions_deg, np.float64)).T
         level = np.cos(elevations)
         eyes = np.stack([level * np.cos(azimuths), level * np.sin(azimuths), np.sin(elevations)], 1)
-        return by_visibility(whole, SCAN_DISTANCE * eyes)
+        return by_visibility(
+            whole, SCAN_DISTANCE * eyes, grid_px=SCAN_GRID_PX, tolerance=SCAN_TOLERANCE
+        )
 
 
 Cut = PlaneCut | BoxCut | ScanCut
