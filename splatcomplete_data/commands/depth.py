@@ -57,6 +57,8 @@ class DepthOptions(PointOptions):
     """Drop pixels of smaller confidence."""
     flying: float = 0.02
     """Depth jump, over the depth, beyond which a pixel between two surfaces flies; 0 = keep all."""
+    sigma: float = 0.5
+    """Standard deviation over the point spacing; more hides holes seen aslant, but blurs."""
     frame: int = 0
     """Which picture of an NPZ that holds several."""
 

@@ -43,7 +43,9 @@ class PointOptions(ObjectOptions):
     spacing: float | None = None
     """Thin to one point per cube of this side; None = keep all."""
     size: str = "auto"
-    """Standard deviation of the splats in the source's units; auto = 0.6 point spacings."""
+    """Standard deviation of the splats in the source's units; auto = --sigma point spacings."""
+    sigma: float = 0.6
+    """Standard deviation over the point spacing; below 0.5 surfaces seen aslant show holes."""
 
 
 def part_settings(options: PointOptions) -> PartSettings:
@@ -58,6 +60,8 @@ def part_settings(options: PointOptions) -> PartSettings:
 
     seed = parse_numbers(options.seed_point, 3, "--seed-point", "X,Y,Z")
     size = None if options.size == "auto" else parse_numbers(options.size, 1, "--size", "SIGMA")
+    if not 0 < options.sigma < 100:
+        raise UserError(f"--sigma: expected a positive number, found {options.sigma:g}")
     for name in ("planes", "clusters"):
         if getattr(options, name) < 0:
             raise UserError(f"--{name}: expected 0 or more, found {getattr(options, name)}")
@@ -76,6 +80,7 @@ def part_settings(options: PointOptions) -> PartSettings:
         count=options.count,
         spacing=options.spacing,
         sigma=None if size is None else size[0],
+        sigma_per_spacing=options.sigma,
     )
 
 

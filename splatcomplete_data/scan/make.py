@@ -22,11 +22,14 @@ from gscomplete.errors import UserError
 from gscomplete.splats import Similarity, Splats
 from splatcomplete_data.boxes import CropBox, inside_boxes
 from splatcomplete_data.objects import StepRecord
-from splatcomplete_data.points import points_to_splats, thin_to_count, thin_to_spacing
+from splatcomplete_data.points import (
+    PointSplatSettings,
+    points_to_splats,
+    thin_to_count,
+    thin_to_spacing,
+)
 from splatcomplete_data.scan.clean import CleanSettings, clean, level_rotation
 from splatcomplete_data.scan.cloud import PointCloud
-
-BLACK_RIM = "outside_boxes"
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +48,8 @@ class PartSettings:
     """Thin to one point per cube of this side; None = keep all."""
     sigma: float | None = None
     """Standard deviation of the splats, source units; None = from the spacing."""
+    sigma_per_spacing: float = 0.6
+    """Standard deviation over spacing, where that decides."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +88,7 @@ def make_part(
     if settings.boxes:
         inside = inside_boxes(cloud.points, settings.boxes)
         before, after = len(cloud), int(inside.sum())
-        steps.append(StepRecord("boxes", before, after, {BLACK_RIM: before - after}))
+        steps.append(StepRecord("boxes", before, after, {"outside_boxes": before - after}))
         if after == 0:
             low, high = cloud.points.min(axis=0).round(3), cloud.points.max(axis=0).round(3)
             raise UserError(
@@ -108,7 +113,8 @@ def make_part(
         rotation = level_rotation(planes[0], np.asarray(viewpoint, np.float64))
         turn = Similarity(1.0, torch.from_numpy(rotation), torch.zeros(3))
     points = kept.points if turn is None else turn.apply(torch.from_numpy(kept.points)).numpy()
-    splats = points_to_splats(points, kept.colors, sigma=settings.sigma)
+    per_spacing = PointSplatSettings(sigma_per_spacing=settings.sigma_per_spacing)
+    splats = points_to_splats(points, kept.colors, per_spacing, sigma=settings.sigma)
     return Part(splats, float(splats.scales[0, 0]), tuple(steps), turn, cloud, reason, reasons)
 
 
