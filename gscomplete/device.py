@@ -57,5 +57,6 @@ def choose_render_device(name: str, device: torch.device) -> tuple[torch.device,
 
 
 def peak_gpu_bytes() -> int | None:
-    """Return the most memory that tensors held on the current GPU; None where there is none."""
-    return torch.cuda.max_memory_allocated() if torch.cuda.is_available() else None
+    """Return the most memory that tensors held on a GPU; None where there is none."""
+    count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    return max((torch.cuda.max_memory_allocated(index) for index in range(count)), default=None)

@@ -74,8 +74,31 @@ class CompleteOptions:
     """Print the content of run.json on standard output and nothing else there."""
 
 
+class GpuMemoryError(UserError):
+    """The GPU's memory is not enough for a run."""
+
+    exit_code = 4
+
+
 def run(options: CompleteOptions) -> int:
-    """Complete the object; return the exit code."""
+    """Complete the object; return the exit code.
+
+    Raises:
+        GpuMemoryError: the GPU's memory is not enough.
+    """
+    import torch
+
+    try:
+        return _complete(options)
+    except torch.OutOfMemoryError as error:
+        raise GpuMemoryError(
+            "the GPU ran out of memory; a smaller --diffusion.memory (8gb) or --device cpu needs "
+            "less, and --resume continues from the last checkpoint"
+        ) from error
+
+
+def _complete(options: CompleteOptions) -> int:
+    """Load the prior, run, and say what came of it."""
     from gscomplete.completion.run import prepare
     from gscomplete.device import choose_device, choose_render_device
     from gscomplete.priors import load_prior

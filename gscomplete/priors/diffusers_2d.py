@@ -113,6 +113,7 @@ def load_diffusers_2d(
     codec = prepare_codec(load_strictly(vae, vae_tensors.state()), device, settings, plan)
     dtype = unet_dtype(settings.precision, device)
     size_px = int(unet.config.sample_size or 64) * codec.downsampling
+    guidance = default_guidance(settings, GUIDANCE_SCALE)
     return LatentPrior(
         f"diffusers:{folder.resolve().name}",
         SingleViewDenoiser(unet, schedule, device, dtype, settings),
@@ -128,12 +129,12 @@ def load_diffusers_2d(
         PriorViews(40.0, (1.3, 1.6), (0.0, 30.0), size_px),
         settings,
         plan,
-        default_guidance(settings, GUIDANCE_SCALE),
+        guidance,
         "",
         device,
         PriorIdentity(
             fingerprint((unet_file, vae_tensors.file.path, text_tensors.file.path)),
-            deciding_settings(settings),
+            deciding_settings(settings, guidance, ""),
         ),
     )
 

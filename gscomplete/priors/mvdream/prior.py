@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from gscomplete.jsonio import to_json
-from gscomplete.priors.base import PriorViews
+from gscomplete.priors.base import Guidance, PriorViews
 from gscomplete.priors.mvdream.cameras import camera_matrices
 from gscomplete.priors.mvdream.guidance import NoiseSchedule
 from gscomplete.priors.mvdream.latent_prior import (
@@ -99,7 +99,8 @@ def prepare(
     is_gpu = device.type == "cuda"
     layout = torch.channels_last if is_gpu and settings.channels_last else torch.contiguous_format
     # torch's own ``to``: diffusers' warns of precisions that this network does not ask for
-    torch.nn.Module.to(network, device=device, dtype=dtype, memory_format=layout)
+    move: Any = torch.nn.Module.to
+    move(network, device=device, dtype=dtype, memory_format=layout)
     if is_gpu and settings.compile != "off":
         mode = "reduce-overhead" if settings.compile == "cuda-graphs" else None
         return torch.compile(network, mode=mode)
@@ -123,9 +124,13 @@ def prepare_codec(
     return codec
 
 
-def deciding_settings(settings: LatentPriorSettings) -> dict[str, Any]:
-    """Return the knobs that decide a result by more than rounding, as JSON values."""
+def deciding_settings(
+    settings: LatentPriorSettings, guidance: Guidance, negative_prompt: str
+) -> dict[str, Any]:
+    """Return what decides a result by more than rounding, defaults filled in, as JSON values."""
     values = dataclasses.asdict(settings)
+    values |= {"guidance": guidance.text_scale, "rescale": guidance.rescale}
+    values["negative_prompt"] = negative_prompt
     return {k: to_json(v) for k, v in values.items() if k not in _ONLY_SPEED}
 
 
@@ -159,6 +164,7 @@ def mvdream_prior(
         device,
         cache,
     )
+    guidance = default_guidance(settings, GUIDANCE_SCALE)
     return LatentPrior(
         "mvdream",
         denoiser,
@@ -167,10 +173,12 @@ def mvdream_prior(
         views,
         settings,
         plan,
-        default_guidance(settings, GUIDANCE_SCALE),
+        guidance,
         NEGATIVE_PROMPT,
         device,
-        PriorIdentity(weights.fingerprint(), deciding_settings(settings)),
+        PriorIdentity(
+            weights.fingerprint(), deciding_settings(settings, guidance, NEGATIVE_PROMPT)
+        ),
     )
 
 

@@ -11,8 +11,10 @@ pytest.importorskip("transformers", reason="the extra gscomplete[mvdream] is not
 from gscomplete.errors import UserError
 from gscomplete.priors.base import FourViews, Guidance, prior_identity
 from gscomplete.priors.mvdream.cameras import camera_matrices
+from gscomplete.priors.mvdream.config import PUBLISHED
 from gscomplete.priors.mvdream.guidance import NoiseSchedule
 from gscomplete.priors.mvdream.latent_prior import draw_background, matte
+from gscomplete.priors.mvdream.model import build_vae
 from gscomplete.priors.mvdream.prior import NEGATIVE_PROMPT, mvdream_prior
 from gscomplete.priors.mvdream.settings import PLANS, LatentPriorSettings, memory_plan
 from gscomplete.priors.mvdream.tokenizer import Tokenizer
@@ -151,7 +153,24 @@ def test_smaller_plans_keep_less_for_the_gradient(weights):
             prior._codec.encode(images, torch.zeros(4, 4, 4, 4))
         kept[memory] = total[0]
     assert kept["8gb"] < kept["24gb"] / 10
-    assert kept["16gb"] < kept["24gb"] / 10
+
+
+def test_what_the_encoder_keeps_per_view_at_full_size():
+    """The number that the memory plans are made from."""
+    kept = {}
+
+    def pack(tensor):
+        kept[tensor.untyped_storage()._cdata] = tensor.untyped_storage().nbytes()
+        return tensor
+
+    with torch.device("meta"):
+        encoder = build_vae(PUBLISHED.vae).encoder.to(torch.bfloat16)
+        image = torch.empty(1, 3, 256, 256, dtype=torch.bfloat16, requires_grad=True)
+        with torch.autograd.graph.saved_tensors_hooks(pack, lambda t: t):
+            encoder(image)
+    weights = {value.untyped_storage()._cdata for value in encoder.parameters()}
+    total = sum(size for storage, size in kept.items() if storage not in weights)
+    assert total / 2**30 == pytest.approx(0.38, abs=0.02)
 
 
 def test_plans_are_chosen_by_memory(monkeypatch):
@@ -307,6 +326,10 @@ def test_identity_tells_weights_and_deciding_knobs(weights):
     assert identity["name"] == "mvdream"
     assert identity["weights"] == weights.fingerprint()
     assert identity["settings"]["loss"] == "x0"
+    assert identity["settings"]["guidance"] == 50.0
+    assert identity["settings"]["rescale"] == 0.5
+    assert identity["settings"]["negative_prompt"] == NEGATIVE_PROMPT
+    assert prior_identity(build(weights, guidance=50.0)) == identity
     assert prior_identity(build(weights, memory="8gb")) == identity
     assert prior_identity(build(weights, loss="epsilon")) != identity
 
@@ -319,6 +342,29 @@ def test_half_precision_is_close(weights):
         loss = prior.distill(views, 500, prior.condition(PROMPT), generator())
         gradients.append(torch.autograd.grad(loss, views.color)[0].flatten())
     assert float(torch.cosine_similarity(*gradients, dim=0)) > 0.98
+
+
+def test_networks_compile_without_a_break(weights):
+    """With the machine code left out: the graph is whole and computes the same."""
+    prior, views = build(weights), renders()
+    network = prior._denoiser._network
+    compiled = torch.compile(network, backend="eager", fullgraph=True)
+    g = torch.Generator().manual_seed(0)
+    inputs = (
+        torch.randn(8, 4, 4, 4, generator=g),
+        torch.full((8,), 500),
+        torch.randn(8, 77, 24, generator=g),
+        torch.randn(8, 16, generator=g),
+    )
+    with torch.no_grad():
+        torch.testing.assert_close(compiled(*inputs), network(*inputs))
+    expected = prior.distill(views, 500, prior.condition(PROMPT), generator())
+    prior._codec._encoder = torch.compile(
+        prior._codec._vae.encoder, backend="eager", fullgraph=True
+    )
+    found = prior.distill(views, 500, prior.condition(PROMPT), generator())
+    torch.testing.assert_close(found, expected)
+    torch.autograd.grad(found, views.color)
 
 
 def test_tiny_autoencoder_stands_in(weights, tmp_path):

@@ -1,0 +1,51 @@
+"""``gscomplete complete --prior PATH`` with a reduced-width MVDream in the published layout."""
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+pytest.importorskip("diffusers", reason="the extra gscomplete[mvdream] is not installed")
+pytest.importorskip("transformers", reason="the extra gscomplete[mvdream] is not installed")
+
+from gscomplete.cli import main
+from gscomplete.commands import complete
+from gscomplete.priors.mvdream.text import CACHE_VARIABLE
+from gscomplete.splats import read_splats
+from tests.priors.mvdream.tiny import write_original
+
+SAMPLE = Path(__file__).resolve().parents[2] / "recipes/demo/partial.ply"
+
+
+@pytest.fixture
+def arguments(tmp_path, monkeypatch) -> list[str]:
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+    weights = write_original(tmp_path)
+    command = ["complete", str(SAMPLE), "--prompt", "a red mug", "--out", str(tmp_path / "run")]
+    return [*command, "--prior", str(weights), "--steps", "1", "--device", "cpu"]
+
+
+def test_runs_and_records_what_decided_it(arguments, tmp_path, capsys):
+    assert main(arguments) == 0, capsys.readouterr().err
+    content = json.loads((tmp_path / "run/run.json").read_text())
+    identity = content["identity"]
+    assert identity["settings"]["mode"] == "distill"
+    assert identity["settings"]["timesteps"][0]["low"] == 392.0
+    assert identity["prior"]["name"] == "mvdream"
+    assert identity["prior"]["settings"]["guidance"] == 50.0
+    assert len(identity["prior"]["weights"]) == 32
+    assert len(list((tmp_path / "cache/prompts").iterdir())) == 2
+    completed = read_splats(tmp_path / "run/completed.ply")
+    assert completed.n_rows == read_splats(SAMPLE).n_rows + content["result"]["new_splats"]
+    assert main([*arguments, "--resume", "--diffusion.loss", "epsilon"]) == 2
+    assert "cannot resume with another prior" in capsys.readouterr().err
+
+
+def test_a_full_gpu_is_one_line(arguments, monkeypatch, capsys):
+    def full(options):
+        raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate ...")
+
+    monkeypatch.setattr(complete, "_complete", full)
+    assert main(arguments) == 4
+    assert "--diffusion.memory" in capsys.readouterr().err
