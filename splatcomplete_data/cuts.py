@@ -28,10 +28,10 @@ from splatcomplete_data.partial import PartialCut, by_plane, by_visibility, crop
 
 SCAN_DISTANCE = 2.2
 """Distance of a scanner from the centre, in object sizes (as ``ViewDistribution.radius``)."""
-SCAN_GRID_PX = 256
-"""Side of a scanner's depth image; one pixel is about 0.01 object sizes."""
-SCAN_TOLERANCE = 0.025
-"""Depth slack in object sizes: what a slanted surface spans within two pixels."""
+SCAN_WIDTH = 2.54
+"""What a scanner's depth image spans at the centre, in object sizes."""
+MAX_SCAN_GRID_PX = 256
+"""Largest side of a scanner's depth image."""
 FORMS = "plane:AZIMUTH[,OFFSET], box:LX,LY,LZ,HX,HY,HZ or scan:AZ/EL[,AZ/EL...]"
 
 
@@ -76,9 +76,12 @@ class ScanCut:
         azimuths, elevations = np.deg2rad(np.array(self.directions_deg, np.float64)).T
         level = np.cos(elevations)
         eyes = np.stack([level * np.cos(azimuths), level * np.sin(azimuths), np.sin(elevations)], 1)
-        return by_visibility(
-            whole, SCAN_DISTANCE * eyes, grid_px=SCAN_GRID_PX, tolerance=SCAN_TOLERANCE
-        )
+        # a pixel no finer than the splats, else far ones show between near ones; and a slack of
+        # what a slanted surface spans within two pixels
+        typical = float(whole.scales.amax(dim=1).median())
+        grid_px = int(np.clip(SCAN_WIDTH / max(2.0 * typical, 1e-9), 40, MAX_SCAN_GRID_PX))
+        slack = 2.5 * SCAN_WIDTH / grid_px
+        return by_visibility(whole, SCAN_DISTANCE * eyes, grid_px=grid_px, tolerance=slack)
 
 
 Cut = PlaneCut | BoxCut | ScanCut

@@ -44,9 +44,16 @@ def _inset_triangle(
     area: float,
     marked: int,  # bit e = edge e is inset
     depth: float,
+    side: float,
 ) -> None:
-    """Move marked edges inwards by ``depth`` or less: never past a third of the inradius each."""
+    """Move marked edges inwards by ``depth`` or less: never past a third of the inradius each.
+
+    Triangles thinner than a cell stay: their splats follow the local height anyhow, and moving
+    the edges of an acute corner would shorten them.
+    """
     inradius = 2.0 * area / (lengths[0] + lengths[1] + lengths[2])
+    if inradius < 0.4 * side:
+        return
     depth = min(depth, inradius * 0.35)
     shift = np.zeros(3)  # barycentric weight of the corner opposite an edge, on the moved edge
     for edge in range(3):
@@ -86,7 +93,7 @@ def cut_into_cells(
         _edge_lengths(vertices[t], lengths)
         if marked[t] and inset > 0.0:
             side = math.sqrt(areas[t] / count)
-            _inset_triangle(corners, lengths, areas[t], marked[t], inset * side)
+            _inset_triangle(corners, lengths, areas[t], marked[t], inset * side, side)
         for corner in range(3):
             for axis in range(3):
                 total = 0.0
@@ -166,7 +173,7 @@ def _cut_one(
                 cell_height = height * local if pieces > 1 else height * 0.75
             width = base * (1.0 - middle) / pieces
             if rows == 1 and pieces == 1:
-                width = base * 0.75
+                width = base * (0.85 if 3.0 * height < base else 0.75)  # slivers end abruptly
             place = made + placed
             triangle[place] = index
             sizes[place, 0], sizes[place, 1] = width, cell_height

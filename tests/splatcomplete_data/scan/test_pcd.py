@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from gscomplete.errors import UserError
 from splatcomplete_data.scan import GREY, lzf_decompress, read_pcd
 
-DATA = Path(__file__).resolve().parents[2] / "../shared/data"
+DATA = Path(__file__).resolve().parents[3] / "../shared/data"
 RECORD = np.dtype([("label", "<u4"), ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("rgba", "<u4")])
 
 

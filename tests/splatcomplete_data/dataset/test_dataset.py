@@ -1,0 +1,150 @@
+"""Datasets build, stay, go on after failures, and validate names what is wrong."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+import trimesh
+
+from gscomplete.errors import UserError
+from splatcomplete_data.cli import main
+from splatcomplete_data.dataset.build import build
+from splatcomplete_data.dataset.recipe import read_recipe
+from splatcomplete_data.dataset.stats import table
+from splatcomplete_data.dataset.validate import validate_dataset
+
+HEAD = "schema: splatcomplete.recipe\nversion: 1\nname: test\n"
+TWO = """objects:
+  - {id: box, command: mesh, file: box.ply, count: 3000, cut: ['plane:90'], licence: CC0,
+     prompt: a box, view: '270,10'}
+  - {id: broken, command: mesh, file: broken.ply, prompt: nothing}
+"""
+
+
+def sources(folder: Path) -> Path:
+    data = folder / "data"
+    data.mkdir()
+    trimesh.creation.box((1, 1, 1)).export(data / "box.ply")
+    (data / "broken.ply").write_bytes(b"")
+    return data
+
+
+def recipe(folder: Path, text: str) -> Path:
+    path = folder / "recipe.yaml"
+    path.write_text(HEAD + text)
+    return path
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
+    """A dataset of one good and one broken object, with its recipe and data."""
+    folder = tmp_path_factory.mktemp("dataset")
+    data, path = sources(folder), recipe(folder, TWO)
+    outcomes = build(read_recipe(path), data, folder / "out", workers=1)
+    assert [outcome.status for outcome in outcomes] == ["built", "failed"]
+    assert "broken.ply" in outcomes[1].message
+    return folder / "out", path, data
+
+
+def test_a_second_build_does_nothing(built: tuple[Path, Path, Path]) -> None:
+    out, path, data = built
+    before = {p: p.stat().st_mtime_ns for p in (out / "box").iterdir()}
+    outcomes = build(read_recipe(path), data, out, workers=1, only=("box",))
+    assert [outcome.status for outcome in outcomes] == ["up to date"]
+    assert {p: p.stat().st_mtime_ns for p in (out / "box").iterdir()} == before
+    record = json.loads((out / "box/object.json").read_text())
+    assert record["source"]["file"] == "box.ply"  # relative: the same bytes wherever data lie
+
+
+def test_validate_names_every_fault(
+    built: tuple[Path, Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, _, _ = built
+    count, findings = validate_dataset(out)
+    assert count == 1
+    assert findings == []
+
+    def names_after(change: object) -> set[str]:
+        copy = tmp_path / "copy"
+        shutil.rmtree(copy, ignore_errors=True)
+        shutil.copytree(out, copy)
+        change(copy)  # type: ignore[operator]
+        return {finding.name for finding in validate_dataset(copy)[1]}
+
+    def edit(key: str, value: object) -> object:
+        def change(copy: Path) -> None:
+            path = copy / "box/object.json"
+            path.write_text(json.dumps({**json.loads(path.read_text()), key: value}))
+
+        return change
+
+    assert "missing_file" in names_after(lambda c: (c / "box/preview.png").unlink())
+    assert "unknown_file" in names_after(lambda c: (c / "box/extra").write_text("x"))
+    assert "wrong_size" in names_after(lambda c: (c / "box/partial.ply").write_bytes(b"ply"))
+    flipped = names_after(
+        lambda c: (c / "box/preview.png").write_bytes(
+            (c / "box/preview.png").read_bytes()[:-1] + b"x"
+        )
+    )
+    assert "wrong_hash" in flipped
+    assert "bad_record" in names_after(lambda c: (c / "box/object.json").write_text("{"))
+    assert "changed_record" in names_after(edit("prompt", "another"))
+    assert "wrong_count" in names_after(edit("counts", {"partial": 1, "complete": 2}))
+    assert "other_name" in names_after(edit("id", "another"))
+    frame = {"up": "Z", "center_file": [9.0, 0, 0], "size_file": 1.0}
+    assert "outside_frame" in names_after(edit("frame", frame))
+    assert "missing_object" in names_after(
+        lambda c: shutil.copytree(c / "box", c / "new")
+    ) or "unlisted_object" in names_after(lambda c: shutil.copytree(c / "box", c / "new"))
+    assert main(["validate", str(out)]) == 0
+    assert main(["validate", str(tmp_path / "nowhere")]) == 2
+    assert "nowhere" in capsys.readouterr().err
+
+
+def test_stats_and_list(
+    built: tuple[Path, Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, _, _ = built
+    rows = table(out)
+    assert [(row.id, row.subset) for row in rows] == [("box", "mesh")]
+    assert 0 < rows[0].partial < rows[0].complete
+    assert main(["stats", str(out), "--sheet", str(tmp_path / "sheet.png")]) == 0
+    assert (tmp_path / "sheet.png").stat().st_size > 1000
+    assert main(["list", str(out), "--json"]) == 0
+    assert '"id": "box"' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("objects: []\n", "objects"),
+        ("objects: [{id: a, command: fly}]\n", "command"),
+        ("objects: [{id: a, command: mesh}]\n", "file"),
+        ("objects: [{id: a, command: mesh, file: x, speed: 3}]\n", "speed"),
+        ("objects: [{id: a, command: mesh, file: x, count: many}]\n", "count"),
+        ("objects: [{id: a, command: mesh, file: x, out: y}]\n", "out"),
+        ("objects: [{id: ../a, command: mesh, file: x}]\n", "id"),
+        ("objects: [{id: a, command: crop, file: 'capture:b'}]\n", "capture"),
+        ("objects: {a: 1}\n", "list"),
+        ("surplus: 1\n", "surplus"),
+        ("objects: [\n", "YAML"),
+    ],
+)
+def test_odd_recipes_name_the_entry(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(UserError, match=message):
+        read_recipe(recipe(tmp_path, text))
+
+
+def test_the_open_recipe_has_39_objects_of_all_subsets() -> None:
+    path = Path(__file__).resolve().parents[3] / "recipes/splatcomplete_open/recipe.yaml"
+    found = read_recipe(path)
+    assert len(found.objects) == 39
+    commands = [entry.command for entry in found.objects]
+    assert commands.count("depth") >= 3
+    assert commands.count("scan") >= 5
+    assert commands.count("crop") >= 2
+    for entry in found.objects:
+        assert entry.values["prompt"]
+        assert entry.values["licence"]
+        assert entry.values.get("range", 50.0) == 50.0

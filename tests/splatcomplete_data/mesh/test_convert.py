@@ -1,0 +1,213 @@
+"""Splats of a mesh cover it, all of it, and nothing else."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gscomplete.errors import UserError
+from gscomplete.splats.rotations import rotation_matrices
+from splatcomplete_data.mesh.allot import allot_by_count, allot_by_spacing
+from splatcomplete_data.mesh.convert import ConvertSettings, convert_mesh, shade_cells
+from splatcomplete_data.mesh.edges import marked_edges
+from splatcomplete_data.mesh.load import Mesh, MeshPart, load_mesh
+
+
+def mesh_of(vertices: np.ndarray, **changes: object) -> Mesh:
+    corners = vertices.astype(np.float32)
+    return Mesh((MeshPart(corners, np.full_like(corners, 0.5), **changes),))  # type: ignore[arg-type]
+
+
+def areas_of(vertices: np.ndarray) -> np.ndarray:
+    edges = vertices[:, 1:] - vertices[:, :1]
+    return 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+
+
+def sphere(rings: int) -> np.ndarray:
+    import trimesh
+
+    ball = trimesh.creation.icosphere(subdivisions=rings)
+    return ball.vertices[ball.faces]
+
+
+triangles = st.lists(
+    st.lists(st.lists(st.floats(-1, 1, width=32), min_size=3, max_size=3), min_size=3, max_size=3),
+    min_size=1,
+    max_size=6,
+)
+
+
+@given(triangles, st.integers(1, 400), st.sampled_from(["cells", "grid", "random"]))
+@settings(max_examples=80, deadline=None)
+def test_splats_lie_on_their_triangles(corners: list, count: int, mode: str) -> None:
+    vertices = np.array(corners, np.float64)
+    vertices = vertices[areas_of(vertices) > 1e-5]
+    if len(vertices) == 0:
+        return
+    splats = convert_mesh(
+        mesh_of(vertices),
+        count,
+        settings=ConvertSettings(mode=mode),  # type: ignore[arg-type]
+    ).splats
+    for _, value in splats.fields():
+        assert torch.isfinite(value).all()
+    axes = rotation_matrices(splats.quaternions.double()).numpy()
+    points = splats.means.double().numpy()
+    best = np.full(len(points), np.inf)
+    for triangle in vertices:
+        normal = np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0])
+        normal /= np.linalg.norm(normal)
+        off = np.abs((points - triangle[0]) @ normal) + (1 - np.abs(axes[:, :, 2] @ normal))
+        inverse = np.linalg.pinv((triangle[1:] - triangle[0]).T)
+        uv = (points - triangle[0]) @ inverse.T
+        outside = np.maximum(np.maximum(-uv.min(axis=1), uv.sum(axis=1) - 1), 0)
+        best = np.minimum(best, off + outside)
+    assert best.max() < 2e-3
+
+
+@given(st.integers(1, 3000), st.floats(0.01, 1.0), st.floats(0.0, 1.0))
+@settings(max_examples=40, deadline=None)
+def test_cells_add_up_to_the_triangle(count: int, height: float, apex: float) -> None:
+    vertices = np.array([[[0, 0, 0], [1, 0, 0], [apex, height, 0]]])
+    made = convert_mesh(
+        mesh_of(vertices), count, settings=ConvertSettings(inset=0.0, sigma_per_cell=1.0)
+    )
+    covered = float((made.splats.scales[:, 0] * made.splats.scales[:, 1]).double().sum())
+    assert covered == pytest.approx(0.5 * height, rel=0.35 if len(made.splats) < 30 else 0.12)
+
+
+@pytest.mark.parametrize("count", [500, 20_000])
+def test_the_count_is_met_and_the_sphere_has_no_hole(count: int) -> None:
+    made = convert_mesh(mesh_of(sphere(4)), count)
+    assert abs(len(made.splats) - count) <= 0.03 * count
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(400, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    distance = np.linalg.norm(points[:, None] - made.splats.means.numpy()[None], axis=2).min(axis=1)
+    assert distance.max() < 1.6 * made.spacing
+
+
+def test_slivers_wires_and_specks_are_not_lost() -> None:
+    sliver = [[0, 0, 0], [1, 0, 0], [0.5, 1e-4, 0]]
+    speck = [[5, 5, 5], [5 + 1e-4, 5, 5], [5, 5 + 1e-4, 5]]
+    plate = [[0, 0, 2], [1, 0, 2], [0, 1, 2]]
+    made = convert_mesh(mesh_of(np.array([sliver, speck, plate])), 300)
+    means = made.splats.means.numpy()
+    wire = means[np.abs(means[:, 2]) < 1e-6]
+    assert len(wire) >= 1
+    assert (np.linalg.norm(means - [5, 5, 5], axis=1) < 1e-3).sum() == 1
+    lone = made.splats.select(torch.from_numpy(means[:, 2] > 4))
+    assert float(lone.scales.max()) < 1e-3  # no larger than what it stands for
+    lengths = made.splats.scales[torch.from_numpy(np.abs(means[:, 2]) < 1e-6)]
+    assert float(lengths[:, 0].sum()) > 0.4  # the wire is covered along its length
+    assert float(lengths[:, 1].max()) < 2e-4  # and does not bulge
+
+
+def test_a_fine_mesh_is_not_counted_per_triangle() -> None:
+    vertices = sphere(5)  # 20,480 triangles
+    made = convert_mesh(mesh_of(vertices), 2000)
+    assert 1500 < len(made.splats) < 2500
+    radius = np.linalg.norm(made.splats.means.numpy(), axis=1)
+    assert radius.min() > 0.99
+
+
+def test_borders_and_folds_are_marked_and_inset() -> None:
+    square = np.array([[[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]])
+    normals = np.tile([0.0, 0.0, 1.0], (2, 1))
+    assert marked_edges(square.astype(np.float32), normals, 35.0).tolist() == [0b011, 0b110]
+    lows = [
+        convert_mesh(mesh_of(square), 400, settings=ConvertSettings(inset=inset))
+        .splats.means[:, :2]
+        .min()
+        .item()
+        for inset in (0.0, 0.4)
+    ]
+    assert 0.01 < lows[0] < 0.03  # about half a cell of 1 / 20
+    assert lows[1] > lows[0] + 0.005
+    folded = square.copy()
+    folded[1, 2] = [0, 0, 1]
+    normals = np.cross(folded[:, 1] - folded[:, 0], folded[:, 2] - folded[:, 0]).astype(float)
+    assert marked_edges(folded.astype(np.float32), normals, 35.0).tolist() == [0b111, 0b111]
+
+
+def test_grid_counts_what_it_would_have_missed() -> None:
+    tiny = [[0.51, 0.51, 0], [0.52, 0.51, 0], [0.51, 0.52, 0]]
+    plate = [[0, 0, 1], [4, 0, 1], [0, 4, 1]]
+    made = convert_mesh(
+        mesh_of(np.array([tiny, plate])), spacing=1.0, settings=ConvertSettings(mode="grid")
+    )
+    assert len(made.splats) == 1 + 10
+    assert "1 triangles lie between" in made.steps[1].note
+    slanted = np.array([[[0, 0, 0], [4, 0, 4], [0, 4, 0]]])
+    scales = convert_mesh(
+        mesh_of(slanted), spacing=1.0, settings=ConvertSettings(mode="grid", sigma_per_cell=1.0)
+    ).splats.scales
+    np.testing.assert_allclose(scales[:, 0], np.sqrt(2), rtol=1e-5)  # stretched along the slope
+    np.testing.assert_allclose(scales[:, 1], 1.0, rtol=1e-5)
+
+
+def test_colours_are_the_slow_twins(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    vertices = rng.normal(size=(5, 3, 3)).astype(np.float32)
+    part = MeshPart(
+        vertices,
+        rng.random((5, 3, 3)).astype(np.float32),
+        rng.uniform(-2, 3, (5, 3, 2)).astype(np.float32),
+        rng.random((7, 5, 4)).astype(np.float32),
+    )
+    from splatcomplete_data.mesh import convert
+
+    allotment = allot_by_count(vertices, areas_of(vertices.astype(float)), 300)
+    normals = np.cross(vertices[:, 1] - vertices[:, 0], vertices[:, 2] - vertices[:, 0])
+    cells, _ = convert._even_cells(
+        vertices,
+        areas_of(vertices.astype(float)),
+        normals.astype(float),
+        allotment,
+        ConvertSettings(),
+    )
+    found = shade_cells((part,), cells)
+    expected = np.zeros_like(found)
+    for sx in (-1, 1):
+        for sy in (-1, 1):
+            weights = cells.weights + sx * cells.steps[:, 0] + sy * cells.steps[:, 1]
+            plain = MeshPart(vertices, np.ones_like(part.colors), part.uv, part.texture)
+            expected += 0.25 * plain.colors_at(cells.triangle, weights)
+    expected[:, :3] *= np.einsum("nk,nkc->nc", cells.weights, part.colors[cells.triangle])
+    np.testing.assert_allclose(found, np.clip(expected, 0, 1), atol=2e-5)
+
+
+def test_blended_surfaces_keep_their_alpha_and_cut_outs_go() -> None:
+    square = np.array([[[0, 0, 0], [1, 0, 0], [1, 1, 0]]])
+    glass = convert_mesh(mesh_of(square, alpha=0.3, blended=True), 50)
+    np.testing.assert_allclose(glass.splats.opacities, 0.3 * 0.99, rtol=1e-5)
+    with pytest.raises(UserError, match="transparency everywhere"):
+        convert_mesh(mesh_of(square, alpha=0.3), 50)
+    assert float(convert_mesh(mesh_of(square), 50).splats.opacities.max()) < 1  # finite logits
+
+
+def test_requests_out_of_range_are_user_errors() -> None:
+    mesh = mesh_of(sphere(1))
+    for count, spacing in ((None, None), (5, 0.1), (0, None), (None, -1.0), (None, 1e-9)):
+        with pytest.raises(UserError, match="mesh"):
+            convert_mesh(mesh, count, spacing=spacing)
+    assert allot_by_spacing(sphere(1).astype(np.float32), areas_of(sphere(1)), 0.1).total > 500
+
+
+def test_missing_files_draco_and_splats_are_noticed(tmp_path: Path) -> None:
+    obj = "mtllib gone.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 nan\nf 1 2 3\nf 1 2 4\nf 1 1 2\n"
+    (tmp_path / "a.obj").write_text(obj)
+    mesh = load_mesh(tmp_path / "a.obj")
+    assert any("gone.mtl" in note for note in mesh.notes)
+    assert mesh.degenerate + mesh.non_finite >= 1
+    (tmp_path / "d.gltf").write_text('{"extensionsRequired": ["KHR_draco_mesh_compression"]}')
+    with pytest.raises(UserError, match="Draco"):
+        load_mesh(tmp_path / "d.gltf")
+    (tmp_path / "s.ply").write_text("ply\nformat ascii 1.0\nproperty float rot_0\nend_header\n")
+    with pytest.raises(UserError, match="Gaussian splats"):
+        load_mesh(tmp_path / "s.ply")
+    with pytest.raises(UserError, match="found none"):
+        load_mesh(tmp_path / "no.obj")

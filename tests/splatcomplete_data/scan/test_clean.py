@@ -1,0 +1,135 @@
+"""Cleaning removes planes, outliers and clutter, keeps the object, and counts everything."""
+
+import numpy as np
+import pytest
+
+from gscomplete.errors import UserError
+from splatcomplete_data.boxes import CropBox
+from splatcomplete_data.scan.clean import (
+    CleanSettings,
+    clean,
+    cluster,
+    find_plane,
+    level_rotation,
+    not_outliers,
+)
+from splatcomplete_data.scan.cloud import PointCloud
+from splatcomplete_data.scan.make import PartSettings, make_part
+
+
+def scene(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """A tilted table, a ball on it, a smaller ball, and a few strays; labels 0 to 3."""
+    rng = np.random.default_rng(seed)
+    table = np.concatenate([rng.uniform(-1, 1, (6000, 2)), rng.normal(0, 0.002, (6000, 1))], 1)
+
+    def ball(count: int, radius: float, center: list[float]) -> np.ndarray:
+        points = rng.normal(size=(count, 3))
+        return radius * points / np.linalg.norm(points, axis=1, keepdims=True) + center
+
+    parts = [
+        table,
+        ball(3000, 0.25, [0, 0, 0.36]),
+        ball(600, 0.1, [0.7, 0.6, 0.25]),
+        rng.uniform(1.5, 3, (12, 3)),
+    ]
+    labels = np.repeat(np.arange(4), [len(part) for part in parts])
+    angle = 0.5
+    turn = np.array(
+        [[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]]
+    )
+    return np.concatenate(parts) @ turn.T, labels
+
+
+def test_each_step_removes_what_it_is_for() -> None:
+    points, labels = scene()
+    cleaned = clean(points)
+    kept = labels[cleaned.keep]
+    assert (kept == 1).mean() > 0.999
+    assert (kept == 1).sum() > 2950
+    names = np.array([*cleaned.reasons, "kept"])[cleaned.reason]
+    assert (names[labels == 0] == "planes").mean() > 0.99
+    assert set(names[labels == 3]) <= {"outliers", "clutter"}
+    assert (names[labels == 2] == "clutter").mean() > 0.9
+    for first, second in zip(cleaned.steps, cleaned.steps[1:], strict=False):
+        assert first.after == second.before
+    assert cleaned.steps[-1].after == cleaned.keep.sum()
+    again = clean(points)
+    assert np.array_equal(again.keep, cleaned.keep)
+
+
+def test_every_step_has_a_switch() -> None:
+    points, _ = scene()
+    nothing = clean(points, CleanSettings(planes=0, outlier_ratio=None, clusters=0))
+    assert nothing.keep.all()
+    assert nothing.steps == ()
+    seeded = clean(points, CleanSettings(seed_point=tuple(points[9200])))  # type: ignore[arg-type]
+    assert 500 < seeded.keep.sum() < 700
+
+
+def test_clusters_equal_their_slow_twin() -> None:
+    rng = np.random.default_rng(4)
+    points = rng.uniform(0, 1, (150, 3))
+    radius = 0.12
+    near = np.linalg.norm(points[:, None] - points[None], axis=2) <= radius
+    reach = np.linalg.matrix_power(near.astype(np.float64), 150) > 0
+    labels = cluster(points, radius)
+    for i in range(len(points)):
+        for j in range(i):
+            if near[i, j] and np.linalg.norm(points[i] - points[j]) < radius / np.sqrt(3) * 0.5:
+                assert labels[i] == labels[j]
+            if labels[i] == labels[j]:
+                assert reach[i, j] or len(points) > 1  # coarser cubes may only join neighbours
+    sizes = np.bincount(labels)
+    assert (np.diff(sizes) <= 0).all()
+    far = np.concatenate([points, points + 50])
+    assert set(cluster(far, radius)[:150]).isdisjoint(set(cluster(far, radius)[150:]))
+
+
+def test_outliers_and_small_clouds() -> None:
+    rng = np.random.default_rng(0)
+    points = np.concatenate([rng.normal(size=(500, 3)), [[30.0, 0, 0]]])
+    kept = not_outliers(points, 16, 3.0)
+    assert not kept[-1]
+    assert kept[:-1].mean() > 0.97
+    assert not_outliers(points[:1], 16, 3.0).all()
+    assert find_plane(points[:2], 1.0, CleanSettings()) is None
+    line = np.outer(np.arange(50.0), [1, 1, 1])
+    assert find_plane(line, 1e-9, CleanSettings()) is None
+
+
+def test_a_cloud_that_is_all_plane_is_a_user_error() -> None:
+    points, labels = scene()
+    with pytest.raises(UserError, match="planes"):
+        clean(points[labels == 0], CleanSettings(plane_thickness=50.0))
+
+
+def test_levelling_lifts_the_plane_and_is_recorded() -> None:
+    points, labels = scene()
+    cloud = PointCloud(points, np.full(points.shape, 0.5, np.float32))
+    eye = np.array([0.0, -3.0, 3.0])
+    part = make_part(cloud, PartSettings(cleaning=CleanSettings(), level=True), "scene", eye)
+    assert part.turn is not None
+    plane = np.array([0.0, -np.sin(0.5), np.cos(0.5), 0.0])
+    rotation = level_rotation(plane, eye)
+    np.testing.assert_allclose(part.turn.rotation.numpy(), rotation, atol=0.01)
+    spread = part.splats.means.numpy()
+    assert spread[:, 2].min() == pytest.approx(0.11, abs=0.01)
+    assert spread[:, 2].max() == pytest.approx(0.61, abs=0.01)
+    moved = part.turn.inverse().apply(part.splats.means.double()).numpy()
+    kept = points[labels == 1]
+    assert np.linalg.norm(moved[:50, None] - kept[None], axis=2).min(axis=1).max() < 1e-5
+
+
+def test_boxes_thinning_and_their_errors() -> None:
+    points, _ = scene()
+    cloud = PointCloud(points, np.full(points.shape, 0.5, np.float32))
+    part = make_part(cloud, PartSettings(count=1000), "scene")
+    assert 900 <= len(part.splats) <= 1000
+    assert part.sigma == pytest.approx(float(part.splats.scales[0, 0]))
+    box = CropBox((100, 0, 0), (1, 1, 1))
+    with pytest.raises(UserError, match=r"scene: --box.*span"):
+        make_part(cloud, PartSettings(boxes=(box,)), "scene")
+    with pytest.raises(UserError, match="--level"):
+        make_part(cloud, PartSettings(level=True), "scene")
+    with pytest.raises(UserError, match="--spacing"):
+        make_part(cloud, PartSettings(spacing=-1.0), "scene")

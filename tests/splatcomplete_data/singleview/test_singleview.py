@@ -1,0 +1,169 @@
+"""Depth of every coding gives the same points; flying pixels go; odd files give one message."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gscomplete.errors import UserError
+from splatcomplete_data.singleview.depth_file import metric_depth, read_depth
+from splatcomplete_data.singleview.intrinsics import read_intrinsics
+from splatcomplete_data.singleview.load import SingleViewSettings, load_single_view
+from splatcomplete_data.singleview.unproject import flying_pixels
+
+HEIGHT, WIDTH = 24, 32
+
+
+def plane() -> np.ndarray:
+    """A slanted plane, 1 to 1.4 m away, with one unknown pixel."""
+    depth = 1.0 + 0.4 * np.linspace(0, 1, WIDTH)[None].repeat(HEIGHT, 0)
+    depth[3, 4] = np.nan
+    return depth
+
+
+def picture(folder: Path, mode: str = "RGB") -> Path:
+    rng = np.random.default_rng(0)
+    pixels = rng.integers(0, 255, (HEIGHT, WIDTH, len(mode))).astype(np.uint8)
+    if mode == "RGBA":
+        pixels[..., 3] = 0
+        pixels[5:15, 5:15, 3] = 255
+    Image.fromarray(pixels, mode).save(folder / "photo.png")
+    return folder / "photo.png"
+
+
+def write_depth(folder: Path, kind: str) -> Path:
+    depth = plane()
+    path = folder / f"depth.{kind}"
+    if kind == "npy":
+        np.save(path, depth.astype(np.float32))
+    elif kind == "npz":
+        np.savez(path, depth=depth[None].astype(np.float32), conf=np.ones((1, HEIGHT, WIDTH)))
+    elif kind in ("png", "pgm"):
+        Image.fromarray(np.nan_to_num(depth * 1000).round().astype(np.uint16)).save(path)
+    else:
+        oiio = pytest.importorskip("OpenImageIO")
+        out = oiio.ImageOutput.create(str(path))
+        out.open(str(path), oiio.ImageSpec(WIDTH, HEIGHT, 1, "float"))
+        out.write_image(np.nan_to_num(depth).astype(np.float32)[..., None])
+        out.close()
+    return path
+
+
+@pytest.mark.parametrize("kind", ["npy", "npz", "png", "pgm", "exr", "tif"])
+def test_every_coding_gives_the_same_depth(tmp_path: Path, kind: str) -> None:
+    image = read_depth(write_depth(tmp_path, kind))
+    z, _ = metric_depth(image, "metric")
+    np.testing.assert_allclose(z, plane(), atol=6e-4)
+    assert np.isnan(z[3, 4])
+
+
+def test_points_project_back_to_their_pixels(tmp_path: Path) -> None:
+    settings = SingleViewSettings(focal_px=(40.0, 42.0), center_px=(15.5, 12.25), flying_jump=0)
+    view = load_single_view(picture(tmp_path), write_depth(tmp_path, "npy"), settings)
+    rows, columns = np.nonzero(view.kept)
+    x, y, z = view.cloud.points.T
+    np.testing.assert_allclose(40.0 * x / z + 15.5, columns + 0.5, atol=1e-9)
+    np.testing.assert_allclose(42.0 * y / z + 12.25, rows + 0.5, atol=1e-9)
+    np.testing.assert_allclose(z, plane()[rows, columns], rtol=1e-6)
+    assert view.steps[0].reasons == {"unknown": 1}
+    np.testing.assert_allclose(view.cloud.colors, view.color[rows, columns])
+
+
+def test_disparity_and_inverse_depth() -> None:
+    from splatcomplete_data.singleview.depth_file import DepthImage
+
+    depth = plane()
+    disparity = DepthImage(500 * 0.1 / depth - 7.0, False)
+    z, _ = metric_depth(disparity, "disparity", focal_px=500, baseline=0.1, offset=7.0)
+    np.testing.assert_allclose(z, depth)
+    z, _ = metric_depth(DepthImage(2.0 / depth, False), "inverse", unit=2.0)
+    np.testing.assert_allclose(z, depth)
+    with pytest.raises(UserError, match="--baseline"):
+        metric_depth(disparity, "disparity")
+
+
+def test_flying_pixels_go_and_clean_edges_stay() -> None:
+    depth = np.full((9, 12), 1.0)
+    depth[:, 6:] = 2.0
+    assert not flying_pixels(depth).any()
+    depth[4, 6] = 1.5  # between near and far
+    depth[2, 2] = 3.0  # alone
+    marked = flying_pixels(depth)
+    assert marked[4, 6]
+    assert marked[2, 2]
+    assert marked.sum() == 2
+    depth[:, 9] = np.nan
+    assert flying_pixels(depth).sum() == 2
+
+
+def test_masks_alpha_crop_range_and_confidence(tmp_path: Path) -> None:
+    depth = write_depth(tmp_path, "npz")
+    base = {"fov_deg": 60.0, "flying_jump": 0.0}
+    photo = picture(tmp_path, "RGBA")
+    assert load_single_view(photo, depth, SingleViewSettings(**base)).kept.sum() == 100  # type: ignore[arg-type]
+    mask = np.zeros((HEIGHT * 2, WIDTH * 2), np.uint8)
+    mask[:20, :20] = 255
+    Image.fromarray(mask).save(tmp_path / "mask.png")
+    for changes, count in (
+        ({"mask": tmp_path / "mask.png"}, 99),
+        ({"mask": tmp_path / "mask.png", "crop_px": (0, 0, 3, 50)}, 30),
+        ({"mask": tmp_path / "mask.png", "far": 1.05}, 40),
+        ({"mask": tmp_path / "mask.png", "min_confidence": 0.5}, 99),
+    ):
+        view = load_single_view(photo, depth, SingleViewSettings(**base, **changes))  # type: ignore[arg-type]
+        assert view.kept.sum() == count
+    for changes, message in (
+        ({"near": 5.0}, "near_far"),
+        ({"min_confidence": 3.0}, "confidence"),
+        ({"mask": tmp_path / "gone.png"}, "mask"),
+    ):
+        with pytest.raises(UserError, match=message):
+            load_single_view(photo, depth, SingleViewSettings(**base, **changes))  # type: ignore[arg-type]
+
+
+def test_depth_anything_results_are_read_as_they_are(tmp_path: Path) -> None:
+    matrix = np.array([[[30.0, 0, 16], [0, 31, 12], [0, 0, 1]]])
+    image = np.zeros((1, HEIGHT, WIDTH, 3), np.uint8)
+    path = tmp_path / "results.npz"
+    np.savez(path, image=image, depth=plane()[None], conf=plane()[None], intrinsics=matrix)
+    view = load_single_view(None, path)
+    assert (view.camera.focal_x_px, view.camera.focal_y_px) == (30.0, 31.0)
+    np.savez(path, image=image, depth=plane()[None])
+    with pytest.raises(UserError, match="--focal"):
+        load_single_view(None, path)
+    assert load_single_view(None, path, SingleViewSettings(fov_deg=50)).camera.width == WIDTH
+
+
+def test_intrinsics_files_and_sizes(tmp_path: Path) -> None:
+    path = tmp_path / "k.json"
+    matrix = [525.0, 0, 0, 0, 526.0, 0, 319.5, 239.5, 1]
+    path.write_text(json.dumps({"width": 640, "height": 480, "intrinsic_matrix": matrix}))
+    found = read_intrinsics(path, 1, 1).resized(320, 240)
+    assert (found.focal_x_px, found.focal_y_px, found.center_x_px) == (262.5, 263.0, 159.75)
+    with pytest.raises(UserError, match="aspect"):
+        found.resized(320, 320)
+    for text in ("{}", "1 2 3", "[]", '{"fx": "a"}', '{"fx": -1}'):
+        path.write_text(text)
+        with pytest.raises(UserError, match="intrinsics"):
+            read_intrinsics(path, 10, 10)
+
+
+def test_odd_depth_files_are_user_errors(tmp_path: Path) -> None:
+    photo = picture(tmp_path)
+    cases = {
+        "a.npy": lambda p: np.save(p, np.zeros((HEIGHT, WIDTH))),
+        "b.npy": lambda p: np.save(p, np.ones((2, 3, 4, 5))),
+        "c.npz": lambda p: np.savez(p, one=np.ones(3), two=np.ones(3)),
+        "d.png": lambda p: Image.new("RGB", (WIDTH, HEIGHT)).save(p),
+        "e.png": lambda p: Image.new("L", (WIDTH, HEIGHT), 9).save(p),
+        "f.npy": lambda p: p.write_bytes(b"\x93NUMPY broken"),
+        "g.jpg": lambda p: p.write_bytes(b"x"),
+        "h.npy": lambda p: np.save(p, np.ones((30, 90))),
+        "i.npy": lambda p: np.save(p, np.array(["a"])),
+    }
+    for name, write in cases.items():
+        write(tmp_path / name)
+        with pytest.raises(UserError, match="depth"):
+            load_single_view(photo, tmp_path / name, SingleViewSettings(fov_deg=50))

@@ -1,0 +1,79 @@
+"""Splat files of other formats come and go with what they can hold."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from gscomplete.errors import UserError
+from gscomplete.splats import Splats
+from splatcomplete_data.formats import format_of, read_any_splats, write_any_splats
+
+DATA = Path(__file__).resolve().parents[2] / "../shared/data/splats"
+
+
+def some_splats(count: int = 300, bands: int = 4) -> Splats:
+    generator = torch.Generator().manual_seed(2)
+    quaternions = torch.randn(count, 4, generator=generator)
+    return Splats(
+        torch.randn(count, 3, generator=generator),
+        torch.nn.functional.normalize(quaternions, dim=1),
+        (torch.randn(count, 3, generator=generator) * 0.3 - 3).exp(),
+        torch.rand(count, generator=generator),
+        torch.randn(count, bands, 3, generator=generator) * 0.2,
+    )
+
+
+def covariances(splats: Splats) -> torch.Tensor:
+    from gscomplete.splats.rotations import rotation_matrices
+
+    axes = rotation_matrices(splats.quaternions) * splats.scales[:, None, :]
+    return axes @ axes.transpose(1, 2)
+
+
+@pytest.mark.parametrize("kind", ["ply", "splat", "spz", "compressed.ply"])
+def test_round_trip(tmp_path: Path, kind: str) -> None:
+    if kind in ("spz", "compressed.ply"):
+        pytest.importorskip("gsply")
+    splats = some_splats()
+    path = tmp_path / f"a.{kind}"
+    write_any_splats(path, splats)
+    back = read_any_splats(path).splats
+    assert len(back) == len(splats)
+    a, b = splats, back.select(torch.cdist(splats.means, back.means).argmin(dim=1))
+    torch.testing.assert_close(a.means, b.means, atol=5e-3, rtol=0)
+    torch.testing.assert_close(a.opacities, b.opacities, atol=0.01, rtol=0)
+    torch.testing.assert_close(a.base_colors, b.base_colors, atol=0.02, rtol=0)
+    size = a.scales.amax(dim=1).square()[:, None, None]
+    assert ((covariances(a) - covariances(b)).abs() / size).median() < 0.05
+    if kind == "spz":
+        torch.testing.assert_close(a.sh[:, 1:], b.sh[:, 1:], atol=0.08, rtol=0)
+
+
+def test_odd_files_are_user_errors(tmp_path: Path) -> None:
+    for name, content in (("a.splat", bytes(33)), ("b.spz", b"\x1f\x8b bad"), ("c.splat", b"")):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(UserError, match=name):
+            read_any_splats(tmp_path / name)
+    for name in ("a.ksplat", "none.ply", "ply"):
+        with pytest.raises(UserError, match=name):
+            read_any_splats(tmp_path / name)
+    bad = some_splats(3)
+    bad.means[0, 0] = float("nan")
+    with pytest.raises(UserError, match="finite"):
+        write_any_splats(tmp_path / "x.splat", bad)
+    assert not (tmp_path / "x.splat").exists()
+    assert format_of(Path("A.Compressed.PLY")) == "compressed.ply"
+
+
+@pytest.mark.parametrize("kind", ["spz", "splat"])
+def test_real_files_agree_with_their_ply(kind: str) -> None:
+    stem = DATA / "metalsplatter/test-splat.3-points-from-train"
+    if not stem.with_name(stem.name + ".ply").is_file():
+        pytest.skip("real data are not here (../shared/data)")
+    pytest.importorskip("gsply")
+    real = read_any_splats(Path(f"{stem}.ply")).splats
+    other = read_any_splats(Path(f"{stem}.{kind}")).splats
+    torch.testing.assert_close(real.means, other.means, atol=2e-4, rtol=0)
+    relative = (covariances(real) - covariances(other)).abs()
+    assert (relative / covariances(real).abs().amax(dim=(1, 2), keepdim=True)).max() < 0.1

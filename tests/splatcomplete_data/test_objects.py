@@ -1,0 +1,189 @@
+"""Object folders: whole or not at all, read back as written, refused when odd."""
+
+import dataclasses
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gscomplete.errors import UserError
+from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.views import ObjectFrame, ViewDistribution
+from splatcomplete_data.atomic_folder import atomic_folder, forget_leftovers
+from splatcomplete_data.boxes import CropBox, inside_boxes, parse_box
+from splatcomplete_data.objects import (
+    ObjectRecord,
+    SourceRecord,
+    StepRecord,
+    check_steps,
+    read_object,
+    read_record,
+    sha256_of,
+    write_object,
+)
+
+
+def ball(count: int = 400) -> Splats:
+    generator = torch.Generator().manual_seed(1)
+    points = torch.nn.functional.normalize(torch.randn(count, 3, generator=generator), dim=1) * 0.5
+    quaternions = torch.zeros(count, 4)
+    quaternions[:, 0] = 1
+    return Splats(
+        points,
+        quaternions,
+        torch.full((count, 3), 0.03),
+        torch.full((count,), 0.9),
+        colors_to_sh(torch.rand(count, 3, generator=generator)),
+    )
+
+
+def record(**changes: object) -> ObjectRecord:
+    base = ObjectRecord(
+        id="ball",
+        subset="mesh",
+        prompt="a ball",
+        source=SourceRecord("ball.obj", licence="CC0"),
+        frame=ObjectFrame("Z", (0.0, 0.0, 0.0), 1.0),
+        frame_origin="truth",
+        views=ViewDistribution(30.0, 15.0),
+        boxes=(CropBox((0, 0, 0), (1, 1, 1)),),
+        steps=(StepRecord("cut", 400, 200, {"plane": 200}),),
+    )
+    return dataclasses.replace(base, **changes)  # type: ignore[arg-type]
+
+
+def test_an_object_reads_back_as_written(tmp_path: Path) -> None:
+    whole = ball()
+    part = whole.select(whole.means[:, 0] > 0)
+    written = write_object(tmp_path / "ball", record(), part, whole)
+    found = read_object(tmp_path / "ball")
+    assert found.record == written
+    assert written.counts == {"sh_degree": 0, "partial": len(part), "complete": 400}
+    torch.testing.assert_close(found.partial.means, part.means)
+    for name, file in written.files.items():
+        assert sha256_of(tmp_path / "ball" / name) == file.sha256
+    assert sorted(os.listdir(tmp_path)) == ["ball"]
+
+
+def test_the_same_object_is_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write_object(tmp_path / name, record(), ball(), None)
+    for file in sorted((tmp_path / "a").iterdir()):
+        assert file.read_bytes() == (tmp_path / "b" / file.name).read_bytes()
+
+
+def test_nothing_is_replaced_without_overwrite(tmp_path: Path) -> None:
+    folder = tmp_path / "ball"
+    write_object(folder, record(), ball(300), None)
+    before = (folder / "partial.ply").read_bytes()
+    with pytest.raises(UserError, match="--overwrite"):
+        write_object(folder, record(), ball(), None)
+    assert (folder / "partial.ply").read_bytes() == before
+    write_object(folder, record(prompt="another"), ball(), None, overwrite=True)
+    assert read_record(folder).prompt == "another"
+    assert sorted(os.listdir(tmp_path)) == ["ball"]
+
+
+def test_a_failing_writer_leaves_the_old_folder(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a/old").write_text("old")
+
+    def fail(temporary: Path) -> None:
+        (temporary / "new").write_text("new")
+        raise RuntimeError
+
+    with pytest.raises(RuntimeError), atomic_folder(tmp_path / "a", overwrite=True) as temporary:
+        fail(temporary)
+    assert [p.name for p in tmp_path.iterdir()] == ["a"]
+    assert (tmp_path / "a/old").read_text() == "old"
+
+
+def test_leftovers_of_killed_writers_go(tmp_path: Path) -> None:
+    (tmp_path / ".ball.abc_1234").mkdir()
+    (tmp_path / ".build").mkdir()
+    (tmp_path / "kept").mkdir()
+    assert forget_leftovers(tmp_path) == 1
+    assert sorted(os.listdir(tmp_path)) == [".build", "kept"]
+
+
+def test_empty_and_unwritable_objects_are_user_errors(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="no splats are left"):
+        write_object(tmp_path / "x", record(), ball(0), None)
+    (tmp_path / "file").write_text("")
+    for place in (tmp_path / "file", tmp_path / "file/below"):
+        with pytest.raises(UserError, match="file"):
+            write_object(place, record(), ball(), None)
+    assert sorted(os.listdir(tmp_path)) == ["file"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"version": 2}, "version"),
+        ({"unknown": 1}, "unknown"),
+        ({"prompt": " "}, "prompt"),
+        ({"id": "../up"}, "id"),
+        ({"subset": "video"}, "subset"),
+        ({"views": {}}, "views"),
+        ({"file_from_source": {"scale": 0}}, "file_from_source"),
+    ],
+)
+def test_odd_records_name_file_and_field(tmp_path: Path, change: dict, message: str) -> None:
+    write_object(tmp_path / "ball", record(), ball(), None)
+    path = tmp_path / "ball/object.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+    with pytest.raises(UserError, match=rf"object\.json.*{message}"):
+        read_record(tmp_path / "ball")
+
+
+def test_steps_must_follow_each_other() -> None:
+    check_steps([StepRecord("a", 9, 7), StepRecord("b", 7, 7)])
+    with pytest.raises(ValueError, match="starts with 6"):
+        check_steps([StepRecord("a", 9, 7), StepRecord("b", 6, 6)])
+
+
+numbers = st.floats(-5, 5, allow_nan=False)
+positive = st.floats(0.01, 5)
+
+
+@given(
+    st.tuples(numbers, numbers, numbers),
+    st.tuples(positive, positive, positive),
+    st.tuples(numbers, numbers, numbers, st.floats(0.1, 3)),
+)
+def test_a_box_contains_what_its_axes_say(
+    center: tuple[float, float, float],
+    half: tuple[float, float, float],
+    quaternion: tuple[float, float, float, float],
+) -> None:
+    box = CropBox(center, half, quaternion)
+    points = np.random.default_rng(0).uniform(-8, 8, (200, 3))
+    for point, inside in zip(points, box.contains(points), strict=True):
+        offset = [float(np.dot(point - center, box.rotation[:, k])) for k in range(3)]
+        margin = min(h - abs(o) for h, o in zip(half, offset, strict=True))
+        if abs(margin) > 1e-9:
+            assert inside == (margin > 0)
+
+
+def test_boxes_apply_in_order_and_parse() -> None:
+    points = np.array([[0, 0, 0], [2, 0, 0], [0.4, 0, 0], [np.nan, 0, 0]])
+    first = parse_box("0,0,0,1,1,1")
+    second = parse_box("keep:2,0,0,0.5,0.5,0.5,1,0,0,0")
+    third = parse_box("remove:0.4,0,0,0.1,0.1,0.1")
+    kept = inside_boxes(points, [first, second, third])
+    assert kept.tolist() == [True, True, False, False]
+    assert inside_boxes(points, [third]).tolist() == [True, True, False, True]
+    for text in (
+        "1,2,3",
+        "drop:0,0,0,1,1,1",
+        "0,0,0,1,1,0",
+        "0,0,0,1,1,nan",
+        "0,0,0,1,1,1,0,0,0,0",
+    ):
+        with pytest.raises(UserError, match="--box"):
+            parse_box(text)
