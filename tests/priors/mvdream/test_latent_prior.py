@@ -337,11 +337,12 @@ def test_identity_tells_weights_and_deciding_knobs(weights):
 def test_half_precision_is_close(weights):
     views = renders()
     gradients = []
-    for precision in ("float32", "bfloat16"):
+    for precision in ("float32", "bfloat16", "float16"):
         prior = build(weights, precision=precision, vae_precision=precision)
         loss = prior.distill(views, 500, prior.condition(PROMPT), generator())
         gradients.append(torch.autograd.grad(loss, views.color)[0].flatten())
-    assert float(torch.cosine_similarity(*gradients, dim=0)) > 0.98
+    for gradient in gradients[1:]:
+        assert float(torch.cosine_similarity(gradients[0], gradient, dim=0)) > 0.98
 
 
 def test_networks_compile_without_a_break(weights):
