@@ -2,7 +2,9 @@
 
 It predicts whether the object fills each fine cell (solid, or a thin wall passes) and, for each
 coarse cell, where its colour comes from: P nearby, one of the mirror images of P, or a colour of
-the network's own. So patterns are continued by pointing at them rather than by painting them.
+the network's own. So patterns are continued by pointing at them rather than by painting them; and
+so are fine cells: what P or a mirror image fills adds to the answer as much as the coarse cell trusts
+that source.
 
 Conventions
 -----------
@@ -121,7 +123,7 @@ class ShapeCompleter(nn.Module):
         self.grow = nn.ModuleList(nn.Conv3d(w[i + 1], w[i], 1) for i in range(2))
         self.attend = GlobalAttention(w[2], coarse_cells // 4)
         self.norm = nn.GroupNorm(config.groups, w[0])
-        self.head = nn.Conv3d(w[0], _FOLD**3 + 3 + SOURCES + 1, 3, padding=1)
+        self.head = nn.Conv3d(w[0], _FOLD**3 + 3 + SOURCES + 1 + SOURCES, 3, padding=1)
         nn.init.zeros_(self.head.weight)
         along = torch.linspace(-1, 1, coarse_cells)
         place = torch.stack(torch.meshgrid(along, along, along, indexing="ij"))
@@ -160,8 +162,10 @@ class ShapeCompleter(nn.Module):
                 x = x + kept[level]
             x = self.up[level](x, embedding)
         out = self.head(F.silu(self.norm(x))).float()
-        filled, colors, sources = out.split((_FOLD**3, 3, SOURCES + 1), dim=1)
-        return ShapeOutput(unfold(filled)[:, 0], torch.sigmoid(colors), sources)
+        parts = (_FOLD**3, 3, SOURCES + 1, SOURCES)
+        filled, colors, sources, trust = out.split(parts, dim=1)
+        pointed = F.interpolate(trust, scale_factor=float(_FOLD)) * volumes[:, :, 0]
+        return ShapeOutput(unfold(filled)[:, 0] + pointed.sum(1), torch.sigmoid(colors), sources)
 
 
 def fold(x: Tensor) -> Tensor:  # [B, C, n, n, n] -> [B, 8 C, n/2, n/2, n/2]

@@ -1,0 +1,39 @@
+"""Simple objects as splats, for tests of the shape network's parts."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import torch
+
+from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.splats.rotations import quaternions_facing
+
+
+def sphere(
+    count: int = 6000, radius: float = 0.4, center: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> Splats:
+    """Return discs on a sphere whose colour is its outward normal."""
+    points = np.random.default_rng(1).normal(size=(count, 3))
+    normals = torch.from_numpy(points / np.linalg.norm(points, axis=1, keepdims=True)).float()
+    spacing = radius * (4 * np.pi / count) ** 0.5
+    scales = torch.full((count, 3), 0.7 * spacing)
+    scales[:, 2] *= 0.1
+    return Splats(
+        radius * normals + torch.tensor(center),
+        quaternions_facing(normals),
+        scales,
+        torch.full((count,), 0.95),
+        colors_to_sh(0.5 + 0.4 * normals),
+    )
+
+
+def half(splats: Splats, axis: int = 0) -> Splats:
+    """Return what lies beyond the middle along an axis."""
+    return splats.select(splats.means[:, axis] > 0)
+
+
+def moved(splats: Splats, shift: tuple[float, float, float]) -> Splats:
+    """Return the splats elsewhere."""
+    return dataclasses.replace(splats, means=splats.means + torch.tensor(shift))

@@ -1,0 +1,70 @@
+import pytest
+import torch
+
+from gscomplete.priors.embedded.shape.grid import CELLS, COARSE_CELLS
+from gscomplete.priors.embedded.shape.inputs import SOURCES, shape_inputs
+from gscomplete.priors.embedded.shape.model import (
+    ShapeCompleter,
+    ShapeModelConfig,
+    fold,
+    unfold,
+)
+from gscomplete.priors.embedded.shape.predict import predict_whole, turned, turned_back
+from gscomplete.views import ViewDistribution
+from tests.priors.embedded.shape.shapes import half, sphere
+
+TINY = ShapeModelConfig(vocabulary_size=8, widths=(8, 8, 16), blocks=(1, 1, 1), embedding=8)
+
+
+@pytest.fixture(scope="module")
+def model():
+    torch.manual_seed(0)
+    model = ShapeCompleter(TINY, COARSE_CELLS)
+    with torch.no_grad():
+        for parameter in model.parameters():
+            parameter.add_(0.05 * torch.randn(parameter.shape))
+    return model.eval()
+
+
+def test_folding_is_undone():
+    x = torch.rand(2, 3, 8, 8, 8)
+    assert torch.equal(unfold(fold(x)), x)
+    # Fine cell (1, 0, 1) of coarse cell (2, 3, 1) is channel 5 of it.
+    assert torch.equal(fold(x[:, :1])[0, 5, 2, 3, 1], x[0, 0, 5, 6, 3])
+
+
+def test_output_has_a_value_for_every_cell_and_reads_the_prompt(model):
+    volumes = torch.rand(2, SOURCES, 4, CELLS, CELLS, CELLS)
+    evidence = torch.rand(2, 3, COARSE_CELLS, COARSE_CELLS, COARSE_CELLS)
+    tokens = torch.tensor([[2, 3], [4, 0]])
+    with torch.no_grad():
+        out = model(volumes, evidence, torch.zeros(2, SOURCES - 1), tokens)
+        other = model(volumes, evidence, torch.zeros(2, SOURCES - 1), tokens.flip(0))
+    assert out.occupancy.shape == (2, CELLS, CELLS, CELLS)
+    assert out.sources.shape[1] == SOURCES + 1
+    assert not torch.equal(out.occupancy, other.occupancy)
+
+
+def test_a_trusted_source_fills_its_own_cells(model):
+    """With trust in P alone the answer is P, cell by cell."""
+    volumes = (torch.rand(1, SOURCES, 4, CELLS, CELLS, CELLS) > 0.7).float()
+    evidence = torch.zeros(1, 3, COARSE_CELLS, COARSE_CELLS, COARSE_CELLS)
+    blind = ShapeCompleter(TINY, COARSE_CELLS)
+    with torch.no_grad():
+        blind.head.bias[:8] = -5.0
+        blind.head.bias[-SOURCES] = 10.0
+        out = blind(volumes, evidence, torch.zeros(1, SOURCES - 1), torch.zeros(1, 1).long())
+    assert torch.equal(out.occupancy > 0, volumes[:, 0, 0] > 0.5)
+
+
+def test_turning_is_undone_and_the_mean_answer_turns_with_the_object(model):
+    x = torch.rand(1, 2, 6, 6, 6)
+    for turns in range(4):
+        for mirror in (False, True):
+            assert torch.equal(turned_back(turned(x, turns, mirror), turns, mirror), x)
+    seen = shape_inputs(half(sphere()), ViewDistribution(0.0, 10.0))
+    tokens = torch.tensor([2, 3])
+    answer = predict_whole(model, seen, tokens)
+    assert torch.isfinite(answer.occupancy).all()
+    single = predict_whole(model, seen, tokens, orientations=1)
+    assert not torch.allclose(single.occupancy, answer.occupancy)

@@ -1,0 +1,109 @@
+import numpy as np
+import pytest
+import torch
+
+from gscomplete.priors.embedded.shape.grid import (
+    CELLS,
+    COARSE_CELLS,
+    HALF_SIDE,
+    cell_centers,
+)
+from gscomplete.priors.embedded.shape.inputs import SOURCES, shape_inputs
+from gscomplete.priors.embedded.shape.model import ShapeOutput
+from gscomplete.priors.embedded.shape.surface import (
+    SurfaceSettings,
+    filled_box,
+    sample_volume,
+    surface_splats,
+)
+from gscomplete.render import render
+from gscomplete.splats import concatenate
+from gscomplete.views import ViewDistribution
+from tests.priors.embedded.shape.shapes import half, sphere
+
+VIEWS = ViewDistribution(0.0, 10.0)
+
+
+def ball_output(radius=0.4):
+    """Return what a network that believes in a red ball would say."""
+    distance = torch.from_numpy(np.linalg.norm(cell_centers(CELLS), axis=-1))
+    coarse = torch.zeros(1, 3, COARSE_CELLS, COARSE_CELLS, COARSE_CELLS)
+    coarse[:, 0] = 1.0
+    sources = torch.zeros(1, SOURCES + 1, COARSE_CELLS, COARSE_CELLS, COARSE_CELLS)
+    sources[:, -1] = 9.0
+    return ShapeOutput((40 * (radius - distance))[None], coarse, sources)
+
+
+def guess(settings=None, output=None, partial=None):
+    partial = half(sphere()) if partial is None else partial
+    generator = torch.Generator().manual_seed(0)
+    return surface_splats(
+        output or ball_output(),
+        shape_inputs(partial, VIEWS),
+        partial,
+        settings or SurfaceSettings(),
+        generator,
+    )
+
+
+def test_interpolation_reads_cell_centres():
+    volume = torch.rand(2, CELLS, CELLS, CELLS)
+    centers = torch.from_numpy(cell_centers(CELLS))
+    places = torch.tensor([[3, 5, 7], [20, 0, 47], [10, 11, 12]])
+    points = centers[places[:, 0], places[:, 1], places[:, 2]]
+    expected = volume[:, places[:, 0], places[:, 1], places[:, 2]].T
+    torch.testing.assert_close(sample_volume(volume, points), expected, atol=2e-5, rtol=0)
+
+
+def test_discs_lie_on_the_surface_and_not_on_p():
+    splats = guess(SurfaceSettings(believed_logit=99.0))  # nothing copied
+    distance = splats.means.norm(dim=1)
+    # Set inside by less than half a cell (0.03), and smoothed.
+    assert float((distance - 0.4).abs().max()) < 0.035
+    # All but a few in the random gaps between P's own splats.
+    assert float((splats.means[:, 0] < 0.05).float().mean()) > 0.99
+    assert len(splats) > 1000
+    assert torch.equal(splats.base_colors[:, 0] > 0.9, torch.ones(len(splats), dtype=torch.bool))
+
+
+def test_whole_is_closed_and_of_the_right_size():
+    partial = half(sphere())
+    whole = concatenate([partial, guess()])
+    cameras = VIEWS.ring(8, 96)
+    with torch.no_grad():
+        ours = render(whole, cameras).alpha > 0.5
+        truth = render(sphere(), cameras).alpha > 0.5
+    iou = (ours & truth).sum(dim=(1, 2)) / (ours | truth).sum(dim=(1, 2))
+    assert float(iou.min()) > 0.93
+
+
+def test_mirror_images_are_taken_where_believed():
+    copied = guess(SurfaceSettings(believed_logit=-1.0, count=20_000))
+    discs = guess(SurfaceSettings(believed_logit=99.0, count=20_000))
+    # P's colours run from dark to light red; the network's own colour is pure red.
+    assert float(copied.base_colors[:, 0].std()) > 0.05
+    assert float(discs.base_colors[:, 0].std()) < 0.02
+
+
+@pytest.mark.parametrize("count", [1, 50, 3000])
+def test_no_more_splats_than_asked_for(count):
+    splats = guess(SurfaceSettings(count=count))
+    assert 0 < len(splats) <= count
+    for _, value in splats.fields():
+        assert torch.isfinite(value).all()
+
+
+def test_nothing_believed_gives_nothing_and_everything_gives_something_finite():
+    empty = ball_output(radius=-2.0)
+    assert len(guess(output=empty)) == 0
+    assert torch.equal(filled_box(empty), HALF_SIDE * torch.tensor([[-1.0] * 3, [1.0] * 3]))
+    full = guess(output=ball_output(radius=5.0))
+    assert torch.isfinite(full.means).all()
+    box = filled_box(ball_output())
+    assert float((box.abs() - 0.4).abs().max()) < 0.04
+
+
+def test_the_same_seed_gives_the_same_splats():
+    first, again = guess(), guess()
+    for (_, a), (_, b) in zip(first.fields(), again.fields(), strict=True):
+        assert torch.equal(a, b)
