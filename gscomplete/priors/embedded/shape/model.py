@@ -3,8 +3,8 @@
 It predicts whether the object fills each fine cell (solid, or a thin wall passes) and, for each
 coarse cell, where its colour comes from: P nearby, one of the mirror images of P, or a colour of
 the network's own. So patterns are continued by pointing at them rather than by painting them; and
-so are fine cells: what P or a mirror image fills adds to the answer as much as the coarse cell trusts
-that source.
+so are fine cells: what P or a mirror image fills adds to the answer as much as the coarse cell
+trusts that source.
 
 Conventions
 -----------

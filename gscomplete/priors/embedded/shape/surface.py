@@ -1,7 +1,7 @@
 """Splats on the surface that the shape network believes in.
 
-Where a mirror image of P fits what the network believes, its splats are taken as they are: exact walls
-and full detail. Elsewhere the surface of the filled cells is covered with discs.
+Where a mirror image of P fits what the network believes, its splats are taken as they are: exact
+walls and full detail. Elsewhere the surface of the filled cells is covered with discs.
 
 Conventions
 -----------
