@@ -14,6 +14,7 @@ Conventions
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,8 @@ from gscomplete.views import Cameras
 from splatcomplete_data.boxes import CropBox
 
 FloatArray = NDArray[np.float64]
+_LEVEL_DEG = 12.0
+"""Tables and beds are level to this angle, as far as the up direction is known."""
 _FEWEST = 20
 """Fewer splats are nothing to enclose."""
 
@@ -40,16 +43,16 @@ class ProposalSettings:
     """Radius within which the cluster is looked for."""
     plane_ball: float = 1.4
     """Radius within which planes are looked for."""
-    most_planes: int = 2
-    """Planes taken away at most: a table and a wall."""
-    plane_samples: int = 600
+    plane_samples: int = 1500
     """RANSAC's tries for every plane."""
-    plane_slack: float = 0.025
+    plane_slack: float = 0.03
     """Half thickness of a plane."""
-    plane_reach: float = 0.15
+    plane_reach: float = 0.06
     """A plane's upper side is looked for up to this height: walls have reliefs, beds wrinkles."""
     plane_share: float = 0.12
     """Least share of the weight that a plane holds."""
+    level_share: float = 0.07
+    """The same for a level plane."""
     front_share: float = 0.6
     """Least share of the other weight that lies before a plane that bears the object."""
     cells: int = 40
@@ -158,10 +161,10 @@ def propose_box(splats: Splats, focus: Focus, settings: ProposalSettings | None 
             "--box auto: expected splats where the cameras look, found none within "
             f"{focus.radius:.4g} of {focus.center.round(4).tolist()}; give the box as numbers"
         )
-    weight = weight[near] * focus.attention(points[near])
     local = (points[near] - focus.center) / focus.radius
     ball = np.linalg.norm(local, axis=1) <= settings.plane_ball
-    planes = _supporting_planes(local[ball], weight[ball], focus.toward_cameras(), settings)
+    planes = _supporting_planes(local[ball], weight[near][ball], focus, settings)
+    weight = weight[near] * focus.attention(points[near])
     free = np.all([plane.before(local) for plane in planes], axis=0) if planes else weight >= 0
     middle = np.zeros(3)
     for _ in range(3):  # what the cameras look at may lie well before the plane behind it
@@ -217,57 +220,77 @@ def _weighted_median(points: FloatArray, weight: FloatArray) -> FloatArray:  # [
 
 
 def _supporting_planes(
-    local: FloatArray,
-    weight: FloatArray,
-    toward: FloatArray | None,  # [3] mean direction to the cameras
-    settings: ProposalSettings,
+    local: FloatArray, weight: FloatArray, focus: Focus, settings: ProposalSettings
 ) -> list[Plane]:
-    """Find planes that bear the object: heavy, and with most of the rest before them."""
+    """Find planes that bear the object: first a level one, for things stand on something."""
     planes: list[Plane] = []
     rng = np.random.default_rng(settings.seed)
     free = np.ones(len(local), np.bool_)
     total = float(weight.sum())
-    for _ in range(settings.most_planes):
-        points, mass = local[free], weight[free]
-        if len(points) < _FEWEST:
+    for upright in (focus.up / np.linalg.norm(focus.up), None):
+        if free.sum() < _FEWEST:
             break
-        normal, offset, held = _heaviest_plane(points, mass, settings, rng)
-        height = points @ normal - offset
-        before = float(mass[height > settings.plane_slack].sum())
-        behind = float(mass[height < -settings.plane_slack].sum())
-        turned = before < behind if toward is None else float(normal @ toward) < 0
-        if turned:
+        found = _heaviest_plane(local[free], weight[free], upright, settings, rng)
+        if found is None:
+            continue
+        normal, offset, held = found
+        height = local @ normal - offset
+        before = float(weight[height > settings.plane_slack].sum())
+        behind = float(weight[height < -settings.plane_slack].sum())
+        if held < (settings.plane_share if upright is None else settings.level_share) * total:
+            continue
+        if upright is None and _is_turned(normal, before, behind, focus):
             normal, offset, height, before, behind = -normal, -offset, -height, behind, before
-        if held < settings.plane_share * total:
-            break
         if before < settings.front_share * (before + behind) or before <= 0:
-            break
-        plane = Plane(normal, offset + _upper_side(height, mass, settings))
+            continue
+        layer = free & (height > -settings.plane_slack)
+        plane = Plane(normal, offset + _upper_side(height[layer], weight[layer], settings))
         planes.append(plane)
         free &= plane.before(local)
     return planes
 
 
+def _is_turned(normal: FloatArray, before: float, behind: float, focus: Focus) -> bool:
+    """Whether a plane's normal points away from the cameras, or from most of the weight."""
+    toward = focus.toward_cameras()
+    return before < behind if toward is None else float(normal @ toward) < 0
+
+
 def _upper_side(height: FloatArray, weight: FloatArray, settings: ProposalSettings) -> float:
-    """Return the height at which a plane's layer ends: its weight falls off or stops falling."""
+    """Return the height at which the weight above a plane falls to a fifth of its own."""
     step = settings.plane_slack / 2
     edges = np.arange(0.0, settings.plane_reach + step, step)
     layers, _ = np.histogram(height, edges, weights=weight)
-    thin = np.flatnonzero(layers < 0.2 * max(float(layers[:2].max()), 1e-12))
+    peak = 0.5 * float(weight[np.abs(height) <= step].sum())
+    thin = np.flatnonzero(layers[1:] < 0.2 * peak) + 1
     top = float(edges[thin[0]]) if len(thin) else settings.plane_reach
     return max(top, settings.plane_slack)
 
 
 def _heaviest_plane(
-    points: FloatArray, weight: FloatArray, settings: ProposalSettings, rng: np.random.Generator
-) -> tuple[FloatArray, float, float]:
-    """Return normal, offset and weight of the plane that holds most."""
+    points: FloatArray,
+    weight: FloatArray,
+    upright: FloatArray | None,  # [3]
+    settings: ProposalSettings,
+    rng: np.random.Generator,
+) -> tuple[FloatArray, float, float] | None:
+    """Return normal, offset and weight of the plane that holds most, None without any.
+
+    With ``upright`` only planes that are nearly level count, their normals upwards.
+    """
     chance = weight / weight.sum()
     picks = points[rng.choice(len(points), (settings.plane_samples, 3), p=chance)]
     normals = np.cross(picks[:, 1] - picks[:, 0], picks[:, 2] - picks[:, 0])
     length = np.linalg.norm(normals, axis=1)
-    normals = normals[length > 1e-3] / length[length > 1e-3, None]
-    offsets = (normals * picks[length > 1e-3, 0]).sum(axis=1)
+    usable = length > 1e-3
+    normals = normals / np.maximum(length, 1e-12)[:, None]
+    if upright is not None:
+        normals *= np.where(normals @ upright < 0, -1.0, 1.0)[:, None]
+        usable &= normals @ upright > math.cos(math.radians(_LEVEL_DEG))
+    if not usable.any():
+        return None
+    normals, picks = normals[usable], picks[usable]
+    offsets = (normals * picks[:, 0]).sum(axis=1)
     sample = rng.choice(len(points), min(len(points), 4000), p=chance)
     close = np.abs(points[sample] @ normals.T - offsets) <= settings.plane_slack
     best = int(close.sum(axis=0).argmax())
@@ -277,7 +300,8 @@ def _heaviest_plane(
         middle = np.average(points[held], axis=0, weights=weight[held])
         spread = (points[held] - middle) * np.sqrt(weight[held])[:, None]
         refined = np.linalg.svd(spread, full_matrices=False)[2][2]
-        normal, offset = refined, float(refined @ middle)
+        normal = refined if refined @ normal > 0 else -refined
+        offset = float(normal @ middle)
     held = np.abs(points @ normal - offset) <= settings.plane_slack
     return normal, offset, float(weight[held].sum())
 
