@@ -153,7 +153,11 @@ def load_mesh(
     reader = _PartReader(path, is_linear, max_texture_px)
     if texture is not None:
         reader.override = reader.texture_array(_open_image(texture), True)
-    parts = tuple(reader.parts(scene))
+    try:
+        parts = tuple(reader.parts(scene))
+    except (ValueError, IndexError, TypeError, KeyError, AttributeError) as error:
+        # faces, coordinates or colours of a damaged file that trimesh did not check
+        raise UserError(f"{path}: damaged: its parts do not fit together ({error})") from error
     if not parts:
         found = f"{reader.degenerate} without area, {reader.non_finite} not finite"
         raise UserError(

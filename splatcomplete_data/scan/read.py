@@ -118,6 +118,7 @@ def _read_las(path: Path) -> Scan:
     from splatcomplete_data.optional import import_optional
 
     laspy = import_optional("laspy", "reading LAS and LAZ files")
+    _check_las_header(path)
     try:
         las = laspy.read(str(path))
         points = np.stack([np.asarray(las.x), np.asarray(las.y), np.asarray(las.z)], axis=1)
@@ -134,6 +135,34 @@ def _read_las(path: Path) -> Scan:
     if channels.max() <= 255:
         channels, notes = channels.astype(np.uint8), ("colours are bytes in 16-bit fields",)
     return _checked(PointCloud(points.astype(np.float64), _unit_colors(channels)), None, notes)
+
+
+def _check_las_header(path: Path) -> None:
+    """Refuse counts that the file's size does not bear out, before laspy makes room for them.
+
+    Raises:
+        UserError: it is no LAS file, or shorter than its header says.
+    """
+    size = path.stat().st_size
+    with path.open("rb") as stream:
+        head = stream.read(375)
+    if head[:4] != b"LASF" or len(head) < 227:
+        raise UserError(f"{path}: cannot read it as LAS or LAZ (no LASF header)")
+
+    def field(offset: int, length: int) -> int:
+        return int.from_bytes(head[offset : offset + length], "little")
+
+    is_new = field(25, 1) >= 4 and len(head) >= 255  # LAS 1.4 has 64-bit counts
+    points = max(field(107, 4), field(247, 8) if is_new else 0)
+    packed = bool(field(104, 1) & 0x80)
+    room = 50 * size if packed else (size - field(96, 4)) // max(field(105, 2), 1)
+    if points > room:
+        raise UserError(f"{path}: truncated: expected {points:,} points, room for {max(room, 0):,}")
+    records = field(100, 4) + (field(243, 4) if is_new else 0)
+    if 54 * records > size:
+        raise UserError(
+            f"{path}: expected {records:,} header records, found a file of {size} bytes"
+        )
 
 
 def _read_text(path: Path) -> Scan:
