@@ -2,7 +2,7 @@
 
 Conventions
 -----------
-* This is the only place that imports Open3D, pymeshlab, laspy and OpenImageIO.
+* This is the only place that imports Open3D, laspy, OpenImageIO, gsply and yaml.
 * ``import open3d`` needs the system library libusb-1.0, which a fresh machine lacks; the package
   ``libusb-package`` carries it, and loading it first is all that is needed.
 """
@@ -16,12 +16,12 @@ from types import ModuleType
 
 from gscomplete.errors import UserError
 
-EXTRA = "pip install 'gscomplete[data]' (or: make setup)"
+EXTRA = "make setup, or pip install 'gscomplete[data,bench]'"
 """How to get everything this module imports."""
 
 
 def import_optional(module: str, purpose: str) -> ModuleType:
-    """Import a module of the ``data`` extra.
+    """Import a module of the ``data`` or ``bench`` extra.
 
     Args:
         module: what to import.
