@@ -83,15 +83,16 @@ class Scene:
         return [turned[index] for index in range(len(turned))]
 
     def front_position(self, boxes: Sequence[CropBox]) -> tuple[float, float, float] | None:
-        """Return the centre of the camera that looks at the boxes most straight."""
+        """Return the centre of the camera in the middle of all, as seen from the boxes.
+
+        People photograph the side that matters from more places than its back.
+        """
         if not self.cameras:
             return None
-        center, _ = self._middle(boxes)
-        scores = []
-        for camera, position in zip(self.cameras, self.positions(), strict=True):
-            toward = (center - position) / max(float(np.linalg.norm(center - position)), 1e-12)
-            scores.append(float(toward @ camera.camera_from_world[0, 2, :3].numpy()))
-        x, y, z = self.positions()[int(np.argmax(scores))].tolist()
+        positions = self.positions()
+        away = positions - self._middle(boxes)[0]
+        away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
+        x, y, z = positions[int((away @ away.mean(axis=0)).argmax())].tolist()
         return x, y, z
 
     def details(self) -> dict[str, Any]:

@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 
 import pytest
-import torch
 from PIL import Image
 
 from gscomplete.splats import read_splats
@@ -40,7 +39,7 @@ def test_a_capture_folder_holds_everything(photos, tmp_path, capsys):
     assert main(["crop", str(out), "--prompt", "a ball", "--out", str(tmp_path / "ball")]) == 0
     record = json.loads((tmp_path / "ball/object.json").read_text())
     assert record["frame"]["up"] == "Z"
-    assert 15 < record["views"]["elevation_deg"] < 25
+    assert record["details"]["capture"]["result"] == content["result"]
 
 
 def test_an_interrupted_run_resumes_to_the_same_bytes(photos, tmp_path, monkeypatch):
@@ -108,4 +107,5 @@ def test_masks_restrict_the_splats_to_the_object(tmp_path):
     folder = captures.transforms_capture(tmp_path / "c", alpha=True)
     assert images(folder, tmp_path / "a") == 0
     means = read_splats(tmp_path / "a/splats.ply").splats.means
-    assert torch.quantile(means.norm(dim=1), 0.9) < 2.0
+    # Without masks random points reach 4.5 to either side; within them, less than half of that.
+    assert means.abs().max() < 2.2
