@@ -10,6 +10,7 @@ Conventions
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from dataclasses import dataclass
 
@@ -193,14 +194,15 @@ class Completion:
         )
         return scattered, f"start: {len(scattered):,} splats in a sphere", True
 
-    def _guidance_scales(self) -> Guidance | None:
-        """Return the guidance asked for, or None for the prior's own default."""
+    def _guidance_scales(self) -> Guidance:
+        """Return the prior's own guidance with what the settings ask for in its place."""
         asked = {
             name: getattr(self.settings, name)
             for name in ("text_scale", "input_scale", "rescale")
             if getattr(self.settings, name) is not None
         }
-        return Guidance(**asked) if asked else None
+        sees = self.settings.see_input and self._prior.sees_input
+        return dataclasses.replace(self._prior.default_guidance(sees_input=sees), **asked)
 
     def _input_views(self, cameras: Cameras) -> FourViews | None:
         """Return P's renders for priors that can see them."""

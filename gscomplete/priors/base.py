@@ -140,6 +140,10 @@ class Prior(Protocol):
         """Length of the noise schedule."""
         ...
 
+    def default_guidance(self, *, sees_input: bool) -> Guidance:
+        """Return the scales that are used when none are given, with P in sight or without."""
+        ...
+
     def condition(self, prompt: str, negative_prompt: str | None = None) -> Conditioning:
         """Encode a prompt once for a whole run.
 

@@ -22,8 +22,8 @@ def rotation_matrices(quaternions: Tensor) -> Tensor:  # [N, 4] wxyz -> [N, 3, 3
 def quaternions_facing(normals: Tensor) -> Tensor:  # [N, 3] unit -> [N, 4] wxyz
     """Return quaternions that turn +z onto each normal or onto its opposite.
 
-    Discs look the same from both sides, so normals are flipped to z >= 0 first: the shortest turn is
-    then never near its singularity at -z.
+    Discs look the same from both sides, so normals are flipped to z >= 0 first: the shortest turn
+    is then never near its singularity at -z.
     """
     upper = torch.where(normals[:, 2:] < 0, -normals, normals)
     zero = torch.zeros_like(upper[:, 0])

@@ -2,7 +2,7 @@
 
 import torch
 
-from gscomplete.priors.base import FourViews, PriorViews
+from gscomplete.priors.base import FourViews, Guidance, PriorViews
 from gscomplete.render import render
 from gscomplete.splats import Splats, colors_to_sh
 
@@ -19,7 +19,11 @@ class OraclePrior:
 
     def __init__(self, truth: Splats, poison_step: int | None = None) -> None:
         self.truth = truth
+        self.guidance_seen: Guidance | None = None
         self._calls_left = poison_step
+
+    def default_guidance(self, *, sees_input):
+        return Guidance(text_scale=9.0, rescale=0.25)
 
     def condition(self, prompt, negative_prompt=None):
         return OracleConditioning()
@@ -27,6 +31,7 @@ class OraclePrior:
     def distill(
         self, views: FourViews, timestep, conditioning, generator, input_views=None, guidance=None
     ):
+        self.guidance_seen = guidance
         if self._calls_left is not None:
             self._calls_left -= 1
             if self._calls_left < 0:

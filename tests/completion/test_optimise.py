@@ -10,6 +10,7 @@ import torch
 from gscomplete.completion.optimise import Completion, NonFiniteError
 from gscomplete.completion.settings import RECONSTRUCT, SMALL_PRIOR
 from gscomplete.evaluate.metrics import against_truth, preservation
+from gscomplete.priors import Guidance
 from gscomplete.splats import concatenate
 from gscomplete.views import ViewDistribution
 
@@ -113,3 +114,10 @@ def test_nan_from_the_prior_stops_before_the_parameters():
     assert job.step_number == 7
     for name, value in job.new_splats().fields():
         assert torch.isfinite(value).all(), name
+
+
+def test_settings_replace_only_the_scales_they_name():
+    """A rescale alone must not reset the prior's own text scale."""
+    prior = OraclePrior(TRUTH)
+    completion(dataclasses.replace(SMALL_PRIOR, steps=1, rescale=0.75), prior).step()
+    assert prior.guidance_seen == Guidance(text_scale=9.0, rescale=0.75)

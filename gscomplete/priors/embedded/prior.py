@@ -116,6 +116,10 @@ class EmbeddedPrior:
         model, shape, config = load_weights(folder)
         return cls(model, config, device, shape=shape)
 
+    def default_guidance(self, *, sees_input: bool) -> Guidance:
+        """Return the scales for P in sight or withheld; see :class:`base.Prior`."""
+        return DEFAULT_GUIDANCE if sees_input else TEXT_ONLY_GUIDANCE
+
     def condition(self, prompt: str, negative_prompt: str | None = None) -> EmbeddedConditioning:
         """Encode a prompt; see :class:`gscomplete.priors.base.Prior`."""
         report = self._tokenizer.understood(prompt).lines()
@@ -206,8 +210,7 @@ class EmbeddedPrior:
                 float(ring[1]),
                 self.views.resolution_px,
             ).to(self._device)
-        if guidance is None:
-            guidance = TEXT_ONLY_GUIDANCE if mapped is None else DEFAULT_GUIDANCE
+        guidance = guidance or self.default_guidance(sees_input=mapped is not None)
         return _Task(ring.to(self._device), mapped, conditioning, guidance)
 
     def _denoise(self, task: _Task, noisy: Tensor, timestep: float) -> Tensor:  # [4, 4, s, s]

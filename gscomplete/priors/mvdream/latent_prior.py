@@ -115,6 +115,10 @@ class LatentPrior:
         self._settings, self._plan, self._guidance = settings, plan, guidance
         self._negative_prompt, self._device = negative_prompt, device
 
+    def default_guidance(self, *, sees_input: bool) -> Guidance:
+        """Return the settings' scales, whatever is seen; see :class:`base.Prior`."""
+        return self._guidance
+
     def condition(self, prompt: str, negative_prompt: str | None = None) -> LatentConditioning:
         """Encode a prompt; None as negative prompt = the prior's own, "" = no text."""
         negative = self._negative_prompt if negative_prompt is None else negative_prompt

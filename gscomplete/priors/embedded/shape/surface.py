@@ -31,6 +31,8 @@ _INWARD = 0.4
 _SEEDS_PER_CELL = 6
 _NEWTON_STEPS = 5
 _FLATNESS = 0.1
+_COLOR_NEIGHBOURS = 8
+"""A source's colour at a point is a mean over this many of its splats: scans are noisy."""
 _OVERLAP = 0.75
 """Tangent standard deviation per spacing, so that neighbours overlap into a closed surface."""
 
@@ -101,7 +103,7 @@ def _copied(
     generator: torch.Generator,
 ) -> Splats:
     """Return the splats of P's mirror images that lie where the network believes in something."""
-    taken = anchor.select(slice(0, 0))
+    taken = anchor.select(torch.zeros(0, dtype=torch.long))
     for symmetry in inputs.symmetries:
         copy = symmetry.apply_to_splats(anchor)
         inside = (copy.means.abs() < HALF_SIDE).all(dim=1)
@@ -210,10 +212,13 @@ def _colors(
     places = [points] + [
         torch.from_numpy(symmetry.undo(points.numpy())) for symmetry in inputs.symmetries
     ]
+    tree, neighbours = cKDTree(means.numpy()), min(_COLOR_NEIGHBOURS, len(means))
     for place in places:
-        distance, nearest = _nearest(place, means)
-        found.append(base[nearest])
-        known.append(distance < settings.color_reach)
+        distance, index = tree.query(place.numpy(), k=range(1, neighbours + 1))
+        weight = torch.from_numpy(1.0 / (distance + 0.2 * CELL_SIDE) ** 2).float()
+        weight /= weight.sum(dim=1, keepdim=True)
+        found.append((weight[:, :, None] * base[torch.from_numpy(index)]).sum(dim=1))
+        known.append(torch.from_numpy(distance[:, 0]) < settings.color_reach)
     shares = torch.cat([logits[:, SOURCES:], logits[:, :SOURCES]], dim=1)
     shares = shares.masked_fill(~torch.stack(known, dim=1), -30.0).softmax(dim=1)
     sharpened = shares.square() / shares.square().sum(dim=1, keepdim=True)

@@ -15,7 +15,7 @@ VIEWS = ViewDistribution(0.0, 10.0)
 
 def test_views_tell_front_behind_and_beside():
     evidence = gather_evidence(half(sphere()), VIEWS)
-    points = np.array([[0.65, 0, 0], [0.0, 0, 0], [-0.3, 0, 0], [0, 0.69, 0.5]], np.float32)
+    points = np.array([[0.45, 0, 0], [0.0, 0, 0], [-0.3, 0, 0], [0, 0.69, 0.5]], np.float32)
     shares = evidence.classify(points)
     assert shares.sum(axis=1) == pytest.approx(1.0, abs=1e-6)
     assert shares[0, 0] > 0.9  # between the camera and the half sphere
