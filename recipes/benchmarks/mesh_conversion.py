@@ -55,7 +55,7 @@ class Options:
     """Folder with MANIFEST.tsv."""
     only: tuple[str, ...] = ()
     """Meshes whose path contains one of these; none = all textured meshes."""
-    modes: tuple[ConvertMode, ...] = ("cells", "grid", "random")
+    modes: tuple[ConvertMode, ...] = ("cells", "random")
     """Modes compared."""
     count: int = 100_000
     """Splats per mesh."""
@@ -63,9 +63,9 @@ class Options:
     """Further counts, for the curve of run time against error."""
     size_px: int = 512
     """Width and height of the pictures."""
-    ray_samples: int = 3
+    ray_samples: int = 2
     """Rays per pixel along each side."""
-    render_samples: int = 3
+    render_samples: int = 2
     """Samples per pixel of the splats' picture along each side."""
     cache: Path | None = None
     """Folder that keeps the ray casts between runs; None = cast again."""
