@@ -149,7 +149,7 @@ def _request(options: CompleteOptions, prior: Prior) -> Request:
     if options.size is not None and not 0 < options.size < float("inf"):
         raise UserError(f"--size: expected a positive length, found {options.size:g}")
     settings = dataclasses.replace(
-        preset(options.preset, prior.name), seed=options.seed, see_input=not options.text_only
+        preset(options.preset, prior.name, text_only=options.text_only), seed=options.seed
     )
     for name in ("steps", "checkpoint_every"):
         if getattr(options, name) is not None:

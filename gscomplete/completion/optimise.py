@@ -84,7 +84,7 @@ class Completion:
         extent = sum(prior.views.extent_range) / 2
         self._max_radius = settings.max_radius or extent / 2
         bounds = Bounds(settings.min_scale_px * extent / self._size_px, settings.max_scale)
-        start, self.start_note, self._is_blank = self._start(bounds, initial_diameter)
+        start, self.start_note = self._start(bounds, initial_diameter)
         self.partial = self.partial.to(self._device)
         self.parameters = SplatParameters(start.to(self._device), bounds, settings.learning_rates)
         self._statistics = GradientStatistics(len(self.parameters), self._device)
@@ -107,7 +107,7 @@ class Completion:
         """
         started = time.perf_counter()
         settings, step = self.settings, self.step_number
-        timestep = schedules.timestep_at(settings, step, blank=self._is_blank)
+        timestep = schedules.timestep_at(settings, step)
         if settings.mode == "reconstruct" and schedules.is_round_start(settings, step):
             self._rings.add(self._denoised_ring(timestep))
         ring_cameras, ring = self._guidance_views()
@@ -170,8 +170,8 @@ class Completion:
         self._statistics.views = state["statistics.views"].clone()
         self._rings.restore(state)
 
-    def _start(self, bounds: Bounds, diameter: float) -> tuple[Splats, str, bool]:
-        """Return the new splats of step 0, a line that says where they are, and if it is blank."""
+    def _start(self, bounds: Bounds, diameter: float) -> tuple[Splats, str]:
+        """Return the new splats of step 0, and a line that says where they are."""
         settings = self.settings
         if settings.start == "guess" and isinstance(self._prior, ShapePrior):
             guess = self._prior.first_guess(
@@ -183,7 +183,7 @@ class Completion:
             )
             if guess is not None:
                 note = f"start: {len(guess.splats):,} splats on the surface the prior guesses"
-                return guess.splats, note, False
+                return guess.splats, note
         scattered = initial_splats(
             self.partial,
             settings.new_splats,
@@ -192,7 +192,7 @@ class Completion:
             min_scale=bounds.min_scale,
             max_scale=bounds.max_scale,
         )
-        return scattered, f"start: {len(scattered):,} splats in a sphere", True
+        return scattered, f"start: {len(scattered):,} splats in a sphere"
 
     def _guidance_scales(self) -> Guidance:
         """Return the prior's own guidance with what the settings ask for in its place."""

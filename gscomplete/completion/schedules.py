@@ -9,16 +9,15 @@ from gscomplete.completion.randomness import generator_for, uniform
 from gscomplete.completion.settings import CompletionSettings
 
 
-def timestep_at(settings: CompletionSettings, step: int, *, blank: bool = False) -> float:
+def timestep_at(settings: CompletionSettings, step: int) -> float:
     """Draw the diffusion time of a step: uniform within the stage that the step lies in.
 
     Args:
         settings: of the run.
         step: counted from 0.
-        blank: the run started from a sphere although a guess was asked for.
     """
     progress = (step + 0.5) / settings.steps
-    stages = settings.blank_timesteps if blank and settings.blank_timesteps else settings.timesteps
+    stages = settings.timesteps
     for stage in stages:
         if progress <= stage.until:
             break

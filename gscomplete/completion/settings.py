@@ -100,9 +100,6 @@ class CompletionSettings:
         TimestepStage(1.0, 20.0, 245.0),
     )
     """Schedule of the diffusion time (section 3.3, with T = 980)."""
-    blank_timesteps: tuple[TimestepStage, ...] | None = None
-    """Schedule of runs that start from a sphere although a guess was asked for, so that the first
-    renders hold no hint; None = ``timesteps``."""
     text_scale: float | None = None
     """Guidance towards the prompt; None = the prior's own default."""
     input_scale: float | None = None
@@ -189,19 +186,44 @@ SMALL_PRIOR = dataclasses.replace(
 RECONSTRUCT = dataclasses.replace(
     SMALL_PRIOR,
     mode="reconstruct",
-    steps=480,
-    new_splats=8000,
-    min_scale_px=0.3,
-    rounds=16,
+    steps=240,
+    new_splats=10_000,
+    min_scale_px=0.1,
+    rounds=8,
     denoise_steps=2,
     ring_memory=5,
     start="guess",
     preservation_every=1,
     timesteps=(
-        TimestepStage(0.5, 450.0, 700.0),
-        TimestepStage(1.0, 100.0, 400.0),
+        TimestepStage(0.5, 200.0, 350.0),
+        TimestepStage(1.0, 50.0, 150.0),
     ),
-    blank_timesteps=(
+    learning_rates=LearningRates(
+        means=5e-4,
+        means_final=1e-4,
+        quaternions=2e-3,
+        log_scales=3e-3,
+        opacity_logits=2e-2,
+        sh=5e-3,
+    ),
+    checkpoint_every=80,
+)
+"""Iterative reconstruction: a few denoised rings, many cheap fitting steps."""
+
+FAST = dataclasses.replace(RECONSTRUCT, steps=90, rounds=3)
+"""Fewer rounds."""
+
+TEXT_ONLY = dataclasses.replace(
+    SMALL_PRIOR,
+    mode="reconstruct",
+    see_input=False,
+    steps=480,
+    new_splats=8000,
+    rounds=16,
+    denoise_steps=2,
+    ring_memory=5,
+    preservation_every=1,
+    timesteps=(
         TimestepStage(0.4, 960.0, 999.0),
         TimestepStage(0.7, 700.0, 850.0),
         TimestepStage(1.0, 250.0, 500.0),
@@ -209,13 +231,11 @@ RECONSTRUCT = dataclasses.replace(
     learning_rates=LearningRates(means=2e-3, means_final=2e-4, sh=5e-3, log_scales=1e-2),
     checkpoint_every=80,
 )
-"""Iterative reconstruction: a few denoised rings, many cheap fitting steps."""
-
-FAST = dataclasses.replace(RECONSTRUCT, steps=240, rounds=8)
+"""Iterative reconstruction with P withheld from the prior: from a sphere, from pure noise."""
 
 
-def preset(name: PresetName, prior_name: str) -> CompletionSettings:
-    """Return the settings of a preset for a prior.
+def preset(name: PresetName, prior_name: str, *, text_only: bool = False) -> CompletionSettings:
+    """Return the settings of a preset for a prior, with P withheld from it if ``text_only``.
 
     Raises:
         UserError: there is no such preset.
@@ -229,4 +249,7 @@ def preset(name: PresetName, prior_name: str) -> CompletionSettings:
     }
     if name not in table:
         raise UserError(f"preset: expected one of {', '.join(table)}, found {name!r}")
-    return table[name]
+    if not text_only:
+        return table[name]
+    chosen = TEXT_ONLY if table[name].start == "guess" else table[name]
+    return dataclasses.replace(chosen, see_input=False)

@@ -35,7 +35,7 @@ from gscomplete import jsonio
 from gscomplete.atomic import atomic_path
 from gscomplete.completion.framing import FramingGuess, guess_framing
 from gscomplete.completion.optimise import Completion
-from gscomplete.completion.settings import CompletionSettings, preset
+from gscomplete.completion.settings import CompletionSettings, PresetName, preset
 from gscomplete.evaluate.metrics import against_truth, preservation
 from gscomplete.evaluate.pictures import contact_sheet, render_images, save_image
 from gscomplete.priors import Prior, load_prior
@@ -116,9 +116,8 @@ def new_splats(posed: Posed, way: Way, prior: Prior, seed: int) -> tuple[Splats 
 
 def settings_of(way: Way, prior: Prior, seed: int) -> CompletionSettings:
     """Return the settings of a way to complete."""
-    chosen = preset("fast" if way == "fast" else "default", prior.name)
-    if way == "text":
-        chosen = dataclasses.replace(chosen, see_input=False, start="sphere")
+    name: PresetName = "fast" if way == "fast" else "default"
+    chosen = preset(name, prior.name, text_only=way == "text")
     return dataclasses.replace(chosen, seed=seed)
 
 

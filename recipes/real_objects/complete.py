@@ -58,10 +58,8 @@ class Options:
 
 def settings_of(options: Options, prior: Prior) -> CompletionSettings:
     """Return the settings that the options ask for."""
-    settings = preset(options.preset, prior.name)
-    settings = dataclasses.replace(
-        settings, seed=options.seed, see_input=not options.text_only, checkpoint_every=0
-    )
+    settings = preset(options.preset, prior.name, text_only=options.text_only)
+    settings = dataclasses.replace(settings, seed=options.seed, checkpoint_every=0)
     if options.steps is not None:
         settings = dataclasses.replace(settings, steps=options.steps)
     return settings.ablated() if options.ablate else settings
