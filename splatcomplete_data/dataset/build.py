@@ -4,27 +4,32 @@ Conventions
 -----------
 * Every object is made by its command in a worker process that stands in the data folder, so that
   records name sources relative to it and are the same bytes wherever the data lie.
-* ``OUT/.build/ID.json`` holds a fingerprint (entry, tool version, hashes of the sources) and the
-  hash of the object.json that came of it. An object whose fingerprint fits and whose files are
-  whole is left alone; so a second build does nothing, and one that was killed goes on where it
-  stopped. A killed object leaves nothing but a temporary folder, which the next build removes.
-* Captures (training from photos) go to ``OUT/.build/captures`` and resume from their checkpoints.
+* ``OUT/.build/ID.json`` holds a fingerprint (entry, tool version, hashes of the sources and of
+  the files that these name) and the hash of the object.json that came of it. An object whose
+  fingerprint fits and whose files are whole is left alone; so a second build does nothing, and one
+  that was killed goes on where it stopped. A killed object leaves nothing but a temporary folder,
+  which the next build removes.
+* Captures (training from photos) go to ``OUT/.build/captures``. Their fingerprint is written before
+  they start: one that was killed resumes from its checkpoint, one that has changed starts again.
 """
 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import hashlib
+import importlib
 import io
 import json
 import logging
 import os
+import threading
 import traceback
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any, Literal
 
@@ -32,6 +37,7 @@ from gscomplete import __version__, jsonio
 from gscomplete.errors import UserError
 from splatcomplete_data.atomic_folder import forget_leftovers
 from splatcomplete_data.dataset.recipe import Entry, Recipe
+from splatcomplete_data.mesh.side_files import side_files
 from splatcomplete_data.objects import RECORD_FILE, read_record, sha256_of
 
 STATE_FOLDER = ".build"
@@ -140,7 +146,8 @@ def write_index(recipe: Recipe, out: Path) -> None:
 def fingerprint(entry: Entry, data: Path, out: Path) -> str:
     """Return the hash of everything that decides an entry's result.
 
-    Folders count with the names, sizes and hashes of their files; captures with the hash of their
+    Folders count with the names and hashes of their files, meshes with those of the files they
+    name (materials, textures, buffers; also that one is missing), captures with the hash of their
     splats.
     """
     digest = hashlib.sha256()
@@ -151,7 +158,10 @@ def fingerprint(entry: Entry, data: Path, out: Path) -> str:
     for path in paths:
         inner = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())
         for file in inner:
-            digest.update(f"{file.name} {sha256_of(file)}".encode())
+            digest.update(f"{file.relative_to(path.parent)} {sha256_of(file)}\n".encode())
+        for name, file in side_files(path).items():
+            content = sha256_of(file) if file.is_file() else "missing"
+            digest.update(f"{name} {content}\n".encode())
     return digest.hexdigest()
 
 
@@ -230,9 +240,18 @@ def _run_all(
 
 
 def _enter(data: str) -> None:
-    """Prepare a worker: stand in the data folder."""
+    """Prepare a worker: stand in the data folder, and end when the build is killed."""
     os.chdir(data)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     logging.getLogger().setLevel(logging.ERROR)
+
+
+def _end_with_parent() -> None:
+    """End this process after its parent: nothing else writes while a next build goes on."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _make(entry: Entry, out_text: str) -> Outcome:
@@ -243,7 +262,11 @@ def _make(entry: Entry, out_text: str) -> Outcome:
     try:
         print_ = fingerprint(entry, Path(), out)
         options = entry.options(folder, out / STATE_FOLDER / CAPTURE_FOLDER)
-        _run_command(entry, options, folder, said)
+        if entry.is_capture:
+            options = _begin_capture(out / STATE_FOLDER / f"{entry.id}.json", print_, options)
+        else:
+            options = dataclasses.replace(options, overwrite=True)
+        _run_command(entry, options, said)
         result = "splats.ply" if entry.is_capture else RECORD_FILE
         state: dict[str, Any] = {"fingerprint": print_, "result": sha256_of(folder / result)}
         jsonio.write_json(out / STATE_FOLDER / f"{entry.id}.json", state)
@@ -257,16 +280,18 @@ def _make(entry: Entry, out_text: str) -> Outcome:
     return Outcome(entry.id, "built", said.getvalue())
 
 
-def _run_command(entry: Entry, options: Any, folder: Path, said: io.StringIO) -> None:
-    """Run the entry's command, catching what it prints."""
-    import dataclasses
-    import importlib
+def _begin_capture(state: Path, print_: str, options: Any) -> Any:
+    """Note what a capture is made from, and have it resume what was made from the same things."""
+    begun = None
+    with contextlib.suppress(UserError, KeyError, TypeError):
+        begun = jsonio.read_json(state)["fingerprint"]
+    goes_on = begun == print_ and options.out.is_dir() and any(options.out.iterdir())
+    jsonio.write_json(state, {"fingerprint": print_, "result": None})
+    return dataclasses.replace(options, resume=goes_on, overwrite=not goes_on)
 
+
+def _run_command(entry: Entry, options: Any, said: io.StringIO) -> None:
+    """Run the entry's command, catching what it prints."""
     module = importlib.import_module(f"splatcomplete_data.commands.{entry.command}")
-    if entry.is_capture:
-        goes_on = (folder / "checkpoints").is_dir() or (folder / "capture.json").is_file()
-        options = dataclasses.replace(options, resume=goes_on)
-    else:
-        options = dataclasses.replace(options, overwrite=True)
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(io.StringIO()):
         module.run(options)

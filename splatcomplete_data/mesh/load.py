@@ -24,7 +24,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
-from urllib.parse import unquote
 
 import numpy as np
 import trimesh
@@ -40,6 +39,7 @@ from splatcomplete_data.mesh.discs import (
     sample_triangles,
     triangle_areas_and_normals,
 )
+from splatcomplete_data.mesh.side_files import gltf_text, side_files
 
 FloatArray = NDArray[np.float32]
 GltfColors = Literal["linear", "srgb"]
@@ -366,7 +366,7 @@ def _refuse_draco(path: Path) -> None:
     """
     if path.suffix.lower() not in (".glb", ".gltf"):
         return
-    text = _gltf_text(path)
+    text = gltf_text(path)
     for name in ("KHR_draco_mesh_compression", "EXT_meshopt_compression"):
         if name in text:
             raise UserError(
@@ -377,39 +377,13 @@ def _refuse_draco(path: Path) -> None:
 
 def _missing_files(path: Path) -> Iterator[str]:
     """Yield a note for every file that a mesh file names and that is not there."""
-    suffix = path.suffix.lower()
-    named: list[str] = []
-    if suffix in (".gltf", ".glb"):
-        text = _gltf_text(path)
-        if re.search(r'"baseColorTexture"\s*:\s*\{[^{}]*"texCoord"\s*:\s*[1-9]', text):
-            yield "a base colour texture asks for a second UV set; it is drawn with the first"
-        named = re.findall(r'"uri"\s*:\s*"(?!data:)([^"]+)"', text)
-    elif suffix == ".dae":
-        named = re.findall(r"<init_from>\s*(?:<ref>)?\s*([^<\s][^<]*?\.\w{3,4})\s*<", _text(path))
-    elif suffix == ".obj":
-        named = re.findall(r"^mtllib\s+(.+?)\s*$", _text(path), re.MULTILINE)
-        for library in [path.parent / name for name in named]:
-            if library.is_file():
-                maps = re.findall(r"^\s*map_Kd\s+(.+?)\s*$", _text(library), re.MULTILINE)
-                named += [line.split()[-1] if line.startswith("-") else line for line in maps]
-    for name in dict.fromkeys(named):
-        plain = unquote(name.strip().strip('"').removeprefix("file://")).replace("\\", "/")
-        if not (path.parent / plain).exists() and not Path(plain).is_file():
+    if path.suffix.lower() in (".gltf", ".glb") and re.search(
+        r'"baseColorTexture"\s*:\s*\{[^{}]*"texCoord"\s*:\s*[1-9]', gltf_text(path)
+    ):
+        yield "a base colour texture asks for a second UV set; it is drawn with the first"
+    for name, file in side_files(path).items():
+        if not file.exists():
             yield f"missing file {name}: parts of the mesh are without their texture or material"
-
-
-def _gltf_text(path: Path) -> str:
-    """Return the JSON of a glTF or GLB file, as it is."""
-    with path.open("rb") as stream:
-        head = stream.read(20)
-        if head[:4] != b"glTF":
-            return _text(path)
-        return stream.read(int.from_bytes(head[12:16], "little")).decode("utf-8", "replace")
-
-
-def _text(path: Path) -> str:
-    """Read a text file, whatever its encoding."""
-    return path.read_text(encoding="utf-8", errors="replace")
 
 
 def _open_image(path: Path) -> Image.Image:

@@ -14,15 +14,20 @@ import json
 import os
 import shutil
 import sys
+import threading
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pycolmap
 
+_POLL_S = 0.5
+
 
 def main() -> int:
     """Do what standard input asks for; return the exit code."""
+    threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
     request = json.load(sys.stdin)
     # COLMAP's libraries write to the process's standard output, too: only ours may reach it.
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
@@ -42,6 +47,13 @@ def main() -> int:
         _publish(model, Path(request["model"]))
     say(result={"registered": registered})
     return 0
+
+
+def _end_with_parent(parent: int) -> None:
+    """End this process after its parent: a killed command leaves no work behind."""
+    while os.getppid() == parent:
+        time.sleep(_POLL_S)
+    os._exit(1)
 
 
 def _extract(request: dict[str, Any], say: Any) -> None:

@@ -9,7 +9,8 @@ import trimesh
 
 from gscomplete.errors import UserError
 from splatcomplete_data.cli import main
-from splatcomplete_data.dataset.build import build
+from splatcomplete_data.commands.images import ImagesOptions
+from splatcomplete_data.dataset.build import _begin_capture, build, fingerprint
 from splatcomplete_data.dataset.recipe import read_recipe
 from splatcomplete_data.dataset.stats import table
 from splatcomplete_data.dataset.validate import validate_dataset
@@ -113,6 +114,51 @@ def test_stats_and_list(
     assert (tmp_path / "sheet.png").stat().st_size > 1000
     assert main(["list", str(out), "--json"]) == 0
     assert '"id": "box"' in capsys.readouterr().out
+
+
+def test_what_decides_an_object_is_in_its_fingerprint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = tmp_path / "data"
+    data.mkdir()
+    (data / "a.obj").write_text("mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    text = "objects: [{id: a, command: mesh, file: a.obj, count: 300}]\n"
+    entry = read_recipe(recipe(tmp_path, text)).objects[0]
+    seen = {fingerprint(entry, data, tmp_path)}
+
+    def differs() -> bool:
+        before = len(seen)
+        seen.add(fingerprint(entry, data, tmp_path))
+        return len(seen) > before
+
+    assert not differs()
+    (data / "a.mtl").write_text("newmtl m\nmap_Kd a.png\n")
+    assert differs()
+    (data / "a.png").write_bytes(b"one")
+    assert differs()
+    (data / "a.png").write_bytes(b"two")
+    assert differs()
+    (data / "other.png").write_bytes(b"nobody names it")
+    assert not differs()
+    monkeypatch.setattr("splatcomplete_data.dataset.build.__version__", "another")
+    assert differs()
+
+
+def test_captures_resume_only_what_was_made_from_the_same_things(tmp_path: Path) -> None:
+    state, folder = tmp_path / "state.json", tmp_path / "capture"
+    options = ImagesOptions(images=tmp_path, out=folder)
+
+    def begun(print_: str) -> tuple[bool, bool]:
+        now = _begin_capture(state, print_, options)
+        return now.resume, now.overwrite
+
+    assert begun("one") == (False, True)
+    folder.mkdir()
+    assert begun("one") == (False, True)  # killed before anything was there
+    (folder / "sfm").mkdir()
+    assert begun("one") == (True, False)
+    assert begun("two") == (False, True)
+    assert begun("two") == (True, False)
 
 
 @pytest.mark.parametrize(
