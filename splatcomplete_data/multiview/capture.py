@@ -6,7 +6,8 @@ Conventions
   the folder; else structure from motion. Photos stand in the folder itself or in its ``images``.
 * Given poses keep their world frame. COLMAP's own frame has no meaning, so after structure from
   motion the capture is levelled: z up, the origin where the cameras look, their mean distance
-  from it 1. The similarity is recorded with the result.
+  from it 1, the first photo (by name) taken from azimuth 0. So two runs have one frame up to
+  rounding, and boxes can be written down. The similarity is recorded with the result.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from gscomplete.errors import UserError
 from gscomplete.splats import Similarity
 from splatcomplete_data.multiview.colmap_model import find_model, read_colmap
-from splatcomplete_data.multiview.images import PHOTO_SUFFIXES
+from splatcomplete_data.multiview.images import PHOTO_SUFFIXES, shown_axes
 from splatcomplete_data.multiview.posed import PosedPhotos
 from splatcomplete_data.multiview.structure_from_motion import Progress, SfmSettings, find_poses
 from splatcomplete_data.multiview.transforms_json import read_transforms
@@ -117,14 +118,17 @@ def find_masks(folder: Path) -> Path | None:
 def up_direction(posed: PosedPhotos) -> NDArray[np.float64]:  # [3]
     """Return the world direction that is up in most photos.
 
-    People hold cameras level, so the cameras' x axes are horizontal; where they point to many
-    sides, up is what is perpendicular to all of them. Else it is the photos' mean up direction.
+    People hold cameras level, so the photos' x axes, as they are shown, are horizontal; where
+    they point to many sides, up is what is perpendicular to all of them. Else it is the photos'
+    mean up direction.
     """
     rotations = np.stack([photo.camera_from_world[:3, :3] for photo in posed.photos])
-    mean = -rotations[:, 1].mean(axis=0)
+    shown = np.array([shown_axes(photo.path) for photo in posed.photos], np.float64)
+    rights, ups = np.moveaxis(np.einsum("vai,vij->vaj", shown, rotations[:, :2]), 1, 0)
+    mean = ups.mean(axis=0)
     if np.linalg.norm(mean) < 1e-6:
         return np.array([0.0, 0.0, 1.0])
-    _, size, axes = np.linalg.svd(rotations[:, 0])
+    _, size, axes = np.linalg.svd(rights)
     up = axes[2] * np.sign(axes[2] @ mean)
     clear = size[2] < _CLEAR_PLANE * size[1] and up @ mean > 0.5 * np.linalg.norm(mean)
     return np.asarray(up if clear else mean / np.linalg.norm(mean))
@@ -137,6 +141,8 @@ def levelled(posed: PosedPhotos) -> Capture:
     distance = float(np.linalg.norm(posed.positions - middle, axis=1).mean())
     scale = 1.0 / distance if distance > 0 else 1.0
     rotation = _turn_to_z(up)
+    first = rotation @ (posed.positions[0] - middle)
+    rotation = _turn_about_z(-float(np.arctan2(first[1], first[0]))) @ rotation
     world = Similarity(
         scale, torch.from_numpy(rotation), torch.from_numpy(-scale * rotation @ middle)
     )
@@ -167,3 +173,9 @@ def _turn_to_z(direction: NDArray[np.float64]) -> NDArray[np.float64]:  # [3] ->
         return np.diag([1.0, -1.0, -1.0])
     cross = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
     return np.eye(3) + cross + cross @ cross / (1 + z)
+
+
+def _turn_about_z(angle_rad: float) -> NDArray[np.float64]:  # -> [3, 3]
+    """Return the rotation about z by an angle."""
+    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])

@@ -7,11 +7,14 @@ Conventions
   object. Without masks ``alpha`` is None: everything is to be reconstructed.
 * Masks: the photo's own alpha channel, a mask named by the capture, or ``masks/NAME.png`` (also
   ``masks/NAME.jpg.png``) beside the photos' folder. White is the object, or what counts.
+* Pixels are taken as stored: an EXIF orientation turns nothing, it only tells which way is up.
 * Scaling averages areas, in 8-bit sRGB as everyone does; intrinsics are scaled with it.
 """
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -19,7 +22,7 @@ from typing import Literal
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
+from PIL import ExifTags, Image, UnidentifiedImageError
 
 from gscomplete.errors import UserError
 from gscomplete.views import Cameras
@@ -29,6 +32,18 @@ from splatcomplete_data.multiview.posed import PosedPhoto, PosedPhotos
 MaskMeaning = Literal["object", "ignore"]
 """``object``: outside the mask nothing is to be reconstructed. ``ignore``: pixels outside the mask
 do not count, whatever the splats show there."""
+UPRIGHT = 1
+_SHOWN_AXES = {
+    UPRIGHT: ((1, 0), (0, -1)),
+    2: ((-1, 0), (0, -1)),
+    3: ((-1, 0), (0, 1)),
+    4: ((1, 0), (0, 1)),
+    5: ((0, 1), (-1, 0)),
+    6: ((0, -1), (-1, 0)),
+    7: ((0, -1), (1, 0)),
+    8: ((0, 1), (1, 0)),
+}
+"""By EXIF orientation: what a viewer shows as right and as up, as steps in the stored pixels."""
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
 
 
@@ -62,7 +77,7 @@ def list_photos(folder: Path) -> list[Path]:
 def read_photo(path: Path) -> NDArray[np.uint8]:  # [H, W, 3 or 4]
     """Read a photo as 8-bit RGB or RGBA, as its pixels are stored.
 
-    An orientation tag is ignored, as COLMAP ignores it: poses belong to the stored pixels.
+    An orientation tag turns nothing, as in COLMAP: poses belong to the stored pixels.
 
     Raises:
         UserError: the file is not a picture, or is damaged.
@@ -75,6 +90,29 @@ def read_photo(path: Path) -> NDArray[np.uint8]:  # [H, W, 3 or 4]
         raise UserError(f"{path}: cannot read it as a picture ({error})") from error
     except Image.DecompressionBombError as error:
         raise UserError(f"{path}: more pixels than a photo has ({error})") from error
+
+
+def shown_axes(path: Path) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Return where a photo's viewer sees right and up, as steps (x, y) in the stored pixels.
+
+    A photo that cannot be read counts as upright: loading its pixels is what reports it.
+    """
+    tag = UPRIGHT
+    with contextlib.suppress(OSError, ValueError, SyntaxError), Image.open(path) as image:
+        tag = image.getexif().get(ExifTags.Base.Orientation, UPRIGHT)
+    return _SHOWN_AXES.get(tag, _SHOWN_AXES[UPRIGHT])
+
+
+def orientation_note(photos: Sequence[Path]) -> str | None:
+    """Return a note on photos that carry an orientation tag; None without any."""
+    turned = [path.name for path in photos if shown_axes(path) != _SHOWN_AXES[UPRIGHT]]
+    if not turned:
+        return None
+    return (
+        f"{len(turned)} of {len(photos)} photos carry an EXIF rotation (first: {turned[0]}): it "
+        "tells which way is up, but the pixels are taken as they are stored, and so must poses "
+        "and masks be"
+    )
 
 
 def find_mask(photo: PosedPhoto, masks: Path | None) -> Path | None:

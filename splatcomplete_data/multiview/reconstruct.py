@@ -32,7 +32,12 @@ from gscomplete.render import render
 from gscomplete.render.settings import RenderSettings
 from gscomplete.splats import Splats, write_splats
 from splatcomplete_data.multiview.capture import Capture, find_masks, open_capture, up_direction
-from splatcomplete_data.multiview.images import MaskMeaning, View, load_views
+from splatcomplete_data.multiview.images import (
+    MaskMeaning,
+    View,
+    load_views,
+    orientation_note,
+)
 from splatcomplete_data.multiview.initial import (
     masked_points,
     near_points,
@@ -127,8 +132,10 @@ def prepare(
     points = masked_points(near_points(points, capture.posed), train)
     initial = splats_from_points(points)
     timings["points_s"] = time.perf_counter() - started
+    turned = orientation_note([photo.path for photo in capture.posed.photos])
     notes = (
         *capture.posed.notes,
+        *([turned] if turned else []),
         f"{len(train)} photos to train on, {len(held_out)} held out, "
         f"{views[0].camera.width} x {views[0].camera.height} pixels",
         note,

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from PIL import Image
+from PIL import ExifTags, Image
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Similarity
@@ -79,6 +79,23 @@ def test_up_of_a_short_arc_is_the_photos_own(posed):
     np.testing.assert_allclose(up_direction(arc), expected, atol=1e-9)
 
 
+def test_photos_stored_on_their_side_are_levelled_too(posed, tmp_path):
+    # Tag 6: what is shown as right is the stored -y, what is shown as up is the stored -x.
+    stored_from_shown = np.diag([0.0, 0.0, 1.0, 1.0])
+    stored_from_shown[0, 1], stored_from_shown[1, 0] = 1.0, -1.0
+    photos = []
+    for index, photo in enumerate(posed.photos):
+        path = tmp_path / f"{index}.jpg"
+        image = Image.new("RGB", (8, 8))
+        exif = image.getexif()
+        exif[ExifTags.Base.Orientation] = 6
+        image.save(path, exif=exif)
+        pose = stored_from_shown @ photo.camera_from_world
+        photos.append(dataclasses.replace(photo, path=path, camera_from_world=pose))
+    turned = dataclasses.replace(posed, photos=tuple(photos))
+    np.testing.assert_allclose(up_direction(turned), up_direction(posed), atol=1e-6)
+
+
 def test_poses_are_found_where_they_stand(tmp_path):
     folder = captures.transforms_capture(tmp_path / "a")
     assert open_capture(folder, "auto", tmp_path / "w").posed.source.endswith("transforms.json")
@@ -141,3 +158,11 @@ def test_a_native_failure_is_a_message(tmp_path):
     (tmp_path / "work/database.db").write_bytes(b"this is no database, " * 400)
     with pytest.raises(UserError, match="COLMAP failed"):
         sfm.find_poses(tmp_path / "images", tmp_path / "work")
+
+
+def test_levelling_gives_one_frame_whatever_the_sources(posed):
+    one, other = levelled(posed).posed, levelled(transformed(posed, tilted())).posed
+    np.testing.assert_allclose(one.positions, other.positions, atol=1e-5)
+    x, y, _ = one.positions[0]
+    assert x > 0
+    assert y == pytest.approx(0.0, abs=1e-9)

@@ -4,10 +4,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import ExifTags, Image, ImageOps
 
 from gscomplete.errors import UserError
-from splatcomplete_data.multiview.images import list_photos, load_views, read_photo, scaled_size
+from splatcomplete_data.multiview.images import (
+    list_photos,
+    load_views,
+    orientation_note,
+    read_photo,
+    scaled_size,
+    shown_axes,
+)
 from splatcomplete_data.multiview.posed import PosedPhotos
 from splatcomplete_data.multiview.transforms_json import read_transforms
 from tests.splatcomplete_data.multiview import captures
@@ -49,6 +56,41 @@ def test_undistorted_edges_do_not_count(tmp_path):
     view = load_views(read_transforms(folder / "transforms.json"), max_side_px=100)[0]
     assert view.weight[0, 0] == 0
     assert view.weight[16, 16] == 255
+
+
+@pytest.mark.parametrize("tag", range(1, 9))
+def test_shown_axes_are_those_of_the_turned_picture(tmp_path, tag):
+    pixels = np.zeros((9, 15), np.uint8)
+    pixels[4, 7] = 255
+    stored = Image.fromarray(pixels)
+    exif = stored.getexif()
+    exif[ExifTags.Base.Orientation] = tag
+    stored.save(tmp_path / "a.png", exif=exif)
+    (right, up) = shown_axes(tmp_path / "a.png")
+    for (step_x, step_y), (dx, dy) in ((right, (3, 0)), (up, (0, -3))):
+        moved = np.zeros_like(pixels)
+        moved[4 + 3 * step_y, 7 + 3 * step_x] = 255
+        image = Image.fromarray(moved)
+        image.getexif()[ExifTags.Base.Orientation] = tag
+        shown = np.asarray(ImageOps.exif_transpose(image))
+        middle = np.array(shown.shape) // 2
+        assert shown[middle[0] + dy, middle[1] + dx] == 255
+
+
+def test_turned_photos_are_noted_and_keep_their_pixels(tmp_path):
+    capture = posed(tmp_path)
+    paths = [photo.path for photo in capture.photos]
+    before = read_photo(paths[1])
+    assert orientation_note(paths) is None
+    image = Image.open(paths[1])
+    exif = image.getexif()
+    exif[ExifTags.Base.Orientation] = 6
+    image.save(paths[1], exif=exif)
+    note = orientation_note(paths)
+    assert note is not None
+    assert note.startswith("1 of 3 photos carry an EXIF rotation (first: photo_01.png)")
+    np.testing.assert_array_equal(read_photo(paths[1]), before)
+    assert orientation_note([tmp_path / "none.jpg"]) is None  # reported where it is loaded
 
 
 def test_alpha_channels_become_object_masks(tmp_path):
