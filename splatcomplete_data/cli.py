@@ -30,6 +30,8 @@ _RUNNERS: dict[type, Callable[[Any], int]] = {
     scan.ScanOptions: scan.run,
 }
 
+_LISTS = ("--box", "--cut", "--only")
+
 Command = (
     Annotated[convert.ConvertOptions, tyro.conf.subcommand("convert")]
     | Annotated[crop.CropOptions, tyro.conf.subcommand("crop")]
@@ -56,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Command,
         prog="splatcomplete-data",
         description="Turn photos, depth, scans and meshes into partial splat objects.",
-        args=arguments,
+        args=gathered(arguments),
         config=(tyro.conf.OmitArgPrefixes,),
     )
     return run_guarded(
@@ -64,6 +66,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
         lambda: _RUNNERS[type(options)](options),
         "nothing half-written is left; the same command starts again",
     )
+
+
+def gathered(arguments: Sequence[str]) -> list[str]:
+    """Bring the values of a repeated list option together behind its first place.
+
+    ``--box A --box B`` says the same as ``--box A B``; argparse alone would forget A.
+    """
+    result: list[str] = []
+    ends: dict[str, int] = {}  # where in the result the next value of an option goes
+    current: str | None = None
+    for word in arguments:
+        option, equals, value = word.partition("=")
+        if option in _LISTS:
+            current = option
+            if option not in ends:
+                result.append(option)
+                ends[option] = len(result)
+            if not equals:
+                continue
+            word = value
+        elif word.startswith("--"):
+            current = None
+        if current is None:
+            result.append(word)
+            continue
+        place = ends[current]
+        result.insert(place, word)
+        ends = {name: end + (end >= place) for name, end in ends.items()}
+    return result
 
 
 if __name__ == "__main__":

@@ -29,12 +29,13 @@ BOXES_FILE = "boxes.png"
 class CropOptions(ObjectOptions):
     """Cut an object out of a trained scene with boxes; records are copied byte for byte.
 
-    FILE is a splat PLY, or the capture folder of `images`, whose cameras make `--box auto` better
+    PATH is a splat PLY, or the capture folder of `images`, whose cameras make `--box auto` better
     and give the up axis and the input view. Frame and harmonics are not touched; the boxes are
     recorded, and boxes.png shows them over the scene and what they keep.
 
     Example: splatcomplete-data crop capture --box auto --propose
-    then, with the numbers that it prints, corrected: splatcomplete-data crop capture
+
+    Then, with the numbers that it prints, corrected: splatcomplete-data crop capture
     --box 0.1,0,0.2,0.3,0.3,0.4 --box remove:0,0,-0.3,1,1,0.05 --prompt "a plush doll" --out doll
     """
 

@@ -29,9 +29,10 @@ class ImagesOptions:
     writes a capture folder: splats.ply, capture.json, preview.png. Then `crop` cuts the object out
     into an object folder. On two cores the defaults take about 15 minutes.
 
-    DIR holds the photos, or a folder `images` with them. Poses that are found there are used:
-    transforms.json (nerfstudio, instant-ngp) or sparse/0 (COLMAP). Alpha channels or a folder
-    `masks` restrict the splats to the object.
+    PATH holds the photos, or a folder `images` with them. Poses that are found there are used:
+    transforms.json (nerfstudio, instant-ngp) or sparse/0 (COLMAP). Alpha channels or a folder of
+    masks restrict the splats to the object. An EXIF rotation tells which way is up, but pixels are
+    taken as they are stored, as COLMAP takes them.
 
     Example: splatcomplete-data images photos --out capture
     then: splatcomplete-data crop capture --box auto --prompt "a plush doll" --out doll
@@ -40,12 +41,12 @@ class ImagesOptions:
     images: Annotated[Path, tyro.conf.Positional]
     """Folder of photos."""
     out: Path | None = None
-    """Capture folder to write; None = DIR's name with _capture, in the current folder."""
+    """Capture folder to write; None = PATH's name with _capture, in the current folder."""
     poses: str = "auto"
-    """auto = found in DIR or else sfm; sfm = structure from motion; or the path of a
-    transforms.json or of a COLMAP model."""
+    """auto = found in PATH or else sfm; sfm = structure from motion; or the path of
+    a transforms.json or of a COLMAP model."""
     masks: Path | None = None
-    """Folder of masks, NAME.png for every photo; None = `masks` in or beside DIR, if there."""
+    """Folder of masks, NAME.png for every photo; None = `masks` in or beside PATH, if there."""
     mask_means: Literal["object", "ignore"] = "object"
     """object: outside the mask there shall be nothing. ignore: what is outside does not count."""
     max_side: int = 640

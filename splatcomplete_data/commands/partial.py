@@ -23,7 +23,7 @@ from splatcomplete_data.commands.common import (
 class PartialOptions(ObjectOptions):
     """Cut a part out of a complete object, so that a pair (partial, complete) exists.
 
-    FILE is a splat file or an object folder with a complete.ply.
+    PATH is a splat file or an object folder with a complete.ply.
 
     Example: splatcomplete-data partial duck --cut scan:30/20 --out duck_scanned
     """
