@@ -19,9 +19,9 @@ class ConvertOptions:
     Example: splatcomplete-data convert biker.spz biker.ply
     """
 
-    source: Annotated[Path, tyro.conf.Positional]
+    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
     """File to read."""
-    target: Annotated[Path, tyro.conf.Positional]
+    target: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TARGET")]
     """File to write; its name says the format."""
     overwrite: bool = False
     """Replace the target if it exists."""

@@ -29,7 +29,7 @@ BOXES_FILE = "boxes.png"
 class CropOptions(ObjectOptions):
     """Cut an object out of a trained scene with boxes; records are copied byte for byte.
 
-    PATH is a splat PLY, or the capture folder of `images`, whose cameras make `--box auto` better
+    FILE is a splat PLY, or the capture folder of `images`, whose cameras make `--box auto` better
     and give the up axis and the input view. Frame and harmonics are not touched; the boxes are
     recorded, and boxes.png shows them over the scene and what they keep.
 
@@ -39,7 +39,7 @@ class CropOptions(ObjectOptions):
     --box 0.1,0,0.2,0.3,0.3,0.4 --box remove:0,0,-0.3,1,1,0.05 --prompt "a plush doll" --out doll
     """
 
-    file: Annotated[Path, tyro.conf.Positional]
+    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     """Splat PLY or capture folder."""
     box: tuple[str, ...] = ()
     """Boxes in the file's frame, in order: auto, or [keep:|remove:]CX,CY,CZ,HX,HY,HZ (centre and

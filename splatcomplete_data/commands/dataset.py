@@ -29,7 +29,7 @@ class BuildOptions:
     Example: splatcomplete-data build recipes/splatcomplete_open/recipe.yaml --data ../shared/data
     """
 
-    recipe: Annotated[Path, tyro.conf.Positional]
+    recipe: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RECIPE")]
     """YAML file; its form is told in splatcomplete_data/dataset/recipe.py."""
     data: Path = Path()
     """Folder that the recipe's paths are relative to."""
@@ -50,7 +50,7 @@ class ValidateOptions:
     Exit code 1 if there is an error; warnings are allowed.
     """
 
-    folder: Annotated[Path, tyro.conf.Positional]
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """Dataset or object folder."""
     json: bool = False
     """Print one JSON object instead of text."""
@@ -60,7 +60,7 @@ class ValidateOptions:
 class StatsOptions:
     """Print what a dataset holds, and draw its contact sheet."""
 
-    folder: Annotated[Path, tyro.conf.Positional]
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """Dataset or object folder."""
     sheet: Path | None = None
     """Picture to write; None = contact_sheet.png in the current folder."""
@@ -72,7 +72,7 @@ class StatsOptions:
 class ListOptions:
     """List the objects of a dataset."""
 
-    folder: Annotated[Path, tyro.conf.Positional]
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """Dataset or object folder."""
     json: bool = False
     """Print one JSON object instead of text."""

@@ -25,9 +25,9 @@ class DepthOptions(PointOptions):
     Example: splatcomplete-data depth photo.jpg depth.png --fov 60 --mask mask.png --out mug
     """
 
-    image: Annotated[Path, tyro.conf.Positional]
+    image: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="IMAGE")]
     """Picture; "-" = the one inside the depth file."""
-    depth: Annotated[Path, tyro.conf.Positional]
+    depth: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DEPTH")]
     """NPY, NPZ, 16-bit PNG or PGM, TIFF or EXR."""
     kind: Literal["metric", "disparity", "inverse"] = "metric"
     """metric: value x unit; disparity: focal x baseline / (value + offset); inverse: unit / v."""

@@ -29,7 +29,7 @@ class ImagesOptions:
     writes a capture folder: splats.ply, capture.json, preview.png. Then `crop` cuts the object out
     into an object folder. On two cores the defaults take about 15 minutes.
 
-    PATH holds the photos, or a folder `images` with them. Poses that are found there are used:
+    DIR holds the photos, or a folder `images` with them. Poses that are found there are used:
     transforms.json (nerfstudio, instant-ngp) or sparse/0 (COLMAP). Alpha channels or a folder of
     masks restrict the splats to the object. An EXIF rotation tells which way is up, but pixels are
     taken as they are stored, as COLMAP takes them.
@@ -38,15 +38,15 @@ class ImagesOptions:
     then: splatcomplete-data crop capture --box auto --prompt "a plush doll" --out doll
     """
 
-    images: Annotated[Path, tyro.conf.Positional]
+    images: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """Folder of photos."""
     out: Path | None = None
-    """Capture folder to write; None = PATH's name with _capture, in the current folder."""
+    """Capture folder to write; None = DIR's name with _capture, in the current folder."""
     poses: str = "auto"
-    """auto = found in PATH or else sfm; sfm = structure from motion; or the path of
+    """auto = found in DIR or else sfm; sfm = structure from motion; or the path of
     a transforms.json or of a COLMAP model."""
     masks: Path | None = None
-    """Folder of masks, NAME.png for every photo; None = `masks` in or beside PATH, if there."""
+    """Folder of masks, NAME.png for every photo; None = `masks` in or beside DIR, if there."""
     mask_means: Literal["object", "ignore"] = "object"
     """object: outside the mask there shall be nothing. ignore: what is outside does not count."""
     max_side: int = 640

@@ -26,7 +26,7 @@ class MeshOptions(ObjectOptions):
     Example: splatcomplete-data mesh duck.glb --count 100000 --cut plane:90 --out duck
     """
 
-    file: Annotated[Path, tyro.conf.Positional]
+    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     """GLB, glTF, OBJ, PLY, STL, DAE or OFF."""
     count: int | None = None
     """About how many splats; None = 100,000, unless --spacing is given."""

@@ -23,12 +23,12 @@ from splatcomplete_data.commands.common import (
 class PartialOptions(ObjectOptions):
     """Cut a part out of a complete object, so that a pair (partial, complete) exists.
 
-    PATH is a splat file or an object folder with a complete.ply.
+    FILE is a splat file or an object folder with a complete.ply.
 
     Example: splatcomplete-data partial duck --cut scan:30/20 --out duck_scanned
     """
 
-    file: Annotated[Path, tyro.conf.Positional]
+    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     """Splat file (.ply, .compressed.ply, .splat, .spz) or object folder."""
     cut: tuple[str, ...] = ()
     """plane:AZIMUTH[,OFFSET], box:LX,LY,LZ,HX,HY,HZ or scan:AZ/EL[,AZ/EL...] (object frame)."""

@@ -24,7 +24,7 @@ class ScanOptions(PointOptions):
     Example: splatcomplete-data scan room.ply --box 1.2,0.4,0.3,0.5,0.5,0.6 --planes 1 --clusters 1
     """
 
-    file: Annotated[Path, tyro.conf.Positional]
+    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     """PLY, PCD, LAS/LAZ, XYZ text, or a scan mesh (PLY, OBJ, GLB, ...)."""
     label: int | None = None
     """Keep points with this label // 10 (labelled PCD files); None = all."""
