@@ -35,7 +35,7 @@ from gscomplete.splats import (
     usable_rows,
     write_splats,
 )
-from gscomplete.splats.ply_layout import LOG_SCALE_LIMIT, LOGIT_LIMIT
+from gscomplete.splats.ply_records import LOG_SCALE_LIMIT, LOGIT_LIMIT
 from splatcomplete_data.optional import import_optional
 
 SplatFormat = Literal["ply", "compressed.ply", "splat", "spz"]

@@ -2,7 +2,7 @@
 
 from gscomplete.splats.compressed_ply import read_compressed_ply
 from gscomplete.splats.filters import usable_rows
-from gscomplete.splats.ply import SplatFile, append_splats, read_splats, write_splats
+from gscomplete.splats.ply import SplatFile, append_splats, load_splats, read_splats, write_splats
 from gscomplete.splats.ply_header import PlyError
 from gscomplete.splats.record import SH_C0, Splats, colors_to_sh, concatenate
 from gscomplete.splats.transform import Similarity, transform_splats
@@ -16,6 +16,7 @@ __all__ = [
     "append_splats",
     "colors_to_sh",
     "concatenate",
+    "load_splats",
     "read_compressed_ply",
     "read_splats",
     "transform_splats",

@@ -9,9 +9,10 @@ Conventions
 
 from __future__ import annotations
 
+import contextlib
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -21,6 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gscomplete.splats.ply_header import Element, PlyError, PlyHeader
+from gscomplete.splats.ply_threads import Scratch, for_each_block
+
+BlockSink = Callable[[slice, NDArray[np.void]], None]
+"""Takes rows and their records."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,29 +38,127 @@ class Payload:
     warnings: tuple[str, ...]
 
 
-def read_payload(path: Path, header: PlyHeader, vertex: Element) -> Payload:
+def read_payload(
+    path: Path,
+    header: PlyHeader,
+    vertex: Element,
+    open_sink: Callable[[], BlockSink] | None = None,
+) -> Payload:
     """Read the bytes after the header.
+
+    Args:
+        path: the file.
+        header: its header.
+        vertex: its vertex element, without lists.
+        open_sink: called once when the file is known to hold all records; what it returns is
+            called with every block of them as soon as that is read, while the processor's cache
+            has it, in any order and from several threads.
 
     Raises:
         PlyError: the file is shorter than the header says, or cannot be read.
     """
+    with _opened(path) as stream:
+        if header.format == "ascii":
+            stream.seek(header.size)
+            payload = _cut_lines(path, stream.read(), header, vertex)
+            if open_sink is not None:
+                parsed = parse_records(path, header, vertex, payload)
+                open_sink()(slice(0, vertex.count), parsed)
+            return payload
+        start, size = locate_records(path, stream, header, vertex)
+        stream.seek(header.size)
+        before = stream.read(start - header.size)
+        rows = np.empty(vertex.count, vertex.row_dtype(header.byte_order))
+        sink = open_sink() if open_sink else None
+
+        def read_block(part: slice) -> None:
+            _read_at(path, stream, rows[part], start + part.start * rows.itemsize)
+            if sink is not None:
+                sink(part, rows[part])
+
+        for_each_block(len(rows), rows.itemsize, read_block)
+        stream.seek(start + size)
+        after = stream.read()
+    found = tuple(check_rest(header, vertex, len(after)))
+    return Payload(before, rows.view(np.uint8), after, found)
+
+
+def pass_records(
+    path: Path, header: PlyHeader, vertex: Element, open_sink: Callable[[], BlockSink]
+) -> None:
+    """Read the vertex records as ``read_payload`` does, but keep none of their bytes.
+
+    Raises:
+        PlyError: as ``read_payload``.
+    """
+    if header.format == "ascii":
+        read_payload(path, header, vertex, open_sink)
+        return
+    dtype = vertex.row_dtype(header.byte_order)
+    with _opened(path) as stream:
+        start, _ = locate_records(path, stream, header, vertex)
+        sink, scratch = open_sink(), Scratch()
+
+        def read_block(part: slice) -> None:
+            block = scratch.records(part.stop - part.start, dtype)
+            _read_at(path, stream, block, start + part.start * dtype.itemsize)
+            sink(part, block)
+
+        for_each_block(vertex.count, dtype.itemsize, read_block)
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[BinaryIO]:
+    """Open a file for reading; what the system refuses is a ``PlyError``."""
     try:
         with path.open("rb") as stream:
-            if header.format == "ascii":
-                stream.seek(header.size)
-                return _cut_lines(path, stream.read(), header, vertex)
-            start, size = locate_records(path, stream, header, vertex)
-            stream.seek(header.size)
-            before = stream.read(start - header.size)
-            records = np.fromfile(stream, np.uint8, size)
-            if records.size < size:
-                message = f"changed while it was read: expected {size} bytes of vertex records"
-                raise PlyError(path, "truncated_payload", f"{message}, found {records.size}")
-            after = stream.read()
+            yield stream
     except OSError as error:
         message = f"cannot read: {error.strerror or type(error).__name__}"
         raise PlyError(path, "unreadable_file", message) from error
-    return Payload(before, records, after, tuple(check_rest(header, vertex, len(after))))
+
+
+def _read_at(path: Path, stream: BinaryIO, records: NDArray[np.void], offset: int) -> None:
+    """Fill records from a place of a file without moving the stream, which threads share."""
+    rest = memoryview(records.view(np.uint8).data)
+    while len(rest):
+        size = os.preadv(stream.fileno(), [rest], offset)
+        if size == 0:
+            expected = f"expected vertex records up to byte {offset + len(rest)}"
+            message = f"changed while it was read: {expected}, found its end at {offset}"
+            raise PlyError(path, "truncated_payload", message)
+        rest, offset = rest[size:], offset + size
+
+
+def write_rows(
+    stream: BinaryIO,
+    count: int,
+    row_size: int,
+    records_of: Callable[[slice], NDArray[np.void]],
+) -> None:
+    """Write binary records at a stream's place and go on behind them.
+
+    Args:
+        stream: a file opened for writing.
+        count: number of records.
+        row_size: bytes of one.
+        records_of: makes the records of some rows; called from several threads.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    stream.flush()
+    start = stream.tell()
+
+    def write_block(rows: slice) -> None:
+        rest = memoryview(records_of(rows).view(np.uint8).data)
+        offset = start + rows.start * row_size
+        while len(rest):
+            size = os.pwrite(stream.fileno(), rest, offset)
+            rest, offset = rest[size:], offset + size
+
+    for_each_block(count, row_size, write_block)
+    stream.seek(start + count * row_size)
 
 
 def locate_records(

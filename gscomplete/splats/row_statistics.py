@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from gscomplete.splats.filters import MAX_MAGNITUDE
 from gscomplete.splats.ply_header import Element, PlyHeader
-from gscomplete.splats.ply_layout import SplatLayout, value_table
+from gscomplete.splats.ply_layout import SplatLayout
 from gscomplete.splats.ply_payload import payload_warnings, stream_records
+from gscomplete.splats.ply_records import value_table
 
 _BLOCK_ROWS = 8192
 _SH_SAMPLE_ROWS = 20_000

@@ -1,9 +1,10 @@
 """Time splat PLY reading and writing against the floor: ``python -m recipes.benchmarks.ply_io``.
 
-What is measured, warm (the file is in the page cache), medians over repeats
+What is measured, warm (the file is in the page cache), medians over repeats that take turns
+with the floor's, so that other load meets both
 ----------------------------------------------------------------------------
-* read: ``read_splats`` into contiguous activated arrays; floor: one ``numpy.fromfile`` of the same
-  bytes into one array.
+* read: ``load_splats`` into contiguous activated arrays, and ``read_splats``, which keeps the
+  file's bytes for appending too; floor: one ``numpy.fromfile`` of the same bytes into one array.
 * write: ``write_splats`` (atomic, with fsync); floor: one ``numpy.ndarray.tofile`` of the same
   bytes, with an fsync where ours has one. Both are given without fsync too, which is measured by
   making ``os.fsync`` do nothing for the time.
@@ -27,7 +28,7 @@ import numpy as np
 import torch
 import tyro
 
-from gscomplete.splats import Splats, read_splats, write_splats
+from gscomplete.splats import Splats, load_splats, read_splats, write_splats
 
 
 @dataclass(frozen=True)
@@ -62,15 +63,16 @@ def random_splats(count: int, degree: int) -> Splats:
     )
 
 
-def median_s(action: Callable[[], object], repeats: int) -> float:
-    """Return the median time of an action after one untimed call."""
-    action()
-    times = []
-    for _ in range(repeats):
-        started = time.perf_counter()
-        action()
-        times.append(time.perf_counter() - started)
-    return statistics.median(times)
+def medians_s(actions: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+    """Return the median time of every action after one untimed call; they take turns."""
+    times: dict[str, list[float]] = {name: [] for name in actions}
+    for turn in range(repeats + 1):
+        for name, action in actions.items():
+            started = time.perf_counter()
+            action()
+            if turn:
+                times[name].append(time.perf_counter() - started)
+    return {name: statistics.median(values) for name, values in times.items()}
 
 
 def write_by_rows(path: Path, splats: Splats) -> None:
@@ -100,27 +102,27 @@ def measure(options: Options, degree: int, folder: Path) -> dict[str, float | in
             stream.flush()
             os.fsync(stream.fileno())
 
-    repeats = options.repeats
-    read_s = median_s(lambda: read_splats(path), repeats)
-    floor_read_s = median_s(lambda: np.fromfile(raw, np.uint8), repeats)
-    synced_s, floor_synced_s = median_s(lambda: write_splats(path, splats), repeats), 0.0
-    floor_synced_s = median_s(floor_write, repeats)
+    writes = {"write": lambda: write_splats(path, splats), "tofile": floor_write}
+    reads = {
+        "load": lambda: load_splats(path),
+        "read": lambda: read_splats(path),
+        "fromfile": lambda: np.fromfile(raw, np.uint8),
+    }
+    times = medians_s(reads, options.repeats)
+    synced = medians_s(writes, options.repeats)
+    times |= {f"{name}_fsync": seconds for name, seconds in synced.items()}
     with mock.patch("os.fsync"):
-        write_s = median_s(lambda: write_splats(path, splats), repeats)
-        floor_write_s = median_s(floor_write, repeats)
+        times |= medians_s(writes, options.repeats)
+    write_s = times["write"]
     row: dict[str, float | int] = {
         "sh_degree": degree,
         "splats": options.count,
         "megabytes": round(content.nbytes / 1e6, 1),
-        "read_s": round(read_s, 4),
-        "fromfile_s": round(floor_read_s, 4),
-        "read_ratio": round(read_s / floor_read_s, 2),
-        "write_s": round(write_s, 4),
-        "tofile_s": round(floor_write_s, 4),
-        "write_ratio": round(write_s / floor_write_s, 2),
-        "write_fsync_s": round(synced_s, 4),
-        "tofile_fsync_s": round(floor_synced_s, 4),
-        "write_fsync_ratio": round(synced_s / floor_synced_s, 2),
+        "load_ratio": round(times["load"] / times["fromfile"], 2),
+        "read_ratio": round(times["read"] / times["fromfile"], 2),
+        "write_ratio": round(write_s / times["tofile"], 2),
+        "write_fsync_ratio": round(times["write_fsync"] / times["tofile_fsync"], 2),
+        **{f"{name}_s": round(seconds, 4) for name, seconds in times.items()},
     }
     if options.row_writer_splats:
         few = splats.select(torch.arange(options.row_writer_splats))

@@ -1,0 +1,86 @@
+"""Spread the blocks of a record table over a few threads.
+
+Conventions
+-----------
+* A block is a slice of rows whose records fit the processor's cache: what one pass has just read,
+  the next finds there.
+* The work must release the interpreter lock where it matters (system calls, numpy, kernels) and
+  touch nothing but its own rows.
+* The number of threads is Numba's (``NUMBA_NUM_THREADS``), at most ``MAX_THREADS``.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+BLOCK_BYTES = 1 << 19
+"""Bytes of records in a block: half of what a core's second-level cache holds."""
+
+MAX_THREADS = 4
+"""More threads than this only queue for the memory."""
+
+
+class Scratch(threading.local):
+    """A buffer of each thread's own that lasts over its blocks, so that it stays in the cache."""
+
+    def __init__(self) -> None:
+        """Start without memory."""
+        self._records = np.empty(0, np.void)
+
+    def records(self, count: int, dtype: np.dtype) -> NDArray[np.void]:  # [count]
+        """Return ``count`` records with the values they last had, or arbitrary ones."""
+        if len(self._records) < count or self._records.dtype != dtype:
+            self._records = np.empty(count, dtype)
+        return self._records[:count]
+
+
+def blocks(count: int, row_size: int) -> Iterator[slice]:
+    """Cut ``count`` rows of ``row_size`` bytes into slices of about ``BLOCK_BYTES``."""
+    step = max(1, BLOCK_BYTES // max(row_size, 1))
+    for start in range(0, count, step):
+        yield slice(start, min(start + step, count))
+
+
+def for_each_block(count: int, row_size: int, work: Callable[[slice], None]) -> None:
+    """Call ``work`` for every block of rows, in threads when there are several blocks.
+
+    Args:
+        count: number of rows.
+        row_size: bytes of one record.
+        work: what to do with a slice of rows.
+
+    Raises:
+        Exception: what ``work`` raised for the first block that failed; later blocks may be left
+            undone.
+    """
+    todo = enumerate(blocks(count, row_size))
+    lock = threading.Lock()
+    failures: list[tuple[int, BaseException]] = []
+
+    def take_blocks() -> None:
+        while not failures:
+            with lock:
+                number, rows = next(todo, (-1, slice(0)))
+            if number < 0:
+                return
+            try:
+                work(rows)
+            except BaseException as error:
+                failures.append((number, error))
+
+    number_of_blocks = -(-count * row_size // BLOCK_BYTES)
+    threads = int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
+    wanted = min(threads, MAX_THREADS, number_of_blocks)
+    helpers = [threading.Thread(target=take_blocks) for _ in range(wanted - 1)]
+    for helper in helpers:
+        helper.start()
+    take_blocks()
+    for helper in helpers:
+        helper.join()
+    if failures:
+        raise min(failures, key=lambda failure: failure[0])[1]
