@@ -1,13 +1,10 @@
 """Splats on the surface that the shape network believes in.
 
-Where a mirror image of P fits what the network believes, its splats are taken as they are: exact
-walls and full detail. Elsewhere the surface of the filled cells is covered with discs.
-
 Conventions
 -----------
-* The surface is where the interpolated occupancy logit is zero; outward is where it falls. Cells
-  of thin walls are filled whole, so the surface lies ``_INWARD`` cells outside the true one on
-  average: splats are set that much inside it.
+* The surface is where the interpolated occupancy logit crosses a level; outward is where it falls.
+  Cells of thin walls are filled whole, so the surface lies ``_INWARD`` cells outside the true one
+  on average: splats are set that much inside it.
 * Splats are flat discs facing outward. Those on surface that P has are left out.
 """
 
@@ -23,7 +20,7 @@ from torch import Tensor
 from gscomplete.priors.embedded.shape.grid import CELL_SIDE, HALF_SIDE
 from gscomplete.priors.embedded.shape.inputs import SOURCES, ShapeInputs
 from gscomplete.priors.embedded.shape.model import ShapeOutput
-from gscomplete.splats import Splats, colors_to_sh, concatenate
+from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.filters import thinned
 from gscomplete.splats.rotations import quaternions_facing
 
@@ -46,10 +43,9 @@ class SurfaceSettings:
     opacity: float = 0.95
     near_partial: float = 0.03
     """Surface points this near to P's splats are P's own."""
-    near_copy: float = 0.045
-    """Surface points this near to splats taken from a mirror image are left out."""
-    believed_logit: float = -1.0
-    """A mirrored splat is taken where the occupancy logit is at least this."""
+    filled_logit: float = -0.25
+    """Cells with at least this logit count as filled. On held-out procedural objects -0.25 gives
+    the best silhouettes: thin walls, of which the network is never sure, are worth some excess."""
     color_reach: float = 0.06
     """A source's colour counts where it has a splat this near."""
 
@@ -70,49 +66,23 @@ def surface_splats(
         settings: knobs.
         generator: chooses where splats sit.
     """
-    logits = output.occupancy[0].float().clamp(-8, 8)
-    anchor = thinned(partial.with_sh_degree(0), 20_000, generator)
-    copied = _copied(logits, inputs, anchor, settings, generator)
+    logits = (output.occupancy[0].float() - settings.filled_logit).clamp(-8, 8)
+    anchor = thinned(partial, 20_000, generator)
     points, normals, on_surface = _project(logits, _seeds(logits, generator))
     points = (points - _INWARD * CELL_SIDE * normals)[on_surface]
     normals = normals[on_surface]
     is_new = _nearest(points, anchor.means)[0] > settings.near_partial
-    if len(copied):
-        is_new &= _nearest(points, copied.means)[0] > settings.near_copy
-    points, normals, spacing = _spread(
-        points[is_new], normals[is_new], settings.count - len(copied), generator
-    )
+    points, normals, spacing = _spread(points[is_new], normals[is_new], settings.count, generator)
     colors = _colors(output, inputs, partial, points, settings, generator)
     scales = torch.full((len(points), 3), _OVERLAP * spacing)
     scales[:, 2] *= _FLATNESS
-    covering = Splats(
+    return Splats(
         points,
         quaternions_facing(normals),
         scales,
         torch.full((len(points),), settings.opacity),
         colors_to_sh(colors.clamp(0.0, 1.0)),
     )
-    return concatenate([copied, covering]) if len(copied) else covering
-
-
-def _copied(
-    logits: Tensor,
-    inputs: ShapeInputs,
-    anchor: Splats,
-    settings: SurfaceSettings,
-    generator: torch.Generator,
-) -> Splats:
-    """Return the splats of P's mirror images that lie where the network believes in something."""
-    taken = anchor.select(torch.zeros(0, dtype=torch.long))
-    for symmetry in inputs.symmetries:
-        copy = symmetry.apply_to_splats(anchor)
-        inside = (copy.means.abs() < HALF_SIDE).all(dim=1)
-        believed = sample_volume(logits[None], copy.means)[:, 0] >= settings.believed_logit
-        is_new = _nearest(copy.means, anchor.means)[0] > settings.near_partial
-        if len(taken):
-            is_new &= _nearest(copy.means, taken.means)[0] > settings.near_partial
-        taken = concatenate([taken, copy.select(inside & believed & is_new)])
-    return thinned(taken, max(settings.count * 3 // 4, 1), generator)
 
 
 def filled_box(output: ShapeOutput) -> Tensor:  # [2, 3]
@@ -172,7 +142,7 @@ def _spread(
     order = torch.randperm(len(points), generator=generator)
     points, normals = points[order], normals[order]
     side_low, side_high = 0.002, 0.2
-    kept = torch.arange(0)
+    kept = torch.arange(min(count, len(points)))
     for _ in range(12):
         side = (side_low * side_high) ** 0.5
         found = _one_per_cell(points, normals, side)

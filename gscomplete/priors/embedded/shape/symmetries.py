@@ -13,19 +13,15 @@ Conventions
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 
 import numba
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from gscomplete.priors.embedded.shape.evidence import Evidence
 from gscomplete.priors.embedded.shape.grid import CELL_SIDE, HALF_SIDE, FloatArray
-from gscomplete.splats import Splats
-from gscomplete.splats.transform import multiply_quaternions, quaternion_from_rotation
 
 COPIES = 3
 _SAMPLES = 600
@@ -65,22 +61,6 @@ class SymmetryMap:
     def undo(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
         """Map points back."""
         return np.ascontiguousarray((points - self.shift) @ self.matrix, dtype=np.float32)
-
-    def apply_to_splats(self, splats: Splats) -> Splats:
-        """Map splats; colours are taken as they are seen, SH degree 0.
-
-        A mirrored splat has its axes mirrored: the reflection is absorbed by the axes' signs, so a
-        quaternion remains.
-        """
-        matrix = torch.from_numpy(self.matrix.astype(np.float64))
-        rotation = matrix if float(torch.linalg.det(matrix)) > 0 else -matrix
-        turn = quaternion_from_rotation(rotation).to(splats.quaternions)
-        base = splats.with_sh_degree(0)
-        return dataclasses.replace(
-            base,
-            means=torch.from_numpy(self.apply(base.means.float().numpy())),
-            quaternions=multiply_quaternions(turn.expand_as(base.quaternions), base.quaternions),
-        )
 
 
 def likely_symmetries(

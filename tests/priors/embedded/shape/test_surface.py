@@ -56,7 +56,7 @@ def test_interpolation_reads_cell_centres():
 
 
 def test_discs_lie_on_the_surface_and_not_on_p():
-    splats = guess(SurfaceSettings(believed_logit=99.0))  # nothing copied
+    splats = guess()
     distance = splats.means.norm(dim=1)
     # Set inside by less than half a cell (0.03), and smoothed.
     assert float((distance - 0.4).abs().max()) < 0.035
@@ -77,12 +77,17 @@ def test_whole_is_closed_and_of_the_right_size():
     assert float(iou.min()) > 0.93
 
 
-def test_mirror_images_are_taken_where_believed():
-    copied = guess(SurfaceSettings(believed_logit=-1.0, count=20_000))
-    discs = guess(SurfaceSettings(believed_logit=99.0, count=20_000))
-    # P's colours run from dark to light red; the network's own colour is pure red.
-    assert float(copied.base_colors[:, 0].std()) > 0.05
-    assert float(discs.base_colors[:, 0].std()) < 0.02
+def test_colours_are_taken_from_the_source_that_is_trusted():
+    discs = guess()
+    assert float(discs.base_colors[:, 0].min()) > 0.9  # the network's own red
+    pointing = ball_output()
+    pointing.sources[:, -1] = -9.0
+    pointing.sources[:, 1] = 9.0  # the best mirror image
+    taken = guess(output=pointing)
+    # P's colours run with its normals; those of its mirror image run the other way.
+    away = taken.means[:, 0] < -0.2
+    expected = 0.5 - 0.4 * taken.means[away, 0] / 0.4
+    assert float((taken.base_colors[away, 0] - expected).abs().mean()) < 0.05
 
 
 @pytest.mark.parametrize("count", [1, 50, 3000])

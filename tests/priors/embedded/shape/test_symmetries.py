@@ -1,12 +1,10 @@
 import numpy as np
 import pytest
-import torch
 
 from gscomplete.priors.embedded.shape.evidence import FRONT_TOLERANCE, gather_evidence
 from gscomplete.priors.embedded.shape.grid import CELLS, fill_colored, splat_arrays
 from gscomplete.priors.embedded.shape.inputs import SOURCES, shape_inputs
 from gscomplete.priors.embedded.shape.symmetries import likely_symmetries
-from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.views import ViewDistribution
 from tests.priors.embedded.shape.shapes import half, sphere
 
@@ -50,17 +48,3 @@ def test_maps_are_rigid_and_undone():
             atol=1e-5,
         )
     assert seen.volumes.shape == (SOURCES, 4, CELLS, CELLS, CELLS)
-
-
-def test_mirrored_splats_have_mirrored_covariances():
-    partial = half(sphere(500))
-    for symmetry in shape_inputs(partial, VIEWS).symmetries:
-        copy = symmetry.apply_to_splats(partial)
-
-        def covariances(splats):
-            axes = rotation_matrices(splats.quaternions.double())
-            return axes @ torch.diag_embed(splats.scales.double() ** 2) @ axes.transpose(1, 2)
-
-        matrix = torch.from_numpy(symmetry.matrix).double()
-        expected = matrix @ covariances(partial) @ matrix.T
-        torch.testing.assert_close(covariances(copy), expected, atol=1e-8, rtol=1e-4)
