@@ -41,7 +41,7 @@ from gscomplete.evaluate.pictures import contact_sheet, render_images, save_imag
 from gscomplete.priors import Prior, load_prior
 from gscomplete.priors.embedded.shape.inputs import shape_inputs
 from gscomplete.splats import Splats, concatenate, read_splats, write_splats
-from gscomplete.splats.transform import transform_splats
+from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.views import ObjectFrame, ViewDistribution, up_rotation
 from recipes.real_objects.complete import DATA
 from recipes.real_objects.load import RealObject, load_real_object
@@ -85,9 +85,7 @@ class Posed:
 def pose(item: RealObject) -> Posed:
     """Guess the frame and the input view from the part, as a run does."""
     rotation = up_rotation(item.up)
-    level = dataclasses.replace(
-        item.partial, means=(item.partial.means.double() @ rotation.T).float()
-    )
+    level = transform_splats(item.partial, Similarity(1.0, rotation, torch.zeros(3).double()))
     guess: FramingGuess = guess_framing(level)
     frame = ObjectFrame.from_z_up(item.up, guess.center, guess.size)
     truth = item.complete
