@@ -2,7 +2,7 @@
 
 Conventions
 -----------
-* This is the only place that imports Open3D, laspy, OpenImageIO, gsply and yaml.
+* This is the only place that imports Open3D, laspy, OpenImageIO, gsply, pymeshlab and yaml.
 * ``import open3d`` needs the system library libusb-1.0, which a fresh machine lacks; the package
   ``libusb-package`` carries it, and loading it first is all that is needed.
 """

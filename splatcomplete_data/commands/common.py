@@ -40,6 +40,14 @@ Report = Callable[[int, int], None]
 """Progress callback: (done, total) in whatever unit the step counts."""
 
 
+Enter = Callable[[str, float], None]
+"""Says that a stage begins: (what is done now, share of the work that is behind, 0 to 1)."""
+
+
+def stay_silent(name: str, share: float) -> None:
+    """Ignore a stage; the ``Enter`` of callers that show no progress."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class ObjectOptions:
     """Flags of every command that writes an object folder."""
@@ -101,7 +109,11 @@ def finish_object(options: ObjectOptions, made: Made) -> int:
     Raises:
         UserError: an option is wrong, nothing is left, or the folder cannot be written.
     """
-    record = store_object(options, made)
+    return report_object(options, made, store_object(options, made))
+
+
+def report_object(options: ObjectOptions, made: Made, record: ObjectRecord) -> int:
+    """Tell what was made and written; return the exit code."""
     if options.json:
         sys.stdout.write(json.dumps(record.to_json()) + "\n")
         return 0
@@ -252,3 +264,29 @@ def progress(title: str) -> Iterator[Report]:
             bar.update(task, completed=done, total=max(total, 1))
 
         yield report
+
+
+@contextlib.contextmanager
+def stages(title: str) -> Iterator[Enter]:
+    """Show the stage, a bar and an ETA on standard error; yield what says that a stage begins.
+
+    The shares that callers give are rough, and so is the ETA. Nothing is shown where standard
+    error is not a terminal.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import TimeRemainingColumn as Remaining
+
+    console = Console(file=sys.stderr)
+    columns: Sequence[Any] = (
+        TextColumn(f"{title}: {{task.description}}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        TextColumn("ETA"),
+        Remaining(),
+    )
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
+        task = bar.add_task("starting", total=1.0)
+        yield lambda name, share: bar.update(task, description=name, completed=share)

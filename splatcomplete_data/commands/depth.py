@@ -10,7 +10,15 @@ import tyro
 
 from gscomplete import jsonio
 from gscomplete.commands.complete import parse_numbers
-from splatcomplete_data.commands.common import Made, check_out, finish_object
+from splatcomplete_data.commands.common import (
+    Enter,
+    Made,
+    check_out,
+    report_object,
+    stages,
+    stay_silent,
+    store_object,
+)
 from splatcomplete_data.commands.points import PointOptions, made_from_points
 
 
@@ -66,7 +74,11 @@ class DepthOptions(PointOptions):
 def run(options: DepthOptions) -> int:
     """Make the object; return the exit code."""
     check_out(options, source_of(options))
-    return finish_object(options, make(options))
+    with stages("depth") as enter:
+        made = make(options, enter)
+        enter("writing the object", 0.7)
+        record = store_object(options, made)
+    return report_object(options, made, record)
 
 
 def source_of(options: DepthOptions) -> Path:
@@ -74,8 +86,12 @@ def source_of(options: DepthOptions) -> Path:
     return options.depth if str(options.image) == "-" else options.image
 
 
-def make(options: DepthOptions) -> Made:
+def make(options: DepthOptions, enter: Enter = stay_silent) -> Made:
     """Read picture and depth and make the part.
+
+    Args:
+        options: the flags.
+        enter: told when a stage begins.
 
     Raises:
         UserError: a file cannot be read, a flag is wrong, or a step keeps nothing.
@@ -103,6 +119,7 @@ def make(options: DepthOptions) -> Made:
         frame=options.frame,
     )
     image = None if str(options.image) == "-" else options.image
+    enter("reading", 0.0)
     view = load_single_view(image, options.depth, settings)
     return made_from_points(
         options,
@@ -114,4 +131,5 @@ def make(options: DepthOptions) -> Made:
         steps=view.steps,
         notes=view.notes,
         details={"camera": jsonio.to_json(view.camera), "depth": options.depth.as_posix()},
+        enter=enter,
     )

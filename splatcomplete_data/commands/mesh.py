@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from gscomplete.views import UpAxis
-from splatcomplete_data.commands.common import Made, ObjectOptions, check_out, finish_object
+from splatcomplete_data.commands.common import (
+    Enter,
+    Made,
+    ObjectOptions,
+    check_out,
+    report_object,
+    stages,
+    stay_silent,
+    store_object,
+)
 
 if TYPE_CHECKING:
     from gscomplete.splats import Splats
@@ -32,9 +41,13 @@ class MeshOptions(ObjectOptions):
     """About how many splats; None = 100,000, unless --spacing is given."""
     spacing: float | None = None
     """Side of the square of surface that a splat stands for, in file units, instead of --count."""
-    mode: Literal["cells", "grid", "random"] = "cells"
+    mode: Literal["cells", "grid", "random", "poisson"] = "cells"
     """cells: every triangle cut into equal cells. grid: mesh2splat's density, one splat per grid
-    cell. random: uniform random points with round splats, for comparison."""
+    cell. random: uniform random points with round splats, for comparison. poisson:
+    round discs on blue noise (Poisson disks, pymeshlab), for an even look without rows."""
+    repair: bool = False
+    """Before converting, merge duplicate vertices, drop null and duplicate faces and orient the
+    rest (pymeshlab), each with a count."""
     sigma: float = 0.5
     """Tangent standard deviation over the cell's side; below 0.45 holes show."""
     cut: tuple[str, ...] = ()
@@ -70,11 +83,19 @@ def in_file_axes(
 def run(options: MeshOptions) -> int:
     """Convert the mesh; return the exit code."""
     check_out(options, options.file)
-    return finish_object(options, make(options))
+    with stages("mesh") as enter:
+        made = make(options, enter)
+        enter("writing the object", 0.6)
+        record = store_object(options, made)
+    return report_object(options, made, record)
 
 
-def make(options: MeshOptions) -> Made:
+def make(options: MeshOptions, enter: Enter = stay_silent) -> Made:
     """Convert the mesh and cut the part.
+
+    Args:
+        options: the flags.
+        enter: told when a stage begins.
 
     Raises:
         UserError: the mesh cannot be read or has no surface, or a cut is wrong.
@@ -87,18 +108,27 @@ def make(options: MeshOptions) -> Made:
 
     cuts = [parse_cut(text) for text in options.cut]
     is_gltf = options.file.suffix.lower() in (".glb", ".gltf")
+    enter("reading", 0.0)
     mesh = load_mesh(options.file, texture=options.texture, gltf_colors=options.gltf_colors)
+    repairs: tuple[StepRecord, ...] = ()
+    if options.repair:
+        from splatcomplete_data.mesh.repair import repair_mesh
+
+        enter("repairing", 0.1)
+        mesh, repairs = repair_mesh(mesh)
     settings = ConvertSettings(options.mode, options.sigma, seed=options.seed)
     count = 100_000 if options.count is None and options.spacing is None else options.count
     request = framing_request(options, "Y" if is_gltf else "Z")
     light = BakedLight(in_file_axes(LIGHT_Z_UP, request.up)) if options.light else None
+    enter("converting", 0.2)
     made = convert_mesh(mesh, count, spacing=options.spacing, settings=settings, light=light)
     complete = made.splats
     part: Splats | None = None
     steps: tuple[StepRecord, ...] = ()
     if cuts:
+        enter("cutting", 0.5)
         frame = frame_of_whole(complete, request.up)
         part, steps = apply_cuts(complete, frame, cuts, (), str(options.file))
     notes = (*mesh.notes, f"{len(complete):,} splats, spacing {made.spacing:.4g} file units")
-    steps = (*made.steps, *steps)
+    steps = (*repairs, *made.steps, *steps)
     return Made("mesh", options.file, part, complete, request.up, steps, notes)

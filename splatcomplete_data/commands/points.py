@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from gscomplete.commands.complete import parse_numbers
 from gscomplete.errors import UserError
 from gscomplete.views import UpAxis
-from splatcomplete_data.commands.common import Made, ObjectOptions
+from splatcomplete_data.commands.common import Enter, Made, ObjectOptions, stay_silent
 
 if TYPE_CHECKING:
     from splatcomplete_data.objects import StepRecord, Subset
@@ -95,6 +95,7 @@ def made_from_points(
     steps: tuple[StepRecord, ...],
     notes: tuple[str, ...],
     details: dict[str, object],
+    enter: Enter = stay_silent,
 ) -> Made:
     """Run the shared steps on points in the source's frame.
 
@@ -108,6 +109,7 @@ def made_from_points(
         steps: what was done before.
         notes: what was noticed before.
         details: what only this kind of source has.
+        enter: told when a stage begins.
 
     Raises:
         UserError: a flag is wrong, or a step keeps nothing.
@@ -120,6 +122,7 @@ def made_from_points(
     from splatcomplete_data.scan.picture import removed_sheet
 
     settings = part_settings(options)
+    enter(f"cleaning {len(cloud):,} points", 0.2)
     part = make_part(cloud, settings, str(source), viewpoint or (0.0, 0.0, 0.0))
     up: UpAxis = "Z" if options.level else framing_request(options, default_up).up
     eye = viewpoint
@@ -131,6 +134,7 @@ def made_from_points(
         view = view_from_position(frame_of_whole(part.splats, up), eye)
     pictures = {}
     if (part.reason >= 0).any():
+        enter("drawing what was removed", 0.6)
         pictures["removed.png"] = removed_sheet(part, up, view, f"{source.name}: what was removed")
     size = f"splat size {part.sigma:.4g} source units ({options.size})"
     return Made(

@@ -10,7 +10,15 @@ import tyro
 
 from gscomplete.commands.complete import parse_numbers
 from gscomplete.errors import UserError
-from splatcomplete_data.commands.common import Made, check_out, finish_object
+from splatcomplete_data.commands.common import (
+    Enter,
+    Made,
+    check_out,
+    report_object,
+    stages,
+    stay_silent,
+    store_object,
+)
 from splatcomplete_data.commands.points import PointOptions, made_from_points
 
 
@@ -35,11 +43,19 @@ class ScanOptions(PointOptions):
 def run(options: ScanOptions) -> int:
     """Make the object; return the exit code."""
     check_out(options, options.file)
-    return finish_object(options, make(options))
+    with stages("scan") as enter:
+        made = make(options, enter)
+        enter("writing the object", 0.7)
+        record = store_object(options, made)
+    return report_object(options, made, record)
 
 
-def make(options: ScanOptions) -> Made:
+def make(options: ScanOptions, enter: Enter = stay_silent) -> Made:
     """Read the scan and make the part.
+
+    Args:
+        options: the flags.
+        enter: told when a stage begins.
 
     Raises:
         UserError: the file cannot be read, a flag is wrong, or a step keeps nothing.
@@ -49,6 +65,7 @@ def make(options: ScanOptions) -> Made:
     from splatcomplete_data.objects import StepRecord
     from splatcomplete_data.scan.read import read_scan
 
+    enter("reading", 0.0)
     scan = read_scan(options.file)
     cloud = scan.cloud
     dropped = {"not_finite": scan.rows - len(cloud)} if scan.rows > len(cloud) else {}
@@ -74,4 +91,5 @@ def make(options: ScanOptions) -> Made:
         steps=tuple(steps),
         notes=scan.notes,
         details={},
+        enter=enter,
     )

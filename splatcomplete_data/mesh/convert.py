@@ -9,7 +9,8 @@ Conventions
 * Cut-outs are dropped where alpha is below 1/2; blended surfaces give their alpha to the splats.
 * Modes: ``cells`` cuts every triangle into equal cells (the default); ``grid`` is mesh2splat's
   density, one splat per cell of a grid on the triangle's dominant axis plane; ``random`` is the
-  naive way, uniform random points with round (spherical) splats, to measure the others against.
+  naive way, uniform random points with round (spherical) splats, to measure the others against;
+  ``poisson`` puts round discs on points that keep their distance (MeshLab's Poisson disks).
 * Nothing is dropped without a count: ``Conversion.steps`` says what became of every triangle.
 """
 
@@ -26,15 +27,16 @@ from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, colors_to_sh
-from splatcomplete_data.mesh.allot import Allotment, allot_by_count, allot_by_spacing
+from splatcomplete_data.mesh.allot import MAX_SPLATS, Allotment, allot_by_count, allot_by_spacing
 from splatcomplete_data.mesh.cells import cut_into_cells
 from splatcomplete_data.mesh.edges import marked_edges
 from splatcomplete_data.mesh.grid import grid_cells
 from splatcomplete_data.mesh.load import BakedLight, Mesh, MeshPart
+from splatcomplete_data.mesh.sampling import point_frames, poisson_points, uniform_points
 from splatcomplete_data.objects import StepRecord
 
 FloatArray = NDArray[np.float32]
-ConvertMode = Literal["cells", "grid", "random"]
+ConvertMode = Literal["cells", "grid", "random", "poisson"]
 """How splats are placed; see the module's conventions."""
 
 FAINT = 0.02
@@ -59,7 +61,7 @@ class ConvertSettings:
     fold_deg: float = 35.0
     """Angle between two triangles from which their edge is a fold."""
     seed: int = 0
-    """Seed of the ``random`` mode; the others draw no random numbers."""
+    """Seed of ``random`` and ``poisson``; the others draw no random numbers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,10 +113,12 @@ def convert_mesh(
     normals = np.cross(*np.diff(vertices.astype(np.float64), axis=1).swapaxes(0, 1))
     areas = 0.5 * np.linalg.norm(normals, axis=1)
     allotment: Allotment | None = None
-    if chosen.mode == "random":
+    if chosen.mode in ("random", "poisson"):
         number = count or max(1, round(float(areas.sum()) / float(spacing or 1.0) ** 2))
-        cells, step = _random_cells(vertices, areas, number, chosen.seed)
+        if number > MAX_SPLATS:
+            raise UserError(f"mesh: expected at most {MAX_SPLATS:,} splats, found {number:,}")
         side = math.sqrt(float(areas.sum()) / number)
+        cells, step = _point_cells(vertices, areas, number, side, chosen)
     elif chosen.mode == "grid":
         side = float(spacing or _grid_step(areas, normals, int(count or 1)))
         cells, step = _grid(vertices, normals, side)
@@ -224,29 +228,24 @@ def _even_cells(
     return cells, step
 
 
-def _random_cells(
-    vertices: FloatArray, areas: NDArray[np.float64], count: int, seed: int
+def _point_cells(
+    vertices: FloatArray,
+    areas: NDArray[np.float64],
+    count: int,
+    side: float,
+    settings: ConvertSettings,
 ) -> tuple[Cells, StepRecord]:
-    """Uniform random points, each with a square cell of one size."""
-    rng = np.random.default_rng(seed)
-    edges = np.cumsum(areas)
-    triangle = np.searchsorted(edges, rng.random(count) * edges[-1], side="right")
-    triangle = np.minimum(triangle, len(areas) - 1)
-    a, b = rng.random((2, count))
-    folded = a + b > 1
-    a, b = np.where(folded, 1 - a, a), np.where(folded, 1 - b, b)
-    cells = _empty(count)
-    cells.triangle[:] = triangle
-    cells.weights[:] = np.stack([1 - a - b, a, b], axis=1)
-    cells.steps[:] = 0
-    edge = vertices[triangle, 1] - vertices[triangle, 0]
-    other = vertices[triangle, 2] - vertices[triangle, 0]
-    normal = np.cross(edge, other)
-    x = edge / np.maximum(np.linalg.norm(edge, axis=1, keepdims=True), 1e-30)
-    y = np.cross(normal, x)
-    cells.axes[:, 0] = x
-    cells.axes[:, 1] = y / np.maximum(np.linalg.norm(y, axis=1, keepdims=True), 1e-30)
-    cells.sizes[:] = math.sqrt(float(areas.sum()) / count)
+    """Random points, each with a square cell of one size."""
+    if settings.mode == "random":
+        triangle, weights = uniform_points(areas, count, settings.seed)
+    else:
+        triangle, weights = poisson_points(vertices, areas, count, settings.seed)
+    cells = _empty(len(triangle))
+    cells.triangle[:], cells.weights[:] = triangle, weights
+    cells.axes[:], cells.steps[:] = point_frames(vertices, triangle, side)
+    if settings.mode == "random":
+        cells.steps[:] = 0  # the naive way looks a colour up once
+    cells.sizes[:] = side
     hit = len(np.unique(triangle))
     missed = {"missed_by_chance": len(areas) - hit} if hit < len(areas) else {}
     return cells, StepRecord("triangles_with_splats", len(areas), hit, missed)
