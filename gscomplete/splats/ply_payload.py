@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gscomplete.splats.ply_header import Element, PlyError, PlyHeader
-from gscomplete.splats.ply_threads import Scratch, for_each_block
+from gscomplete.splats.ply_threads import WRITE_BYTES, Scratch, for_each_block
 
 BlockSink = Callable[[slice, NDArray[np.void]], None]
 """Takes rows and their records."""
@@ -157,7 +157,7 @@ def write_rows(
             size = os.pwrite(stream.fileno(), rest, offset)
             rest, offset = rest[size:], offset + size
 
-    for_each_block(count, row_size, write_block)
+    for_each_block(count, row_size, write_block, WRITE_BYTES)
     stream.seek(start + count * row_size)
 
 

@@ -157,26 +157,34 @@ class Encoder:
             ValueError: a value is NaN or infinite, a scale is negative, or an opacity is outside
                 [0, 1].
         """
-        part = {name: np.ascontiguousarray(array[rows]) for name, array in self.arrays.items()}
-        _check(part)
-        if self.compiled:
-            return self._compiled(part)
-        source = np.full(len(self.dtype.names or ()), len(self.places))  # per property: a column
-        source[self.places] = np.arange(len(self.places))  # of values, or the zeros behind them
-        return _records(_file_values(part).take(source, axis=1), self.dtype)
+        records = self.scratch.records(rows.stop - rows.start, self.dtype)
+        for part in blocks(len(records), self.dtype.itemsize):
+            first, last = rows.start + part.start, rows.start + part.stop
+            values = {name: np.ascontiguousarray(a[first:last]) for name, a in self.arrays.items()}
+            _check(values)
+            if self.compiled:
+                self._fill_compiled(values, records[part])
+            else:
+                self._fill(values, records[part])
+        return records
 
-    def _compiled(self, part: dict[str, NDArray]) -> NDArray[np.void]:  # [B]
+    def _fill(self, values: dict[str, NDArray], records: NDArray[np.void]) -> None:
+        table = _file_values(values)
+        for name in self.dtype.names or ():
+            records[name] = 0
+        for column, place in enumerate(self.places):
+            records[f"p{place}"] = table[:, column]
+
+    def _fill_compiled(self, values: dict[str, NDArray], records: NDArray[np.void]) -> None:
         from gscomplete.splats.ply_kernels import join_table
 
-        logs, logits = _logarithms(part)
-        sh = part["sh"].reshape(len(logits), -1)
-        records = self.scratch.records(len(logits), self.dtype)
+        logs, logits = _logarithms(values)
+        sh = values["sh"].reshape(len(logits), -1)
         table = records.view(np.float32).reshape(len(records), -1)
         if len(self.places) < table.shape[1]:
             table.fill(0)
-        means, quaternions = part["means"], part["quaternions"]
+        means, quaternions = values["means"], values["quaternions"]
         join_table(means, quaternions, logs, logits.astype(np.float32), sh, self.places, table)
-        return records
 
 
 def _check(part: dict[str, NDArray]) -> None:
@@ -200,12 +208,12 @@ def _logarithms(part: dict[str, NDArray]) -> tuple[NDArray, NDArray]:  # [B, 3],
     return np.maximum(logs, LOG_SCALE_LIMIT), np.clip(logits, -LOGIT_LIMIT, LOGIT_LIMIT)
 
 
-def _file_values(part: dict[str, NDArray]) -> FloatArray:  # [B, 12 + 3 K]
-    """Turn one block of splats into the numbers files hold, a zero column last."""
+def _file_values(part: dict[str, NDArray]) -> FloatArray:  # [B, 11 + 3 K]
+    """Turn one block of splats into the numbers files hold, in the order of ``_places``."""
     logs, logits = _logarithms(part)
     count = len(logits)
-    sh, zeros = part["sh"].reshape(count, -1), np.zeros((count, 1))
-    columns = [part["means"], logs, logits[:, None], part["quaternions"], sh, zeros]
+    sh = part["sh"].reshape(count, -1)
+    columns = [part["means"], logs, logits[:, None], part["quaternions"], sh]
     return np.concatenate(columns, axis=1, dtype=np.float32, casting="same_kind")
 
 
@@ -235,13 +243,3 @@ def unit_quaternions(quaternions: NDArray[np.float32]) -> NDArray[np.float32]:  
     columns[0, zero] = 1
     columns /= np.sqrt((columns * columns).sum(axis=0))
     return columns.T
-
-
-def _records(table: NDArray[np.float32], dtype: np.dtype) -> NDArray[np.void]:  # [B, P] -> [B]
-    """Turn a table of all values into records."""
-    if _is_uniform(dtype):
-        return table.view(dtype)[:, 0]
-    records = np.empty(len(table), dtype)
-    for i, name in enumerate(dtype.names or ()):
-        records[name] = table[:, i]
-    return records

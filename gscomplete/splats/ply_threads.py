@@ -21,6 +21,9 @@ from numpy.typing import NDArray
 BLOCK_BYTES = 1 << 19
 """Bytes of records in a block: half of what a core's second-level cache holds."""
 
+WRITE_BYTES = 1 << 22
+"""Bytes handed to the system at once when writing: it does large pieces in less time."""
+
 MAX_THREADS = 4
 """More threads than this only queue for the memory."""
 
@@ -39,26 +42,29 @@ class Scratch(threading.local):
         return self._records[:count]
 
 
-def blocks(count: int, row_size: int) -> Iterator[slice]:
-    """Cut ``count`` rows of ``row_size`` bytes into slices of about ``BLOCK_BYTES``."""
-    step = max(1, BLOCK_BYTES // max(row_size, 1))
+def blocks(count: int, row_size: int, block_bytes: int | None = None) -> Iterator[slice]:
+    """Cut ``count`` rows of ``row_size`` bytes into slices of ``block_bytes`` (``BLOCK_BYTES``)."""
+    step = max(1, (block_bytes or BLOCK_BYTES) // max(row_size, 1))
     for start in range(0, count, step):
         yield slice(start, min(start + step, count))
 
 
-def for_each_block(count: int, row_size: int, work: Callable[[slice], None]) -> None:
+def for_each_block(
+    count: int, row_size: int, work: Callable[[slice], None], block_bytes: int | None = None
+) -> None:
     """Call ``work`` for every block of rows, in threads when there are several blocks.
 
     Args:
         count: number of rows.
         row_size: bytes of one record.
         work: what to do with a slice of rows.
+        block_bytes: bytes of records in a block; None = ``BLOCK_BYTES``.
 
     Raises:
         Exception: what ``work`` raised for the first block that failed; later blocks may be left
             undone.
     """
-    todo = enumerate(blocks(count, row_size))
+    todo = enumerate(blocks(count, row_size, block_bytes))
     lock = threading.Lock()
     failures: list[tuple[int, BaseException]] = []
 
@@ -73,7 +79,7 @@ def for_each_block(count: int, row_size: int, work: Callable[[slice], None]) -> 
             except BaseException as error:
                 failures.append((number, error))
 
-    number_of_blocks = -(-count * row_size // BLOCK_BYTES)
+    number_of_blocks = -(-count * row_size // (block_bytes or BLOCK_BYTES))
     threads = int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
     wanted = min(threads, MAX_THREADS, number_of_blocks)
     helpers = [threading.Thread(target=take_blocks) for _ in range(wanted - 1)]
