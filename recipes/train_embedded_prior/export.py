@@ -201,9 +201,9 @@ def card(
             "",
         ]
     lines += [
-        "Known limits: one object per image, the things named by its words and simple shapes,",
-        "64 x 64 pixels; coarse shape and the colours of P are reliable, lettering and fine",
-        "texture are not, and what is said only by the prompt is followed loosely.",
+        "Known limits: one object at a time, the things named by its words and simple shapes;",
+        "coarse shape and the main colours of P are continued, patterns and lettering are blurred,",
+        "thin parts are often missed, and what is said only by the prompt is followed loosely.",
         "",
     ]
     return "\n".join(lines)
