@@ -182,8 +182,8 @@ class Completion:
                 settings.new_splats,
             )
             if guess is not None:
-                note = f"start: {len(guess.splats):,} splats on the surface the prior guesses"
-                return guess.splats, note
+                note = f"start: {len(guess):,} splats on the surface the prior guesses"
+                return guess, note
         scattered = initial_splats(
             self.partial,
             settings.new_splats,

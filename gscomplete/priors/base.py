@@ -199,14 +199,6 @@ class Prior(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
-class FirstGuess:
-    """A rough idea of the whole, made before any view is denoised."""
-
-    splats: Splats  # new splats in the object frame, where P has none
-    box: Tensor  # [2, 3] lower and upper corner of the whole as guessed
-
-
 @runtime_checkable
 class ShapePrior(Protocol):
     """A prior that can also guess the whole from P at once, for new splats to start from."""
@@ -218,7 +210,7 @@ class ShapePrior(Protocol):
         conditioning: Conditioning,
         generator: torch.Generator,
         count: int,
-    ) -> FirstGuess | None:
+    ) -> Splats | None:
         """Guess what is missing.
 
         Args:
@@ -229,6 +221,7 @@ class ShapePrior(Protocol):
             count: most splats.
 
         Returns:
+            New splats in the object frame, where P has none.
             None if nothing seems to be missing, or these weights cannot guess.
         """
         ...

@@ -23,7 +23,6 @@ from torch import Tensor
 from gscomplete.errors import UserError
 from gscomplete.priors.base import (
     Conditioning,
-    FirstGuess,
     FourViews,
     Guidance,
     PriorViews,
@@ -43,7 +42,6 @@ from gscomplete.priors.embedded.shape.model import ShapeCompleter
 from gscomplete.priors.embedded.shape.predict import predict_whole
 from gscomplete.priors.embedded.shape.surface import (
     SurfaceSettings,
-    filled_box,
     surface_splats,
 )
 from gscomplete.priors.embedded.text import Tokenizer
@@ -137,7 +135,7 @@ class EmbeddedPrior:
         conditioning: Conditioning,
         generator: torch.Generator,
         count: int,
-    ) -> FirstGuess | None:
+    ) -> Splats | None:
         """Return the whole as the shape network sees it; see :class:`base.ShapePrior`."""
         if self._shape is None:
             return None
@@ -146,7 +144,7 @@ class EmbeddedPrior:
         output = predict_whole(self._shape, seen, conditioning.tokens, bfloat16=self._bfloat16)
         settings = SurfaceSettings(count=count)
         splats = surface_splats(output, seen, partial, settings, generator)
-        return FirstGuess(splats, filled_box(output)) if len(splats) else None
+        return splats if len(splats) else None
 
     def distill(
         self,

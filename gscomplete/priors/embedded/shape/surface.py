@@ -71,7 +71,7 @@ def surface_splats(
     points, normals, on_surface = _project(logits, _seeds(logits, generator))
     points = (points - _INWARD * CELL_SIDE * normals)[on_surface]
     normals = normals[on_surface]
-    is_new = _nearest(points, anchor.means)[0] > settings.near_partial
+    is_new = _distance(points, anchor.means) > settings.near_partial
     points, normals, spacing = _spread(points[is_new], normals[is_new], settings.count, generator)
     colors = _colors(output, inputs, partial, points, settings, generator)
     scales = torch.full((len(points), 3), _OVERLAP * spacing)
@@ -83,15 +83,6 @@ def surface_splats(
         torch.full((len(points),), settings.opacity),
         colors_to_sh(colors.clamp(0.0, 1.0)),
     )
-
-
-def filled_box(output: ShapeOutput) -> Tensor:  # [2, 3]
-    """Return the corners of the box about everything filled; the whole grid if nothing is."""
-    places = torch.nonzero(output.occupancy[0] > 0)
-    if len(places) == 0:
-        return torch.tensor([[-HALF_SIDE] * 3, [HALF_SIDE] * 3])
-    low, high = places.amin(dim=0), places.amax(dim=0) + 1
-    return torch.stack([low, high]) * CELL_SIDE - HALF_SIDE
 
 
 def sample_volume(volume: Tensor, points: Tensor) -> Tensor:  # [C, n, n, n], [N, 3] -> [N, C]
@@ -195,7 +186,7 @@ def _colors(
     return (sharpened[:, :, None] * torch.stack(found, dim=1)).sum(dim=1)
 
 
-def _nearest(points: Tensor, others: Tensor) -> tuple[Tensor, Tensor]:  # [N], [N]
-    """Return distance and index of the nearest of other points."""
-    distance, index = cKDTree(others.numpy()).query(points.numpy())
-    return torch.from_numpy(distance).float(), torch.from_numpy(index)
+def _distance(points: Tensor, others: Tensor) -> Tensor:  # [N, 3], [M, 3] -> [N]
+    """Return the distance to the nearest of other points."""
+    distance, _ = cKDTree(others.numpy()).query(points.numpy())
+    return torch.from_numpy(distance).float()
