@@ -4,8 +4,7 @@ Conventions
 -----------
 * P and the whole are carried into a frame that is guessed from P as a run would guess it, so that
   the network learns with the errors it will meet.
-* The whole is solid where the grid's border cannot be reached, after gaps of up to
-  ``2 * _CLOSING`` cells were closed (a bottle's neck, a missing base); thin walls fill their cells.
+* What of the whole counts as solid is said in ``solids``.
 * Colour volumes are stored as lists of filled cells: (x, y, z, r, g, b, occupancy) in eight bits.
 """
 
@@ -19,7 +18,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy import ndimage
 from torch import Tensor
 
 from gscomplete.completion.framing import FramingSettings, guess_framing
@@ -29,8 +27,6 @@ from gscomplete.priors.embedded.shape.grid import (
     COARSE_CELLS,
     FloatArray,
     fill_colored,
-    fill_inside,
-    fill_shell,
     splat_arrays,
 )
 from gscomplete.priors.embedded.shape.inputs import SOURCES, shape_inputs
@@ -42,8 +38,8 @@ from gscomplete.splats.transform import transform_splats
 from gscomplete.views import ObjectFrame, ViewDistribution
 from recipes.train_embedded_prior.config import ShapeDataConfig
 from recipes.train_embedded_prior.dataset import Source
+from recipes.train_embedded_prior.solids import solid_cells
 
-_CLOSING = 2
 _QUICK_FRAMING = FramingSettings(azimuths=12, elevations_deg=(15.0,), size_px=32, max_splats=3000)
 """The guess of runs at an eighth of its cost."""
 TEXT_LENGTH = 16
@@ -138,20 +134,6 @@ class ShapeSetMaker:
         return ObjectFrame("Z", (x, y, z), size), ViewDistribution(
             guess.view_azimuth_deg, elevation
         )
-
-
-def solid_cells(positions: FloatArray, tangents: FloatArray) -> NDArray[np.uint8]:  # [C, C, C]
-    """Return 1 where a whole object fills its cell, from its splats."""
-    shell = fill_shell(positions, tangents, CELLS, 1.2)
-    near = _grow(shell, _CLOSING)
-    outside = _grow((1 - fill_inside(near)).astype(np.uint8), _CLOSING)
-    outside[shell > 0] = 0
-    return (1 - outside).astype(np.uint8)
-
-
-def _grow(mask: NDArray[np.uint8], cells: int) -> NDArray[np.uint8]:
-    grown: NDArray[np.uint8] = ndimage.maximum_filter(mask, size=2 * cells + 1, mode="nearest")
-    return grown
 
 
 def pack_cells(

@@ -10,7 +10,6 @@ from gscomplete.priors.embedded.shape.grid import CELLS
 from recipes.train_embedded_prior.shape_dataset import (
     decode_sets,
     pack_cells,
-    solid_cells,
     turn_batch,
     unpack_cells,
 )
@@ -88,18 +87,6 @@ def test_cells_survive_storage():
     few = unpack_cells(pack_cells(volume, 20, rng))
     assert (few[0] > 0).sum() == 20
     assert np.all((few[0] == 0) | (np.abs(few[0] - volume[0]) < 0.01))
-
-
-def test_a_sphere_is_filled_and_a_cup_is_not():
-    angle = np.random.default_rng(0).normal(size=(20000, 3))
-    sphere = (0.4 * angle / np.linalg.norm(angle, axis=1, keepdims=True)).astype(np.float32)
-    tangents = np.full((len(sphere), 2, 3), 1e-4, np.float32)
-    ball = solid_cells(sphere, tangents)
-    expected = 4 / 3 * np.pi * 0.4**3 / (1.44 / CELLS) ** 3
-    assert ball.sum() == pytest.approx(expected, rel=0.2)
-    cup = solid_cells(sphere[sphere[:, 2] < 0.1], tangents)
-    assert cup[CELLS // 2, CELLS // 2, CELLS // 2] == 0
-    assert ball[CELLS // 2, CELLS // 2, CELLS // 2] == 1
 
 
 def test_turning_a_batch_turns_everything_alike(batch):

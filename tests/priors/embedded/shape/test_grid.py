@@ -7,8 +7,6 @@ from gscomplete.priors.embedded.shape.grid import (
     HALF_SIDE,
     cell_centers,
     fill_colored,
-    fill_inside,
-    fill_shell,
     splat_arrays,
 )
 from tests.priors.embedded.shape.shapes import sphere
@@ -43,18 +41,6 @@ def test_what_lies_outside_the_cube_or_is_transparent_is_left_out():
     nan = np.full_like(positions, np.nan)
     assert fill_colored(nan, tangents, opacities, colors, CELLS).sum() == 0
     assert fill_colored(positions, tangents, 0 * opacities, colors, CELLS).sum() == 0
-    assert fill_shell(nan, tangents, CELLS, 1.2).sum() == 0
-
-
-def test_a_closed_shell_is_filled_and_an_open_one_is_not():
-    positions, tangents, *_ = splat_arrays(sphere())
-    shell = fill_shell(positions, tangents, CELLS, 1.5)
-    middle = (CELLS // 2,) * 3
-    assert fill_inside(shell)[middle] == 1
-    shell[:, :, CELLS // 2 :] = 0
-    assert fill_inside(shell)[middle] == 0
-    assert np.array_equal(fill_inside(np.zeros_like(shell)), np.zeros_like(shell))
-    assert fill_inside(np.ones_like(shell)).all()
 
 
 def test_cell_centers_are_where_points_of_the_cell_fall():

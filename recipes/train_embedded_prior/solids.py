@@ -1,0 +1,107 @@
+"""The cells that a whole object fills: what the shape network learns to predict.
+
+Conventions
+-----------
+* The whole is solid where the grid's border cannot be reached, after gaps of up to
+  ``2 * _CLOSING`` cells were closed (a bottle's neck, a missing base); thin walls fill their cells.
+* The grid is that of ``gscomplete.priors.embedded.shape.grid``.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from gscomplete.priors.embedded.shape.grid import CELLS, HALF_SIDE, FloatArray
+
+_CLOSING = 2
+
+
+def solid_cells(positions: FloatArray, tangents: FloatArray) -> NDArray[np.uint8]:  # [C, C, C]
+    """Return 1 where a whole object fills its cell, from its splats."""
+    shell = fill_shell(positions, tangents, CELLS, 1.2)
+    near = _grow(shell, _CLOSING)
+    outside = _grow((1 - fill_inside(near)).astype(np.uint8), _CLOSING)
+    outside[shell > 0] = 0
+    return (1 - outside).astype(np.uint8)
+
+
+def _grow(mask: NDArray[np.uint8], cells: int) -> NDArray[np.uint8]:
+    grown: NDArray[np.uint8] = ndimage.maximum_filter(mask, size=2 * cells + 1, mode="nearest")
+    return grown
+
+
+@numba.njit(cache=True)
+def fill_shell(
+    positions: FloatArray,  # [N, 3]
+    tangents: FloatArray,  # [N, 2, 3]
+    cells: int,
+    reach: float,
+) -> NDArray[np.uint8]:  # [cells, cells, cells]
+    """Mark the cells that discs of radius ``reach`` standard deviations pass through."""
+    marked = np.zeros((cells, cells, cells), np.uint8)
+    inverse = cells / (2 * HALF_SIDE)
+    for n in range(len(positions)):
+        for a in range(-2, 3):
+            for b in range(-2, 3):
+                if a * a + b * b > 5:
+                    continue
+                u = 0.5 * reach * a
+                v = 0.5 * reach * b
+                fx = positions[n, 0] + u * tangents[n, 0, 0] + v * tangents[n, 1, 0] + HALF_SIDE
+                fy = positions[n, 1] + u * tangents[n, 0, 1] + v * tangents[n, 1, 1] + HALF_SIDE
+                fz = positions[n, 2] + u * tangents[n, 0, 2] + v * tangents[n, 1, 2] + HALF_SIDE
+                fx, fy, fz = fx * inverse, fy * inverse, fz * inverse
+                if 0 <= fx < cells and 0 <= fy < cells and 0 <= fz < cells:
+                    marked[int(fx), int(fy), int(fz)] = 1
+    return marked
+
+
+@numba.njit(cache=True)
+def fill_inside(shell: NDArray[np.uint8]) -> NDArray[np.uint8]:  # [n, n, n] -> [n, n, n]
+    """Return the shell and everything that cannot be reached from the border without crossing it.
+
+    Steps go through faces only. A cup's inside is outside; a ball's inside is inside.
+    """
+    n = shell.shape[0]
+    state = shell.copy()  # 0 unknown, 1 shell, 2 outside
+    stack = np.empty(n * n * n, np.int32)
+    top = 0
+    for a in range(n):
+        for b in range(n):
+            for face in range(6):
+                if face == 0:
+                    i, j, k = 0, a, b
+                elif face == 1:
+                    i, j, k = n - 1, a, b
+                elif face == 2:
+                    i, j, k = a, 0, b
+                elif face == 3:
+                    i, j, k = a, n - 1, b
+                elif face == 4:
+                    i, j, k = a, b, 0
+                else:
+                    i, j, k = a, b, n - 1
+                if state[i, j, k] == 0:
+                    state[i, j, k] = 2
+                    stack[top] = (i * n + j) * n + k
+                    top += 1
+    while top > 0:
+        top -= 1
+        code = stack[top]
+        i, j, k = code // (n * n), (code // n) % n, code % n
+        for face in range(6):
+            x = i + (1 if face == 0 else -1 if face == 1 else 0)
+            y = j + (1 if face == 2 else -1 if face == 3 else 0)
+            z = k + (1 if face == 4 else -1 if face == 5 else 0)
+            if 0 <= x < n and 0 <= y < n and 0 <= z < n and state[x, y, z] == 0:
+                state[x, y, z] = 2
+                stack[top] = (x * n + y) * n + z
+                top += 1
+    for i in range(n):
+        for j in range(n):
+            for k in range(n):
+                state[i, j, k] = 0 if state[i, j, k] == 2 else 1
+    return state
