@@ -16,6 +16,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from gscomplete.completion.row_adam import (
+    carry_moments,
+    flat_state,
+    restore_moments,
+    values_of,
+)
 from gscomplete.completion.settings import LearningRates
 from gscomplete.splats import SH_C0, Splats
 
@@ -101,23 +107,13 @@ class SplatParameters:
 
     def state(self) -> dict[str, Tensor]:
         """Return values and moments for a checkpoint."""
-        out = {f"value.{name}": value.detach() for name, value in self._values.items()}
-        for name, value in self._values.items():
-            for key, moment in self._adam.state.get(value, {}).items():
-                out[f"adam.{name}.{key}"] = moment
-        return out
+        return flat_state(self._values, self._adam)
 
     def restore(self, state: dict[str, Tensor]) -> None:
         """Take values and moments from :meth:`state`."""
-        self._values = {name: state[f"value.{name}"].clone().requires_grad_() for name in NAMES}
+        self._values = values_of(state, NAMES)
         self._adam = self._new_adam()
-        for name, value in self._values.items():
-            prefix = f"adam.{name}."
-            moments = {
-                k[len(prefix) :]: v.clone() for k, v in state.items() if k.startswith(prefix)
-            }
-            if moments:
-                self._adam.state[value] = moments
+        restore_moments(state, self._values, self._adam)
 
     def _new_adam(self) -> torch.optim.Adam:
         groups = [
@@ -128,17 +124,10 @@ class SplatParameters:
 
     def _edit(self, values: dict[str, Tensor], keep: Tensor, added: int) -> None:
         """Replace all values, carrying the kept rows' moments along."""
-        old_values, old_state = self._values, self._adam.state
+        old_values, old_adam = self._values, self._adam
         self._values = {name: value.clone().requires_grad_() for name, value in values.items()}
         self._adam = self._new_adam()
-        for name, old in old_values.items():
-            if old not in old_state:
-                continue
-            moments = dict(old_state[old])
-            for key in ("exp_avg", "exp_avg_sq"):
-                rows = moments[key][keep]
-                moments[key] = torch.cat([rows, rows.new_zeros(added, *rows.shape[1:])])
-            self._adam.state[self._values[name]] = moments
+        carry_moments(old_values, old_adam, self._values, self._adam, keep, added)
 
     @torch.no_grad()
     def _project(self) -> None:

@@ -15,12 +15,18 @@ import math
 import torch
 from torch import Tensor
 
+from gscomplete.completion.row_adam import (
+    MOMENTS,
+    carry_moments,
+    flat_state,
+    restore_moments,
+    values_of,
+)
 from gscomplete.splats import Splats
 from splatcomplete_data.multiview.settings import LearningRates
 
 NAMES = ("means", "quaternions", "log_scales", "opacity_logits", "sh_base", "sh_rest")
 ADAM_EPS = 1e-15
-_MOMENTS = ("exp_avg", "exp_avg_sq")
 
 
 class GaussianParameters:
@@ -75,46 +81,29 @@ class GaussianParameters:
             added = len(new)
             raw = _raw(new)
             values = {name: torch.cat([value, raw[name]]) for name, value in values.items()}
-        old_values, old_state = self._values, self._adam.state
+        old_values, old_adam = self._values, self._adam
         self._values = {name: value.clone().requires_grad_() for name, value in values.items()}
         self._adam = self._new_adam()
-        for name, old in old_values.items():
-            if old not in old_state:
-                continue
-            moments = dict(old_state[old])
-            for key in _MOMENTS:
-                rows = moments[key][keep]
-                moments[key] = torch.cat([rows, rows.new_zeros(added, *rows.shape[1:])])
-            self._adam.state[self._values[name]] = moments
+        carry_moments(old_values, old_adam, self._values, self._adam, keep, added)
 
     def lower_opacities(self, limit: float) -> None:
         """Lower opacities to at most ``limit`` and forget how they were moving."""
         logits = self._values["opacity_logits"]
         with torch.no_grad():
             logits.clamp_(max=math.log(limit / (1 - limit)))
-        for key in _MOMENTS:
+        for key in MOMENTS:
             if key in self._adam.state.get(logits, {}):
                 self._adam.state[logits][key].zero_()
 
     def state(self) -> dict[str, Tensor]:
         """Return values and moments for a checkpoint."""
-        out = {f"value.{name}": value.detach() for name, value in self._values.items()}
-        for name, value in self._values.items():
-            for key, moment in self._adam.state.get(value, {}).items():
-                out[f"adam.{name}.{key}"] = moment
-        return out
+        return flat_state(self._values, self._adam)
 
     def restore(self, state: dict[str, Tensor]) -> None:
         """Take values and moments from :meth:`state`."""
-        self._values = {name: state[f"value.{name}"].clone().requires_grad_() for name in NAMES}
+        self._values = values_of(state, NAMES)
         self._adam = self._new_adam()
-        for name, value in self._values.items():
-            prefix = f"adam.{name}."
-            moments = {
-                k[len(prefix) :]: v.clone() for k, v in state.items() if k.startswith(prefix)
-            }
-            if moments:
-                self._adam.state[value] = moments
+        restore_moments(state, self._values, self._adam)
 
     def _new_adam(self) -> torch.optim.Adam:
         groups = [
