@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from gscomplete.render.settings import RenderSettings
+from gscomplete.render.settings import MAX_VALUE, RenderSettings
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.splats.sh import evaluate_sh
@@ -23,8 +23,12 @@ EDGE_SLACK = 0.15
 
 def _project(
     splats: Splats, matrix: Tensor, focal: Tensor, center: Tensor, size: Tensor, blur: float
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Return screen centres [N, 2], blurred covariances [N, 2, 2] and camera-space z [N]."""
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Return screen centres [N, 2], blurred covariances [N, 2, 2], inverses, camera-space z [N].
+
+    The determinant is that of the definition by Cauchy-Binet: with a c - b^2, needles of a length
+    of 1e8 pixels would have no digit left.
+    """
     world = matrix[:3, :3]
     points = splats.means @ world.T + matrix[:3, 3]
     depth = points[:, 2]
@@ -43,8 +47,13 @@ def _project(
     )
     factor = jacobian @ world @ rotation_matrices(splats.quaternions)
     factor = factor * splats.scales[:, None, :]
-    covariance = factor @ factor.transpose(1, 2) + blur * torch.eye(2, dtype=depth.dtype)
-    return ratio * focal + center, covariance, depth
+    sharp = factor @ factor.transpose(1, 2)
+    covariance = sharp + blur * torch.eye(2, dtype=depth.dtype)
+    minors = torch.linalg.cross(factor[:, 0], factor[:, 1])
+    det = minors.square().sum(1) + blur * (sharp[:, 0, 0] + sharp[:, 1, 1]) + blur**2
+    (a, b), (_, c) = (row.unbind(1) for row in covariance.unbind(1))
+    adjugate = torch.stack([torch.stack([c, -b], dim=1), torch.stack([-b, a], dim=1)], dim=1)
+    return ratio * focal + center, covariance, adjugate / det[:, None, None], depth
 
 
 def _block(
@@ -78,6 +87,8 @@ def rasterize(
     everything = splats if frozen is None else concatenate([frozen.detach(), splats])
     everything = everything.to("cpu", torch.float64)
     cameras = cameras.to("cpu", torch.float64)
+    if len(cameras) == 0:
+        return torch.zeros(0, cameras.height, cameras.width, 5, dtype=torch.float64)
     return torch.stack(
         [
             _view(everything, cameras[v], None if offsets is None else offsets[v], first, settings)
@@ -96,14 +107,18 @@ def _view(
     """Draw one view block by block."""
     size = torch.tensor([camera.width, camera.height], dtype=torch.float64)
     matrix, focal, center = camera.camera_from_world[0], camera.focal_px[0], camera.center_px[0]
-    centers, covariance, depth = _project(splats, matrix, focal, center, size, settings.blur_px2)
+    blur = settings.blur_px2
+    centers, covariance, inverse, depth = _project(splats, matrix, focal, center, size, blur)
     if offsets is not None:
         shift = torch.cat([torch.zeros(first, 2, dtype=torch.float64), offsets.double()])
         centers = centers + shift
     direction = torch.nn.functional.normalize(splats.means - camera.positions[0], dim=1)
-    colors = (evaluate_sh(splats.sh, direction) + 0.5).clamp_min(0.0)
-    values = torch.cat([colors, depth[:, None], torch.ones_like(depth)[:, None]], dim=1)
+    colors = evaluate_sh(splats.sh, direction) + 0.5
+    finite = (torch.cat([colors, depth[:, None]], dim=1).abs() < MAX_VALUE).all(dim=1)
+    parts = [colors.clamp_min(0.0), depth[:, None], torch.ones_like(depth)[:, None]]
+    values = torch.cat(parts, dim=1)
     shown = (depth > settings.near) & (splats.opacities >= settings.alpha_min)
+    shown &= finite & covariance.isfinite().all(dim=(1, 2))
     order = torch.argsort(torch.where(shown, depth, torch.inf), stable=True)[: int(shown.sum())]
     reach = 2 * torch.log((splats.opacities / settings.alpha_min).clamp_min(1.0))
     half = (reach[:, None] * torch.diagonal(covariance, dim1=1, dim2=2)).sqrt().detach() + 1e-6
@@ -121,7 +136,7 @@ def _view(
                 _block,
                 grid.reshape(-1, 2),
                 centers[chosen],
-                torch.linalg.inv(covariance[chosen]),
+                inverse[chosen],
                 splats.opacities[chosen],
                 values[chosen],
                 settings.alpha_min,

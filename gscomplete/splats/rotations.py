@@ -8,9 +8,11 @@ from torch import Tensor
 
 def rotation_matrices(quaternions: Tensor) -> Tensor:  # [N, 4] wxyz -> [N, 3, 3]
     """Rotation matrices of quaternions, normalised first; a zero quaternion is the identity."""
-    norm = quaternions.norm(dim=1, keepdim=True)
-    tiny = torch.finfo(quaternions.dtype).tiny
-    w, x, y, z = torch.where(norm > 0, quaternions / norm.clamp_min(tiny), 0.0).unbind(1)
+    largest = quaternions.abs().amax(dim=1, keepdim=True)
+    safe = torch.where(largest > 0, largest, 1.0)
+    near_one = quaternions / safe  # squares of the raw values may leave the range of float32
+    norm = near_one.norm(dim=1, keepdim=True)
+    w, x, y, z = (near_one / torch.where(norm > 0, norm, 1.0)).unbind(1)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],

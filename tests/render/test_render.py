@@ -151,9 +151,17 @@ def test_nonfinite_splats_are_not_drawn():
     broken.means[0] = torch.nan
     broken.scales[1] = torch.inf
     broken.opacities[2] = torch.nan
+    broken.sh[3] = torch.nan
+    broken.sh[4, 0, 1] = -torch.inf
+    broken.quaternions[5] = torch.inf
+    broken.means[6] = 1e38
     rest = torch.ones(50, dtype=torch.bool)
-    rest[:3] = False
-    assert torch.equal(render(broken, cameras()).alpha, render(base.select(rest), cameras()).alpha)
+    rest[:7] = False
+    for backend in ("cpu", "reference"):
+        drawn = render(broken, cameras(), backend=backend)
+        expected = render(base.select(rest), cameras(), backend=backend)
+        assert torch.allclose(drawn.color, expected.color, rtol=0, atol=1e-12)
+        assert torch.allclose(drawn.alpha, expected.alpha, rtol=0, atol=1e-12)
 
 
 def test_depth_is_the_distance_of_an_opaque_wall():
@@ -171,3 +179,43 @@ def test_depth_is_the_distance_of_an_opaque_wall():
     picture = render(wall, view)
     assert picture.alpha[0, 8:24, 8:24].min() > 0.99
     assert torch.allclose(picture.depth[0, 8:24, 8:24], torch.tensor(3.0), atol=1e-4)
+
+
+@pytest.mark.parametrize("where", ["one view", "one pixel", "everywhere"])
+def test_a_nan_gradient_of_the_picture_reaches_the_splats(where):
+    """A maximum over a tile would pass over NaN, and the tile would count as without gradient."""
+    splats = leaves(random_splats(0, 50))
+    picture = render(splats, cameras(16))
+    gradient = torch.zeros_like(picture.color)
+    gradient[{"one view": 0, "one pixel": (0, 8, 8), "everywhere": slice(None)}[where]] = torch.nan
+    picture.color.backward(gradient)
+    for name, value in splats.fields():
+        assert torch.isnan(value.grad).any(), name
+
+
+@pytest.mark.parametrize("scale", [1e3, 1e9, 1e17])
+def test_splats_far_larger_than_the_image_are_drawn(scale):
+    """In float32, squares of such widths leave the range; nothing may vanish because of it."""
+    base = random_splats(2, 3)
+    near = Splats(
+        torch.tensor([[1.9, 0.1, 0.0], [1.5, 0.0, 0.2], [0.0, 0.0, 0.0]]),
+        base.quaternions,
+        torch.tensor([[scale] * 3, [scale, 1e-3, scale], [scale, 1e-3, 1e-3]]),
+        torch.tensor([0.3, 0.4, 0.5]),
+        base.sh,
+    )
+    view = four_view_orbit(0.0, 0.0, radius=2.0, fov_deg=1.0, size_px=33)[0]
+    for i in range(3):
+        alone = leaves(near.select(torch.tensor([i])))
+        picture = render(alone, view)
+        truth = render(alone.detach(), view, backend="reference")
+        assert truth.alpha.max() > 0.2
+        assert (picture.alpha - truth.alpha).abs().max() < 1e-3
+        picture.color.sum().backward()
+        assert all(torch.isfinite(value.grad).all() for _, value in alone.fields())
+
+
+def test_no_views_give_no_pictures():
+    none = cameras(5)[0:0]
+    for backend in ("cpu", "reference"):
+        assert render(random_splats(0, 3), none, backend=backend).color.shape == (0, 5, 5, 3)

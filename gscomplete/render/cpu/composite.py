@@ -207,7 +207,7 @@ def composite_backward(
                 break
         loudest = np.float32(0.0)
         for k in range(CHANNELS * PIXELS):
-            loudest = max(loudest, abs(upstream[tile, k]))
+            loudest += abs(upstream[tile, k])  # a maximum would pass over NaN
         if last < start or loudest == np.float32(0.0):
             continue
         buffer = np.empty(9 * PIXELS, np.float32)

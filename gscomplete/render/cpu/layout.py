@@ -22,3 +22,6 @@ gradients."""
 CAMERA_NUMBERS = 21
 EDGE_SLACK = 0.15
 """The Jacobian is taken at most this share of the image size outside the image, as in 3DGS."""
+MAX_VARIANCE_PX2 = 1e70
+"""Splats whose screen variance along x or y is larger are not drawn: all that is kept of the others
+are normal float32 numbers."""

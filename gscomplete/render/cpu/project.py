@@ -10,6 +10,7 @@ import numpy as np
 
 from gscomplete.render.cpu.layout import (
     EDGE_SLACK,
+    MAX_VARIANCE_PX2,
     P_DEPTH,
     P_HALF_H,
     P_HALF_W,
@@ -23,6 +24,7 @@ from gscomplete.render.cpu.layout import (
 )
 from gscomplete.render.cpu.screen import JIT, screen_covariance
 from gscomplete.render.cpu.spherical_harmonics import fill_basis
+from gscomplete.render.settings import MAX_VALUE
 
 
 @numba.njit(parallel=True, **JIT)
@@ -83,7 +85,8 @@ def project(
             on_screen = (
                 u + half_w > 0.0 and u - half_w < width and v + half_h > 0.0 and v - half_h < height
             )
-            if not (on_screen and det > 0.0 and det < 1e30):
+            drawable = max(a, c) < MAX_VARIANCE_PX2 and det > 0.0 and z < MAX_VALUE
+            if not (on_screen and drawable):
                 continue
             packed[i, P_U], packed[i, P_V] = u, v
             root_c, root_det = 1.0 / math.sqrt(c), 1.0 / math.sqrt(det)
@@ -100,9 +103,11 @@ def project(
                 fill_basis(basis, bands, dx * inverse, dy * inverse, dz * inverse)
             else:
                 basis[0] = 0.28209479177387814
+            finite = True
             for channel in range(3):
                 value = 0.5
                 for k in range(bands):
                     value += basis[k] * sh[i, k, channel]
+                finite = finite and abs(value) < MAX_VALUE
                 packed[i, P_RED + channel] = max(value, 0.0)
-            visible[i] = 1
+            visible[i] = finite

@@ -157,6 +157,8 @@ class _Rasterize(torch.autograd.Function):
         ctx.arrays, ctx.views, ctx.first, ctx.settings = arrays, views, first, settings
         ctx.wants_offsets = offsets is not None
         size = cameras.width, cameras.height
+        if not views:
+            return means.new_zeros(0, cameras.height, cameras.width, comp.CHANNELS)
         return torch.stack([_untile(torch.from_numpy(view.image), *size) for view in views])
 
     @staticmethod
