@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Literal
+import importlib
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
 from gscomplete.errors import UserError
-from gscomplete.render.record import Render
+from gscomplete.render.frozen import PreparedFrozen, PreparedView
+from gscomplete.render.record import Render, render_from_sums
 from gscomplete.render.settings import RenderSettings
 from gscomplete.splats import Splats
 from gscomplete.views import Cameras
@@ -22,7 +24,7 @@ def render(
     cameras: Cameras,
     background: Tensor | None = None,  # [3] or broadcastable to [V, H, W, 3]; None = black
     *,
-    frozen: Splats | None = None,
+    frozen: Splats | PreparedFrozen | None = None,
     screen_offsets: Tensor | None = None,  # [V, N, 2] pixels
     settings: RenderSettings | None = None,
     backend: Backend = "auto",
@@ -34,7 +36,8 @@ def render(
         cameras: V views of one image size.
         background: colour behind the splats.
         frozen: splats drawn together with ``splats`` that take part in occlusion but get no
-            gradient, at no backward cost.
+            gradient, at no backward cost; or the same prepared for these cameras
+            (:func:`prepare_frozen`), which gives the same bits at less cost.
         screen_offsets: added to the projected centres. Zeros that require a gradient receive
             dL/d(centre in pixels) of every view, which densification needs.
         settings: constants of the image formation; None = the defaults.
@@ -45,21 +48,61 @@ def render(
 
     Raises:
         UserError: the backend is not available on this machine.
+        ValueError: ``frozen`` was prepared for other cameras or settings.
     """
     settings = settings or RenderSettings()
+    chosen = _choose(backend, splats)
+    if isinstance(frozen, PreparedFrozen):
+        frozen.check(cameras, settings)
+        if chosen != "cpu":
+            frozen = frozen.splats
+    images = _backend(chosen).rasterize(splats, cameras, frozen, screen_offsets, settings)
+    return render_from_sums(images, background)
+
+
+def prepare_frozen(
+    frozen: Splats,
+    cameras: Cameras,
+    settings: RenderSettings | None = None,
+    *,
+    backend: Backend = "auto",
+) -> PreparedFrozen:
+    """Draw a frozen set alone and keep what renders of it with other splats can share.
+
+    Args:
+        frozen: splats that get no gradient, in the cameras' world frame.
+        cameras: V views; the prepared value serves renders from exactly these.
+        settings: constants of the image formation; None = the defaults.
+        backend: which implementation draws; only the CPU's renders gain.
+
+    Raises:
+        UserError: the backend is not available on this machine.
+    """
+    settings = settings or RenderSettings()
+    chosen = _choose(backend, frozen)
+    with torch.no_grad():
+        if chosen == "cpu":
+            views = _backend(chosen).prepare_views(frozen, cameras, settings)
+        else:
+            images = _backend(chosen).rasterize(frozen, cameras, None, None, settings)
+            views = tuple(PreparedView(image, None) for image in images)
+    return PreparedFrozen(frozen, cameras, settings, views)
+
+
+def _choose(backend: Backend, splats: Splats) -> Backend:
+    """Return the backend that ``auto`` stands for."""
     if backend == "auto":
-        backend = "cuda" if splats.means.is_cuda else "cpu"
-    if backend == "cpu":
-        from gscomplete.render.cpu.rasterize import rasterize
-    elif backend == "cuda":
-        from gscomplete.render.cuda import rasterize
-    elif backend == "reference":
-        from gscomplete.render.reference import rasterize
-    else:
-        raise UserError(f"render: expected backend auto, cpu, cuda or reference, found {backend}")
-    images = rasterize(splats, cameras, frozen, screen_offsets, settings)
-    color, summed_depth, alpha = images[..., :3], images[..., 3], images[..., 4]
-    if background is not None:
-        color = color + (1.0 - alpha)[..., None] * background.to(color)
-    depth = torch.where(alpha > 0, summed_depth / alpha.clamp_min(1e-8), 0.0)
-    return Render(color, alpha, depth)
+        return "cuda" if splats.means.is_cuda else "cpu"
+    return backend
+
+
+def _backend(name: Backend) -> Any:
+    """Import a backend's module; the others may lack what they need here.
+
+    Raises:
+        UserError: there is no such backend.
+    """
+    homes = {"cpu": "cpu.rasterize", "cuda": "cuda", "reference": "reference"}
+    if name not in homes:
+        raise UserError(f"render: expected backend auto, cpu, cuda or reference, found {name}")
+    return importlib.import_module(f"gscomplete.render.{homes[name]}")

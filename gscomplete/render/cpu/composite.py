@@ -2,10 +2,12 @@
 
 Conventions
 -----------
-* Images are tiled: [tiles, CHANNELS * TILE * TILE] float32, channels as ``C_*``; pixel k of a tile
-  is at row k // TILE, column k % TILE. Tiling keeps every inner loop over 64 contiguous floats.
-* A tile's per-pixel state lives in one flat float32 buffer, plane after plane (``B_*``), because
-  LLVM can then tell that its planes do not overlap; separate arrays would need run-time checks.
+* Images are [H, W, CHANNELS] float32, channels as ``C_*``. Pixel k of a tile is at row k // TILE,
+  column k % TILE; pixels of a tile beyond the image are drawn but not stored.
+* A tile's per-pixel state lives in one flat float32 buffer, plane after plane (``B_*``): inner
+  loops run over contiguous floats, and LLVM can tell that the planes do not overlap.
+* An entry below the number of frozen rows is a frozen row; others count on into the other rows.
+* Only the tiles listed in ``active`` are drawn; tiles do not depend on each other.
 * Inner loops have no branches and no calls: alphas below the threshold are multiplied by zero, and
   ``exp`` is a polynomial, so that LLVM turns them into vector code.
 * A tile stops once all its pixels' transmittances are below ``transmittance_min``; ``done`` keeps
@@ -104,25 +106,63 @@ def _start_tile(buffer: Any, tile: int, tiles_x: int) -> None:
         buffer[B_THROUGH + p] = np.float32(1.0)
 
 
+@numba.njit(**_JIT)
+def _store_tile(buffer: Any, tile: int, tiles_x: int, image: Any) -> None:
+    """Write a finished tile into the image."""
+    top, left = tile // tiles_x * TILE, tile % tiles_x * TILE
+    for row in range(min(TILE, image.shape[0] - top)):
+        for column in range(min(TILE, image.shape[1] - left)):
+            p = np.uint64(row * TILE + column)
+            pixel = image[top + row, left + column]
+            pixel[C_RED] = buffer[B_0 + p]
+            pixel[C_GREEN] = buffer[B_1 + p]
+            pixel[C_BLUE] = buffer[B_2 + p]
+            pixel[C_DEPTH] = buffer[B_3 + p]
+            pixel[C_ALPHA] = np.float32(1.0) - buffer[B_THROUGH + p]
+
+
+@numba.njit(**_JIT)
+def _load_upstream(buffer: Any, tile: int, tiles_x: int, image: Any, upstream: Any) -> Any:
+    """Write upstream gradients and their dot product with the image; return 0 if all are 0."""
+    top, left = tile // tiles_x * TILE, tile % tiles_x * TILE
+    loudest = np.float32(0.0)
+    for k in range(B_0, np.uint64(9 * PIXELS)):
+        buffer[k] = np.float32(0.0)
+    for row in range(min(TILE, image.shape[0] - top)):
+        for column in range(min(TILE, image.shape[1] - left)):
+            p = np.uint64(row * TILE + column)
+            total = np.float32(0.0)
+            for c in range(CHANNELS):
+                gradient = upstream[top + row, left + column, c]
+                buffer[B_0 + np.uint64(c * PIXELS) + p] = gradient
+                total += gradient * image[top + row, left + column, c]
+                loudest += abs(gradient)  # a maximum would pass over NaN
+            buffer[B_5 + p] = total
+    return loudest
+
+
 @numba.njit(parallel=True, **_JIT)
 def composite(
-    ranked: Any,  # [M, PACKED] splats in depth order
+    frozen_rows: Any,  # [F, PACKED]
+    rows: Any,  # [M, PACKED]
     tile_start: Any,  # [tiles + 1]
-    entries: Any,  # [E] ranks
+    entries: Any,  # [E] places in the frozen rows followed by the rows
+    active: Any,  # [A] tiles to draw
     tiles_x: int,
     alpha_min: Any,  # float32
     alpha_max: Any,
     transmittance_min: Any,
-    image: Any,  # [tiles, CHANNELS * PIXELS] written
-    done: Any,  # [tiles] int32 written
+    image: Any,  # [H, W, CHANNELS] written in active tiles
+    done: Any,  # [tiles] int32, written for active tiles: how many entries were drawn
 ) -> None:
-    """Draw every tile: premultiplied colour, sum of w * depth, and alpha."""
-    tiles = tile_start.shape[0] - 1
-    for tile in numba.prange(tiles):
+    """Draw the active tiles: premultiplied colour, sum of w * depth, and alpha."""
+    for k in numba.prange(active.shape[0]):
+        tile = active[k]
         buffer = np.zeros(7 * PIXELS, np.float32)
         _start_tile(buffer, tile, tiles_x)
         done[tile] = _tile_forward(
-            ranked,
+            frozen_rows,
+            rows,
             entries,
             tile_start[tile],
             tile_start[tile + 1],
@@ -132,17 +172,13 @@ def composite(
             transmittance_min,
             buffer,
         )
-        for p in range(FIRST, LAST):
-            image[tile, np.uint64(C_RED * PIXELS) + p] = buffer[B_0 + p]
-            image[tile, np.uint64(C_GREEN * PIXELS) + p] = buffer[B_1 + p]
-            image[tile, np.uint64(C_BLUE * PIXELS) + p] = buffer[B_2 + p]
-            image[tile, np.uint64(C_DEPTH * PIXELS) + p] = buffer[B_3 + p]
-            image[tile, np.uint64(C_ALPHA * PIXELS) + p] = np.float32(1.0) - buffer[B_THROUGH + p]
+        _store_tile(buffer, tile, tiles_x, image)
 
 
 @numba.njit(**_JIT)
 def _tile_forward(
-    ranked: Any,
+    frozen_rows: Any,
+    rows: Any,
     entries: Any,
     start: int,
     stop: int,
@@ -154,8 +190,10 @@ def _tile_forward(
 ) -> int:
     """Composite one tile's entries into its buffer; return how many were drawn."""
     zero, half = np.float32(0.0), np.float32(0.5)
+    frozen = frozen_rows.shape[0]
     for e in range(start, stop):
-        row = ranked[entries[e]]
+        k = entries[e]
+        row = frozen_rows[k] if k < frozen else rows[k - frozen]
         u, v, opacity = row[P_U], row[P_V], row[P_OPACITY]
         la, lb, lc = row[P_LA], row[P_LB], row[P_LC]
         cr, cg, cb, cd = row[P_RED], row[P_GREEN], row[P_BLUE], row[P_DEPTH]
@@ -184,43 +222,38 @@ def _tile_forward(
 
 @numba.njit(parallel=True, **_JIT)
 def composite_backward(
-    ranked: Any,  # [M, PACKED]
+    frozen_rows: Any,  # [F, PACKED]
+    rows: Any,  # [M, PACKED]
     tile_start: Any,  # [tiles + 1]
-    entries: Any,  # [E] ranks
+    entries: Any,  # [E]
     slots: Any,  # [E] gradient row, or -1 for frozen splats
+    active: Any,  # [A] tiles that the forward pass drew
+    skip_idle: bool,  # leave out tiles whose sums are all zero
     tiles_x: int,
     alpha_min: Any,
     alpha_max: Any,
-    image: Any,  # [tiles, CHANNELS * PIXELS] of the forward pass
+    image: Any,  # [H, W, CHANNELS] of the forward pass
     done: Any,  # [tiles]
-    upstream: Any,  # [tiles, CHANNELS * PIXELS] dL/dimage
+    upstream: Any,  # [H, W, CHANNELS] dL/dimage
     sums: Any,  # [slots, SUMS] zeros, written
 ) -> None:
     """Write, for every (trainable splat, tile) entry, the sums that its gradient is made of."""
-    tiles = tile_start.shape[0] - 1
-    for tile in numba.prange(tiles):
+    for k in numba.prange(active.shape[0]):
+        tile = active[k]
         start = tile_start[tile]
-        last = start - 1
-        for e in range(start + done[tile] - 1, start - 1, -1):
-            if slots[e] >= 0:
-                last = e
-                break
-        loudest = np.float32(0.0)
-        for k in range(CHANNELS * PIXELS):
-            loudest += abs(upstream[tile, k])  # a maximum would pass over NaN
-        if last < start or loudest == np.float32(0.0):
+        last = start + done[tile] - 1
+        while skip_idle and last >= start and slots[last] < 0:
+            last -= 1
+        if last < start:
             continue
         buffer = np.empty(9 * PIXELS, np.float32)
         _start_tile(buffer, tile, tiles_x)
-        for p in range(FIRST, LAST):
-            total = np.float32(0.0)
-            for c in range(CHANNELS):
-                gradient = upstream[tile, np.uint64(c * PIXELS) + p]
-                buffer[B_0 + np.uint64(c * PIXELS) + p] = gradient
-                total += gradient * image[tile, np.uint64(c * PIXELS) + p]
-            buffer[B_5 + p] = total
+        loudest = _load_upstream(buffer, tile, tiles_x, image, upstream)
+        if skip_idle and loudest == np.float32(0.0):
+            continue
         _tile_backward(
-            ranked,
+            frozen_rows,
+            rows,
             entries,
             slots,
             start,
@@ -235,7 +268,8 @@ def composite_backward(
 
 @numba.njit(**_JIT)
 def _tile_backward(
-    ranked: Any,
+    frozen_rows: Any,
+    rows: Any,
     entries: Any,
     slots: Any,
     start: int,
@@ -248,8 +282,10 @@ def _tile_backward(
 ) -> None:
     """Walk one tile's entries front to back up to the last trainable one."""
     zero, half, one = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+    frozen = frozen_rows.shape[0]
     for e in range(start, last + 1):
-        row = ranked[entries[e]]
+        k = entries[e]
+        row = frozen_rows[k] if k < frozen else rows[k - frozen]
         u, v, opacity = row[P_U], row[P_V], row[P_OPACITY]
         la, lb, lc = row[P_LA], row[P_LB], row[P_LC]
         cr, cg, cb, cd = row[P_RED], row[P_GREEN], row[P_BLUE], row[P_DEPTH]

@@ -34,6 +34,7 @@ def project(
     scales: Any,  # [N, 3]
     opacities: Any,  # [N]
     sh: Any,  # [N, K, 3]
+    bands: int,  # the first of the K that are evaluated
     offsets: Any,  # [N, 2] pixels added to the projected centre, or [0, 2] for none
     camera: Any,  # [21] float64
     packed: Any,  # [N, PACKED] float32, written
@@ -42,7 +43,6 @@ def project(
 ) -> None:
     """Project every splat; invisible ones get ``visible`` 0 and an untouched row."""
     count = means.shape[0]
-    bands = sh.shape[1]
     fx, fy, cx, cy, width, height, near, blur, alpha_min = (
         camera[12],
         camera[13],

@@ -41,18 +41,17 @@ def project_backward(
     sh: Any,  # [N, K, 3]
     camera: Any,  # [21]
     packed: Any,  # [N, PACKED] rows of the forward pass
-    first: int,  # splats before this index are frozen and get no gradient
-    slot_start: Any,  # [N - first + 1] int64: rows of ``sums`` that belong to each splat
+    slot_start: Any,  # [N + 1] int64: rows of ``sums`` that belong to each splat
     sums: Any,  # [slots, SUMS] float32 from composite_backward
-    grad_means: Any,  # [N - first, 3] float32, added to
-    grad_quaternions: Any,  # [N - first, 4], added to
-    grad_scales: Any,  # [N - first, 3], added to
-    grad_opacities: Any,  # [N - first], added to
-    grad_sh: Any,  # [N - first, K, 3], added to
-    grad_offsets: Any,  # [N - first, 2] written, or [0, 2]
+    grad_means: Any,  # [N, 3] float32, added to
+    grad_quaternions: Any,  # [N, 4], added to
+    grad_scales: Any,  # [N, 3], added to
+    grad_opacities: Any,  # [N], added to
+    grad_sh: Any,  # [N, K, 3], added to
+    grad_offsets: Any,  # [N, 2] written, or [0, 2]
 ) -> None:
     """Add one view's gradients of every trainable splat, summing its tiles in a fixed order."""
-    count = means.shape[0] - first
+    count = means.shape[0]
     bands = sh.shape[1]
     fx, fy, cx, cy, width, height = (
         camera[12],
@@ -72,11 +71,10 @@ def project_backward(
         basis = np.empty(16, np.float64)
         basis_gradient = np.empty((16, 3), np.float64)
         total = np.empty(SUMS, np.float64)
-        for j in range(chunk * 512, min(count, chunk * 512 + 512)):
-            start, stop = slot_start[j], slot_start[j + 1]
+        for i in range(chunk * 512, min(count, chunk * 512 + 512)):
+            start, stop = slot_start[i], slot_start[i + 1]
             if start == stop:
                 continue
-            i = j + first
             total[:] = 0.0
             for slot in range(start, stop):
                 for k in range(SUMS):
@@ -89,9 +87,9 @@ def project_backward(
             gu = -la * total[S_X]
             gv = -(lb * total[S_X] + lc * total[S_Y])
             if grad_offsets.shape[0] > 0:
-                grad_offsets[j, 0] = gu
-                grad_offsets[j, 1] = gv
-            grad_opacities[j] += -total[S_POWER] / np.float64(opacities[i])
+                grad_offsets[i, 0] = gu
+                grad_offsets[i, 1] = gv
+            grad_opacities[i] += -total[S_POWER] / np.float64(opacities[i])
             mx, my, mz = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
             x = camera[0] * mx + camera[1] * my + camera[2] * mz + camera[3]
             y = camera[4] * mx + camera[5] * my + camera[6] * mz + camera[7]
@@ -104,20 +102,20 @@ def project_backward(
                 la, lb, lc, total[S_XX], total[S_XY], total[S_YY], f, t, r, s
             )
             for axis in range(3):
-                grad_scales[j, axis] += (
+                grad_scales[i, axis] += (
                     gm[axis] * r[axis] + gm[3 + axis] * r[3 + axis] + gm[6 + axis] * r[6 + axis]
                 )
             gq = _quaternion_gradient(gm, s, q)
             for axis in range(4):
-                grad_quaternions[j, axis] += gq[axis]
+                grad_quaternions[i, axis] += gq[axis]
             gx, gy, gz = _center_gradient(gu, gv, total[S_DEPTH], gt, t, clamp, camera, x, y, z)
-            grad_means[j, 0] += camera[0] * gx + camera[4] * gy + camera[8] * gz
-            grad_means[j, 1] += camera[1] * gx + camera[5] * gy + camera[9] * gz
-            grad_means[j, 2] += camera[2] * gx + camera[6] * gy + camera[10] * gz
+            grad_means[i, 0] += camera[0] * gx + camera[4] * gy + camera[8] * gz
+            grad_means[i, 1] += camera[1] * gx + camera[5] * gy + camera[9] * gz
+            grad_means[i, 2] += camera[2] * gx + camera[6] * gy + camera[10] * gz
             if bands == 1:
                 for channel in range(3):
                     if packed[i, P_RED + channel] > 0.0:
-                        grad_sh[j, 0, channel] += 0.28209479177387814 * total[S_RED + channel]
+                        grad_sh[i, 0, channel] += 0.28209479177387814 * total[S_RED + channel]
                 continue
             dx, dy, dz = mx - eye_x, my - eye_y, mz - eye_z
             inverse = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
@@ -129,15 +127,15 @@ def project_backward(
                 if packed[i, P_RED + channel] > 0.0:
                     upstream = total[S_RED + channel]
                     for k in range(bands):
-                        grad_sh[j, k, channel] += basis[k] * upstream
+                        grad_sh[i, k, channel] += basis[k] * upstream
                         weight = upstream * sh[i, k, channel]
                         gdx += basis_gradient[k, 0] * weight
                         gdy += basis_gradient[k, 1] * weight
                         gdz += basis_gradient[k, 2] * weight
             along = gdx * dx + gdy * dy + gdz * dz
-            grad_means[j, 0] += (gdx - along * dx) * inverse
-            grad_means[j, 1] += (gdy - along * dy) * inverse
-            grad_means[j, 2] += (gdz - along * dz) * inverse
+            grad_means[i, 0] += (gdx - along * dx) * inverse
+            grad_means[i, 1] += (gdy - along * dy) * inverse
+            grad_means[i, 2] += (gdz - along * dz) * inverse
 
 
 @numba.njit(**JIT)

@@ -31,6 +31,21 @@ C30, C31, C32, C33, C34, C35, C36 = (
 
 
 @numba.njit(cache=True, error_model="numpy")
+def used_bands(sh: Any) -> int:  # [N, K, 3]
+    """Return how many of the K bands a colour needs: those above have zeros only."""
+    bands = sh.shape[1]
+    used = 1
+    for i in range(sh.shape[0]):
+        if used == bands:
+            break
+        for k in range(bands - 1, used - 1, -1):
+            if sh[i, k, 0] != 0.0 or sh[i, k, 1] != 0.0 or sh[i, k, 2] != 0.0:
+                used = 4 if k < 4 else 9 if k < 9 else 16
+                break
+    return used
+
+
+@numba.njit(cache=True, error_model="numpy")
 def fill_basis(basis: Any, bands: int, x: float, y: float, z: float) -> None:
     """Write the first ``bands`` basis values at the unit direction (x, y, z)."""
     basis[0] = C0

@@ -6,7 +6,8 @@ Conventions
 * ``order`` lists the visible splats front to back; a splat's place in it is its rank.
 * Tile lists hold ranks in ascending order. A splat is in a tile's list when its ellipse at
   ``alpha_min`` reaches the rectangle of that tile's pixel centres (grown by MARGIN pixels, so
-  that rounding can only add an entry that draws nothing, never lose one).
+  that rounding can only add an entry that draws nothing, never lose one), or, when lists need not
+  be exact, when its pixel box does.
 * ``slots`` number the entries of trainable splats splat by splat, so that gradients written per
   entry are summed in an order that does not depend on threads.
 """
@@ -42,7 +43,7 @@ _SWEEPS = 4
 
 @numba.njit(**_JIT)
 def depth_order(visible: Any, depth_bits: Any) -> Any:  # [N] uint8, [N] uint64
-    """Return indices of visible splats sorted by depth, ties by index (stable radix sort).
+    """Return visible splats sorted by depth, ties by index (stable radix sort), and their keys.
 
     Depths are positive float64 seen as integers, of which the upper 44 bits are sorted: float32
     depths would swap neighbours that overlap, which shows in the picture.
@@ -81,7 +82,7 @@ def depth_order(visible: Any, depth_bits: Any) -> Any:  # [N] uint8, [N] uint64
             index2[place], key2[place] = index[j], key[j]
         index, index2 = index2, index
         key, key2 = key2, key
-    return index
+    return index, key
 
 
 @numba.njit(**_JIT)
@@ -114,7 +115,7 @@ def _tile_span(low: float, high: float, tiles: int) -> Any:
 
 @numba.njit(**_JIT)
 def _tile_box(row: Any, tiles_x: int, tiles_y: int) -> Any:
-    """Return the tile range of a splat's pixel box, and whether the ellipse reaches all of it.
+    """Return the tile range of a splat's pixel box, and whether the ellipse must reach all of it.
 
     An ellipse touches all four sides of its box, so it reaches every tile of a box that is one
     tile wide or high.
@@ -143,6 +144,7 @@ def count_entries(
     tiles_x: int,
     tiles_y: int,
     alpha_min: float,
+    exact: bool,  # lists by ellipse; else by pixel box
     per_chunk: Any,  # [CHUNKS, tiles] int32, zeros, written
     per_rank: Any,  # [M] int32, written
 ) -> None:
@@ -156,7 +158,7 @@ def count_entries(
             first_x, last_x, first_y, last_y, full = _tile_box(row, tiles_x, tiles_y)
             entries = 0
             for ty in range(first_y, last_y):
-                if not full:
+                if exact and not full:
                     first_x, last_x = _row_tiles(row, log_alpha_min, ty, tiles_x)
                 for tx in range(first_x, last_x):
                     per_chunk[chunk, ty * tiles_x + tx] += 1
@@ -200,6 +202,7 @@ def fill_entries(
     tiles_x: int,
     tiles_y: int,
     alpha_min: float,
+    exact: bool,
     cursor: Any,  # [CHUNKS, tiles] write positions from place_entries, advanced
     first: int,
     slot_start: Any,
@@ -217,7 +220,7 @@ def fill_entries(
             first_x, last_x, first_y, last_y, full = _tile_box(row, tiles_x, tiles_y)
             slot = slot_start[splat - first] if splat >= first else -1
             for ty in range(first_y, last_y):
-                if not full:
+                if exact and not full:
                     first_x, last_x = _row_tiles(row, log_alpha_min, ty, tiles_x)
                 for tx in range(first_x, last_x):
                     place = cursor[chunk, ty * tiles_x + tx]

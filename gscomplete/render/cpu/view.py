@@ -1,0 +1,259 @@
+"""One view on the CPU: project, order, list by tile, composite; and the way back.
+
+Conventions
+-----------
+* ``arrays`` are the fields of ``Splats`` in declaration order as contiguous float32.
+* Frozen splats come first: where depths are equal they are drawn before the trainable ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gscomplete.render.cpu import composite as comp
+from gscomplete.render.cpu import layout, merge, tiles
+from gscomplete.render.cpu.project import project
+from gscomplete.render.cpu.project_backward import project_backward
+from gscomplete.render.cpu.spherical_harmonics import used_bands
+from gscomplete.render.settings import RenderSettings
+from gscomplete.splats import Splats
+from gscomplete.views import Cameras
+
+Arrays = tuple[Any, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class TileLists:
+    """What is drawn where in one view, before anything is drawn."""
+
+    packed: Any  # [N, PACKED] rows of the trainable splats in their own order
+    rows: Any  # [M, PACKED] rows of all visible splats in depth order
+    keys: Any  # [M] uint64 depth keys, ascending
+    tile_start: Any  # [tiles + 1]
+    entries: Any  # [E] ranks, tile by tile
+    slots: Any  # [E] gradient row of the entry, -1 for frozen splats
+    slot_start: Any  # [N + 1]
+
+
+@dataclass(frozen=True, slots=True)
+class FrozenLists:
+    """What is kept of a frozen set for one view: what can be seen of it, wherever others are."""
+
+    rows: Any  # [F, PACKED] float32 in depth order
+    keys: Any  # [F] uint64 depth keys, ascending
+    tile_start: Any  # [tiles + 1] int32
+    entries: Any  # [E] int32 rows, tile by tile
+    done: Any  # [tiles] int32 entries drawn where nothing else is
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that the arrays take, in bytes."""
+        kept = (self.rows, self.keys, self.tile_start, self.entries, self.done)
+        return sum(array.nbytes for array in kept)
+
+
+@dataclass(frozen=True, slots=True)
+class DrawnView:
+    """What the backward pass of one view needs from its forward pass."""
+
+    camera: Any
+    packed: Any
+    frozen_rows: Any
+    rows: Any
+    tile_start: Any
+    entries: Any
+    slots: Any
+    slot_start: Any
+    active: Any  # [A] tiles that were drawn, not copied
+    done: Any  # [tiles]
+
+
+def splat_arrays(splats: Splats) -> Arrays:
+    """Return the fields as arrays that the kernels read."""
+    return tuple(value.detach().contiguous().numpy() for _, value in splats.fields())
+
+
+def camera_vector(cameras: Cameras, index: int, settings: RenderSettings) -> Any:  # [21]
+    """Pack one camera and the settings that projection needs into a float64 vector."""
+    vector = np.empty(layout.CAMERA_NUMBERS, np.float64)
+    vector[:12] = cameras.camera_from_world[index, :3].double().numpy().reshape(-1)
+    vector[12:14] = cameras.focal_px[index].double().numpy()
+    vector[14:16] = cameras.center_px[index].double().numpy()
+    vector[16:] = (
+        cameras.width,
+        cameras.height,
+        settings.near,
+        settings.blur_px2,
+        settings.alpha_min,
+    )
+    return vector
+
+
+def list_tiles(
+    frozen: Arrays | None,
+    trainable: Arrays,
+    offsets: Any,  # [N, 2] pixels, or [0, 2] for none
+    camera: Any,
+    settings: RenderSettings,
+) -> TileLists:
+    """Project both sets, order them by depth and list them tile by tile."""
+    first = 0 if frozen is None else frozen[0].shape[0]
+    total = first + trainable[0].shape[0]
+    packed = np.empty((total, layout.PACKED), np.float32)
+    depths = np.empty(total, np.float64)
+    visible = np.empty(total, np.uint8)
+    no_offsets = np.empty((0, 2), np.float32)
+    parts = [(trainable, offsets, slice(first, total))]
+    if frozen is not None:
+        parts.append((frozen, no_offsets, slice(0, first)))
+    for arrays, shift, place in parts:
+        bands = used_bands(arrays[4])
+        project(*arrays, bands, shift, camera, packed[place], depths[place], visible[place])
+    order, keys = tiles.depth_order(visible, depths.view(np.uint64))
+    rows = np.empty((len(order), layout.PACKED), np.float32)
+    tiles.gather_ranked(packed, order, rows)
+    tiles_x, tiles_y = _grid(camera)
+    shape = tiles_x, tiles_y, settings.alpha_min, settings.exact_tile_lists
+    cursor = np.zeros((tiles.CHUNKS, tiles_x * tiles_y), np.int32)
+    per_rank = np.empty(len(order), np.int32)
+    tile_start = np.empty(tiles_x * tiles_y + 1, np.int64)
+    slot_start = np.empty(total - first + 1, np.int64)
+    tiles.count_entries(rows, *shape, cursor, per_rank)
+    tiles.place_entries(cursor, per_rank, order, first, total - first, tile_start, slot_start)
+    entries = np.empty(tile_start[-1], np.int32)
+    slots = np.empty(tile_start[-1], np.int32)
+    tiles.fill_entries(rows, order, *shape, cursor, first, slot_start, entries, slots)
+    return TileLists(packed[first:], rows, keys, tile_start, entries, slots, slot_start)
+
+
+def draw(
+    lists: TileLists,
+    prepared: FrozenLists | None,
+    camera: Any,
+    settings: RenderSettings,
+    image: Any,  # [H, W, CHANNELS] float32: zeros, or the prepared image; written
+) -> DrawnView:
+    """Composite the tiles that anything is in, or that differ from the prepared image."""
+    if prepared is None:
+        frozen_rows = np.empty((0, layout.PACKED), np.float32)
+        tile_start, entries, slots = lists.tile_start, lists.entries, lists.slots
+        active = np.flatnonzero(np.diff(tile_start)).astype(np.int32)
+    else:
+        frozen_rows = prepared.rows
+        tile_start, entries, slots, active = _join(lists, prepared, settings)
+    tiles_x, _ = _grid(camera)
+    done = np.zeros(len(tile_start) - 1, np.int32)
+    comp.composite(
+        frozen_rows,
+        lists.rows,
+        tile_start,
+        entries,
+        active,
+        tiles_x,
+        np.float32(settings.alpha_min),
+        np.float32(settings.alpha_max),
+        np.float32(settings.transmittance_min),
+        image,
+        done,
+    )
+    return DrawnView(
+        camera,
+        lists.packed,
+        frozen_rows,
+        lists.rows,
+        tile_start,
+        entries,
+        slots,
+        lists.slot_start,
+        active,
+        done,
+    )
+
+
+def prepare(
+    frozen: Arrays,
+    camera: Any,
+    settings: RenderSettings,
+    image: Any,  # [H, W, CHANNELS] zeros, written
+) -> FrozenLists:
+    """Draw the frozen set alone and keep what drawing others with it needs."""
+    nothing = tuple(array[:0] for array in frozen)
+    lists = list_tiles(frozen, nothing, np.empty((0, 2), np.float32), camera, settings)
+    done = draw(lists, None, camera, settings, image).done
+    cut_start = np.empty(len(lists.tile_start), np.int32)
+    entries, ranks = merge.cut_lists(
+        lists.tile_start, lists.entries, done, len(lists.rows), cut_start
+    )
+    return FrozenLists(lists.rows[ranks], lists.keys[ranks], cut_start, entries, done)
+
+
+def differentiate(
+    view: DrawnView,
+    trainable: Arrays,
+    settings: RenderSettings,
+    image: Any,  # [H, W, CHANNELS] that was drawn
+    upstream: Any,  # [H, W, CHANNELS] dL/dimage
+    grads: list[Any],  # of the trainable arrays, added to
+    grad_offsets: Any,  # [N, 2] written, or [0, 2]
+) -> None:
+    """Add the view's gradients of every trainable splat."""
+    sums = np.zeros((int(view.slot_start[-1]), layout.SUMS), np.float32)
+    comp.composite_backward(
+        view.frozen_rows,
+        view.rows,
+        view.tile_start,
+        view.entries,
+        view.slots,
+        view.active,
+        settings.skip_idle_tiles,
+        _grid(view.camera)[0],
+        np.float32(settings.alpha_min),
+        np.float32(settings.alpha_max),
+        image,
+        view.done,
+        upstream,
+        sums,
+    )
+    project_backward(
+        *trainable, view.camera, view.packed, view.slot_start, sums, *grads, grad_offsets
+    )
+
+
+def _grid(camera: Any) -> tuple[int, int]:
+    """Return the number of tiles across and down."""
+    return -(-int(camera[16]) // tiles.TILE), -(-int(camera[17]) // tiles.TILE)
+
+
+def _join(lists: TileLists, prepared: FrozenLists, settings: RenderSettings) -> tuple[Any, ...]:
+    """Return tile_start, entries, slots and active tiles of both sets together."""
+    in_front = merge.count_in_front(prepared.keys, lists.keys)
+    tile_start = np.empty_like(lists.tile_start)
+    active = merge.choose_active(
+        prepared.tile_start,
+        prepared.entries,
+        prepared.done,
+        lists.tile_start,
+        lists.entries,
+        in_front,
+        settings.skip_idle_tiles,
+        tile_start,
+    )
+    entries = np.empty(tile_start[-1], np.int32)
+    slots = np.empty(tile_start[-1], np.int32)
+    merge.join_entries(
+        prepared.tile_start,
+        prepared.entries,
+        len(prepared.rows),
+        lists.tile_start,
+        lists.entries,
+        lists.slots,
+        in_front,
+        active,
+        tile_start,
+        entries,
+        slots,
+    )
+    return tile_start, entries, slots, active

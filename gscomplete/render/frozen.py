@@ -1,0 +1,106 @@
+"""A frozen splat set prepared for a batch of views: what renders from those views can share.
+
+The partial object P is drawn in every render of a completion, from views that come back again and
+again. Preparing it draws it once per view, alone, and keeps its image and, for the CPU renderer,
+the splats of it that can be seen, in depth order and tile by tile. Renders that are given the
+prepared value then project only the other splats, and draw only the tiles that these change:
+images and gradients keep every bit. On other backends P is drawn anew each time.
+
+One view of 256 x 256 pixels costs 1.3 MB for the image (20 bytes a pixel), and 56 bytes for every
+splat that can be seen plus 4 for every tile it is in: about 3 MB for an opaque object.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from gscomplete.render.record import Render, render_from_sums
+from gscomplete.render.settings import RenderSettings
+from gscomplete.splats import Splats
+from gscomplete.views import Cameras, join_cameras
+
+if TYPE_CHECKING:
+    from gscomplete.render.cpu.view import FrozenLists
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedView:
+    """A frozen set in one view."""
+
+    image: Tensor  # [H, W, 5] of the set alone: red, green, blue, sum of w * depth, alpha
+    lists: FrozenLists | None  # what the CPU renderer keeps; None: prepared by another backend
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedFrozen:
+    """A frozen set in V views; pass it as ``frozen`` to renders from exactly these views."""
+
+    splats: Splats
+    cameras: Cameras
+    settings: RenderSettings
+    views: tuple[PreparedView, ...]
+
+    def __len__(self) -> int:
+        """Return the number of views."""
+        return len(self.views)
+
+    def __getitem__(self, index: int | slice) -> PreparedFrozen:
+        """Return the chosen views (an int gives one view); nothing is copied."""
+        if isinstance(index, int):
+            index = slice(index, index + 1) if index != -1 else slice(-1, None)
+        return dataclasses.replace(self, cameras=self.cameras[index], views=self.views[index])
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that images and lists take, in bytes (without the splats themselves)."""
+        lists = sum(view.lists.nbytes for view in self.views if view.lists is not None)
+        return lists + sum(view.image.nbytes for view in self.views)
+
+    def picture(self, background: Tensor | None = None) -> Render:  # [3] or to [V, H, W, 3]
+        """Return the set's own render, without drawing it again."""
+        nothing = torch.zeros(0, self.cameras.height, self.cameras.width, 5)
+        images = torch.stack([view.image for view in self.views]) if self.views else nothing
+        return render_from_sums(images, background)
+
+    def check(self, cameras: Cameras, settings: RenderSettings) -> None:
+        """Make sure that a render is one that this was prepared for.
+
+        Raises:
+            ValueError: the views or the settings are others.
+        """
+        if settings != self.settings:
+            raise ValueError(f"frozen: prepared with {self.settings}, rendered with {settings}")
+        if cameras is self.cameras:
+            return
+        ours, theirs = self.cameras.to("cpu"), cameras.to("cpu")
+        same = (ours.width, ours.height) == (theirs.width, theirs.height) and all(
+            torch.equal(getattr(ours, name), getattr(theirs, name))
+            for name in ("camera_from_world", "focal_px", "center_px")
+        )
+        if not same:
+            raise ValueError(
+                f"frozen: prepared for {len(ours)} views of {ours.width} x {ours.height} pixels, "
+                f"rendered from {len(theirs)} others of {theirs.width} x {theirs.height}"
+            )
+
+
+def join_prepared(parts: Sequence[PreparedFrozen]) -> PreparedFrozen:
+    """Join views of one frozen set, in order; nothing is copied.
+
+    Raises:
+        ValueError: ``parts`` is empty, or of different splats, settings or image sizes.
+    """
+    if not parts:
+        raise ValueError("join_prepared: expected at least one prepared set, found none")
+    first = parts[0]
+    if any(part.splats is not first.splats or part.settings != first.settings for part in parts):
+        raise ValueError("join_prepared: expected views of the same splats with the same settings")
+    cameras = join_cameras([part.cameras for part in parts])
+    views = tuple(view for part in parts for view in part.views)
+    return dataclasses.replace(first, cameras=cameras, views=views)
