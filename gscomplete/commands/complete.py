@@ -55,11 +55,13 @@ class CompleteOptions:
     """Knobs of latent diffusion priors (all but embedded)."""
     negative_prompt: str | None = None
     """What to lead away from, "" = nothing; None = the prior's default."""
-    preset: Literal["default", "fast", "distill", "paper"] = "default"
-    """default: best of time and quality. fast: fewer rounds. distill: the paper's method in fewer
-    steps. paper: the paper's settings to the letter (6,000 steps)."""
+    preset: Literal["default", "fast", "reconstruct", "distill", "paper"] = "default"
+    """default: best of time and quality for the prior. fast: less care. reconstruct: rounds of
+    denoised views that the splats are fitted to. distill: the paper's method in fewer steps.
+    paper: the paper's settings to the letter (6,000 steps)."""
     steps: int | None = None
-    """Optimiser steps; schedules stretch with it. None = the preset's."""
+    """Optimiser steps; schedules stretch with it. None = the preset's (the embedded prior's default
+    takes none: its first guess is the result)."""
     text_only: bool = False
     """Withhold P's renders from priors that can see them."""
     seed: int = 0

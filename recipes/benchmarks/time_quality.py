@@ -32,6 +32,7 @@ from gscomplete.completion.framing import guess_framing
 from gscomplete.completion.optimise import Completion
 from gscomplete.completion.settings import (
     FAST,
+    GUESS,
     RECONSTRUCT,
     TEXT_ONLY,
     CompletionSettings,
@@ -76,9 +77,11 @@ def variants() -> dict[str, CompletionSettings]:
     high = (TimestepStage(0.5, 450.0, 700.0), TimestepStage(1.0, 100.0, 400.0))
     change = dataclasses.replace
     return {
-        "start": change(RECONSTRUCT, steps=1, rounds=1),
         "fast": FAST,
-        "default": RECONSTRUCT,
+        "three frames": change(GUESS, guess_frames=3),
+        "default": GUESS,
+        "fifteen frames": change(GUESS, guess_frames=15),
+        "reconstruct": RECONSTRUCT,
         "twice as long": change(RECONSTRUCT, steps=2 * RECONSTRUCT.steps, rounds=16),
         "high noise": change(RECONSTRUCT, timesteps=high),
         "fast steps": change(

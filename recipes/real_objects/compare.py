@@ -5,8 +5,8 @@ Every object is completed (or not) in six ways and compared with the truth from 
 * ``input``: P alone.
 * ``mirror``: P and the best of its three likely mirror images, *chosen with the truth*: more than
   a method without the truth could reach by mirroring alone.
-* ``start``: P and the shape network's first guess, before any optimisation.
 * ``text``: the default preset with P withheld from the prior (no first guess, no renders of P).
+* ``reconstruct``: the first guess, then rounds of denoised views that splats are fitted to.
 * ``fast``: the fast preset.
 * ``default``: the default preset.
 
@@ -46,8 +46,8 @@ from gscomplete.views import ObjectFrame, ViewDistribution, up_rotation
 from recipes.real_objects.complete import DATA
 from recipes.real_objects.load import RealObject, load_real_object
 
-Way = Literal["input", "mirror", "start", "text", "fast", "default"]
-WAYS: tuple[Way, ...] = ("input", "mirror", "start", "text", "fast", "default")
+Way = Literal["input", "mirror", "text", "reconstruct", "fast", "default"]
+WAYS: tuple[Way, ...] = ("input", "mirror", "text", "reconstruct", "fast", "default")
 OBJECTS = (
     "blue_mug", "bowl", "apple", "stapler", "armchair", "refrigerator", "lantern", "sofa",
     "soccer_ball", "duck", "knight", "chair", "donut", "frying_pan", "statue", "cow", "bottle",
@@ -107,14 +107,14 @@ def new_splats(posed: Posed, way: Way, prior: Prior, seed: int) -> tuple[Splats 
     settings = settings_of(way, prior, seed)
     conditioning = prior.condition(posed.item.prompt)
     run = Completion(posed.partial, prior, conditioning, posed.views, settings)
-    while way != "start" and not run.finished:
+    while not run.finished:
         run.step()
     return run.new_splats(), time.perf_counter() - started
 
 
 def settings_of(way: Way, prior: Prior, seed: int) -> CompletionSettings:
     """Return the settings of a way to complete."""
-    name: PresetName = "fast" if way == "fast" else "default"
+    name: PresetName = way if way in ("fast", "reconstruct") else "default"
     chosen = preset(name, prior.name, text_only=way == "text")
     return dataclasses.replace(chosen, seed=seed)
 
@@ -194,11 +194,11 @@ def _picture_row(posed: Posed, completed: Path) -> list[Image.Image]:
 
 def table(results: dict[str, dict[str, Any]], ways: tuple[Way, ...]) -> str:
     """Show every object's silhouettes by way, then the means of everything."""
-    lines = [f"{'silhouette IoU':18}" + "".join(f"{way:>9}" for way in ways)]
+    lines = [f"{'silhouette IoU':18}" + "".join(f"{way:>12}" for way in ways)]
     known = [name for name, rows in results.items() if "silhouette_iou" in rows.get(ways[0], {})]
     for name in known:
         values = (results[name][way]["silhouette_iou"] for way in ways)
-        lines.append(f"{name:18}" + "".join(f"{value:9.3f}" for value in values))
+        lines.append(f"{name:18}" + "".join(f"{value:12.3f}" for value in values))
     for key, label in (
         ("silhouette_iou", "mean silhouette"),
         ("hidden_iou", "mean hidden IoU"),
@@ -212,7 +212,7 @@ def table(results: dict[str, dict[str, Any]], ways: tuple[Way, ...]) -> str:
             np.mean([results[name][way].get(key) or 0.0 for name in known or results])
             for way in ways
         ]
-        form = "9.5f" if key.startswith("e_") else "9.3f"
+        form = "12.5f" if key.startswith("e_") else "12.3f"
         lines.append(f"{label:18}" + "".join(f"{mean:{form}}" for mean in means))
     return "\n".join(lines) + "\n"
 

@@ -42,14 +42,14 @@ def test_preservation_joins_every_other_step_after_the_warm_up():
 
 
 def test_rounds_cover_the_run():
-    settings = preset("default", "embedded")
+    settings = preset("reconstruct", "embedded")
     starts = [s for s in range(settings.steps) if schedules.is_round_start(settings, s)]
     assert starts[0] == 0
     assert len(starts) == settings.rounds
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("steps", 0), ("new_splats", 0), ("resolution_px", 4), ("rounds", 0)]
+    ("name", "value"), [("steps", -1), ("new_splats", 0), ("resolution_px", 4), ("rounds", 0)]
 )
 def test_settings_out_of_range_are_named(name, value):
     with pytest.raises(UserError, match=name):

@@ -15,7 +15,7 @@ from gscomplete.splats import Splats, colors_to_sh, read_splats, write_splats
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SAMPLE = REPOSITORY / "recipes/demo/partial.ply"
-QUICK = ("--preset", "fast", "--steps", "24")
+QUICK = ("--preset", "reconstruct", "--steps", "24")
 
 
 def gscomplete(*arguments: object, **kwargs) -> subprocess.CompletedProcess:
@@ -164,7 +164,7 @@ def test_single_splat_needs_a_frame_and_then_completes(tmp_path):
         (("--view", "north"), "--view"),
         (("--size", "-1"), "--size"),
         (("--device", "tpu9"), "--device"),
-        (("--steps", "0"), "steps"),
+        (("--steps", "-1"), "steps"),
         (("--out", "/proc/forbidden/x"), "cannot create"),
         (("--nonsense-option", "1"), "nonsense-option"),
     ],
@@ -188,3 +188,13 @@ def test_prompts_without_sense(tmp_path):
     )
     assert unknown.returncode == 0
     assert "xyzzy" in unknown.stdout
+
+
+def test_the_default_takes_the_first_guess_as_it_is(tmp_path):
+    out = tmp_path / "guess"
+    result = gscomplete("complete", SAMPLE, "--prompt", "a red mug", "--out", out)
+    assert result.returncode == 0, result.stderr
+    content = json.loads((out / "run.json").read_text())
+    assert content["result"]["new_splats"] > 1000
+    assert any("the prior guesses" in note for note in content["notes"])
+    assert (out / "log.jsonl").read_text() == ""

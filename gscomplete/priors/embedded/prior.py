@@ -37,9 +37,8 @@ from gscomplete.priors.embedded.diffusion import (
 from gscomplete.priors.embedded.inputs import images_to_color_alpha, input_map, network_images
 from gscomplete.priors.embedded.model import INPUT_CHANNELS, VIEWS, FourViewDenoiser
 from gscomplete.priors.embedded.rays import ring_numbers
-from gscomplete.priors.embedded.shape.inputs import shape_inputs
 from gscomplete.priors.embedded.shape.model import ShapeCompleter
-from gscomplete.priors.embedded.shape.predict import predict_whole
+from gscomplete.priors.embedded.shape.predict import FrameSettings, predict_over_frames
 from gscomplete.priors.embedded.shape.surface import (
     SurfaceSettings,
     surface_splats,
@@ -135,13 +134,21 @@ class EmbeddedPrior:
         conditioning: Conditioning,
         generator: torch.Generator,
         count: int,
+        frames: int,
     ) -> Splats | None:
         """Return the whole as the shape network sees it; see :class:`base.ShapePrior`."""
         if self._shape is None:
             return None
         assert isinstance(conditioning, EmbeddedConditioning)
-        seen = shape_inputs(partial, distribution)
-        output = predict_whole(self._shape, seen, conditioning.tokens, bfloat16=self._bfloat16)
+        seen, output = predict_over_frames(
+            self._shape,
+            partial,
+            distribution,
+            conditioning.tokens,
+            generator,
+            FrameSettings(count=frames),
+            bfloat16=self._bfloat16,
+        )
         settings = SurfaceSettings(count=count)
         splats = surface_splats(output, seen, partial, settings, generator)
         return splats if len(splats) else None

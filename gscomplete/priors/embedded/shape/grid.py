@@ -13,7 +13,9 @@ from __future__ import annotations
 
 import numba
 import numpy as np
+import torch.nn.functional as F
 from numpy.typing import NDArray
+from torch import Tensor
 
 from gscomplete.splats import Splats
 from gscomplete.splats.rotations import rotation_matrices
@@ -100,3 +102,10 @@ def cell_centers(cells: int) -> FloatArray:  # [cells, cells, cells, 3]
     """Return the centres of all cells of a grid."""
     along = (np.arange(cells, dtype=np.float32) + 0.5) * (2 * HALF_SIDE / cells) - HALF_SIDE
     return np.stack(np.meshgrid(along, along, along, indexing="ij"), axis=-1)
+
+
+def sample_volume(volume: Tensor, points: Tensor) -> Tensor:  # [C, n, n, n], [N, 3] -> [N, C]
+    """Interpolate a volume of cell-centred values at points of the object frame."""
+    place = (points / HALF_SIDE).flip(-1)[None, None, None]  # grid_sample wants z, y, x
+    found = F.grid_sample(volume[None], place, align_corners=False, padding_mode="border")
+    return found[0, :, 0, 0].T

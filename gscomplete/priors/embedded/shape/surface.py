@@ -17,8 +17,9 @@ import torch.nn.functional as F
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from gscomplete.priors.embedded.shape.grid import CELL_SIDE, HALF_SIDE
-from gscomplete.priors.embedded.shape.inputs import SOURCES, ShapeInputs
+from gscomplete.priors.embedded.shape.colors import source_colors
+from gscomplete.priors.embedded.shape.grid import CELL_SIDE, HALF_SIDE, sample_volume
+from gscomplete.priors.embedded.shape.inputs import ShapeInputs
 from gscomplete.priors.embedded.shape.model import ShapeOutput
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.filters import thinned
@@ -28,8 +29,6 @@ _INWARD = 0.4
 _SEEDS_PER_CELL = 6
 _NEWTON_STEPS = 5
 _FLATNESS = 0.1
-_COLOR_NEIGHBOURS = 8
-"""A source's colour at a point is a mean over this many of its splats: scans are noisy."""
 _OVERLAP = 0.75
 """Tangent standard deviation per spacing, so that neighbours overlap into a closed surface."""
 
@@ -46,8 +45,6 @@ class SurfaceSettings:
     filled_logit: float = -0.25
     """Cells with at least this logit count as filled. On held-out procedural objects -0.25 gives
     the best silhouettes: thin walls, of which the network is never sure, are worth some excess."""
-    color_reach: float = 0.06
-    """A source's colour counts where it has a splat this near."""
 
 
 def surface_splats(
@@ -73,7 +70,7 @@ def surface_splats(
     normals = normals[on_surface]
     is_new = _distance(points, anchor.means) > settings.near_partial
     points, normals, spacing = _spread(points[is_new], normals[is_new], settings.count, generator)
-    colors = _colors(output, inputs, partial, points, settings, generator)
+    colors = source_colors(output, inputs, partial, points, generator)
     scales = torch.full((len(points), 3), _OVERLAP * spacing)
     scales[:, 2] *= _FLATNESS
     return Splats(
@@ -83,13 +80,6 @@ def surface_splats(
         torch.full((len(points),), settings.opacity),
         colors_to_sh(colors.clamp(0.0, 1.0)),
     )
-
-
-def sample_volume(volume: Tensor, points: Tensor) -> Tensor:  # [C, n, n, n], [N, 3] -> [N, C]
-    """Interpolate a volume of cell-centred values at points of the object frame."""
-    place = (points / HALF_SIDE).flip(-1)[None, None, None]  # grid_sample wants z, y, x
-    found = F.grid_sample(volume[None], place, align_corners=False, padding_mode="border")
-    return found[0, :, 0, 0].T
 
 
 def _seeds(logits: Tensor, generator: torch.Generator) -> Tensor:  # [N, 3]
@@ -153,37 +143,6 @@ def _one_per_cell(points: Tensor, normals: Tensor, side: float) -> Tensor:  # [K
     _, inverse = torch.unique(keys, return_inverse=True)
     first = torch.full((int(inverse.max()) + 1 if len(keys) else 0,), len(keys))
     return first.scatter_reduce(0, inverse, torch.arange(len(keys)), "amin")
-
-
-def _colors(
-    output: ShapeOutput,
-    inputs: ShapeInputs,
-    partial: Splats,
-    points: Tensor,
-    settings: SurfaceSettings,
-    generator: torch.Generator,
-) -> Tensor:  # [N, 3]
-    """Take each point's colour from the sources, in the shares the network gives them."""
-    order = torch.randperm(len(partial), generator=generator)[:40_000]
-    means, base = partial.means[order].float(), partial.base_colors[order].float().clamp(0, 1)
-    logits = sample_volume(output.sources[0].float(), points)
-    free = sample_volume(output.colors[0].float(), points)
-    found = [free]
-    known = [torch.ones(len(points), dtype=torch.bool)]
-    places = [points] + [
-        torch.from_numpy(symmetry.undo(points.numpy())) for symmetry in inputs.symmetries
-    ]
-    tree, neighbours = cKDTree(means.numpy()), min(_COLOR_NEIGHBOURS, len(means))
-    for place in places:
-        distance, index = tree.query(place.numpy(), k=range(1, neighbours + 1))
-        weight = torch.from_numpy(1.0 / (distance + 0.2 * CELL_SIDE) ** 2).float()
-        weight /= weight.sum(dim=1, keepdim=True)
-        found.append((weight[:, :, None] * base[torch.from_numpy(index)]).sum(dim=1))
-        known.append(torch.from_numpy(distance[:, 0]) < settings.color_reach)
-    shares = torch.cat([logits[:, SOURCES:], logits[:, :SOURCES]], dim=1)
-    shares = shares.masked_fill(~torch.stack(known, dim=1), -30.0).softmax(dim=1)
-    sharpened = shares.square() / shares.square().sum(dim=1, keepdim=True)
-    return (sharpened[:, :, None] * torch.stack(found, dim=1)).sum(dim=1)
 
 
 def _distance(points: Tensor, others: Tensor) -> Tensor:  # [N, 3], [M, 3] -> [N]

@@ -1,0 +1,84 @@
+"""Colours of new splats: taken from P and its mirror images, where the network points.
+
+The network also has a colour of its own to mix in, which training needs (without it, colours that
+P does not show would push the pointing astray); mixed into a picture it looks like dirt beside P's
+colours, and so does a mean of two patterns. So new splats take the colour of one source.
+
+Conventions
+-----------
+* Sources are P and its mirror images, in the order of ``inputs``; colours in [0, 1].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from gscomplete.priors.embedded.shape.grid import CELL_SIDE, sample_volume
+from gscomplete.priors.embedded.shape.inputs import SOURCES, ShapeInputs
+from gscomplete.priors.embedded.shape.model import ShapeOutput
+from gscomplete.splats import Splats
+from gscomplete.splats.filters import thinned
+
+
+@dataclass(frozen=True, slots=True)
+class ColorSettings:
+    """How sources are chosen; lengths in object sizes."""
+
+    reach: float = 0.06
+    """A source counts in full where it has a splat this near; beyond it loses, the farther the
+    more, so that the nearest is taken where none is near."""
+    sharpness: float = 8.0
+    """Factor on the network's logits: mixing happens only where sources change."""
+    preference: float = 1.0
+    """What each mirror image is behind the likelier one before it, in logits: where the network
+    cannot tell two of them apart, a mean of both is the one colour that is surely wrong."""
+    neighbours: int = 8
+    """A colour is a mean over this many splats of a source: scans are noisy."""
+    max_splats: int = 40_000
+    """Most splats of P looked at."""
+
+
+_FAR_PENALTY = 3.0
+"""Logits lost per ``reach`` beyond it."""
+
+
+def source_colors(
+    output: ShapeOutput,
+    inputs: ShapeInputs,
+    partial: Splats,
+    points: Tensor,  # [N, 3]
+    generator: torch.Generator,
+    settings: ColorSettings | None = None,
+) -> Tensor:  # [N, 3]
+    """Return the colours of new splats at ``points``.
+
+    Args:
+        output: of the network for a batch of one.
+        inputs: what the network saw.
+        partial: P in the object frame.
+        points: where the new splats are.
+        generator: chooses the splats of P looked at, if there are too many.
+        settings: knobs; None = defaults.
+    """
+    chosen = settings or ColorSettings()
+    looked_at = thinned(partial, chosen.max_splats, generator)
+    base = looked_at.base_colors.float().clamp(0, 1)
+    tree = cKDTree(looked_at.means.float().numpy())
+    nearest = range(1, min(chosen.neighbours, len(base)) + 1)
+    places = [points.numpy(), *(s.undo(points.numpy()) for s in inputs.symmetries)]
+    pointing = sample_volume(output.sources[0, :SOURCES].float(), points)
+    found, logits = [], []
+    for source, place in enumerate(places):
+        distance, index = tree.query(place, k=nearest)
+        weight = torch.from_numpy(1.0 / (distance + 0.2 * CELL_SIDE) ** 2).float()
+        weight /= weight.sum(dim=1, keepdim=True)
+        found.append((weight[:, :, None] * base[torch.from_numpy(index)]).sum(dim=1))
+        beyond = torch.from_numpy(distance[:, 0]).float() / chosen.reach - 1.0
+        behind = chosen.preference * max(source - 1, 0)
+        logits.append(pointing[:, source] - _FAR_PENALTY * beyond.clamp_min(0) - behind)
+    shares = (chosen.sharpness * torch.stack(logits, dim=1)).softmax(dim=1)
+    return (shares[:, :, None] * torch.stack(found, dim=1)).sum(dim=1)

@@ -1,0 +1,86 @@
+import dataclasses
+
+import pytest
+import torch
+
+from gscomplete.priors.embedded.shape.colors import ColorSettings, source_colors
+from gscomplete.priors.embedded.shape.grid import CELLS, COARSE_CELLS
+from gscomplete.priors.embedded.shape.inputs import SOURCES, shape_inputs
+from gscomplete.priors.embedded.shape.model import ShapeOutput
+from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.views import ViewDistribution
+from tests.priors.embedded.shape.shapes import half, sphere
+
+VIEWS = ViewDistribution(0.0, 10.0)
+OWN = SOURCES
+
+
+def pointing_at(*sources: int) -> ShapeOutput:
+    """Return what a network that trusts some sources equally would say; its own colour is green."""
+    n = COARSE_CELLS
+    logits = torch.full((1, SOURCES + 1, n, n, n), -9.0)
+    logits[:, list(sources)] = 9.0
+    own = torch.zeros(1, 3, n, n, n)
+    own[:, 1] = 1.0
+    return ShapeOutput(torch.zeros(1, CELLS, CELLS, CELLS), own, logits)
+
+
+def colors_at(points, output, partial=None, settings=None):
+    partial = half(sphere()) if partial is None else partial
+    inputs = shape_inputs(partial, VIEWS)
+    generator = torch.Generator().manual_seed(0)
+    return source_colors(output, inputs, partial, points, generator, settings), inputs
+
+
+def hidden_points(count=200):
+    """Return points of the sphere where the half of it lacks splats."""
+    points = sphere().means
+    return points[points[:, 0] < -0.2][:count]
+
+
+def test_colours_come_from_the_source_that_is_trusted():
+    points = hidden_points()
+    taken, _ = colors_at(points, pointing_at(1))
+    # P's colours run with its normals; those of its mirror image run the other way.
+    expected = 0.5 - 0.4 * points[:, 0] / 0.4
+    assert float((taken[:, 0] - expected).abs().mean()) < 0.05
+
+
+def test_the_colour_of_the_network_is_never_mixed_in():
+    partial = half(sphere())
+    red = torch.tensor([0.9, 0.1, 0.2]).expand(len(partial), 3)
+    partial = dataclasses.replace(partial, sh=colors_to_sh(red))
+    taken, _ = colors_at(hidden_points(), pointing_at(OWN), partial)
+    torch.testing.assert_close(taken, red[: len(taken)], atol=1e-4, rtol=0)
+
+
+def test_of_two_sources_trusted_alike_the_likelier_is_taken_whole():
+    points = hidden_points()
+    both, _ = colors_at(points, pointing_at(1, 2))
+    first, _ = colors_at(points, pointing_at(1))
+    near = (both - first).abs().amax(dim=1) < 0.02
+    assert float(near.float().mean()) > 0.9
+    mixed, _ = colors_at(points, pointing_at(1, 2), settings=ColorSettings(preference=0.0))
+    assert float((mixed - first).abs().mean()) > float((both - first).abs().mean())
+
+
+def test_far_from_every_source_the_nearest_is_taken():
+    taken, inputs = colors_at(torch.tensor([[-0.7, 0.0, 0.0]]), pointing_at(0))
+    partial = half(sphere())
+    images = [torch.from_numpy(s.apply(partial.means.numpy())) for s in inputs.symmetries]
+    places = torch.stack([partial.means, *images])
+    nearest = (places + torch.tensor([0.7, 0.0, 0.0])).norm(dim=2).amin(dim=0).argmin()
+    torch.testing.assert_close(taken[0], partial.base_colors[nearest], atol=0.1, rtol=0)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_a_few_splats_are_enough(count):
+    partial = Splats(
+        torch.rand(count, 3, generator=torch.Generator().manual_seed(1)) * 0.1,
+        torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(count, 1),
+        torch.full((count, 3), 0.02),
+        torch.full((count,), 0.9),
+        colors_to_sh(torch.full((count, 3), 0.7)),
+    )
+    taken, _ = colors_at(hidden_points(5), pointing_at(0), partial)
+    torch.testing.assert_close(taken, torch.full((5, 3), 0.7), atol=1e-4, rtol=0)
