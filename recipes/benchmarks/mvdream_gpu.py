@@ -46,7 +46,7 @@ from gscomplete.render import render
 from gscomplete.splats import Splats, concatenate, read_splats
 from gscomplete.splats.filters import usable_rows
 from gscomplete.views import ViewDistribution, four_view_orbit
-from recipes.benchmarks.renderer import surface_discs
+from recipes.benchmarks.scenes import surface_discs
 
 REDUCED = MVDreamConfig(
     UNetConfig(model_channels=32, channel_mult=(1, 1), num_res_blocks=1, num_head_channels=32),
