@@ -30,7 +30,7 @@ def load_checkpoint(folder: Path) -> dict[str, Tensor] | None:
     """Read the newest checkpoint; None when there is none.
 
     Raises:
-        UserError: the file exists but cannot be read.
+        UserError: the file exists but cannot be read, or holds values that are not finite.
     """
     path = folder / FILE_NAME
     if not path.exists():
@@ -41,4 +41,7 @@ def load_checkpoint(folder: Path) -> dict[str, Tensor] | None:
         raise UserError(f"{path}: cannot read the checkpoint: {error}") from error
     if "step" not in state or state["step"].dtype != torch.int64:
         raise UserError(f"{path}: expected a checkpoint of a completion with a step number")
+    for name, value in state.items():
+        if value.is_floating_point() and not bool(torch.isfinite(value).all()):
+            raise UserError(f"{path}: {name}: expected finite values, found others")
     return state

@@ -29,6 +29,7 @@ from gscomplete.errors import UserError
 from gscomplete.priors.base import Conditioning, FourViews, Guidance, Prior, ShapePrior
 from gscomplete.render import Render, render
 from gscomplete.splats import Splats
+from gscomplete.splats.filters import MAX_MAGNITUDE
 from gscomplete.views import Cameras, ViewDistribution, join_cameras
 
 
@@ -45,9 +46,15 @@ class StepReport:
 
 
 class NonFiniteError(UserError):
-    """A loss, gradient or parameter stopped being finite; the last checkpoint is still good."""
+    """A tensor of a run stopped being finite; the last checkpoint is still good."""
 
     exit_code = 3
+
+    def __init__(self, step: int, tensor: str, advice: str = "") -> None:
+        """Say at which step, and which tensor."""
+        message = f"step {step}: {tensor} is not finite, or too large for float32; the run stops"
+        super().__init__(message + advice)
+        self.step, self.tensor = step, tensor
 
 
 class Completion:
@@ -85,10 +92,20 @@ class Completion:
         self._max_radius = settings.max_radius or extent / 2
         bounds = Bounds(settings.min_scale_px * extent / self._size_px, settings.max_scale)
         start, self.start_note = self._start(bounds, initial_diameter)
+        _require_finite(0, **{f"{name} at the start": value for name, value in start.fields()})
         self.partial = self.partial.to(self._device)
         self.parameters = SplatParameters(start.to(self._device), bounds, settings.learning_rates)
         self._statistics = GradientStatistics(len(self.parameters), self._device)
         self._rings = RingMemory(settings.ring_memory)
+        self._updating = False
+
+    @property
+    def between_updates(self) -> bool:
+        """Whether :meth:`state` is one that a run may go on from.
+
+        False after a step that was broken off (Ctrl-C, an error) while it changed the splats.
+        """
+        return not self._updating
 
     @property
     def finished(self) -> bool:
@@ -108,7 +125,8 @@ class Completion:
         started = time.perf_counter()
         settings, step = self.settings, self.step_number
         timestep = schedules.timestep_at(settings, step)
-        if settings.mode == "reconstruct" and schedules.is_round_start(settings, step):
+        wants_targets = settings.mode == "reconstruct" and schedules.is_round_start(settings, step)
+        if wants_targets and self._rings.newest_step != step:  # else a step begun before made them
             self._rings.add(self._denoised_ring(timestep))
         ring_cameras, ring = self._guidance_views()
         views = ring_cameras
@@ -133,12 +151,17 @@ class Completion:
             )
             total = total + settings.preservation_weight * preservation
         total.backward()
-        self._check_finite(step, guidance, preservation)
+        losses = {"the prior's loss": guidance, "the preservation loss": preservation}
+        _require_finite(step, **losses, **self.parameters.gradients())
+        _require_finite(step, **{"gradient of screen positions": offsets.grad})
+        self._updating = True
         if offsets.grad is not None:
             self._statistics.add(offsets.grad, self._size_px)
         self.parameters.step(step / settings.steps)
+        _require_finite(step, **self.parameters.values())
         self._edit_splats(step)
         self.step_number += 1
+        self._updating = False
         return StepReport(
             step,
             timestep,
@@ -228,13 +251,18 @@ class Completion:
                 self._guidance_scales(),
                 settings.denoise_steps,
             )
+            targets = {
+                "colour of the prior's targets": color,
+                "alpha of the prior's targets": alpha,
+            }
+            _require_finite(step, **targets)
             target = cameras.resized(color.shape[2], color.shape[1])
             partial = render(self.partial, target)
             trusted = inside_distribution(target, self._distribution).to(self._device)
             mask = torch.where(trusted[:, None, None], partial.alpha, 0.0)
             color = color * (1 - mask)[..., None] + partial.color * trusted[:, None, None, None]
             alpha = torch.maximum(alpha * (1 - mask) + mask, mask)
-        return Ring(target, color, alpha)
+        return Ring(target, color, alpha, step)
 
     def _guidance_views(self) -> tuple[Cameras, Ring | None]:
         """Return the ring of this step: a fresh one, or one of those with targets."""
@@ -279,20 +307,19 @@ class Completion:
                 self.parameters.keep(keep)
             self._statistics = GradientStatistics(len(self.parameters), self._device)
 
-    def _check_finite(self, step: int, guidance: Tensor, preservation: Tensor | None) -> None:
-        """Stop the run before a non-finite value reaches the parameters."""
-        culprit = None
-        if not bool(torch.isfinite(guidance)):
-            culprit = "the prior's loss"
-        elif preservation is not None and not bool(torch.isfinite(preservation)):
-            culprit = "the preservation loss"
-        else:
-            culprit = self.parameters.first_nonfinite()
-        if culprit is not None:
-            raise NonFiniteError(
-                f"step {step}: {culprit} is not finite; the run stops here and its last "
-                "checkpoint is kept"
-            )
+
+def _require_finite(step: int, **tensors: Tensor | None) -> None:
+    """Stop a run before a value that float32 cannot square reaches splats or a checkpoint.
+
+    Adam squares gradients: above ``MAX_MAGNITUDE`` its moment would be infinite, and the splat
+    would silently stand still from then on.
+
+    Raises:
+        NonFiniteError: a tensor is not finite or too large; the first one is named.
+    """
+    for name, tensor in tensors.items():
+        if tensor is not None and not bool((tensor.detach().abs() < MAX_MAGNITUDE).all()):
+            raise NonFiniteError(step, name)
 
 
 def _stays_on_cpu(name: str) -> bool:

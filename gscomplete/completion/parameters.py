@@ -83,14 +83,13 @@ class SplatParameters:
         self._adam.zero_grad(set_to_none=True)
         self._project()
 
-    def first_nonfinite(self) -> str | None:
-        """Return the name of the first parameter or gradient that is not finite."""
-        for name, value in self._values.items():
-            if value.grad is not None and not bool(torch.isfinite(value.grad).all()):
-                return f"gradient of {name}"
-            if not bool(torch.isfinite(value).all()):
-                return name
-        return None
+    def values(self) -> dict[str, Tensor]:
+        """Return the raw values by name."""
+        return {name: value.detach() for name, value in self._values.items()}
+
+    def gradients(self) -> dict[str, Tensor | None]:
+        """Return the gradients of the raw values by name."""
+        return {f"gradient of {name}": value.grad for name, value in self._values.items()}
 
     def keep(self, mask: Tensor) -> None:  # [N] bool
         """Keep the rows of ``mask``."""

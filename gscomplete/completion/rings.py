@@ -19,6 +19,7 @@ class Ring:
     cameras: Cameras  # at the targets' size
     color: Tensor  # [4, h, w, 3] premultiplied
     alpha: Tensor  # [4, h, w]
+    step: int  # at which they were made
 
     def resized(self, size_px: int) -> tuple[Tensor, Tensor]:
         """Return colour and alpha at another size (bilinear)."""
@@ -47,6 +48,11 @@ class RingMemory:
         """Return a ring, oldest first."""
         return self._rings[index]
 
+    @property
+    def newest_step(self) -> int | None:
+        """The step that the newest ring was made at; None when there is none."""
+        return self._rings[-1].step if self._rings else None
+
     def add(self, ring: Ring) -> None:
         """Keep a ring, forgetting the oldest when full."""
         self._rings = [*self._rings, ring][-self._capacity :]
@@ -60,6 +66,7 @@ class RingMemory:
             out[f"ring.{index}.camera_from_world"] = ring.cameras.camera_from_world
             out[f"ring.{index}.focal_px"] = ring.cameras.focal_px
             out[f"ring.{index}.center_px"] = ring.cameras.center_px
+            out[f"ring.{index}.step"] = torch.tensor(ring.step)
         return out
 
     def restore(self, state: dict[str, Tensor]) -> None:
@@ -75,7 +82,8 @@ class RingMemory:
                 color.shape[2],
                 color.shape[1],
             )
-            self._rings.append(Ring(cameras, color, state[prefix + "alpha"]))
+            alpha, step = state[prefix + "alpha"], int(state[prefix + "step"])
+            self._rings.append(Ring(cameras, color, alpha, step))
 
 
 def random_ring(views: PriorViews, size_px: int, seed: int, step: int) -> Cameras:

@@ -23,9 +23,9 @@ import torch
 import gscomplete
 from gscomplete import jsonio
 from gscomplete.atomic import atomic_path
-from gscomplete.completion.checkpoint import load_checkpoint, save_checkpoint
+from gscomplete.completion.checkpoint import FILE_NAME, load_checkpoint, save_checkpoint
 from gscomplete.completion.framing import guess_framing
-from gscomplete.completion.optimise import Completion, StepReport
+from gscomplete.completion.optimise import Completion, NonFiniteError, StepReport
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.completion.working_set import WorkingSet, working_set
 from gscomplete.device import peak_gpu_bytes
@@ -152,11 +152,26 @@ def execute(run: Run, on_step: Callable[[StepReport], None]) -> dict[str, Any]:
                     log.flush()
                     save_checkpoint(out / CHECKPOINTS, completion.state())
         except KeyboardInterrupt:
-            save_checkpoint(out / CHECKPOINTS, completion.state())
+            if completion.between_updates:
+                log.flush()
+                save_checkpoint(out / CHECKPOINTS, completion.state())
             raise
+        except NonFiniteError as error:
+            log.flush()
+            stopped = NonFiniteError(error.step, error.tensor, _way_back(out / CHECKPOINTS))
+            _write_run_file(run, "stopped", {"error": str(stopped)})
+            raise stopped from error
     save_checkpoint(out / CHECKPOINTS, completion.state())
     run.timings["optimise_s"] = time.perf_counter() - started
     return _finish(run)
+
+
+def _way_back(folder: Path) -> str:
+    """Tell which checkpoint a stopped run can go on from."""
+    state = load_checkpoint(folder)
+    if state is None:
+        return "; there is no checkpoint yet"
+    return f"; the last good checkpoint is kept: {folder / FILE_NAME}, step {int(state['step'])}"
 
 
 def _finish(run: Run) -> dict[str, Any]:

@@ -11,6 +11,7 @@ Conventions
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -51,6 +52,17 @@ class LearningRates:
     log_scales: float = 5e-3
     opacity_logits: float = 5e-2
     sh: float = 1e-2
+
+    def __post_init__(self) -> None:
+        """Check ranges.
+
+        Raises:
+            UserError: a rate is not positive and finite.
+        """
+        for field in dataclasses.fields(self):
+            rate = getattr(self, field.name)
+            if not 0.0 < rate < math.inf:
+                raise UserError(f"learning_rates.{field.name}: expected above 0, found {rate}")
 
 
 @dataclass(frozen=True, slots=True)

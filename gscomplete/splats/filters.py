@@ -18,6 +18,8 @@ from gscomplete.splats.record import Splats
 
 MAX_MAGNITUDE = 1e18
 """Largest coordinate or scale whose square is a finite float32."""
+MAX_COEFFICIENT = 1e12
+"""Largest SH coefficient; squared colours have a finite float32 sum over the pixels of an image."""
 
 
 def usable_rows(splats: Splats) -> tuple[Tensor, dict[str, int]]:  # [N] bool
@@ -35,7 +37,8 @@ def usable_rows(splats: Splats) -> tuple[Tensor, dict[str, int]]:  # [N] bool
         "non_finite_opacity": splats.opacities.isfinite(),
         "non_finite_sh": splats.sh.isfinite().flatten(1).all(dim=1),
         "too_large": (splats.means.abs() < MAX_MAGNITUDE).all(dim=1)
-        & (splats.scales < MAX_MAGNITUDE).all(dim=1),
+        & (splats.scales < MAX_MAGNITUDE).all(dim=1)
+        & (splats.sh.abs() < MAX_COEFFICIENT).flatten(1).all(dim=1),
     }
     keep = torch.ones(len(splats), dtype=torch.bool, device=splats.means.device)
     counts: dict[str, int] = {}

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gscomplete.splats.filters import MAX_MAGNITUDE
+from gscomplete.splats.filters import MAX_COEFFICIENT, MAX_MAGNITUDE
 from gscomplete.splats.ply_header import Element, PlyHeader
 from gscomplete.splats.ply_layout import SplatLayout
 from gscomplete.splats.ply_payload import payload_warnings, stream_records
@@ -134,6 +134,8 @@ def _count_rows(
     opacity, scales, quaternions = values[:, 6], values[:, 7:10], values[:, 10:]
     large = (np.abs(values[:, :3]) >= MAX_MAGNITUDE).any(axis=1)
     large |= (scales >= np.log(MAX_MAGNITUDE)).any(axis=1)
+    large |= (np.abs(values[:, 3:6]) >= MAX_COEFFICIENT).any(axis=1)
+    large |= (np.abs(higher) >= MAX_COEFFICIENT).any(axis=1)
     usual, usual_higher = np.isfinite(values), np.isfinite(higher).all(axis=1)
     finite: NDArray[np.bool_] = np.logical_and(usual.all(axis=1), usual_higher)
     counts["too_large"] += int((large & finite).sum())

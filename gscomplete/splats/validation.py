@@ -165,7 +165,7 @@ def _value_findings(rows: RowStatistics, limits: ValidationLimits) -> list[Findi
         ("zero_rows", "warning", "rows that are all zeros"),
         ("zero_quaternions", "warning", "zero quaternions, read as no rotation"),
         ("duplicates", "warning", "rows equal to an earlier one but for their higher SH"),
-        ("too_large", "warning", "rows with a position or size whose square leaves float32"),
+        ("too_large", "warning", "rows with a position, size or colour too large to be drawn"),
         ("unnormalised_quaternions", "info", "quaternions not of length 1, normal in training"),
     ]
     return [Finding(n, severity, counts[n], text) for n, severity, text in table if counts[n]]

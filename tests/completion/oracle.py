@@ -17,8 +17,12 @@ class OraclePrior:
     num_timesteps = 1000
     views = PriorViews(40.0, (1.4, 1.8), (-5.0, 30.0), 32)
 
-    def __init__(self, truth: Splats, poison_step: int | None = None) -> None:
+    def __init__(self, truth: Splats, poison_step: int | None = None, poison: str = "loss") -> None:
+        """From call ``poison_step`` on, poison: a NaN ``loss``, ``gradient`` or ``target``, or a
+        gradient that float32 cannot square (``huge``).
+        """
         self.truth = truth
+        self.poison = poison
         self.guidance_seen: Guidance | None = None
         self._calls_left = poison_step
 
@@ -32,10 +36,12 @@ class OraclePrior:
         self, views: FourViews, timestep, conditioning, generator, input_views=None, guidance=None
     ):
         self.guidance_seen = guidance
-        if self._calls_left is not None:
-            self._calls_left -= 1
-            if self._calls_left < 0:
+        if self._spoilt():
+            if self.poison == "loss":
                 return views.color.sum() * torch.nan
+            views.color.register_hook(
+                lambda grad: grad * torch.nan if self.poison == "gradient" else grad + 1e25
+            )
         with torch.no_grad():
             truth = render(self.truth, views.cameras)
         color, alpha = views.color - truth.color, views.alpha - truth.alpha
@@ -45,7 +51,14 @@ class OraclePrior:
         self, views, timestep, conditioning, generator, input_views=None, guidance=None, num_steps=8
     ):
         truth = render(self.truth, views.cameras)
+        if self._spoilt():
+            truth.color[0, 3, 3] = torch.nan
         return truth.color, truth.alpha
+
+    def _spoilt(self) -> bool:
+        if self._calls_left is not None:
+            self._calls_left -= 1
+        return self._calls_left is not None and self._calls_left < 0
 
 
 def ball(count: int = 1500, seed: int = 0) -> Splats:

@@ -7,8 +7,10 @@ from pathlib import Path
 import pytest
 import torch
 
+from gscomplete.completion import schedules
 from gscomplete.completion.optimise import Completion, NonFiniteError
-from gscomplete.completion.settings import RECONSTRUCT, SMALL_PRIOR
+from gscomplete.completion.settings import RECONSTRUCT, SMALL_PRIOR, LearningRates
+from gscomplete.errors import UserError
 from gscomplete.evaluate.metrics import against_truth, preservation
 from gscomplete.priors import Guidance
 from gscomplete.splats import concatenate
@@ -114,6 +116,94 @@ def test_nan_from_the_prior_stops_before_the_parameters():
     assert job.step_number == 7
     for name, value in job.new_splats().fields():
         assert torch.isfinite(value).all(), name
+
+
+@pytest.mark.parametrize(
+    ("poison", "culprit"),
+    [("loss", "the prior's loss"), ("gradient", "gradient of"), ("huge", "gradient of")],
+)
+def test_a_poisoned_distillation_step_changes_nothing(poison, culprit):
+    """A NaN gradient may come with a finite loss; a huge one would make Adam's moments infinite."""
+    job = completion(dataclasses.replace(SMALL_PRIOR, **QUICK), OraclePrior(TRUTH, 7, poison))
+    for _ in range(7):
+        job.step()
+    before = {name: value.clone() for name, value in job.state().items()}
+    with pytest.raises(NonFiniteError, match=f"step 7: {culprit}"):
+        job.step()
+    assert job.between_updates
+    for name, value in job.state().items():
+        assert torch.equal(value, before[name]), name
+
+
+def test_targets_with_nan_are_not_kept():
+    """A step may fit another ring than the newest, so a bad one would reach a checkpoint unseen."""
+    settings = dataclasses.replace(RECONSTRUCT, **QUICK, rounds=6)
+    job = completion(settings, OraclePrior(TRUTH, 2, "target"))
+    with pytest.raises(NonFiniteError, match="step 20: colour of the prior's targets"):
+        finish(job)
+    assert all(torch.isfinite(value).all() for value in job.state().values())
+    resumed = completion(settings)
+    resumed.restore({name: value.clone() for name, value in job.state().items()})
+    expected = finish(completion(settings))
+    for (name, a), (_, b) in zip(expected.fields(), finish(resumed).fields(), strict=True):
+        assert torch.equal(a, b), name
+
+
+def test_a_start_with_nan_is_refused():
+    class NanGuess(OraclePrior):
+        def first_guess(self, partial, *arguments):
+            return dataclasses.replace(partial, means=partial.means * torch.nan)
+
+    with pytest.raises(NonFiniteError, match="step 0: means at the start"):
+        completion(RECONSTRUCT, NanGuess(TRUTH))
+
+
+@pytest.mark.parametrize("base", [SMALL_PRIOR, RECONSTRUCT], ids=["distill", "reconstruct"])
+@pytest.mark.parametrize("where", ["render", "random_background", "SplatParameters.step"])
+def test_a_step_broken_off_is_taken_again_or_marked(base, where, monkeypatch):
+    settings = dataclasses.replace(base, **QUICK, rounds=5)
+    unbroken = finish(completion(settings))
+    job = completion(settings)
+    for _ in range(12):
+        job.step()
+
+    def interrupt(*arguments, **options):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(f"gscomplete.completion.optimise.{where}", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            job.step()
+    assert job.between_updates == (where != "SplatParameters.step")
+    if job.between_updates:
+        resumed = completion(settings)
+        resumed.restore({name: value.clone() for name, value in job.state().items()})
+        for (name, a), (_, b) in zip(unbroken.fields(), finish(resumed).fields(), strict=True):
+            assert torch.equal(a, b), name
+
+
+@pytest.mark.parametrize("base", [SMALL_PRIOR, RECONSTRUCT], ids=["distill", "reconstruct"])
+def test_rates_a_hundred_times_too_large_end_finite(base):
+    rates = LearningRates(
+        **{k: 100 * v for k, v in dataclasses.asdict(base.learning_rates).items()}
+    )
+    job = completion(dataclasses.replace(base, **QUICK, learning_rates=rates))
+    counts = [len(job.parameters)]
+    while not job.finished:
+        report = job.step()
+        edits = schedules.is_densify_step(job.settings, report.step) or schedules.is_prune_step(
+            job.settings, report.step
+        )
+        assert edits or report.new_splats == counts[-1], "a count changed between edits"
+        counts.append(report.new_splats)
+    for name, value in job.new_splats().fields():
+        assert torch.isfinite(value).all(), name
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, float("nan"), float("inf")])
+def test_rates_that_make_no_sense_are_refused(rate):
+    with pytest.raises(UserError, match=r"learning_rates\.means_final"):
+        LearningRates(means_final=rate)
 
 
 def test_settings_replace_only_the_scales_they_name():

@@ -81,15 +81,15 @@ def test_200_steps_are_finite_move_only_new_splats_and_resume_exactly(make):
 
 def test_the_gradient_of_a_step_reaches_new_splats(make):
     job, seen = make(), set()
-    check = job.parameters.first_nonfinite
+    gradients = job.parameters.gradients
 
     def record():
         for name, value in job.parameters._values.items():
             if value.grad is not None and float(value.grad.abs().max()) > 0:
                 seen.add(name)
-        return check()
+        return gradients()
 
-    job.parameters.first_nonfinite = record
+    job.parameters.gradients = record
     job.step()
     # new splats start as spheres, on which a rotation has no effect
     assert seen >= {"means", "log_scales", "opacity_logits", "sh"}
