@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 _COLORS = ("#1f5fa8", "#c8401c", "#2a8a4a", "#8a4ab0", "#a07800", "#108a98")
 _INK, _GRID = "#202020", "#dcdcdc"
-_LEFT, _RIGHT, _TOP, _BOTTOM = 62, 14, 34, 46
+_LEFT, _RIGHT, _TOP, _BOTTOM = 62, 150, 34, 46
 _STEPS = (1.0, 2.0, 5.0)
 
 
@@ -28,10 +28,12 @@ class Chart:
     limits: Mapping[str, float] = field(default_factory=dict)
     """Horizontal dashed lines by name."""
     note_points: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    """Words beside the points of a curve, by its name."""
+    """Words beside the points of a curve, by its name; those that would overlap are left out."""
 
 
-def draw_charts(charts: Sequence[Chart], columns: int, size: tuple[int, int] = (460, 340)) -> Image:
+def draw_charts(
+    charts: Sequence[Chart], columns: int, size: tuple[int, int] = (580, 340)
+) -> Image.Image:
     """Draw panels row by row.
 
     Args:
@@ -111,12 +113,15 @@ def _draw_chart(chart: Chart, size: tuple[int, int]) -> Image.Image:
         for x in range(_LEFT, size[0] - _RIGHT, 9):
             draw.line([(x, y), (x + 5, y)], _INK)
         draw.text((size[0] - _RIGHT - 4, y - 2), name, _INK, font, anchor="rb")
+    taken: list[tuple[float, float]] = []
     for number, (name, curve) in enumerate(chart.curves.items()):
         color = _COLORS[number % len(_COLORS)]
         at = [(x_axis.place(x), y_axis.place(y)) for x, y in curve]
         draw.line(at, color, 2)
         for (x, y), word in zip(at, chart.note_points.get(name, [""] * len(at)), strict=True):
             draw.ellipse([x - 3, y - 3, x + 3, y + 3], fill=color)
-            draw.text((x + 5, y - 6), word, color, font)
-        draw.text((_LEFT + 8, _TOP + 6 + 14 * number), name, color, font)
+            if all(abs(x - u) > 34 or abs(y - v) > 11 for u, v in taken):
+                draw.text((x, y - 5), word, color, font, anchor="mb")
+                taken.append((x, y))
+        draw.text((size[0] - _RIGHT + 8, _TOP + 16 * number), name, color, font)
     return picture

@@ -1,11 +1,12 @@
 """Error of the CPU renderer against time: ``python -m recipes.benchmarks.renderer_accuracy``.
 
-For every cut-off (``alpha_min``, which also sets how far a splat reaches, and
-``transmittance_min``), errors of the picture and of the gradients of every parameter group against
-two float64 twins: the one *with the same image definition* (same ``alpha_min``; the twin never
-stops early), which shows what float32, polynomials and early stop lose, and the one *without
-cut-offs*, which shows what the definition itself leaves out. Times are of a larger scene, where
-they matter. ``--out DIR`` leaves ``renderer_accuracy.json`` and ``renderer_accuracy.png`` there.
+For every cut-off (``alpha_min``, which also sets how far a splat reaches; ``transmittance_min``;
+tile lists by pixel boxes instead of ellipses), errors of the picture and of the gradients of every
+parameter group against two float64 twins: the one *with the same image definition* (same
+``alpha_min``; the twin never stops early), which shows what float32, polynomials and early stop
+lose, and the one *without cut-offs*, which shows what the definition itself leaves out. Times are
+of a larger scene, where they matter. ``--out DIR`` leaves ``renderer_accuracy.json`` and
+``renderer_accuracy.png`` there.
 
 Conventions
 -----------
@@ -109,6 +110,7 @@ class Row:
     scene: str
     alpha_min: float
     transmittance_min: float
+    exact_tile_lists: bool
     ms: float
     """Forward and backward of the timed surface, median."""
     fastest_ms: float
@@ -190,6 +192,7 @@ def measure(options: Options) -> list[Row]:
         for alpha in options.alpha_min
         for through in options.transmittance_min
     ]
+    settings.append(RenderSettings(exact_tile_lists=False))
     surface = surface_discs(options.mesh, options.time_splats)
     times = measure_times(surface, bench_camera(options.time_size_px), settings, options.repeats)
     rows = []
@@ -200,7 +203,7 @@ def measure(options: Options) -> list[Row]:
             splats = cloud(options.splats, options.sh_degree)
         errors = measure_errors(splats, bench_camera(options.size_px), settings)
         for one, (median, fastest), (same, uncut) in zip(settings, times, errors, strict=True):
-            cut = one.alpha_min, one.transmittance_min
+            cut = one.alpha_min, one.transmittance_min, one.exact_tile_lists
             rows.append(Row(scene, *cut, median, fastest, same, uncut))
     return rows
 
@@ -224,7 +227,8 @@ def failures(rows: Sequence[Row]) -> list[str]:
     default = RenderSettings()
     missed = []
     for row in rows:
-        if (row.alpha_min, row.transmittance_min) != (default.alpha_min, default.transmittance_min):
+        cut = row.alpha_min, row.transmittance_min, row.exact_tile_lists
+        if cut != (default.alpha_min, default.transmittance_min, default.exact_tile_lists):
             continue
         bounds = {
             "largest colour error": (row.same.color_max, COLOR_MAX),
@@ -242,8 +246,8 @@ def failures(rows: Sequence[Row]) -> list[str]:
 def _print(rows: Sequence[Row]) -> None:
     out = sys.stdout
     out.write(
-        f"{'':32}{'against the same definition':^31}{'against no cut-offs':^31}\n"
-        f"{'scene':8} {'alpha':>7} {'through':>7} {'ms':>7}"
+        f"{'':40}{'against the same definition':^31}{'against no cut-offs':^31}\n"
+        f"{'scene':8} {'alpha':>7} {'through':>7} {'lists':>7} {'ms':>7}"
         + f" {'col.mean':>10} {'col.max':>9} {'gradient':>9}" * 2
         + "\n"
     )
@@ -253,7 +257,8 @@ def _print(rows: Sequence[Row]) -> None:
             for e in (row.same, row.uncut)
         )
         out.write(
-            f"{row.scene:8} {row.alpha_min:7.1g} {row.transmittance_min:7.0e} {row.ms:7.1f}"
+            f"{row.scene:8} {row.alpha_min:7.1g} {row.transmittance_min:7.0e} "
+            f"{'ellipse' if row.exact_tile_lists else 'box':>7} {row.ms:7.1f}"
             f"{cells}{'  Pareto' if on_front(row, rows) else ''}\n"
         )
 
@@ -272,9 +277,11 @@ def _charts(rows: Sequence[Row]) -> list[Chart]:
             words: dict[str, list[str]] = {}
             for row in rows:
                 if row.scene == scene:
-                    curve = f"alpha_min {row.alpha_min:.1g}"
+                    lists = "" if row.exact_tile_lists else ", boxes"
+                    curve = f"alpha_min {row.alpha_min:.1g}{lists}"
                     curves.setdefault(curve, []).append((row.ms, read(row)))
-                    words.setdefault(curve, []).append(f"{row.transmittance_min:.0e}")
+                    through = row.transmittance_min
+                    words.setdefault(curve, []).append(f"{through:.0e}" if through else "0")
             limits = {"target": GRADIENT} if "same" in name else {}
             charts.append(
                 Chart(

@@ -112,12 +112,12 @@ def test_errors_fall_with_the_cut_off_and_defaults_keep_bounds(splats):
     assert finest[1].color_max < 1e-3
     assert finest[1].worst_gradient < default[1].worst_gradient
     rows = [
-        renderer_accuracy.Row("s", s.alpha_min, s.transmittance_min, ms, ms, *errors)
+        renderer_accuracy.Row("s", s.alpha_min, s.transmittance_min, True, ms, ms, *errors)
         for s, ms, errors in zip(settings, (1.0, 2.0), (default, finest), strict=True)
     ]
     assert all(renderer_accuracy.on_front(row, rows) for row in rows)
     assert renderer_accuracy.failures(rows) == []
-    slow = renderer_accuracy.Row("s", 1e-3, 0.0, 3.0, 3.0, *default)
+    slow = renderer_accuracy.Row("s", 1e-3, 0.0, True, 3.0, 3.0, *default)
     assert not renderer_accuracy.on_front(slow, [*rows[1:], slow])
 
 
@@ -125,7 +125,9 @@ def test_missed_bounds_are_named():
     bad = renderer_accuracy.Errors(1.0, 1e-9, {"means": float("nan"), "sh": 0.5})
     default = RenderSettings()
     cut = default.alpha_min, default.transmittance_min
-    missed = renderer_accuracy.failures([renderer_accuracy.Row("s", *cut, 1.0, 1.0, bad, bad)])
+    missed = renderer_accuracy.failures(
+        [renderer_accuracy.Row("s", *cut, True, 1.0, 1.0, bad, bad)]
+    )
     assert [m.split(" ")[1] for m in missed] == ["mean", "gradient", "gradient"]
 
 
@@ -136,7 +138,7 @@ def test_accuracy_run_leaves_numbers_and_plot(tmp_path: Path):
     )  # fmt: skip
     renderer_accuracy.main(options)
     content = json.loads((tmp_path / "renderer_accuracy.json").read_text())
-    assert len(content["rows"]) == 8
+    assert len(content["rows"]) == 9
     assert any(row["pareto"] for row in content["rows"])
     assert content["default_misses"] == []
     assert (tmp_path / "renderer_accuracy.png").stat().st_size > 1000
@@ -188,12 +190,11 @@ def test_peers_run_writes_json(tmp_path: Path):
 def test_charts_put_points_where_they_belong(log_x: bool, log_y: bool):
     low, high = (1.0, 1e-6), (1000.0, 1e2)
     chart = Chart("t", "x", "y", {"rise": [low, high]}, log_x, log_y, limits={"l": 1.0})
-    picture = np.asarray(draw_charts([chart, chart], columns=2, size=(300, 200)))
-    assert picture.shape == (200, 600, 3)
-    ys, xs = np.nonzero((picture[:, :300] == (0x1F, 0x5F, 0xA8)).all(axis=2))
-    plot = xs > 120  # past the legend
-    assert xs.max() > 250
-    assert ys[xs.argmax()] < ys[plot][xs[plot].argmin()]
+    picture = np.asarray(draw_charts([chart, chart], columns=2, size=(400, 200)))
+    assert picture.shape == (200, 800, 3)
+    ys, xs = np.nonzero((picture[:, :250] == (0x1F, 0x5F, 0xA8)).all(axis=2))
+    assert xs.max() - xs.min() > 150
+    assert ys[xs.argmax()] < ys[xs.argmin()] - 80
 
 
 def test_charts_stand_degenerate_numbers():
