@@ -22,15 +22,16 @@ from gscomplete.completion.densify import GradientStatistics, prune_mask, subdiv
 from gscomplete.completion.initialise import initial_splats
 from gscomplete.completion.losses import fit_loss, preservation_loss, random_background
 from gscomplete.completion.parameters import Bounds, SplatParameters
+from gscomplete.completion.partial_views import PartialViews
 from gscomplete.completion.randomness import generator_for, uniform
 from gscomplete.completion.rings import Ring, RingMemory, inside_distribution, random_ring
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.errors import UserError
 from gscomplete.priors.base import Conditioning, FourViews, Guidance, Prior, ShapePrior
-from gscomplete.render import Render, render
+from gscomplete.render import Render
 from gscomplete.splats import Splats
 from gscomplete.splats.filters import MAX_MAGNITUDE
-from gscomplete.views import Cameras, ViewDistribution, join_cameras
+from gscomplete.views import Cameras, ViewDistribution
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +98,7 @@ class Completion:
         self.parameters = SplatParameters(start.to(self._device), bounds, settings.learning_rates)
         self._statistics = GradientStatistics(len(self.parameters), self._device)
         self._rings = RingMemory(settings.ring_memory)
+        self._views = PartialViews(self.partial, settings.skip)
         self._updating = False
 
     @property
@@ -129,25 +131,24 @@ class Completion:
         if wants_targets and self._rings.newest_step != step:  # else a step begun before made them
             self._rings.add(self._denoised_ring(timestep))
         ring_cameras, ring = self._guidance_views()
-        views = ring_cameras
+        batches = [ring_cameras]
         preserving = schedules.has_preservation(settings, step)
         if preserving:
-            angles = self._distribution.sample(settings.seed, step, 1)
-            preservation_cameras = self._distribution.cameras(angles, self._size_px)
-            views = join_cameras([ring_cameras, preservation_cameras])
+            batches.append(self._preservation_view())
+        count = sum(len(cameras) for cameras in batches)
         splats = self.parameters.splats()
-        offsets = torch.zeros(len(views), len(splats), 2, device=self._device, requires_grad=True)
-        drawn = render(splats, views, frozen=self.partial, screen_offsets=offsets)
+        offsets = torch.zeros(count, len(splats), 2, device=self._device, requires_grad=True)
+        drawn = self._views.together(splats, batches, offsets)
         background = random_background(generator_for(settings.seed, step, "background"))
         background = background.to(self._device)
         guidance = self._guidance_loss(_part(drawn, 0, 4), ring_cameras, ring, timestep, background)
         total, preservation = guidance, None
         if preserving:
-            with torch.no_grad():
-                target = render(self.partial, preservation_cameras)
-            masked = not schedules.is_warmup(settings, step)
             preservation = preservation_loss(
-                _part(drawn, 4, len(views)), target, background, masked=masked
+                _part(drawn, 4, count),
+                self._views.alone(batches[1]),
+                background,
+                masked=not schedules.is_warmup(settings, step),
             )
             total = total + settings.preservation_weight * preservation
         total.backward()
@@ -156,7 +157,7 @@ class Completion:
         _require_finite(step, **{"gradient of screen positions": offsets.grad})
         self._updating = True
         if offsets.grad is not None:
-            self._statistics.add(offsets.grad, self._size_px)
+            self._statistics.add(offsets.grad, ring_cameras.width)
         self.parameters.step(step / settings.steps)
         _require_finite(step, **self.parameters.values())
         self._edit_splats(step)
@@ -233,7 +234,7 @@ class Completion:
         if not (self.settings.see_input and self._prior.sees_input):
             return None
         with torch.no_grad():
-            return FourViews.from_render(render(self.partial, cameras), cameras)
+            return FourViews.from_render(self._views.alone(cameras), cameras)
 
     def _denoised_ring(self, timestep: float) -> Ring:
         """Render a fresh ring, let the prior denoise it, and keep P where V sees it."""
@@ -241,7 +242,7 @@ class Completion:
         cameras = random_ring(self._prior.views, self._size_px, settings.seed, step)
         splats = self.new_splats()
         with torch.no_grad():
-            drawn = render(splats, cameras, frozen=self.partial)
+            drawn = self._views.together(splats, [cameras])
             color, alpha = self._prior.reconstruct(
                 FourViews.from_render(drawn, cameras),
                 timestep,
@@ -257,7 +258,7 @@ class Completion:
             }
             _require_finite(step, **targets)
             target = cameras.resized(color.shape[2], color.shape[1])
-            partial = render(self.partial, target)
+            partial = self._views.alone(target)
             trusted = inside_distribution(target, self._distribution).to(self._device)
             mask = torch.where(trusted[:, None, None], partial.alpha, 0.0)
             color = color * (1 - mask)[..., None] + partial.color * trusted[:, None, None, None]
@@ -267,11 +268,24 @@ class Completion:
     def _guidance_views(self) -> tuple[Cameras, Ring | None]:
         """Return the ring of this step: a fresh one, or one of those with targets."""
         settings, step = self.settings, self.step_number
+        size_px = schedules.resolution_at(settings, step, self._size_px)
         if settings.mode == "distill":
-            return random_ring(self._prior.views, self._size_px, settings.seed, step), None
+            return random_ring(self._prior.views, size_px, settings.seed, step), None
         pick = uniform(generator_for(settings.seed, step, "ring"), 0, len(self._rings))
         ring = self._rings[int(pick)]
-        return ring.cameras.resized(self._size_px, self._size_px), ring
+        return ring.cameras.resized(size_px, size_px), ring
+
+    def _preservation_view(self) -> Cameras:
+        """Return this step's view of V."""
+        settings, step = self.settings, self.step_number
+        size_px = schedules.resolution_at(settings, step, self._size_px)
+        if settings.preservation_views is None:
+            angles = self._distribution.sample(settings.seed, step, 1)
+            return self._distribution.cameras(angles, size_px)
+        generator = generator_for(settings.seed, step, "preservation view")
+        pick = int(uniform(generator, 0, settings.preservation_views))
+        angles = self._distribution.low_discrepancy(settings.preservation_views)
+        return self._distribution.cameras(angles, size_px)[pick]
 
     def _guidance_loss(
         self,
@@ -283,7 +297,7 @@ class Completion:
     ) -> Tensor:
         """Return the prior's loss (distill) or the distance to its targets (reconstruct)."""
         if ring is not None:
-            color, alpha = ring.resized(self._size_px)
+            color, alpha = ring.resized(cameras.width)
             return fit_loss(drawn, color, alpha, background)
         return self._prior.distill(
             FourViews.from_render(drawn, cameras),

@@ -38,6 +38,11 @@ def has_preservation(settings: CompletionSettings, step: int) -> bool:
     )
 
 
+def resolution_at(settings: CompletionSettings, step: int, full_px: int) -> int:
+    """Return the side of the renders of a step; coarse at first if the settings say so."""
+    return full_px // 2 if step < settings.coarse_until * settings.steps else full_px
+
+
 def round_length(settings: CompletionSettings) -> int:
     """Steps per round of iterative reconstruction."""
     return max(1, settings.steps // settings.rounds)

@@ -90,6 +90,79 @@ class DensifySettings:
 
 
 @dataclass(frozen=True, slots=True)
+class SkipSettings:
+    """What a step leaves out because the result does not need it; off only to measure the gain."""
+
+    prepared_partial: bool = True
+    """P's projection, order, tile lists and picture are kept per view; the same bits."""
+    idle_tiles: bool = True
+    """Tiles without new splats are copied from P's picture, and passed over backwards where there
+    is no gradient; the same bits."""
+    exact_tile_lists: bool = True
+    """A splat is listed where its ellipse reaches, not its box; the same bits."""
+    early_stop: bool = True
+    """A tile is finished when nothing behind it can be seen (``RenderSettings``)."""
+
+
+@dataclass(frozen=True, slots=True)
+class HardPreservationSettings:
+    """Bounds on what new splats may change of P's looks from V, and how they are reached."""
+
+    color_bound: float = 1e-3
+    """Largest E_color over V (``evaluate.metrics``)."""
+    depth_bound: float = 5e-4
+    """Largest E_depth over V, in squared object sizes."""
+    margin: float = 0.85
+    """Share of the bounds that errors over the check views are brought below, so that other views
+    of V are below the bounds too."""
+    check_views: int = 16
+    """Views of V that the errors are measured over; never those that splats are fitted to."""
+    check_px: int = 256
+    """Side of the check views: that of the evaluation, since errors grow with the resolution."""
+    rounds: int = 6
+    """Most rounds of refitting; what is left then is faded out."""
+    fit_views: int = 6
+    """Views of V of one round."""
+    fit_px: int = 128
+    """Side of the pictures that splats are fitted to."""
+    steps: int = 12
+    """Optimiser steps of one round."""
+    views_per_step: int = 2
+    """Views of V, and as many from outside V, of one step."""
+    active_share: float = 0.99
+    """Splats that make up this share of the errors take part in a round."""
+    keep_weight: float = 1.0
+    """Weight of what changes in the pictures from outside V and beside P; more keeps the
+    completion better and takes more rounds."""
+    prune_opacity: float = 0.01
+    """Splats faded below this opacity are removed."""
+    opacity_rate: float = 0.3
+    """Adam's step size for logits of opacities."""
+    means_rate: float = 3e-3
+    """Adam's step size for positions, in object sizes."""
+    scales_rate: float = 0.02
+    """Adam's step size for logarithms of scales; no scale grows."""
+
+    def __post_init__(self) -> None:
+        """Check ranges.
+
+        Raises:
+            UserError: a value is outside its range.
+        """
+        for name in ("color_bound", "depth_bound"):
+            if not 0 < getattr(self, name) < float("inf"):
+                raise UserError(f"{name}: expected a positive number, found {getattr(self, name)}")
+        for name in ("margin", "active_share"):
+            if not 0 < getattr(self, name) <= 1:
+                raise UserError(f"{name}: expected more than 0, at most 1, {getattr(self, name)}")
+        for name in ("check_views", "fit_views", "steps", "views_per_step"):
+            if getattr(self, name) < 1:
+                raise UserError(f"{name}: expected at least 1, found {getattr(self, name)}")
+        if self.rounds < 0:
+            raise UserError(f"rounds: expected at least 0, found {self.rounds}")
+
+
+@dataclass(frozen=True, slots=True)
 class CompletionSettings:
     """How to complete an object. Defaults are the paper's."""
 
@@ -109,6 +182,9 @@ class CompletionSettings:
     """lambda of section 3.3; 0 = no preservation loss."""
     preservation_every: int = 2
     """The preservation loss joins every k-th step (after the warm-up); 1 = always."""
+    preservation_views: int | None = None
+    """Evenly spread views of V that the preservation loss draws from, so that P is prepared for
+    each of them once; None = a new random view every time (the paper)."""
     timesteps: tuple[TimestepStage, ...] = (
         TimestepStage(0.5, 392.0, 588.0),
         TimestepStage(0.75, 20.0, 343.0),
@@ -125,6 +201,8 @@ class CompletionSettings:
     """Show the renders of P to priors that can see them; False = text only."""
     resolution_px: int | None = None
     """Side of the renders; None = the prior's resolution."""
+    coarse_until: float = 0.0
+    """Fraction of all steps rendered at half the resolution; 0 = none (the paper)."""
     rounds: int = 12
     """``reconstruct``: how many times targets are made."""
     denoise_steps: int = 10
@@ -133,6 +211,10 @@ class CompletionSettings:
     """``reconstruct``: rings of targets that the fit draws from, the newest included."""
     learning_rates: LearningRates = LearningRates()
     densify: DensifySettings = DensifySettings()
+    skip: SkipSettings = SkipSettings()
+    hard_preservation: HardPreservationSettings | None = None
+    """Bounds on E_color and E_depth over V that hold at the end; None = whatever the preservation
+    loss leaves (the paper)."""
     min_scale_px: float = 0.0
     """Smallest scale of a new splat in pixels of the run's resolution (at the centre); splats
     smaller than a pixel's footprint turn to dust at any other resolution. 0 = no bound."""
@@ -167,6 +249,12 @@ class CompletionSettings:
         for name, low in least.items():
             if not getattr(self, name) >= low:
                 raise UserError(f"{name}: expected at least {low}, found {getattr(self, name)}")
+        if self.preservation_views is not None and self.preservation_views < 1:
+            raise UserError(
+                f"preservation_views: expected at least 1, found {self.preservation_views}"
+            )
+        if not 0 <= self.coarse_until <= 1:
+            raise UserError(f"coarse_until: expected 0 to 1, found {self.coarse_until}")
         if self.resolution_px is not None and not 8 <= self.resolution_px <= 4096:
             raise UserError(f"resolution_px: expected 8 to 4096, found {self.resolution_px}")
         if not self.timesteps or self.timesteps[-1].until < 1.0:
@@ -210,6 +298,7 @@ RECONSTRUCT = dataclasses.replace(
     ring_memory=5,
     start="guess",
     preservation_every=1,
+    preservation_views=32,
     timesteps=(
         TimestepStage(0.5, 200.0, 350.0),
         TimestepStage(1.0, 50.0, 150.0),
@@ -243,6 +332,7 @@ TEXT_ONLY = dataclasses.replace(
     denoise_steps=2,
     ring_memory=5,
     preservation_every=1,
+    preservation_views=32,
     timesteps=(
         TimestepStage(0.4, 960.0, 999.0),
         TimestepStage(0.7, 700.0, 850.0),
