@@ -42,6 +42,9 @@ RUN_FILE = "run.json"
 OUTPUT_FILE = "completed.ply"
 LOG_FILE = "log.jsonl"
 CHECKPOINTS = "checkpoints"
+COARSE = 1e-3
+"""A spacing of float32 coordinates above this share of the object's size is worth a note: less than
+a third of a pixel where the object fills 256."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,9 +236,15 @@ def _decide_frame(
     )
     x, y, z = center_file
     notes.append(
-        f"frame: up {request.up}, centre {x:.6g},{y:.6g},{z:.6g}, size {size_file:.6g} (file "
+        f"frame: up {request.up}, centre {x:.9g},{y:.9g},{z:.9g}, size {size_file:.6g} (file "
         f"units), input view {view_deg[0]:g},{view_deg[1]:g} degrees"
     )
+    spacing = float(np.spacing(np.float32(max(map(abs, center_file)))))
+    if spacing > COARSE * size_file:
+        notes.append(
+            f"far from the origin: float32 coordinates there are {spacing:.3g} apart, "
+            f"{100 * spacing / size_file:.2g} % of the object's size; splats can lie no finer"
+        )
     return frame, distribution, tuple(notes)
 
 

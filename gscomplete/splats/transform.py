@@ -149,7 +149,7 @@ def transform_splats(splats: Splats, similarity: Similarity) -> Splats:
     return Splats(
         means=similarity.apply(splats.means),
         quaternions=multiply_quaternions(turn, splats.quaternions),
-        scales=splats.scales * similarity.scale,
+        scales=(splats.scales.to(torch.float64) * similarity.scale).to(splats.scales.dtype),
         opacities=splats.opacities,
         sh=rotate_sh(splats.sh, similarity.rotation),
     )

@@ -155,8 +155,9 @@ def test_nonfinite_splats_are_not_drawn():
     broken.sh[4, 0, 1] = -torch.inf
     broken.quaternions[5] = torch.inf
     broken.means[6] = 1e38
+    broken.opacities[7] = torch.inf
     rest = torch.ones(50, dtype=torch.bool)
-    rest[:7] = False
+    rest[:8] = False
     for backend in ("cpu", "reference"):
         drawn = render(broken, cameras(), backend=backend)
         expected = render(base.select(rest), cameras(), backend=backend)

@@ -129,3 +129,16 @@ def test_transformed_splats_look_the_same(seed):
     back = transform_splats(moved, similarity.inverse())
     for (name, a), (_, b) in zip(splats.fields(), back.fields(), strict=True):
         assert torch.allclose(a, b, atol=1e-8) or name == "quaternions", name
+
+
+def test_scales_beyond_the_range_of_float32_lose_no_splat():
+    """A factor of 1e44 is infinite in float32; what it multiplies may be 1e-44."""
+    tiny = Splats(
+        torch.zeros(1, 3),
+        torch.tensor([[1.0, 0, 0, 0]]),
+        torch.full((1, 3), 1e-43),
+        torch.ones(1),
+        torch.zeros(1, 1, 3),
+    )
+    there = transform_splats(tiny, Similarity(1e44, torch.eye(3), torch.zeros(3)))
+    assert torch.allclose(there.scales, torch.tensor(10.0), rtol=0.01)
