@@ -112,14 +112,14 @@ class HardPreservationSettings:
     """Largest E_color over V (``evaluate.metrics``)."""
     depth_bound: float = 5e-4
     """Largest E_depth over V, in squared object sizes."""
-    margin: float = 0.85
+    margin: float = 0.8
     """Share of the bounds that errors over the check views are brought below, so that other views
     of V are below the bounds too."""
-    check_views: int = 16
+    check_views: int = 24
     """Views of V that the errors are measured over; never those that splats are fitted to."""
     check_px: int = 256
     """Side of the check views: that of the evaluation, since errors grow with the resolution."""
-    rounds: int = 6
+    rounds: int = 10
     """Most rounds of refitting; what is left then is faded out."""
     fit_views: int = 6
     """Views of V of one round."""
@@ -127,6 +127,8 @@ class HardPreservationSettings:
     """Side of the pictures that splats are fitted to."""
     steps: int = 12
     """Optimiser steps of one round."""
+    halvings: int = 3
+    """How often it is tried to take back half of what the last round did; 0 = never."""
     views_per_step: int = 2
     """Views of V, and as many from outside V, of one step."""
     active_share: float = 0.99

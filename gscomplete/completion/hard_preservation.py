@@ -1,0 +1,366 @@
+"""Bring the error that new splats cause in P's pictures from V below a bound that the user gives.
+
+The preservation loss of the paper (section 3.2) weighs P's looks against the prior's wishes and
+leaves what it leaves. Here, after the optimisation, the errors E_color and E_depth of
+``evaluate.metrics`` are brought below bounds, at as little cost to the rest as can be:
+
+1. Measure over the check views. Below the bounds: nothing is changed.
+2. Refit, a few rounds (``preserving_fit``): the gradient of the errors with respect to opacities
+   says how much each splat contributes. Those that make up nearly all of it may fade, move (a
+   splat in front of P's surface is drawn back behind it by the depth error) and shrink, against
+   a term that keeps the picture from outside V, and within V beside P, as it was. A last round
+   that went farther than it had to is partly taken back.
+3. Fade, while a bound is exceeded: the splats that contribute most lose most of their opacity, as
+   many as the excess asks for.
+4. Remove, as the last resort: all that the errors depend on. P alone has none, so this ends.
+
+Conventions
+-----------
+* Object frame. P is read only. Rows that contribute nothing (behind P, or beside its mask from
+  all of V) come back bit for bit.
+* Check views are never fitted to: they are other members of V's low-discrepancy sequence than
+  the views of the rounds, of which every round has its own.
+* Errors over check views are held below ``margin`` times the bounds, for the views in between.
+* All is a function of (splats, P, V, settings, seed).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from gscomplete.completion.preserving_fit import (
+    RoundProblem,
+    fit_round,
+    masked_errors,
+    outside_cameras,
+    relative_error,
+)
+from gscomplete.completion.randomness import generator_for
+from gscomplete.completion.settings import HardPreservationSettings
+from gscomplete.evaluate.metrics import MID_GREY
+from gscomplete.render import PreparedFrozen, Render, prepare_frozen, render
+from gscomplete.splats import Splats, concatenate
+from gscomplete.views import Cameras, ViewDistribution, join_cameras
+
+_FIRST_CHECK_VIEW = 10_000
+"""Place in V's sequence of the first check view; rounds use the places from 1 on."""
+_WATCHED_SHARE = 0.5
+"""Refitting watches errors above this share of what is aimed at, not only those above it."""
+_CLOSE_SHARE = 0.85
+"""Errors above this share of what is aimed at are near enough to it."""
+_FADE = 0.25
+"""A fading leaves this share of an opacity."""
+_OVERSHOOT = 1.2
+"""Fadings aim for this multiple of the excess: contributions are first-order estimates."""
+_FADE_SWEEPS = 12
+"""Most fadings before the last resort."""
+_VISIBLE_CHANGE = 0.01
+"""Relative change of an opacity or scale from which the report counts it."""
+_VISIBLE_MOVE = 0.001
+"""Change of place, in object sizes, from which the report counts it."""
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedErrors:
+    """E_color and E_depth over the check views."""
+
+    color: float
+    depth: float
+
+
+@dataclass(frozen=True, slots=True)
+class HardPreservationReport:
+    """What was done to the new splats, and what came of it."""
+
+    before: CheckedErrors
+    after: CheckedErrors
+    met: bool
+    """Whether both errors over the check views are now below their bounds."""
+    total: int
+    """New splats before."""
+    untouched: int
+    """Splats that are bit for bit what they were."""
+    faded: int
+    """Kept splats with a lower opacity."""
+    moved: int
+    """Kept splats that moved by more than a thousandth of the object's size."""
+    shrunk: int
+    """Kept splats with a smaller scale."""
+    dropped: dict[str, int]
+    """Splats removed for each reason: ``faded_away`` (their opacity fell below
+    ``prune_opacity``) or ``in_the_way`` (the last resort)."""
+    rounds: int
+    """Rounds of refitting."""
+    fadings: int
+    """Sweeps of fading and removing."""
+    seconds: float
+
+    def summary(self) -> str:
+        """Describe what was done in one line."""
+        before, after = self.before, self.after
+        text = (
+            f"hard preservation: E_color {before.color:.6f} to {after.color:.6f}, E_depth "
+            f"{before.depth:.6f} to {after.depth:.6f}; {self.untouched:,} of {self.total:,} new "
+            f"splats untouched, {self.faded:,} faded, {self.moved:,} moved, {self.shrunk:,} shrunk"
+        )
+        for reason, count in self.dropped.items():
+            text += f", {count:,} removed ({reason.replace('_', ' ')})"
+        return text + ("" if self.met else "; THE BOUND IS NOT REACHED")
+
+
+@dataclass(frozen=True, slots=True)
+class HardPreservation:
+    """The new splats after the bound was enforced."""
+
+    splats: Splats
+    kept: Tensor  # [N] bool: which of the rows that were given are left
+    report: HardPreservationReport
+
+
+def preserve_hard(
+    new: Splats,
+    partial: Splats,
+    distribution: ViewDistribution,
+    settings: HardPreservationSettings,
+    seed: int = 0,
+) -> HardPreservation:
+    """Change or remove new splats until P's looks from V are within the bounds.
+
+    Args:
+        new: N new splats in the object frame.
+        partial: P in the object frame; it is not changed.
+        distribution: V.
+        settings: bounds and knobs.
+        seed: of the run; decides which views a step of refitting is fitted to.
+    """
+    started = time.perf_counter()
+    original = new.detach()
+    work = _Work(original, partial.detach(), distribution, settings, seed)
+    found = before = work.check(original)
+    current, rounds, fadings = original, 0, 0
+    while work.above(found) and rounds < settings.rounds:
+        previous, current = current, work.refit(current, found, rounds)
+        found, rounds = work.check(current), rounds + 1
+        if not work.above(found):
+            current, found = work.no_further_than_needed(previous, current, found)
+    cleared = torch.zeros(len(new), dtype=torch.bool, device=new.means.device)
+    while work.above(found):
+        last_resort = fadings >= _FADE_SWEEPS
+        current, chosen = work.fade(current, found, rounds + fadings, entirely=last_resort)
+        if last_resort and not bool(chosen.any()):
+            break
+        cleared |= chosen & last_resort
+        found, fadings = work.check(current), fadings + 1
+    kept = _still_visible(original, current, settings.prune_opacity)
+    return HardPreservation(
+        current.select(kept),
+        kept,
+        HardPreservationReport(
+            before=before,
+            after=found,
+            met=found.color <= settings.color_bound and found.depth <= settings.depth_bound,
+            rounds=rounds,
+            fadings=fadings,
+            seconds=time.perf_counter() - started,
+            **_counts(original, current, kept, cleared),
+        ),
+    )
+
+
+class _Work:
+    """P, its views and the knobs: what stays the same while the splats change."""
+
+    def __init__(
+        self,
+        original: Splats,
+        partial: Splats,
+        distribution: ViewDistribution,
+        settings: HardPreservationSettings,
+        seed: int,
+    ) -> None:
+        """Draw P from the check views, and the completion as it was from outside V."""
+        self._partial, self._distribution = partial, distribution
+        self._settings, self._seed, self._original = settings, seed, original
+        self._background = partial.means.new_tensor(MID_GREY)
+        checked = self._views(_FIRST_CHECK_VIEW, settings.check_views, settings.check_px)
+        self._check = prepare_frozen(partial, checked)
+        self._outside = outside_cameras(distribution, settings.fit_px)
+
+    @torch.no_grad()
+    def check(self, splats: Splats) -> CheckedErrors:
+        """Measure the errors over the check views."""
+        visible = splats.select(splats.opacities > 0)
+        drawn = render(visible, self._check.cameras, self._background, frozen=self._check)
+        color, depth = masked_errors(drawn, self._check.picture(self._background))
+        return CheckedErrors(float(color), float(depth))
+
+    def above(self, found: CheckedErrors, share: float = 1.0) -> dict[str, float]:
+        """Return the errors, in units of what is aimed at, that are above a share of that."""
+        settings = self._settings
+        relative = {
+            "color": found.color / (settings.margin * settings.color_bound),
+            "depth": found.depth / (settings.margin * settings.depth_bound),
+        }
+        return {name: value for name, value in relative.items() if value > share}
+
+    def refit(self, splats: Splats, found: CheckedErrors, round_: int) -> Splats:
+        """Let the splats that contribute fade, move and shrink for some steps."""
+        settings = self._settings
+        cameras = self._round_views(round_, settings.fit_px)
+        prepared = prepare_frozen(self._partial, cameras)
+        watched = tuple(self.above(found, _WATCHED_SHARE))
+        contributions = self._contributions(splats, prepared, watched)
+        active = largest_share(contributions.abs(), settings.active_share)
+        if not bool(active.any()):
+            return splats
+        everything = cameras if self._outside is None else join_cameras([cameras, self._outside])
+        backdrop = concatenate([self._partial, splats.select(~active)])
+        problem = RoundProblem(
+            frozen=prepare_frozen(backdrop, everything),
+            before=self._as_it_was(everything),
+            target=prepared.picture(self._background),
+            background=self._background,
+            watched=watched,
+        )
+        generator = generator_for(self._seed, round_, "hard preservation")
+        fitted = fit_round(splats.select(active), problem, settings, 2.0**round_, generator)
+        return _replaced(splats, active, fitted)
+
+    def no_further_than_needed(
+        self, far: Splats, near: Splats, found: CheckedErrors
+    ) -> tuple[Splats, CheckedErrors]:
+        """Go back from splats within the bounds towards those before, by halving."""
+        low, high = 0.0, 1.0
+        best = near
+        for _ in range(self._settings.halvings):
+            if self.above(found, _CLOSE_SHARE):
+                break
+            middle = 0.5 * (low + high)
+            blend = _blended(far, near, middle)
+            errors = self.check(blend)
+            if self.above(errors):
+                low = middle
+            else:
+                high, best, found = middle, blend, errors
+        return best, found
+
+    def fade(
+        self, splats: Splats, found: CheckedErrors, round_: int, *, entirely: bool
+    ) -> tuple[Splats, Tensor]:  # [N] bool: faded
+        """Fade the largest contributors, as many as the excess asks for; or clear them all."""
+        prepared = self._check
+        if not entirely:
+            views = self._round_views(round_, self._settings.check_px)
+            prepared = prepare_frozen(self._partial, views)
+        too_large = self.above(found)
+        contributions = self._contributions(splats, prepared, too_large)
+        if entirely:
+            chosen = contributions != 0
+        else:
+            excess = sum(value - 1.0 for value in too_large.values())
+            chosen = enough_of(contributions, _OVERSHOOT * excess / (1.0 - _FADE))
+        share = torch.where(chosen, 0.0 if entirely else _FADE, 1.0)
+        opacities = splats.opacities * share
+        opacities = torch.where(chosen & (opacities < self._settings.prune_opacity), 0.0, opacities)
+        return dataclasses.replace(splats, opacities=opacities), chosen
+
+    def _views(self, first: int, count: int, size_px: int) -> Cameras:
+        """Return ``count`` members of V's sequence from the one at ``first`` on."""
+        azimuths, elevations = self._distribution.low_discrepancy(first + count)
+        return self._distribution.cameras((azimuths[first:], elevations[first:]), size_px)
+
+    def _round_views(self, round_: int, size_px: int) -> Cameras:
+        """Return the views of one round, which no other round has."""
+        count = self._settings.fit_views
+        return self._views(1 + round_ * count, count, size_px)
+
+    @torch.no_grad()
+    def _as_it_was(self, cameras: Cameras) -> Render:
+        """Draw the completion before anything was changed, over black."""
+        return render(self._original, cameras, frozen=self._partial)
+
+    def _contributions(
+        self, splats: Splats, prepared: PreparedFrozen, watched: Collection[str]
+    ) -> Tensor:  # [N]
+        """Return how much of the watched errors each splat causes, to first order."""
+        # A pixel at the renderer's largest alpha passes no gradient, so opacities stay below it.
+        opacities = splats.opacities.clamp_max(0.99).requires_grad_()
+        drawn = render(
+            dataclasses.replace(splats, opacities=opacities),
+            prepared.cameras,
+            self._background,
+            frozen=prepared,
+        )
+        error = relative_error(drawn, prepared.picture(self._background), watched, self._settings)
+        (gradient,) = torch.autograd.grad(error, opacities)
+        return gradient * opacities.detach()
+
+
+def largest_share(amounts: Tensor, share: float) -> Tensor:  # [N] >= 0 -> [N] bool
+    """Mark the fewest amounts that make up a share of their sum."""
+    order = torch.argsort(amounts, descending=True, stable=True)
+    before = amounts[order].double().cumsum(0) - amounts[order].double()
+    marked = torch.zeros_like(amounts, dtype=torch.bool)
+    marked[order] = (before < share * amounts.double().sum()) & (amounts[order] > 0)
+    return marked
+
+
+def enough_of(amounts: Tensor, needed: float) -> Tensor:  # [N] -> [N] bool
+    """Mark the fewest positive amounts whose sum is at least ``needed``, all if none are enough."""
+    order = torch.argsort(amounts, descending=True, stable=True)
+    positive = amounts[order].clamp_min(0.0).double()
+    marked = torch.zeros_like(amounts, dtype=torch.bool)
+    marked[order] = (positive.cumsum(0) - positive < needed) & (positive > 0)
+    return marked
+
+
+def _blended(first: Splats, second: Splats, share: float) -> Splats:
+    """Return splats part of the way from the first to the second; equal rows stay as they are."""
+    return dataclasses.replace(
+        second,
+        means=torch.lerp(first.means, second.means, share),
+        scales=torch.lerp(first.scales, second.scales, share),
+        opacities=torch.lerp(first.opacities, second.opacities, share),
+    )
+
+
+def _replaced(splats: Splats, rows: Tensor, values: Splats) -> Splats:  # rows: [N] bool
+    """Return the splats with new values in some rows."""
+    out = {name: value.clone() for name, value in splats.fields()}
+    for name, value in values.fields():
+        out[name][rows] = value
+    return Splats(**out)
+
+
+def _still_visible(before: Splats, after: Splats, least: float) -> Tensor:  # [N] bool
+    """Mark the splats that were not faded below the least opacity."""
+    return (after.opacities == before.opacities) | (after.opacities >= least)
+
+
+def _counts(before: Splats, after: Splats, kept: Tensor, cleared: Tensor) -> dict[str, Any]:
+    """Count what became of the splats."""
+    same = torch.ones_like(kept)
+    for (_, old), (_, new) in zip(before.fields(), after.fields(), strict=True):
+        same &= (old == new).reshape(len(kept), -1).all(dim=1)
+    faded = after.opacities < (1.0 - _VISIBLE_CHANGE) * before.opacities
+    moved = (after.means - before.means).norm(dim=1) > _VISIBLE_MOVE
+    shrunk = (after.scales < (1.0 - _VISIBLE_CHANGE) * before.scales).any(dim=1)
+    dropped = {
+        "faded_away": int((~kept & ~cleared).sum()),
+        "in_the_way": int((~kept & cleared).sum()),
+    }
+    return {
+        "total": len(kept),
+        "untouched": int((same & kept).sum()),
+        "faded": int((faded & kept).sum()),
+        "moved": int((moved & kept).sum()),
+        "shrunk": int((shrunk & kept).sum()),
+        "dropped": {reason: count for reason, count in dropped.items() if count},
+    }

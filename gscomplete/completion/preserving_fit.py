@@ -1,0 +1,166 @@
+"""One round of refitting new splats to P's looks from V, with everything else kept as it was.
+
+Conventions
+-----------
+* A round has views of V first and views from outside V after them; the splats that take no part
+  are frozen with P.
+* Renders are made over black and compared over the given background; ``before`` is over black.
+* Splats may fade, move and shrink. Colours and rotations stay, and no scale grows: a splat that
+  covers what others leave open would be seen from elsewhere.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gscomplete.completion.settings import HardPreservationSettings
+from gscomplete.evaluate.metrics import NOTHING_ALPHA
+from gscomplete.render import PreparedFrozen, Render, join_prepared, render
+from gscomplete.splats import Splats
+from gscomplete.views import Cameras, ViewDistribution
+from gscomplete.views.distribution import MAX_ELEVATION_DEG
+
+_OUTSIDE_VIEWS = 8
+"""Views from outside V whose pictures are kept."""
+_OUTSIDE_RISE_DEG = 25.0
+"""Every other view from outside V looks from this much higher."""
+
+
+def masked_errors(completed: Render, partial: Render) -> tuple[Tensor, Tensor]:  # [], []
+    """Return E_color and E_depth with graph, as ``metrics.preservation_of_renders`` defines them.
+
+    O contains P here, so it shows something wherever P does.
+    """
+    mask = partial.alpha
+    total = mask.sum().clamp_min(1e-12)
+    color = (completed.color - partial.color).square().mean(dim=-1)
+    shown = mask >= NOTHING_ALPHA
+    depth = torch.where(shown, completed.depth - partial.depth, 0.0).square()
+    return (mask * color).sum() / total, (mask * depth).sum() / total
+
+
+def relative_error(
+    drawn: Render, target: Render, watched: Collection[str], settings: HardPreservationSettings
+) -> Tensor:  # []
+    """Return the sum of the watched errors ("color", "depth"), each in units of its aim."""
+    color, depth = masked_errors(drawn, target)
+    terms = {
+        "color": color / (settings.margin * settings.color_bound),
+        "depth": depth / (settings.margin * settings.depth_bound),
+    }
+    return torch.stack([terms[name] for name in watched]).sum()
+
+
+@dataclass(frozen=True, slots=True)
+class RoundProblem:
+    """The views of one round: first those of V, then those from outside."""
+
+    frozen: PreparedFrozen
+    """P and the new splats that take no part."""
+    before: Render
+    """The completion before anything was changed, over black."""
+    target: Render
+    """P alone from the views of V, over the background."""
+    background: Tensor  # [3]
+    watched: tuple[str, ...]
+    """Errors that take part."""
+
+    def draw(self, generator: torch.Generator, count: int) -> tuple[Tensor, Tensor]:
+        """Draw at most ``count`` views from within V and as many from outside."""
+        within = len(self.target.alpha)
+        inside = torch.randperm(within, generator=generator)[:count].sort().values
+        outside = torch.randperm(len(self.frozen) - within, generator=generator)[:count]
+        return inside, within + outside.sort().values
+
+    def inside(self, drawn: Render, views: Tensor) -> tuple[Render, Render]:
+        """Return the renders from within V over the background, and P's."""
+        count = len(views)
+        alpha = drawn.alpha[:count]
+        color = drawn.color[:count] + (1.0 - alpha)[..., None] * self.background
+        target = self.target
+        return (
+            Render(color, alpha, drawn.depth[:count]),
+            Render(target.color[views], target.alpha[views], target.depth[views]),
+        )
+
+    def change(self, drawn: Render, views: Tensor) -> Tensor:  # []
+        """Return the mean squared change of colour and alpha where P is not to be kept."""
+        within = len(self.target.alpha)
+        color = (drawn.color - self.before.color[views]).square().mean(dim=-1)
+        change = color + (drawn.alpha - self.before.alpha[views]).square()
+        open_ = torch.ones_like(change)
+        inside = views[views < within]
+        open_[: len(inside)] = 1.0 - self.target.alpha[inside]
+        return (open_ * change).mean()
+
+
+def fit_round(
+    splats: Splats,
+    problem: RoundProblem,
+    settings: HardPreservationSettings,
+    weight: float,
+    generator: torch.Generator,
+) -> Splats:
+    """Take the steps of one round.
+
+    Args:
+        splats: those that take part.
+        problem: the views and what they are to look like.
+        settings: bounds and knobs.
+        weight: of the errors, against the change that is measured in units of the colour bound.
+        generator: picks the views of each step.
+    """
+    logits = torch.logit(splats.opacities.clamp(1e-4, 0.999)).requires_grad_()
+    means = splats.means.clone().requires_grad_()
+    largest = splats.scales.log()
+    log_scales = largest.clone().requires_grad_()
+    adam = torch.optim.Adam(
+        [
+            {"params": [logits], "lr": settings.opacity_rate},
+            {"params": [means], "lr": settings.means_rate},
+            {"params": [log_scales], "lr": settings.scales_rate},
+        ],
+        eps=1e-15,
+        foreach=False,
+    )
+    for _ in range(settings.steps):
+        moving = dataclasses.replace(
+            splats, means=means, scales=log_scales.exp(), opacities=torch.sigmoid(logits)
+        )
+        inside, outside = problem.draw(generator, settings.views_per_step)
+        picked = torch.cat([inside, outside])
+        frozen = join_prepared([problem.frozen[view] for view in picked.tolist()])
+        drawn = render(moving, frozen.cameras, frozen=frozen)
+        change = problem.change(drawn, picked)
+        error = relative_error(*problem.inside(drawn, inside), problem.watched, settings)
+        loss = weight * error + settings.keep_weight / settings.color_bound * change
+        adam.zero_grad(set_to_none=True)
+        loss.backward()
+        adam.step()
+        with torch.no_grad():
+            log_scales.clamp_max_(largest)
+            logits.clamp_(-12.0, 7.0)
+    return dataclasses.replace(
+        splats,
+        means=means.detach(),
+        scales=log_scales.detach().exp(),
+        opacities=torch.sigmoid(logits.detach()),
+    )
+
+
+def outside_cameras(distribution: ViewDistribution, size_px: int) -> Cameras | None:
+    """Place views evenly over the azimuths that V leaves out; None if V goes all round."""
+    gap_deg = 360.0 - 2.0 * distribution.azimuth_range_deg
+    if gap_deg <= 0.0:
+        return None
+    steps = (np.arange(_OUTSIDE_VIEWS) + 0.5) / _OUTSIDE_VIEWS
+    azimuths = distribution.azimuth_deg + distribution.azimuth_range_deg + gap_deg * steps
+    rise = _OUTSIDE_RISE_DEG * (np.arange(_OUTSIDE_VIEWS) % 2)
+    elevations = np.clip(distribution.elevation_deg + rise, -MAX_ELEVATION_DEG, MAX_ELEVATION_DEG)
+    return distribution.cameras((azimuths, elevations), size_px)
