@@ -1,15 +1,16 @@
 """What a completion step gains by leaving out what the result does not need.
 
-``python -m recipes.benchmarks.skips [--json OUT]`` takes the same steps of iterative reconstruction
-(fitting to rings of targets with the preservation loss) on real partial objects, from the same
-state, with all skips, with all but one, and with none; ways take turns within one process. The
-time is the median over steps, the difference the largest change of any new splat's position after
-the first step.
+``python -m recipes.benchmarks.skips [--json OUT]`` takes the same steps on real partial objects,
+from the same state, with all skips, with all but one, and with none; ways take turns within one
+process, times are medians over steps. Two kinds of steps:
 
-Conventions
------------
-* Rings of targets are made beforehand (``reconstruct`` denoises them once a round): a step here is
-  a step of the fit, of which a run takes hundreds.
+* ``fit``: splats are fitted to rings of targets with the preservation loss (the hundreds of steps
+  of iterative reconstruction between its rounds of denoising).
+* ``distill``: score distillation. Guidance scales of 1 leave one pass of the network; with
+  ``network passes`` not skipped, scales of 1.000001 make it run all three, to the same result.
+
+Differences are those of one render from five views and of its gradients, against all skips off:
+largest difference of a pixel, and of gradients the relative norm.
 """
 
 from __future__ import annotations
@@ -20,33 +21,50 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
 import tyro
+from torch import Tensor
 
 from gscomplete.atomic import atomic_path
 from gscomplete.completion.optimise import Completion
-from gscomplete.completion.settings import RECONSTRUCT, CompletionSettings, SkipSettings
+from gscomplete.completion.partial_views import PartialViews
+from gscomplete.completion.settings import (
+    RECONSTRUCT,
+    SMALL_PRIOR,
+    CompletionSettings,
+    SkipSettings,
+)
 from gscomplete.priors import Prior, load_prior
+from gscomplete.splats import Splats
 from recipes.real_objects.compare import Posed, pose
 from recipes.real_objects.complete import DATA
 from recipes.real_objects.load import load_real_object
 
+Kind = Literal["fit", "distill"]
+Case = Literal["fit 64 px", "fit 256 px", "distill 64 px"]
+KINDS: dict[Case, tuple[Kind, int]] = {
+    "fit 64 px": ("fit", 64),
+    "fit 256 px": ("fit", 256),
+    "distill 64 px": ("distill", 64),
+}
 NO_SKIPS = SkipSettings(
     prepared_partial=False, idle_tiles=False, exact_tile_lists=False, early_stop=False
 )
+FIT = dataclasses.replace(RECONSTRUCT, steps=4000, rounds=1, guess_frames=1, ring_memory=3)
+DISTILL = dataclasses.replace(SMALL_PRIOR, steps=4000, preservation_every=1)
 
 
 @dataclass(frozen=True)
 class Options:
     """Time completion steps with skips on and off."""
 
-    names: tuple[str, ...] = ("apple", "cow", "bottle", "statue", "lantern", "biker")
+    names: tuple[str, ...] = ("cow", "statue", "scan_cake_tin", "armadillo", "biker")
     """Real objects."""
-    resolutions_px: tuple[int, ...] = (64, 256)
-    """Sides of the renders: the embedded prior's and MVDream's."""
+    cases: tuple[Case, ...] = tuple(KINDS)
+    """Kinds of steps and sides of the renders: the embedded prior's and MVDream's."""
     steps: int = 30
     """Timed steps of each way."""
     data: Path = DATA
@@ -55,94 +73,106 @@ class Options:
     """Write the numbers to this file."""
 
 
-def ways() -> dict[str, SkipSettings]:
-    """Return the ways compared by name: every skip off alone, and all of them."""
-    names = [field.name for field in dataclasses.fields(SkipSettings)]
-    alone = {f"without {name}": SkipSettings(**{name: False}) for name in names}
-    return {"all skips": SkipSettings(), **alone, "no skips": NO_SKIPS}
-
-
-def settings_for(skip: SkipSettings, resolution_px: int) -> CompletionSettings:
-    """Return iterative reconstruction whose rings are all made in the first steps."""
-    return dataclasses.replace(
-        RECONSTRUCT,
-        steps=4000,
-        rounds=4000,
-        guess_frames=1,
-        resolution_px=resolution_px,
-        skip=skip,
-        # One round a step until the memory of rings is full; then rounds stop (see ``warmed``).
-        ring_memory=3,
-    )
+def ways(kind: Kind) -> dict[str, CompletionSettings]:
+    """Return the ways compared, by name: all skips, each one off alone, and all off."""
+    base = FIT if kind == "fit" else DISTILL
+    scales = {"text_scale": 1.000001, "input_scale": 1.000001} if kind == "distill" else {}
+    found = {"all skips": base}
+    for field in dataclasses.fields(SkipSettings):
+        skip = SkipSettings(**{field.name: False})
+        found[f"without {field.name}"] = dataclasses.replace(base, skip=skip)
+    if kind == "distill":
+        found["all network passes"] = dataclasses.replace(base, **scales)
+    return found | {"no skips": dataclasses.replace(base, skip=NO_SKIPS, **scales)}
 
 
 def warmed(posed: Posed, prior: Prior, settings: CompletionSettings) -> Completion:
-    """Return a completion with its rings made, about to take fitting steps only."""
-    job = Completion(
-        posed.partial, prior, prior.condition(posed.item.prompt), posed.views, settings
-    )
+    """Return a completion whose memory of rings is full, about to take more steps."""
+    job = new_job(posed, prior, dataclasses.replace(settings, rounds=settings.steps))
     for _ in range(settings.ring_memory):
         job.step()
-    job.settings = dataclasses.replace(settings, rounds=1)
     return job
 
 
-def measure(posed: Posed, prior: Prior, resolution_px: int, steps: int) -> dict[str, Any]:
+def new_job(posed: Posed, prior: Prior, settings: CompletionSettings) -> Completion:
+    """Return a completion at its start."""
+    conditioning = prior.condition(posed.item.prompt)
+    return Completion(posed.partial, prior, conditioning, posed.views, settings)
+
+
+def measure(posed: Posed, prior: Prior, kind: Kind, size_px: int, steps: int) -> dict[str, Any]:
     """Time all ways on one object, taking turns step by step."""
-    jobs = {}
-    first = warmed(posed, prior, settings_for(SkipSettings(), resolution_px))
+    chosen = {
+        name: dataclasses.replace(settings, resolution_px=size_px)
+        for name, settings in ways(kind).items()
+    }
+    first = warmed(posed, prior, chosen["all skips"])
     state = {name: value.clone() for name, value in first.state().items()}
-    for name, skip in ways().items():
-        jobs[name] = Completion(
-            posed.partial,
-            prior,
-            prior.condition(posed.item.prompt),
-            posed.views,
-            settings_for(skip, resolution_px),
-        )
-        jobs[name].settings = dataclasses.replace(jobs[name].settings, rounds=1)
-        jobs[name].restore({key: value.clone() for key, value in state.items()})
+    jobs = {name: new_job(posed, prior, settings) for name, settings in chosen.items()}
+    for job in jobs.values():
+        job.restore({key: value.clone() for key, value in state.items()})
     seconds: dict[str, list[float]] = {name: [] for name in jobs}
-    moved: dict[str, float] = {}
-    for step in range(steps):
+    for _ in range(steps):
         for name, job in jobs.items():
             started = time.perf_counter()
             job.step()
             seconds[name].append(time.perf_counter() - started)
-        if step == 0:
-            usual = jobs["all skips"].new_splats().means
-            moved = {
-                name: float((job.new_splats().means - usual).abs().max())
-                for name, job in jobs.items()
-            }
+    splats = first.new_splats()
+    truth = picture_and_gradients(posed, splats, NO_SKIPS, size_px)
     return {
-        name: {"ms": 1e3 * float(np.median(values)), "moved": moved[name]}
-        for name, values in seconds.items()
+        name: {
+            "ms": 1e3 * float(np.median(seconds[name])),
+            **differences(picture_and_gradients(posed, splats, settings.skip, size_px), truth),
+        }
+        for name, settings in chosen.items()
+    }
+
+
+def picture_and_gradients(
+    posed: Posed, splats: Splats, skip: SkipSettings, resolution_px: int
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """Render a ring and the input view, and pull a fixed random gradient back."""
+    leaves = Splats(**{name: value.clone().requires_grad_() for name, value in splats.fields()})
+    batches = [posed.views.ring(4, resolution_px), posed.views.input_camera(resolution_px)]
+    drawn = PartialViews(posed.partial, skip).together(leaves, batches)
+    weights = torch.rand(drawn.color.shape, generator=torch.Generator().manual_seed(0)) - 0.5
+    (weights * drawn.color).sum().backward()
+    return drawn.color.detach(), {name: value.grad for name, value in leaves.fields()}
+
+
+def differences(
+    found: tuple[Tensor, dict[str, Tensor]], truth: tuple[Tensor, dict[str, Tensor]]
+) -> dict[str, float]:
+    """Compare pictures and gradients."""
+    gradients = [(found[1][name] - true).norm() / true.norm() for name, true in truth[1].items()]
+    return {
+        "picture": float((found[0] - truth[0]).abs().max()),
+        "gradient": float(torch.stack(gradients).nan_to_num().max()),
     }
 
 
 def main(options: Options) -> None:
     """Measure and report."""
     prior = load_prior("embedded", "cpu")
-    results: dict[str, Any] = {}
+    results: dict[str, dict[str, Any]] = {}
     out = sys.stdout
-    for resolution_px in options.resolutions_px:
+    for case in options.cases:
+        kind, size_px = KINDS[case]
         for object_name in options.names:
             posed = pose(load_real_object(object_name, options.data))
-            found = measure(posed, prior, resolution_px, options.steps)
-            results[f"{object_name} {resolution_px} px"] = found
-            usual = found["all skips"]["ms"]
-            out.write(f"{object_name}, {resolution_px} px, P {len(posed.partial):,} splats\n")
+            found = measure(posed, prior, kind, size_px, options.steps)
+            results.setdefault(case, {})[object_name] = found
+            out.write(f"{case}: {object_name}, P {len(posed.partial):,} splats\n")
             for name, row in found.items():
                 out.write(
-                    f"  {name:26} {row['ms']:8.1f} ms  {row['ms'] / usual:5.2f} x  moved "
-                    f"{row['moved']:.1e}\n"
+                    f"  {name:26} {row['ms']:8.1f} ms "
+                    f"{row['ms'] / found['all skips']['ms']:6.2f} x   picture "
+                    f"{row['picture']:.1e}  gradient {row['gradient']:.1e}\n"
                 )
-    for resolution_px in options.resolutions_px:
-        rows = [row for key, row in results.items() if key.endswith(f" {resolution_px} px")]
-        gains = [row["no skips"]["ms"] / row["all skips"]["ms"] for row in rows]
+    for case, rows in results.items():
+        gains = [row["no skips"]["ms"] / row["all skips"]["ms"] for row in rows.values()]
         out.write(
-            f"{resolution_px} px: no skips / all skips: median {np.median(gains):.2f}, "
+            f"{case}: no skips / all skips: median {np.median(gains):.2f}, "
             f"{min(gains):.2f} to {max(gains):.2f}\n"
         )
     if options.json:
