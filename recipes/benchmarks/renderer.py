@@ -229,7 +229,7 @@ def _charts(sweeps: dict[Sweep, dict[int, list[Timing]]]) -> list[Chart]:
         curves = {
             f"{word}, {count} threads": _points(rows, sweep, field)
             for count, rows in found.items()
-            for word, field in (("forward", "forward_ms"), ("forward + backward", "total_ms"))
+            for word, field in (("forward", "forward_ms"), ("both ways", "total_ms"))
         }
         log = sweep != "sh_degree"
         title = f"CPU renderer over {labels[sweep]}"

@@ -3,10 +3,11 @@
 Counting rules
 --------------
 * Time: every Numba kernel that Python calls during a forward and a backward pass is timed at its
-  call; what is left of the pass is PyTorch and Python.
+  call; what is left of the pass is PyTorch and Python. Each is the fastest of all repeats, as the
+  limits are, so that other jobs change neither.
 * Bytes: the sizes of all arrays that a kernel is given, each once, whether read or written: the
-  least traffic that the kernel's interface allows. Arrays that fit the caches may stay there, so
-  a share above one is possible where little memory is touched.
+  least traffic that the kernel's interface allows. Arrays that fit the caches may stay there, and
+  some are read in part, so a share may exceed one.
 * Operations, for the two compositing kernels only: pixels that are visited (the rows of a tile that
   an entry reaches, entries behind a finished tile not counted) times float32 additions,
   subtractions, multiplications and divisions in the inner loop. Comparisons, minima and selects
@@ -52,7 +53,7 @@ class Stage:
 
     name: str
     ms: float
-    """Median time."""
+    """Fastest time."""
     megabytes: float | None = None
     memory_share: float | None = None
     """Bytes over time over the copy rate."""
@@ -139,9 +140,7 @@ def measure_stages(
             total = time.perf_counter() - start
             rest = total - sum(recorder.seconds.values())
             passes.append(dict(recorder.seconds) | {OTHER: rest})
-    milliseconds = {
-        name: 1e3 * float(np.median([one[name] for one in passes])) for name in passes[0]
-    }
+    milliseconds = {name: 1e3 * min(one[name] for one in passes) for name in passes[0]}
     operations = _operations(recorder.arguments)
     return [
         _stage(name, ms, recorder.arguments.get(name), operations.get(name), limits)
