@@ -7,6 +7,8 @@ Conventions
 * A tile's per-pixel state lives in one flat float32 buffer, plane after plane (``B_*``): inner
   loops run over contiguous floats, and LLVM can tell that the planes do not overlap.
 * An entry below the number of frozen rows is a frozen row; others count on into the other rows.
+* Rows are read a batch ahead: a tile's rows are scattered over megabytes, and many reads under way
+  at once take the time of one, while a read in the middle of compositing is waited for.
 * Only the tiles listed in ``active`` are drawn; tiles do not depend on each other.
 * Inner loops have no branches and no calls: alphas below the threshold are multiplied by zero, and
   ``exp`` is a polynomial, so that LLVM turns them into vector code.
@@ -36,6 +38,7 @@ from gscomplete.render.cpu.layout import (
     P_RED,
     P_U,
     P_V,
+    PACKED,
 )
 from gscomplete.render.cpu.tiles import TILE
 
@@ -48,6 +51,8 @@ and depth sums) or upstream gradients and the sum of w_j A_j not yet passed (bac
 as all pixel indices are: a signed index may be negative in Python, and the test for it stops LLVM
 from vectorising the loop."""
 FIRST, LAST = np.uint64(0), np.uint64(PIXELS)
+BATCH = 64
+"""Rows that are copied side by side before they are drawn."""
 STOP_EVERY = 8
 """Entries between two looks at a tile's largest transmittance."""
 MAX_POWER = 12.0
@@ -159,6 +164,7 @@ def composite(
     for k in numba.prange(active.shape[0]):
         tile = active[k]
         buffer = np.zeros(7 * PIXELS, np.float32)
+        batch = np.empty((BATCH, PACKED), np.float32)
         _start_tile(buffer, tile, tiles_x)
         done[tile] = _tile_forward(
             frozen_rows,
@@ -171,8 +177,25 @@ def composite(
             alpha_max,
             transmittance_min,
             buffer,
+            batch,
         )
         _store_tile(buffer, tile, tiles_x, image)
+
+
+@numba.njit(**_JIT)
+def _read_rows(
+    frozen_rows: Any, rows: Any, entries: Any, first: int, last: int, batch: Any
+) -> None:
+    """Copy the rows of the entries from ``first`` up to ``last`` side by side."""
+    frozen = frozen_rows.shape[0]
+    for e in range(first, last):
+        k = entries[e]
+        if k < frozen:
+            for column in range(PACKED):
+                batch[e - first, column] = frozen_rows[k, column]
+        else:
+            for column in range(PACKED):
+                batch[e - first, column] = rows[k - frozen, column]
 
 
 @numba.njit(**_JIT)
@@ -187,13 +210,15 @@ def _tile_forward(
     alpha_max: Any,
     transmittance_min: Any,
     buffer: Any,
+    batch: Any,
 ) -> int:
     """Composite one tile's entries into its buffer; return how many were drawn."""
     zero, half = np.float32(0.0), np.float32(0.5)
-    frozen = frozen_rows.shape[0]
     for e in range(start, stop):
-        k = entries[e]
-        row = frozen_rows[k] if k < frozen else rows[k - frozen]
+        place = (e - start) % BATCH
+        if place == 0:
+            _read_rows(frozen_rows, rows, entries, e, min(e + BATCH, stop), batch)
+        row = batch[place]
         u, v, opacity = row[P_U], row[P_V], row[P_OPACITY]
         la, lb, lc = row[P_LA], row[P_LB], row[P_LC]
         cr, cg, cb, cd = row[P_RED], row[P_GREEN], row[P_BLUE], row[P_DEPTH]
@@ -247,6 +272,7 @@ def composite_backward(
         if last < start:
             continue
         buffer = np.empty(9 * PIXELS, np.float32)
+        batch = np.empty((BATCH, PACKED), np.float32)
         _start_tile(buffer, tile, tiles_x)
         loudest = _load_upstream(buffer, tile, tiles_x, image, upstream)
         if skip_idle and loudest == np.float32(0.0):
@@ -262,6 +288,7 @@ def composite_backward(
             alpha_min,
             alpha_max,
             buffer,
+            batch,
             sums,
         )
 
@@ -278,14 +305,16 @@ def _tile_backward(
     alpha_min: Any,
     alpha_max: Any,
     buffer: Any,
+    batch: Any,
     sums: Any,
 ) -> None:
     """Walk one tile's entries front to back up to the last trainable one."""
     zero, half, one = np.float32(0.0), np.float32(0.5), np.float32(1.0)
-    frozen = frozen_rows.shape[0]
     for e in range(start, last + 1):
-        k = entries[e]
-        row = frozen_rows[k] if k < frozen else rows[k - frozen]
+        place = (e - start) % BATCH
+        if place == 0:
+            _read_rows(frozen_rows, rows, entries, e, min(e + BATCH, last + 1), batch)
+        row = batch[place]
         u, v, opacity = row[P_U], row[P_V], row[P_OPACITY]
         la, lb, lc = row[P_LA], row[P_LB], row[P_LC]
         cr, cg, cb, cd = row[P_RED], row[P_GREEN], row[P_BLUE], row[P_DEPTH]
