@@ -12,7 +12,8 @@ leaves what it leaves. Here, after the optimisation, the errors E_color and E_de
    that went farther than it had to is partly taken back.
 3. Fade, while a bound is exceeded: the splats that contribute most lose most of their opacity, as
    many as the excess asks for.
-4. Remove, as the last resort: all that the errors depend on. P alone has none, so this ends.
+4. Remove, as the last resort, what the errors depend on most, again and again. P alone has none,
+   so this ends.
 
 Conventions
 -----------
@@ -27,6 +28,7 @@ Conventions
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -57,8 +59,10 @@ _CLOSE_SHARE = 0.85
 """Errors above this share of what is aimed at are near enough to it."""
 _FADE = 0.25
 """A fading leaves this share of an opacity."""
-_OVERSHOOT = 1.2
-"""Fadings aim for this multiple of the excess: contributions are first-order estimates."""
+_FADED_SHARE = 0.3
+"""Splats that make up this share of all contributions may be faded at once."""
+_CLEARED_SHARE = 0.9
+"""As the last resort, splats that make up this share of all contributions are removed at once."""
 _FADE_SWEEPS = 12
 """Most fadings before the last resort."""
 _VISIBLE_CHANGE = 0.01
@@ -152,12 +156,14 @@ def preserve_hard(
             current, found = work.no_further_than_needed(previous, current, found)
     cleared = torch.zeros(len(new), dtype=torch.bool, device=new.means.device)
     while work.above(found):
-        last_resort = fadings >= _FADE_SWEEPS
-        current, chosen = work.fade(current, found, rounds + fadings, entirely=last_resort)
+        previous, last_resort = current, fadings >= _FADE_SWEEPS
+        current, chosen = work.fade(current, found, rounds, fadings, entirely=last_resort)
         if last_resort and not bool(chosen.any()):
             break
         cleared |= chosen & last_resort
         found, fadings = work.check(current), fadings + 1
+        if not (last_resort or work.above(found)):
+            current, found = work.no_further_than_needed(previous, current, found)
     kept = _still_visible(original, current, settings.prune_opacity)
     return HardPreservation(
         current.select(kept),
@@ -252,20 +258,22 @@ class _Work:
         return best, found
 
     def fade(
-        self, splats: Splats, found: CheckedErrors, round_: int, *, entirely: bool
+        self, splats: Splats, found: CheckedErrors, rounds: int, sweep: int, *, entirely: bool
     ) -> tuple[Splats, Tensor]:  # [N] bool: faded
-        """Fade the largest contributors, as many as the excess asks for; or clear them all."""
+        """Fade the largest contributors, as many as the excess asks for; or clear them."""
         prepared = self._check
         if not entirely:
-            views = self._round_views(round_, self._settings.check_px)
+            views = self._round_views(rounds + sweep, self._settings.check_px)
             prepared = prepare_frozen(self._partial, views)
         too_large = self.above(found)
         contributions = self._contributions(splats, prepared, too_large)
         if entirely:
-            chosen = contributions != 0
+            chosen = largest_share(contributions.abs(), _CLEARED_SHARE)
         else:
             excess = sum(value - 1.0 for value in too_large.values())
-            chosen = enough_of(contributions, _OVERSHOOT * excess / (1.0 - _FADE))
+            # Estimates of the first order may fall short, so every sweep asks for more.
+            chosen = enough_of(contributions, (1.0 + sweep) * excess / (1.0 - _FADE))
+            chosen &= largest_share(contributions.clamp_min(0.0), _FADED_SHARE)
         share = torch.where(chosen, 0.0 if entirely else _FADE, 1.0)
         opacities = splats.opacities * share
         opacities = torch.where(chosen & (opacities < self._settings.prune_opacity), 0.0, opacities)
@@ -348,7 +356,7 @@ def _counts(before: Splats, after: Splats, kept: Tensor, cleared: Tensor) -> dic
     """Count what became of the splats."""
     same = torch.ones_like(kept)
     for (_, old), (_, new) in zip(before.fields(), after.fields(), strict=True):
-        same &= (old == new).reshape(len(kept), -1).all(dim=1)
+        same &= (old == new).reshape(len(kept), math.prod(old.shape[1:])).all(dim=1)
     faded = after.opacities < (1.0 - _VISIBLE_CHANGE) * before.opacities
     moved = (after.means - before.means).norm(dim=1) > _VISIBLE_MOVE
     shrunk = (after.scales < (1.0 - _VISIBLE_CHANGE) * before.scales).any(dim=1)
