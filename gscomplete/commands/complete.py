@@ -62,6 +62,9 @@ class CompleteOptions:
     steps: int | None = None
     """Optimiser steps; schedules stretch with it. None = the preset's (the embedded prior's default
     takes none: its first guess is the result)."""
+    preserve: str | None = None
+    """Bounds COLOR,DEPTH on E_color and E_depth over V, such as 0.001,0.0005: at the end, new
+    splats that hide P fade, move or go until both hold. None = what the preset gives."""
     text_only: bool = False
     """Withhold P's renders from priors that can see them."""
     seed: int = 0
@@ -123,6 +126,7 @@ def _complete(options: CompleteOptions) -> int:
         options,
         f"{result['new_splats']:,} new splats in {content['timings']['optimise_s']:.1f} s"
         + _memory_note(result["peak_gpu_bytes"]),
+        *([job.notes[-1]] if result["hard_preservation"] else []),
         f"E_color {c['color']:.6f} from c, {views['color']:.6f} over V; "
         f"E_depth {c['depth']:.6f} from c, {views['depth']:.6f} over V",
         f"written: {job.request.out}/completed.ply, preview.png, turntable.webp, run.json",
@@ -142,7 +146,7 @@ def _request(options: CompleteOptions, prior: Prior) -> Request:
         UserError: an option has the wrong form.
     """
     from gscomplete.completion.run import Request
-    from gscomplete.completion.settings import preset
+    from gscomplete.completion.settings import HardPreservationSettings, preset
 
     if not options.prompt.strip():
         raise UserError("--prompt: expected what the whole object is, found an empty text")
@@ -156,6 +160,12 @@ def _request(options: CompleteOptions, prior: Prior) -> Request:
     for name in ("steps", "checkpoint_every"):
         if getattr(options, name) is not None:
             settings = dataclasses.replace(settings, **{name: getattr(options, name)})
+    bounds = parse_numbers(options.preserve, 2, "--preserve", "COLOR,DEPTH")
+    if bounds is not None:
+        if min(bounds) <= 0:
+            raise UserError(f"--preserve: expected positive bounds, found {options.preserve!r}")
+        hard = HardPreservationSettings(color_bound=bounds[0], depth_bound=bounds[1])
+        settings = dataclasses.replace(settings, hard_preservation=hard)
     view = parse_numbers(options.view, 2, "--view", "AZIMUTH,ELEVATION")
     center = parse_numbers(options.center, 3, "--center", "X,Y,Z")
     if view is not None and not -90 <= view[1] <= 90:

@@ -25,6 +25,7 @@ from gscomplete import jsonio
 from gscomplete.atomic import atomic_path
 from gscomplete.completion.checkpoint import FILE_NAME, load_checkpoint, save_checkpoint
 from gscomplete.completion.framing import guess_framing
+from gscomplete.completion.hard_preservation import preserve_hard
 from gscomplete.completion.optimise import Completion, NonFiniteError, StepReport
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.completion.working_set import WorkingSet, working_set
@@ -181,7 +182,10 @@ def _finish(run: Run) -> dict[str, Any]:
     """Write the completed splats, measure, and draw the pictures."""
     out = run.request.out
     started = time.perf_counter()
-    new = run.completion.new_splats().to("cpu")
+    partial = run.completion.partial.to("cpu")
+    new, preserved = _bounded(run, run.completion.new_splats().to("cpu"), partial)
+    run.timings["preserve_s"] = time.perf_counter() - started
+    started = time.perf_counter()
     in_file = transform_splats(new, run.frame.file_from_object)
     append_splats(
         out / OUTPUT_FILE,
@@ -193,7 +197,6 @@ def _finish(run: Run) -> dict[str, Any]:
         ),
     )
     run.timings["write_s"] = time.perf_counter() - started
-    partial = run.completion.partial.to("cpu")
     whole = concatenate([partial, new])
     started = time.perf_counter()
     metrics = jsonio.to_json(evaluate(whole, partial, run.distribution))
@@ -203,8 +206,23 @@ def _finish(run: Run) -> dict[str, Any]:
     save_image(sheet, out / "preview.png")
     save_turntable(whole, run.distribution, out / "turntable.webp")
     run.timings["pictures_s"] = time.perf_counter() - started
-    result = {"metrics": metrics, "new_splats": len(new), "peak_gpu_bytes": peak_gpu_bytes()}
+    result = {
+        "metrics": metrics,
+        "new_splats": len(new),
+        "peak_gpu_bytes": peak_gpu_bytes(),
+        "hard_preservation": preserved,
+    }
     return _write_run_file(run, "finished", result)
+
+
+def _bounded(run: Run, new: Splats, partial: Splats) -> tuple[Splats, dict[str, Any] | None]:
+    """Hold the new splats to the bounds asked for, and say what was done to them."""
+    settings = run.request.settings
+    if settings.hard_preservation is None:
+        return new, None
+    done = preserve_hard(new, partial, run.distribution, settings.hard_preservation, settings.seed)
+    run.notes = (*run.notes, done.report.summary())
+    return done.splats, jsonio.to_json(done.report)
 
 
 def _decide_frame(
