@@ -57,13 +57,13 @@ _WATCHED_SHARE = 0.5
 """Refitting watches errors above this share of what is aimed at, not only those above it."""
 _CLOSE_SHARE = 0.85
 """Errors above this share of what is aimed at are near enough to it."""
-_FADE = 0.25
+_FADE = 0.5
 """A fading leaves this share of an opacity."""
-_FADED_SHARE = 0.3
+_FADED_SHARE = 0.8
 """Splats that make up this share of all contributions may be faded at once."""
 _CLEARED_SHARE = 0.9
 """As the last resort, splats that make up this share of all contributions are removed at once."""
-_FADE_SWEEPS = 12
+_FADE_SWEEPS = 24
 """Most fadings before the last resort."""
 _VISIBLE_CHANGE = 0.01
 """Relative change of an opacity or scale from which the report counts it."""
@@ -271,8 +271,8 @@ class _Work:
             chosen = largest_share(contributions.abs(), _CLEARED_SHARE)
         else:
             excess = sum(value - 1.0 for value in too_large.values())
-            # Estimates of the first order may fall short, so every sweep asks for more.
-            chosen = enough_of(contributions, (1.0 + sweep) * excess / (1.0 - _FADE))
+            # Estimates of the first order may fall short, so every sweep asks for twice as much.
+            chosen = enough_of(contributions, 2.0**sweep * excess / (1.0 - _FADE))
             chosen &= largest_share(contributions.clamp_min(0.0), _FADED_SHARE)
         share = torch.where(chosen, 0.0 if entirely else _FADE, 1.0)
         opacities = splats.opacities * share

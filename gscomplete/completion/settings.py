@@ -121,7 +121,7 @@ class HardPreservationSettings:
     """Side of the check views: that of the evaluation, since errors grow with the resolution."""
     rounds: int = 10
     """Most rounds of refitting; what is left then is faded out."""
-    fit_views: int = 6
+    fit_views: int = 10
     """Views of V of one round."""
     fit_px: int = 128
     """Side of the pictures that splats are fitted to."""
