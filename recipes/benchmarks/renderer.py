@@ -21,7 +21,7 @@ import dataclasses
 import json
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -38,6 +38,7 @@ from gscomplete.render import render
 from gscomplete.splats import Splats
 from gscomplete.views import Cameras
 from recipes.benchmarks.charts import Chart, draw_charts
+from recipes.benchmarks.clocks import Clock, clock_reader
 from recipes.benchmarks.machine_limits import MachineLimits, measure_limits
 from recipes.benchmarks.renderer_work import Stage, measure_stages
 from recipes.benchmarks.scenes import bench_camera, surface_discs, trainable_copy
@@ -69,6 +70,8 @@ class Options:
     """Timed repeats at most, after two untimed ones."""
     seconds: float = 20.0
     """Time after which a point takes no more repeats (three are always taken)."""
+    clock: Clock = "wall"
+    """wall, or cpu: processor time, for one thread on a busy machine."""
     out: Path | None = None
     """Folder for ``renderer.json`` and ``renderer.png``; None = write no files."""
 
@@ -91,7 +94,12 @@ class Timing:
 
 
 def time_render(
-    splats: Splats, cameras: Cameras, threads: Sequence[int], repeats: int, seconds: float
+    splats: Splats,
+    cameras: Cameras,
+    threads: Sequence[int],
+    repeats: int,
+    seconds: float,
+    read: Callable[[], float] = time.perf_counter,
 ) -> list[Timing]:
     """Time forward and backward of one view with every number of threads."""
     trainable = trainable_copy(splats)
@@ -105,11 +113,11 @@ def time_render(
             _use_threads(count)
             for _, value in trainable.fields():
                 value.grad = None
-            start = time.perf_counter()
+            start = read()
             color = render(trainable, cameras, backend="cpu").color
-            middle = time.perf_counter()
+            middle = read()
             color.backward(upstream)
-            times[count].append((middle - start, time.perf_counter() - middle))
+            times[count].append((middle - start, read() - middle))
     rows = []
     for count, pairs in times.items():
         kept = 1e3 * np.array(pairs[2:])
@@ -172,7 +180,9 @@ def _sweep(options: Options, sweep: Sweep, threads: Sequence[int]) -> dict[int, 
         point[sweep] = value
         splats = surface_discs(options.mesh, point["splats"], point["sh_degree"])
         cameras = bench_camera(point["size_px"])
-        for row in time_render(splats, cameras, threads, options.repeats, options.seconds):
+        read = clock_reader(options.clock, max(threads))
+        lasting = options.repeats, options.seconds
+        for row in time_render(splats, cameras, threads, *lasting, read):
             found[row.threads].append(row)
             sys.stdout.write(
                 f"{row.splats:9,} {row.size_px:5} {row.sh_degree:3} {row.threads:8} "
@@ -243,6 +253,7 @@ def main(options: Options) -> None:
     threads = options.threads or tuple(sorted({1, cores}))
     if max(threads) > cores or min(threads) < 1:
         raise UserError(f"--threads: expected 1 to {cores} (NUMBA_NUM_THREADS), found {threads}")
+    read = clock_reader(options.clock, max(threads))
     torch.manual_seed(0)
     sys.stdout.write(
         f"{'splats':>9} {'px':>5} {'SH':>3} {'threads':>8} {'forward':>9} {'backward':>9} "
@@ -257,7 +268,7 @@ def main(options: Options) -> None:
     for count in threads:
         _use_threads(count)
         limits = measure_limits(count)
-        stages = measure_stages(splats, cameras, limits, options.repeats)
+        stages = measure_stages(splats, cameras, limits, options.repeats, read)
         _print_stages(stages, limits)
         stage_rows = [dataclasses.asdict(stage) for stage in stages]
         shares.append({"limits": dataclasses.asdict(limits), "stages": stage_rows})
@@ -269,6 +280,7 @@ def main(options: Options) -> None:
             sweep: [dataclasses.asdict(row) for rows in found.values() for row in rows]
             for sweep, found in sweeps.items()
         },
+        "clock": options.clock,
         "growth": growth,
         "bit_identical_over_threads": identical,
         "machine": shares,

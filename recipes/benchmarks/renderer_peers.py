@@ -44,6 +44,7 @@ from gscomplete.errors import UserError
 from gscomplete.render import render
 from gscomplete.splats import Splats
 from gscomplete.views import Cameras
+from recipes.benchmarks.clocks import Clock, clock_reader
 from recipes.benchmarks.scenes import bench_camera, surface_discs, trainable_copy
 
 
@@ -65,6 +66,8 @@ class Options:
     """Threads of Numba and PyTorch; None = all cores."""
     repeats: int = 15
     """Timed repeats after one untimed."""
+    clock: Clock = "wall"
+    """wall, or cpu: processor time, for one thread on a busy machine."""
     json: Path | None = None
     """Write the numbers to this file."""
 
@@ -124,34 +127,45 @@ def load_peer(path: Path) -> Peer:
     return cast(Peer, module)
 
 
-def run_ours(splats: Splats, cameras: Cameras, upstream: Tensor) -> Pass:
+def run_ours(
+    splats: Splats,
+    cameras: Cameras,
+    upstream: Tensor,
+    read: Callable[[], float] = time.perf_counter,
+) -> Pass:
     """Time our renderer; its kernels are not split here, so all time counts as compositing."""
     trainable = trainable_copy(splats)
-    start = time.perf_counter()
+    start = read()
     color = render(trainable, cameras, backend="cpu").color
-    middle = time.perf_counter()
+    middle = read()
     color.backward(upstream[None])
-    stop = time.perf_counter()
+    stop = read()
     parts = Parts(0.0, middle - start, stop - middle, 0.0)
     return Pass(parts, color.detach()[0], _gradients(trainable))
 
 
-def run_peer(peer: Peer, splats: Splats, cameras: Cameras, upstream: Tensor) -> Pass:
+def run_peer(
+    peer: Peer,
+    splats: Splats,
+    cameras: Cameras,
+    upstream: Tensor,
+    read: Callable[[], float] = time.perf_counter,
+) -> Pass:
     """Time another renderer, stage by stage."""
     trainable = trainable_copy(splats)
-    times = [time.perf_counter()]
+    times = [read()]
     screen = peer.project(trainable, cameras)
-    times.append(time.perf_counter())
+    times.append(read())
     # Cut here, so that each half of the backward pass runs, and is timed, by itself.
     cut = tuple(value.detach().requires_grad_(value.requires_grad) for value in screen)
     color = peer.composite(cut, cameras)
-    times.append(time.perf_counter())
+    times.append(read())
     color.backward(upstream)
-    times.append(time.perf_counter())
+    times.append(read())
     used = [(value, leaf.grad) for value, leaf in zip(screen, cut, strict=True)]
     used = [(value, grad) for value, grad in used if grad is not None]
     torch.autograd.backward([value for value, _ in used], [grad for _, grad in used])
-    times.append(time.perf_counter())
+    times.append(read())
     parts = Parts(*(float(d) for d in np.diff(times)))
     return Pass(parts, color.detach(), _gradients(trainable))
 
@@ -178,7 +192,11 @@ def distance(found: Pass, ours: Pass) -> dict[str, Any]:
 
 
 def compare(
-    peers: list[Peer], splats: Splats, cameras: Cameras, repeats: int
+    peers: list[Peer],
+    splats: Splats,
+    cameras: Cameras,
+    repeats: int,
+    read: Callable[[], float] = time.perf_counter,
 ) -> dict[str, dict[str, Any]]:
     """Time ours and the peers in turns.
 
@@ -187,9 +205,11 @@ def compare(
         our total, and the distance from our picture and gradients.
     """
     upstream = torch.randn(cameras.height, cameras.width, 3)
-    runs: dict[str, Callable[[], Pass]] = {"ours": lambda: run_ours(splats, cameras, upstream)}
+    runs: dict[str, Callable[[], Pass]] = {
+        "ours": lambda: run_ours(splats, cameras, upstream, read)
+    }
     for peer in peers:
-        runs[peer.NAME] = lambda peer=peer: run_peer(peer, splats, cameras, upstream)
+        runs[peer.NAME] = lambda peer=peer: run_peer(peer, splats, cameras, upstream, read)
     first = {name: run() for name, run in runs.items()}
     parts: dict[str, list[Parts]] = {name: [] for name in runs}
     for _ in range(repeats):
@@ -247,6 +267,7 @@ def main(options: Options) -> None:
     if not 1 <= threads <= numba.config.NUMBA_NUM_THREADS:
         limit = numba.config.NUMBA_NUM_THREADS
         raise UserError(f"--threads: expected 1 to {limit} (NUMBA_NUM_THREADS), found {threads}")
+    read = clock_reader(options.clock, threads)
     numba.set_num_threads(threads)
     torch.set_num_threads(threads)
     torch.manual_seed(0)
@@ -256,11 +277,16 @@ def main(options: Options) -> None:
         splats = surface_discs(options.mesh, count, options.sh_degree)
         for size in options.sizes:
             sys.stdout.write(f"{count:,} splats, {size} x {size}, {threads} threads\n")
-            rows = compare(peers, splats, bench_camera(size), options.repeats)
+            rows = compare(peers, splats, bench_camera(size), options.repeats, read)
             _print(rows)
             points.append({"splats": count, "size_px": size, "renderers": rows})
     if options.json:
-        content = {"threads": threads, "sh_degree": options.sh_degree, "points": points}
+        content = {
+            "threads": threads,
+            "clock": options.clock,
+            "sh_degree": options.sh_degree,
+            "points": points,
+        }
         with atomic_path(options.json) as temporary:
             temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 

@@ -65,7 +65,8 @@ class Stage:
 class _Recorder:
     """Seconds and arguments of kernel calls."""
 
-    def __init__(self) -> None:
+    def __init__(self, read: Callable[[], float]) -> None:
+        self.read = read
         self.seconds: dict[str, float] = defaultdict(float)
         self.arguments: dict[str, dict[str, Any]] = {}
 
@@ -74,9 +75,9 @@ class _Recorder:
         name, signature = kernel.__name__, inspect.signature(kernel.py_func)
 
         def timed(*arguments: Any) -> Any:
-            start = time.perf_counter()
+            start = self.read()
             result = kernel(*arguments)
-            self.seconds[name] += time.perf_counter() - start
+            self.seconds[name] += self.read() - start
             self.arguments[name] = dict(signature.bind(*arguments).arguments)
             if isinstance(result, np.ndarray):
                 self.arguments[name]["result"] = result
@@ -86,12 +87,12 @@ class _Recorder:
 
 
 @contextlib.contextmanager
-def _recorded() -> Iterator[_Recorder]:
+def _recorded(read: Callable[[], float]) -> Iterator[_Recorder]:
     """Time every kernel that Python code of the CPU renderer calls.
 
     Kernels must be compiled before: what they call themselves is looked up by the same names.
     """
-    recorder = _Recorder()
+    recorder = _Recorder(read)
     loaded = [m for name, m in sys.modules.items() if name.startswith(cpu.__name__ + ".")]
     with contextlib.ExitStack() as patches:
         for module in loaded:
@@ -116,7 +117,11 @@ def _visited_pixels(
 
 
 def measure_stages(
-    splats: Splats, cameras: Cameras, limits: MachineLimits, repeats: int
+    splats: Splats,
+    cameras: Cameras,
+    limits: MachineLimits,
+    repeats: int,
+    read: Callable[[], float] = time.perf_counter,
 ) -> list[Stage]:
     """Split one forward and backward pass into kernels and compare them with the limits.
 
@@ -125,19 +130,20 @@ def measure_stages(
         cameras: one view.
         limits: the machine's, with the number of threads that Numba uses now.
         repeats: timed passes, after one that is not.
+        read: the clock, in seconds.
     """
     trainable = trainable_copy(splats)
     upstream = torch.randn(1, cameras.height, cameras.width, 3)
     render(trainable, cameras, backend="cpu").color.backward(upstream)
     passes: list[dict[str, float]] = []
-    with _recorded() as recorder:
+    with _recorded(read) as recorder:
         for _ in range(repeats):
             recorder.seconds.clear()
             for _, value in trainable.fields():
                 value.grad = None
-            start = time.perf_counter()
+            start = read()
             render(trainable, cameras, backend="cpu").color.backward(upstream)
-            total = time.perf_counter() - start
+            total = read() - start
             rest = total - sum(recorder.seconds.values())
             passes.append(dict(recorder.seconds) | {OTHER: rest})
     milliseconds = {name: 1e3 * min(one[name] for one in passes) for name in passes[0]}

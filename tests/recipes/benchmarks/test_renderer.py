@@ -1,6 +1,7 @@
 """The renderer's benchmarks at a small size: what they say of known things is right."""
 
 import json
+import time
 from pathlib import Path
 
 import numba
@@ -13,6 +14,7 @@ from gscomplete.errors import UserError
 from gscomplete.render import RenderSettings, render
 from recipes.benchmarks import renderer, renderer_accuracy, renderer_peers, renderer_work
 from recipes.benchmarks.charts import Chart, draw_charts
+from recipes.benchmarks.clocks import clock_reader
 from recipes.benchmarks.machine_limits import MachineLimits, measure_limits
 from recipes.benchmarks.scenes import bench_camera, cloud, surface_discs
 
@@ -52,7 +54,7 @@ def test_exponents_of_power_laws_are_found():
 def test_speed_run_leaves_numbers_and_plot(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     options = renderer.Options(
         counts=(50, 200), sizes=(16, 40), degrees=(0, 3), splats=200, size_px=40, repeats=3,
-        threads=(1,), out=tmp_path,
+        threads=(1,), clock="cpu", out=tmp_path,
     )  # fmt: skip
     renderer.main(options)
     content = json.loads((tmp_path / "renderer.json").read_text())
@@ -95,6 +97,13 @@ def test_stages_cover_the_pass_and_count_what_is_drawn():
     assert render(splats, camera, backend="cpu").alpha.max() > 0.9
 
 
+def test_processor_time_is_for_one_thread():
+    assert clock_reader("wall", 2) is time.perf_counter
+    assert clock_reader("cpu", 1) is time.process_time
+    with pytest.raises(UserError, match="--threads 1"):
+        clock_reader("cpu", 2)
+
+
 def test_limits_are_positive_and_restore_threads():
     limits = measure_limits(1, repeats=1)
     assert limits.copy_gb_s > 0.1
@@ -134,7 +143,7 @@ def test_missed_bounds_are_named():
 def test_accuracy_run_leaves_numbers_and_plot(tmp_path: Path):
     options = renderer_accuracy.Options(
         scenes=("cloud",), splats=60, size_px=16, sh_degree=0, time_splats=100, time_size_px=16,
-        transmittance_min=(0.0, 1e-5), repeats=1, threads=1, out=tmp_path,
+        transmittance_min=(0.0, 1e-5), repeats=1, threads=1, clock="cpu", out=tmp_path,
     )  # fmt: skip
     renderer_accuracy.main(options)
     content = json.loads((tmp_path / "renderer_accuracy.json").read_text())
