@@ -165,6 +165,42 @@ class HardPreservationSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class SeamColorSettings:
+    """How colours of new splats pass into P's; lengths in object sizes."""
+
+    reach: float = 0.03
+    """New splats this near to one of P's are at the seam."""
+    smoothness: float = 0.05
+    """Differences are smoothed along the seam over about this length."""
+    fade: float = 0.1
+    """The correction falls to 61 % at this distance from the seam, and to 14 % at twice that."""
+    strength: float = 1.0
+    """Share of the difference that is taken away at the seam."""
+    neighbours: int = 16
+    """Colours are means over this many splats: patterns are to stay."""
+    anchors: int = 64
+    """Most splats at the seam that decide about one new splat."""
+    least_opacity: float = 0.1
+    """Fainter splats are not looked at."""
+
+    def __post_init__(self) -> None:
+        """Check ranges.
+
+        Raises:
+            UserError: a value is outside its range.
+        """
+        for name in ("reach", "smoothness", "fade"):
+            if not 0 < getattr(self, name) < float("inf"):
+                raise UserError(f"{name}: expected a positive number, found {getattr(self, name)}")
+        for name in ("neighbours", "anchors"):
+            if getattr(self, name) < 1:
+                raise UserError(f"{name}: expected at least 1, found {getattr(self, name)}")
+        for name in ("strength", "least_opacity"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise UserError(f"{name}: expected 0 to 1, found {getattr(self, name)}")
+
+
+@dataclass(frozen=True, slots=True)
 class CompletionSettings:
     """How to complete an object. Defaults are the paper's."""
 
@@ -217,6 +253,8 @@ class CompletionSettings:
     hard_preservation: HardPreservationSettings | None = None
     """Bounds on E_color and E_depth over V that hold at the end; None = whatever the preservation
     loss leaves (the paper)."""
+    seam_colors: SeamColorSettings | None = None
+    """Match new splats' colours to P's at the seam, at the end; None = leave them (the paper)."""
     min_scale_px: float = 0.0
     """Smallest scale of a new splat in pixels of the run's resolution (at the centre); splats
     smaller than a pixel's footprint turn to dust at any other resolution. 0 = no bound."""

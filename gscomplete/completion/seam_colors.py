@@ -1,0 +1,161 @@
+"""Match the colours of new splats to P's where the two meet, fading with the distance.
+
+At the seam the mean colour of P's nearest splats is compared with that of the nearest new ones.
+The differences, smoothed along the seam, are added to the new splats about it: hue, saturation and
+lightness shift together, and the pattern of the new splats stays.
+
+Conventions
+-----------
+* Lengths are in object sizes (object frame).
+* Differences are taken in Oklab (Ottosson 2020), where equal steps look equal; L runs from 0 to 1.
+* Only the base band changes: colours that depend on the direction keep what depends on it. P, and
+  new splats that no seam reaches, come back as they are.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from gscomplete.completion.settings import SeamColorSettings
+from gscomplete.splats import Splats, colors_to_sh
+
+_LMS_FROM_LINEAR = torch.tensor(
+    [
+        [0.4122214708, 0.5363325363, 0.0514459929],
+        [0.2119034982, 0.6806995451, 0.1073969566],
+        [0.0883024619, 0.2817188376, 0.6299787005],
+    ],
+    dtype=torch.float64,
+)
+_LAB_FROM_ROOTS = torch.tensor(
+    [
+        [0.2104542553, 0.7936177850, -0.0040720468],
+        [1.9779984951, -2.4285922050, 0.4505937099],
+        [0.0259040371, 0.7827717662, -0.8086757660],
+    ],
+    dtype=torch.float64,
+)
+_LEAST_SHARE = 0.01
+"""Splats get no correction where less than this share of one is left."""
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class SeamColorReport:
+    """What matching did."""
+
+    seam_splats: int
+    """New splats at the seam."""
+    changed: int
+    """New splats whose colour changed."""
+    difference_before: float
+    """Mean distance in Oklab of P's and the new splats' colours at the seam; 0 without a seam."""
+    difference_after: float
+
+    def summary(self) -> str:
+        """Describe what was done in one line."""
+        return (
+            f"seam colours: {self.changed:,} new splats changed; at the seam ({self.seam_splats:,} "
+            f"splats) the difference to P goes from {self.difference_before:.4f} to "
+            f"{self.difference_after:.4f} (Oklab)"
+        )
+
+
+def match_seam_colors(
+    new: Splats, partial: Splats, settings: SeamColorSettings
+) -> tuple[Splats, SeamColorReport]:
+    """Return the new splats with colours that pass into P's at the seam.
+
+    Args:
+        new: N new splats, object frame.
+        partial: P, object frame.
+        settings: knobs.
+    """
+    drawn = partial.select(partial.opacities >= settings.least_opacity)
+    shown = torch.nonzero(new.opacities >= settings.least_opacity)[:, 0]
+    if len(drawn) == 0 or len(shown) == 0:
+        return new, SeamColorReport(0, 0, 0.0, 0.0)
+    places = new.means.detach().double().cpu().numpy()
+    known = _Colors(drawn, settings.neighbours)
+    ours = _Colors(new.select(shown), settings.neighbours)
+    at_seam = known.distance(places[shown.cpu().numpy()]) <= settings.reach
+    if not at_seam.any():
+        return new, SeamColorReport(0, 0, 0.0, 0.0)
+    anchors = places[shown.cpu().numpy()][at_seam]
+    wanted = known.mean(anchors)
+    gap = wanted - ours.mean(anchors)
+    shift = _spread(gap, anchors, places, settings)
+    changed = torch.from_numpy(np.abs(shift).max(axis=1) > 0)
+    base = new.base_colors.detach().double().cpu().clamp(0.0, 1.0)
+    matched = srgb_from_oklab(oklab_from_srgb(base) + torch.from_numpy(shift)).clamp(0.0, 1.0)
+    band = colors_to_sh(matched)[:, 0].to(new.sh)
+    sh = new.sh.detach().clone()
+    sh[:, 0] = torch.where(changed.to(sh.device)[:, None], band, sh[:, 0])
+    result = dataclasses.replace(new, sh=sh)
+    after = wanted - _Colors(result.select(shown), settings.neighbours).mean(anchors)
+    before_mean, after_mean = (float(np.linalg.norm(g, axis=1).mean()) for g in (gap, after))
+    return result, SeamColorReport(len(anchors), int(changed.sum()), before_mean, after_mean)
+
+
+class _Colors:
+    """Oklab colours of splats, averaged about a point."""
+
+    def __init__(self, splats: Splats, neighbours: int) -> None:
+        self._tree = cKDTree(splats.means.detach().double().cpu().numpy())
+        base = splats.base_colors.detach().double().cpu().clamp(0.0, 1.0)
+        self._lab = oklab_from_srgb(base).numpy()
+        self._nearest = list(range(1, min(neighbours, len(splats)) + 1))
+
+    def distance(self, points: FloatArray) -> FloatArray:  # [M, 3] -> [M]
+        """Return the distance to the nearest splat."""
+        return np.asarray(self._tree.query(points)[0])
+
+    def mean(self, points: FloatArray) -> FloatArray:  # [M, 3] -> [M, 3]
+        """Return the mean colour of the nearest splats."""
+        _, index = self._tree.query(points, k=self._nearest)
+        return np.asarray(self._lab[index].mean(axis=1))
+
+
+def _spread(
+    gap: FloatArray,  # [A, 3]
+    anchors: FloatArray,  # [A, 3]
+    points: FloatArray,  # [N, 3]
+    settings: SeamColorSettings,
+) -> FloatArray:  # [N, 3]
+    """Smooth differences at the seam along it, and let them fade with the distance from it."""
+    tree = cKDTree(anchors)
+    nearest = list(range(1, min(settings.anchors, len(anchors)) + 1))
+    distance, index = tree.query(points, k=nearest)
+    # Relative to the nearest anchor, so that weights far from the seam do not vanish all at once.
+    beyond = distance**2 - distance[:, :1] ** 2
+    weight = np.exp(-0.5 * beyond / settings.smoothness**2)
+    weight /= weight.sum(axis=1, keepdims=True)
+    fading = np.exp(-0.5 * (distance[:, 0] / settings.fade) ** 2)
+    fading[fading < _LEAST_SHARE] = 0.0
+    return settings.strength * fading[:, None] * (weight[:, :, None] * gap[index]).sum(axis=1)
+
+
+def oklab_from_srgb(colors: Tensor) -> Tensor:  # [N, 3] in [0, 1] -> [N, 3], float64
+    """Turn sRGB colours into Oklab."""
+    srgb = colors.double()
+    linear = torch.where(
+        srgb <= 0.04045, srgb / 12.92, ((srgb.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4
+    )
+    lms = linear @ _LMS_FROM_LINEAR.T
+    return (lms.sign() * lms.abs() ** (1.0 / 3.0)) @ _LAB_FROM_ROOTS.T
+
+
+def srgb_from_oklab(lab: Tensor) -> Tensor:  # [N, 3] -> [N, 3], float64; may leave [0, 1]
+    """Turn Oklab colours into sRGB."""
+    roots = lab.double() @ torch.linalg.inv(_LAB_FROM_ROOTS).T
+    linear = (roots**3) @ torch.linalg.inv(_LMS_FROM_LINEAR).T
+    curved = 1.055 * linear.clamp_min(0.0031308) ** (1.0 / 2.4) - 0.055
+    return torch.where(linear <= 0.0031308, 12.92 * linear, curved)
