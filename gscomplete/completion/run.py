@@ -34,6 +34,7 @@ from gscomplete.errors import UserError
 from gscomplete.evaluate.pictures import preview_sheet, save_image, save_turntable
 from gscomplete.evaluate.report import evaluate
 from gscomplete.priors.base import Prior, prior_identity
+from gscomplete.render import render
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.ply import SplatFile, append_splats, read_splats
 from gscomplete.splats.transform import Similarity, transform_splats
@@ -43,6 +44,8 @@ RUN_FILE = "run.json"
 OUTPUT_FILE = "completed.ply"
 LOG_FILE = "log.jsonl"
 CHECKPOINTS = "checkpoints"
+VISIBILITY_PX = 128
+"""Side of the picture in which P must be seen."""
 COARSE = 1e-3
 """A spacing of float32 coordinates above this share of the object's size is worth a note: less than
 a third of a pixel where the object fills 256."""
@@ -101,6 +104,7 @@ def prepare(request: Request, prior: Prior, device: torch.device | str = "cpu") 
     frame, distribution, notes = _decide_frame(request, chosen.splats, prior)
     conditioning = prior.condition(request.prompt, request.negative_prompt)
     partial = transform_splats(chosen.splats, frame.object_from_file)
+    _require_visible(partial, distribution, request.partial_path)
     completion = Completion(
         partial,
         prior,
@@ -264,6 +268,21 @@ def _decide_frame(
             f"{100 * spacing / size_file:.2g} % of the object's size; splats can lie no finer"
         )
     return frame, distribution, tuple(notes)
+
+
+def _require_visible(partial: Splats, distribution: ViewDistribution, path: Path) -> None:
+    """Refuse a P that the input view does not show: nothing could be preserved or measured.
+
+    Raises:
+        UserError: no pixel of the input view shows P.
+    """
+    with torch.no_grad():
+        alpha = render(partial, distribution.input_camera(VISIBILITY_PX)).alpha
+    if not bool(alpha.any()):
+        raise UserError(
+            f"{path}: expected splats that the input view shows, found none that it does; they "
+            "are transparent, or the centre, the size or the input view is wrong"
+        )
 
 
 def _largest_side(splats: Splats) -> float:

@@ -1,5 +1,6 @@
 """``gscomplete complete`` as a user runs it: in a process of its own, on real files, and killed."""
 
+import dataclasses
 import json
 import os
 import signal
@@ -145,6 +146,18 @@ def test_bad_files_are_named_without_a_traceback(tmp_path):
         assert name in result.stderr, name
         assert "Traceback" not in result.stderr, name
         assert path.read_bytes() == content, name
+
+
+def test_what_the_input_view_does_not_show_is_refused_before_the_run(tmp_path):
+    hidden, seen = tmp_path / "hidden.ply", tmp_path / "seen.ply"
+    write_splats(hidden, dataclasses.replace(shell(), opacities=torch.zeros(800)))
+    write_splats(seen, shell())
+    for path, more in ((hidden, ()), (seen, ("--center", "9,9,9"))):
+        result = complete(path, tmp_path / "out", *more)
+        assert result.returncode == 2
+        assert path.name in result.stderr
+        assert "input view" in result.stderr
+        assert not (tmp_path / "out").exists()
 
 
 def test_single_splat_needs_a_frame_and_then_completes(tmp_path):
