@@ -103,12 +103,14 @@ def _pixel_rows(v: Any, half_h: Any, tile_y: int) -> Any:
 
 @numba.njit(**_JIT)
 def _start_tile(buffer: Any, tile: int, tiles_x: int) -> None:
-    """Write pixel centres and full transmittance into a tile's buffer."""
+    """Write pixel centres, full transmittance and empty sums into a tile's buffer."""
     for p in range(FIRST, LAST):
         row, column = np.int64(p) // TILE, np.int64(p) % TILE
         buffer[B_X + p] = np.float32((tile % tiles_x) * TILE + column) + np.float32(0.5)
         buffer[B_Y + p] = np.float32((tile // tiles_x) * TILE + row) + np.float32(0.5)
         buffer[B_THROUGH + p] = np.float32(1.0)
+    for k in range(B_0, B_4):
+        buffer[k] = np.float32(0.0)
 
 
 @numba.njit(**_JIT)
@@ -153,6 +155,7 @@ def composite(
     tile_start: Any,  # [tiles + 1]
     entries: Any,  # [E] places in the frozen rows followed by the rows
     active: Any,  # [A] tiles to draw
+    shares: Any,  # [S + 1] runs of ``active`` that are about the same work
     tiles_x: int,
     alpha_min: Any,  # float32
     alpha_max: Any,
@@ -161,25 +164,26 @@ def composite(
     done: Any,  # [tiles] int32, written for active tiles: how many entries were drawn
 ) -> None:
     """Draw the active tiles: premultiplied colour, sum of w * depth, and alpha."""
-    for k in numba.prange(active.shape[0]):
-        tile = active[k]
-        buffer = np.zeros(7 * PIXELS, np.float32)
+    for share in numba.prange(shares.shape[0] - 1):
+        buffer = np.empty(7 * PIXELS, np.float32)
         batch = np.empty((BATCH, PACKED), np.float32)
-        _start_tile(buffer, tile, tiles_x)
-        done[tile] = _tile_forward(
-            frozen_rows,
-            rows,
-            entries,
-            tile_start[tile],
-            tile_start[tile + 1],
-            tile // tiles_x,
-            alpha_min,
-            alpha_max,
-            transmittance_min,
-            buffer,
-            batch,
-        )
-        _store_tile(buffer, tile, tiles_x, image)
+        for k in range(shares[share], shares[share + 1]):
+            tile = active[k]
+            _start_tile(buffer, tile, tiles_x)
+            done[tile] = _tile_forward(
+                frozen_rows,
+                rows,
+                entries,
+                tile_start[tile],
+                tile_start[tile + 1],
+                tile // tiles_x,
+                alpha_min,
+                alpha_max,
+                transmittance_min,
+                buffer,
+                batch,
+            )
+            _store_tile(buffer, tile, tiles_x, image)
 
 
 @numba.njit(**_JIT)
@@ -253,6 +257,7 @@ def composite_backward(
     entries: Any,  # [E]
     slots: Any,  # [E] gradient row, or -1 for frozen splats
     active: Any,  # [A] tiles that the forward pass drew
+    shares: Any,  # [S + 1]
     skip_idle: bool,  # leave out tiles whose sums are all zero
     tiles_x: int,
     alpha_min: Any,
@@ -263,34 +268,35 @@ def composite_backward(
     sums: Any,  # [slots, SUMS] zeros, written
 ) -> None:
     """Write, for every (trainable splat, tile) entry, the sums that its gradient is made of."""
-    for k in numba.prange(active.shape[0]):
-        tile = active[k]
-        start = tile_start[tile]
-        last = start + done[tile] - 1
-        while skip_idle and last >= start and slots[last] < 0:
-            last -= 1
-        if last < start:
-            continue
+    for share in numba.prange(shares.shape[0] - 1):
         buffer = np.empty(9 * PIXELS, np.float32)
         batch = np.empty((BATCH, PACKED), np.float32)
-        _start_tile(buffer, tile, tiles_x)
-        loudest = _load_upstream(buffer, tile, tiles_x, image, upstream)
-        if skip_idle and loudest == np.float32(0.0):
-            continue
-        _tile_backward(
-            frozen_rows,
-            rows,
-            entries,
-            slots,
-            start,
-            last,
-            tile // tiles_x,
-            alpha_min,
-            alpha_max,
-            buffer,
-            batch,
-            sums,
-        )
+        for k in range(shares[share], shares[share + 1]):
+            tile = active[k]
+            start = tile_start[tile]
+            last = start + done[tile] - 1
+            while skip_idle and last >= start and slots[last] < 0:
+                last -= 1
+            if last < start:
+                continue
+            _start_tile(buffer, tile, tiles_x)
+            loudest = _load_upstream(buffer, tile, tiles_x, image, upstream)
+            if skip_idle and loudest == np.float32(0.0):
+                continue
+            _tile_backward(
+                frozen_rows,
+                rows,
+                entries,
+                slots,
+                start,
+                last,
+                tile // tiles_x,
+                alpha_min,
+                alpha_max,
+                buffer,
+                batch,
+                sums,
+            )
 
 
 @numba.njit(**_JIT)

@@ -79,6 +79,13 @@ def project_backward(
             for slot in range(start, stop):
                 for k in range(SUMS):
                     total[k] += sums[slot, k]
+            felt = 0.0
+            for k in range(SUMS):
+                felt += abs(total[k])
+            if felt == 0.0:  # hidden, or seen only where nothing flows back
+                if grad_offsets.shape[0] > 0:
+                    grad_offsets[i, 0] = grad_offsets[i, 1] = 0.0
+                continue
             la, lb, lc = (
                 np.float64(packed[i, P_LA]),
                 np.float64(packed[i, P_LB]),

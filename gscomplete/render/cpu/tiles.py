@@ -128,9 +128,14 @@ def _tile_box(row: Any, tiles_x: int, tiles_y: int) -> Any:
 
 
 @numba.njit(**_JIT)
-def _row_tiles(row: Any, log_alpha_min: float, ty: int, tiles_x: int) -> Any:
+def _reach(row: Any, log_alpha_min: float) -> float:
+    """Return the squared whitened distance at which a splat's alpha is alpha_min."""
+    return 2.0 * (math.log(np.float64(row[P_OPACITY])) - log_alpha_min)
+
+
+@numba.njit(**_JIT)
+def _row_tiles(row: Any, reach: float, ty: int, tiles_x: int) -> Any:
     """Return the tiles of tile row ``ty`` that the ellipse reaches."""
-    reach = 2.0 * (math.log(np.float64(row[P_OPACITY])) - log_alpha_min)
     u, v = np.float64(row[P_U]), np.float64(row[P_V])
     left, right = _row_span(row, u, v, reach, ty * TILE + 0.5, ty * TILE + TILE - 0.5)
     if left > right:
@@ -156,10 +161,12 @@ def count_entries(
         for rank in range(chunk * size, min(total, chunk * size + size)):
             row = ranked[rank]
             first_x, last_x, first_y, last_y, full = _tile_box(row, tiles_x, tiles_y)
+            narrow = exact and not full
+            reach = _reach(row, log_alpha_min) if narrow else 0.0
             entries = 0
             for ty in range(first_y, last_y):
-                if exact and not full:
-                    first_x, last_x = _row_tiles(row, log_alpha_min, ty, tiles_x)
+                if narrow:
+                    first_x, last_x = _row_tiles(row, reach, ty, tiles_x)
                 for tx in range(first_x, last_x):
                     per_chunk[chunk, ty * tiles_x + tx] += 1
                 entries += max(last_x - first_x, 0)
@@ -218,10 +225,12 @@ def fill_entries(
             splat = order[rank]
             row = ranked[rank]
             first_x, last_x, first_y, last_y, full = _tile_box(row, tiles_x, tiles_y)
+            narrow = exact and not full
+            reach = _reach(row, log_alpha_min) if narrow else 0.0
             slot = slot_start[splat - first] if splat >= first else -1
             for ty in range(first_y, last_y):
-                if exact and not full:
-                    first_x, last_x = _row_tiles(row, log_alpha_min, ty, tiles_x)
+                if narrow:
+                    first_x, last_x = _row_tiles(row, reach, ty, tiles_x)
                 for tx in range(first_x, last_x):
                     place = cursor[chunk, ty * tiles_x + tx]
                     cursor[chunk, ty * tiles_x + tx] = place + 1

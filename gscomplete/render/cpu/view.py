@@ -23,6 +23,8 @@ from gscomplete.splats import Splats
 from gscomplete.views import Cameras
 
 Arrays = tuple[Any, ...]
+SHARES = 64
+"""Runs of tiles that are handed to threads; what is drawn does not depend on it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,12 +148,14 @@ def draw(
         tile_start, entries, slots, active = _join(lists, prepared, settings)
     tiles_x, _ = _grid(camera)
     done = np.zeros(len(tile_start) - 1, np.int32)
+    length = np.diff(tile_start)[active]
     comp.composite(
         frozen_rows,
         lists.rows,
         tile_start,
         entries,
         active,
+        _shares(length),
         tiles_x,
         np.float32(settings.alpha_min),
         np.float32(settings.alpha_max),
@@ -208,6 +212,7 @@ def differentiate(
         view.entries,
         view.slots,
         view.active,
+        _shares(view.done[view.active]),
         settings.skip_idle_tiles,
         _grid(view.camera)[0],
         np.float32(settings.alpha_min),
@@ -225,6 +230,14 @@ def differentiate(
 def _grid(camera: Any) -> tuple[int, int]:
     """Return the number of tiles across and down."""
     return -(-int(camera[16]) // tiles.TILE), -(-int(camera[17]) // tiles.TILE)
+
+
+def _shares(work: Any) -> Any:  # [A] -> [SHARES + 1] int64
+    """Cut a row of tasks into runs of about the same work; threads are given whole runs."""
+    ends = np.cumsum(work, dtype=np.int64)
+    total = ends[-1] if len(ends) else 0
+    cuts = np.searchsorted(ends, total * np.arange(1, SHARES) // SHARES, side="right")
+    return np.concatenate([[0], cuts, [len(ends)]])
 
 
 def _join(lists: TileLists, prepared: FrozenLists, settings: RenderSettings) -> tuple[Any, ...]:
