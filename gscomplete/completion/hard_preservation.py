@@ -204,7 +204,9 @@ class _Work:
         """Measure the errors over the check views."""
         visible = splats.select(splats.opacities > 0)
         drawn = render(visible, self._check.cameras, self._background, frozen=self._check)
-        color, depth = masked_errors(drawn, self._check.picture(self._background))
+        color, depth = masked_errors(
+            drawn, self._check.picture(self._background), self._settings.mask_from
+        )
         return CheckedErrors(float(color), float(depth))
 
     def above(self, found: CheckedErrors, share: float = 1.0) -> dict[str, float]:

@@ -32,13 +32,16 @@ _OUTSIDE_RISE_DEG = 25.0
 """Every other view from outside V looks from this much higher."""
 
 
-def masked_errors(completed: Render, partial: Render) -> tuple[Tensor, Tensor]:  # [], []
+def masked_errors(
+    completed: Render, partial: Render, mask_from: float = 0.0
+) -> tuple[Tensor, Tensor]:  # [], []
     """Return E_color and E_depth with graph, as ``metrics.preservation_of_renders`` defines them.
 
-    O contains P here, so it shows something wherever P does.
+    O contains P here, so it shows something wherever P does. Pixels where P's alpha is below
+    ``mask_from`` add nothing to the errors.
     """
-    mask = partial.alpha
-    total = mask.sum().clamp_min(1e-12)
+    total = partial.alpha.sum().clamp_min(1e-12)
+    mask = torch.where(partial.alpha >= mask_from, partial.alpha, 0.0)
     color = (completed.color - partial.color).square().mean(dim=-1)
     shown = mask >= NOTHING_ALPHA
     depth = torch.where(shown, completed.depth - partial.depth, 0.0).square()
@@ -49,7 +52,7 @@ def relative_error(
     drawn: Render, target: Render, watched: Collection[str], settings: HardPreservationSettings
 ) -> Tensor:  # []
     """Return the sum of the watched errors ("color", "depth"), each in units of its aim."""
-    color, depth = masked_errors(drawn, target)
+    color, depth = masked_errors(drawn, target, settings.mask_from)
     terms = {
         "color": color / (settings.margin * settings.color_bound),
         "depth": depth / (settings.margin * settings.depth_bound),

@@ -112,6 +112,10 @@ class HardPreservationSettings:
     """Largest E_color over V (``evaluate.metrics``)."""
     depth_bound: float = 5e-4
     """Largest E_depth over V, in squared object sizes."""
+    mask_from: float = 0.0
+    """P's alpha from which a pixel is held to its looks; 0 = all pixels, each by its alpha, as the
+    errors are defined. Where P is a few scattered splats, its looks are mostly those of what lies
+    behind, and a completion that fills the gaps must change them."""
     margin: float = 0.8
     """Share of the bounds that errors over the check views are brought below, so that other views
     of V are below the bounds too."""
@@ -157,6 +161,8 @@ class HardPreservationSettings:
         for name in ("margin", "active_share"):
             if not 0 < getattr(self, name) <= 1:
                 raise UserError(f"{name}: expected more than 0, at most 1, {getattr(self, name)}")
+        if not 0 <= self.mask_from < 1:
+            raise UserError(f"mask_from: expected 0 to less than 1, found {self.mask_from}")
         for name in ("check_views", "fit_views", "steps", "views_per_step"):
             if getattr(self, name) < 1:
                 raise UserError(f"{name}: expected at least 1, found {getattr(self, name)}")

@@ -189,3 +189,12 @@ def test_the_fewest_amounts_that_are_enough_are_marked(values, share):
 def test_settings_out_of_range_are_refused(field, value):
     with pytest.raises(UserError, match=field):
         HardPreservationSettings(**{field: value})
+
+
+def test_pixels_where_p_is_faint_can_be_left_out():
+    faint = dataclasses.replace(PARTIAL, opacities=torch.full((len(PARTIAL),), 0.1))
+    held = preserve_hard(IN_FRONT, faint, VIEWS, SMALL)
+    assert held.report.before.color > held.report.after.color
+    free = preserve_hard(IN_FRONT, faint, VIEWS, dataclasses.replace(SMALL, mask_from=0.9))
+    assert free.report.before.color == 0.0
+    assert free.report.untouched == len(IN_FRONT)
