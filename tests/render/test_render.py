@@ -6,7 +6,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gscomplete.errors import UserError
 from gscomplete.render import RenderSettings, render
+from gscomplete.render.cpu import view as one_view
 from gscomplete.splats import Splats
 from gscomplete.views import Cameras, four_view_orbit
 
@@ -220,3 +222,10 @@ def test_no_views_give_no_pictures():
     none = cameras(5)[0:0]
     for backend in ("cpu", "reference"):
         assert render(random_splats(0, 3), none, backend=backend).color.shape == (0, 5, 5, 3)
+
+
+def test_tile_lists_too_long_to_number_are_refused(monkeypatch):
+    """Positions in them are int32: past 2^31 they would wrap, and the process write anywhere."""
+    monkeypatch.setattr(one_view, "MAX_ENTRIES", 100)
+    with pytest.raises(UserError, match="expected at most 100 pairs of a splat and a tile"):
+        render(random_splats(0, 300, scale=1.0), cameras())

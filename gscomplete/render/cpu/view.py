@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from gscomplete.errors import UserError
 from gscomplete.render.cpu import composite as comp
 from gscomplete.render.cpu import layout, merge, tiles
 from gscomplete.render.cpu.project import project
@@ -23,6 +24,8 @@ from gscomplete.splats import Splats
 from gscomplete.views import Cameras
 
 Arrays = tuple[Any, ...]
+MAX_ENTRIES = 2**31 - 1
+"""Most entries of all tile lists of a view: they are numbered with int32."""
 SHARES = 64
 """Runs of tiles that are handed to threads; what is drawn does not depend on it."""
 
@@ -101,7 +104,11 @@ def list_tiles(
     camera: Any,
     settings: RenderSettings,
 ) -> TileLists:
-    """Project both sets, order them by depth and list them tile by tile."""
+    """Project both sets, order them by depth and list them tile by tile.
+
+    Raises:
+        UserError: the lists are longer than int32 can number.
+    """
     first = 0 if frozen is None else frozen[0].shape[0]
     total = first + trainable[0].shape[0]
     packed = np.empty((total, layout.PACKED), np.float32)
@@ -125,6 +132,13 @@ def list_tiles(
     slot_start = np.empty(total - first + 1, np.int64)
     tiles.count_entries(rows, *shape, cursor, per_rank)
     tiles.place_entries(cursor, per_rank, order, first, total - first, tile_start, slot_start)
+    if tile_start[-1] > MAX_ENTRIES:
+        raise UserError(
+            f"render: expected at most {MAX_ENTRIES:,} pairs of a splat and a tile that it "
+            f"reaches in one view, found {tile_start[-1]:,} of {total:,} splats in "
+            f"{int(camera[16])} x {int(camera[17])} pixels; draw fewer or smaller splats, or a "
+            "smaller picture"
+        )
     entries = np.empty(tile_start[-1], np.int32)
     slots = np.empty(tile_start[-1], np.int32)
     tiles.fill_entries(rows, order, *shape, cursor, first, slot_start, entries, slots)
