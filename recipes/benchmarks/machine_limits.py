@@ -12,6 +12,7 @@ Conventions
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -49,24 +50,27 @@ def _multiply_adds(values: Any, passes: int, scale: Any, shift: Any) -> None:  #
                 row[k] = x
 
 
-def measure_limits(threads: int, repeats: int = 30) -> MachineLimits:
+def measure_limits(
+    threads: int, repeats: int = 30, read: Callable[[], float] = time.perf_counter
+) -> MachineLimits:
     """Measure both limits with this many threads (about a second)."""
-    return MachineLimits(threads, _copy_rate(threads, repeats), _operation_rate(threads, repeats))
+    rates = (_copy_rate(threads, repeats, read), _operation_rate(threads, repeats, read))
+    return MachineLimits(threads, *rates)
 
 
-def _copy_rate(threads: int, repeats: int) -> float:
+def _copy_rate(threads: int, repeats: int, read: Callable[[], float]) -> float:
     source = np.ones((threads, _COPY_FLOATS // threads), np.float32)
     target = np.zeros_like(source)
     seconds = []
     with ThreadPoolExecutor(threads) as pool:
         for _ in range(repeats):
-            start = time.perf_counter()
+            start = read()
             list(pool.map(np.copyto, target, source))
-            seconds.append(time.perf_counter() - start)
+            seconds.append(read() - start)
     return 2 * source.nbytes / min(seconds) / 1e9
 
 
-def _operation_rate(threads: int, repeats: int) -> float:
+def _operation_rate(threads: int, repeats: int, read: Callable[[], float]) -> float:
     before = numba.get_num_threads()
     numba.set_num_threads(threads)
     values = np.ones((threads, _VALUES), np.float32)
@@ -74,8 +78,8 @@ def _operation_rate(threads: int, repeats: int) -> float:
     _multiply_adds(values, 1, *numbers)
     seconds = []
     for _ in range(repeats):
-        start = time.perf_counter()
+        start = read()
         _multiply_adds(values, _PASSES, *numbers)
-        seconds.append(time.perf_counter() - start)
+        seconds.append(read() - start)
     numba.set_num_threads(before)
     return 2.0 * threads * _VALUES * _CHAIN * _PASSES / min(seconds) / 1e9

@@ -267,7 +267,7 @@ def main(options: Options) -> None:
     shares = []
     for count in threads:
         _use_threads(count)
-        limits = measure_limits(count)
+        limits = measure_limits(count, read=read)
         stages = measure_stages(splats, cameras, limits, options.repeats, read)
         _print_stages(stages, limits)
         stage_rows = [dataclasses.asdict(stage) for stage in stages]
