@@ -2,8 +2,9 @@
 
 Conventions
 -----------
-* ``camera`` is a float64 vector: the 3x4 rows of camera_from_world (12 numbers), then
-  fx, fy, cx, cy, width, height, near, blur_px2, alpha_min.
+* ``camera`` is a tuple of float64: the 3x4 rows of camera_from_world (12 numbers), then
+  fx, fy, cx, cy, width, height, near, blur_px2, alpha_min. A tuple, because what a kernel stores
+  cannot change it: the numbers of an array would be read anew after every store.
 * A projected splat is one row of PACKED float32 values (the ``P_*`` columns): screen centre (u, v),
   whitening L = [[LA, LB], [0, LC]], opacity, colour, depth, and the half height and width of its
   pixel box at alpha_min. L^T L is the inverse screen covariance, so with the whitened offset
@@ -19,7 +20,6 @@ SUMS = 10
 dL/dpower times 1, wx, wy, wx^2, wx wy, wy^2 (w: whitened offset), and of the colour and depth
 gradients."""
 
-CAMERA_NUMBERS = 21
 EDGE_SLACK = 0.15
 """The Jacobian is taken at most this share of the image size outside the image, as in 3DGS."""
 MAX_VARIANCE_PX2 = 1e70

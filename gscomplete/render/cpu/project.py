@@ -36,7 +36,7 @@ def project(
     sh: Any,  # [N, K, 3]
     bands: int,  # the first of the K that are evaluated
     offsets: Any,  # [N, 2] pixels added to the projected centre, or [0, 2] for none
-    camera: Any,  # [21] float64
+    camera: Any,  # 21 float64
     packed: Any,  # [N, PACKED] float32, written
     depths: Any,  # [N] float64, written
     visible: Any,  # [N] uint8, written

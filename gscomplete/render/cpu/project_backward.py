@@ -39,7 +39,7 @@ def project_backward(
     scales: Any,  # [N, 3]
     opacities: Any,  # [N]
     sh: Any,  # [N, K, 3]
-    camera: Any,  # [21]
+    camera: Any,  # 21 float64
     packed: Any,  # [N, PACKED] rows of the forward pass
     slot_start: Any,  # [N + 1] int64: rows of ``sums`` that belong to each splat
     sums: Any,  # [slots, SUMS] float32 from composite_backward

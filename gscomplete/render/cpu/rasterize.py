@@ -48,7 +48,7 @@ class _Rasterize(torch.autograd.Function):
             shifts = offsets.detach().contiguous().numpy()
         views = []
         for v in range(len(cameras)):
-            camera = one_view.camera_vector(cameras, v, settings)
+            camera = one_view.camera_numbers(cameras, v, settings)
             lists = one_view.list_tiles(frozen_arrays, arrays, shifts[v], camera, settings)
             kept = None if prepared is None else prepared[v].lists
             views.append(one_view.draw(lists, kept, camera, settings, images[v].numpy()))
@@ -112,7 +112,7 @@ def prepare_views(
     views = []
     for v in range(len(cameras)):
         image = torch.zeros(cameras.height, cameras.width, CHANNELS)
-        camera = one_view.camera_vector(cameras, v, settings)
+        camera = one_view.camera_numbers(cameras, v, settings)
         lists = one_view.prepare(arrays, camera, settings, image.numpy())
         views.append(PreparedView(image, lists))
     return tuple(views)

@@ -81,20 +81,18 @@ def splat_arrays(splats: Splats) -> Arrays:
     return tuple(value.detach().contiguous().numpy() for _, value in splats.fields())
 
 
-def camera_vector(cameras: Cameras, index: int, settings: RenderSettings) -> Any:  # [21]
-    """Pack one camera and the settings that projection needs into a float64 vector."""
-    vector = np.empty(layout.CAMERA_NUMBERS, np.float64)
-    vector[:12] = cameras.camera_from_world[index, :3].double().numpy().reshape(-1)
-    vector[12:14] = cameras.focal_px[index].double().numpy()
-    vector[14:16] = cameras.center_px[index].double().numpy()
-    vector[16:] = (
-        cameras.width,
-        cameras.height,
-        settings.near,
-        settings.blur_px2,
-        settings.alpha_min,
+def camera_numbers(cameras: Cameras, index: int, settings: RenderSettings) -> tuple[float, ...]:
+    """Return one camera and the settings that projection needs, as ``layout`` lists them."""
+    return (
+        *cameras.camera_from_world[index, :3].double().flatten().tolist(),
+        *cameras.focal_px[index].double().tolist(),
+        *cameras.center_px[index].double().tolist(),
+        float(cameras.width),
+        float(cameras.height),
+        float(settings.near),
+        float(settings.blur_px2),
+        float(settings.alpha_min),
     )
-    return vector
 
 
 def list_tiles(
