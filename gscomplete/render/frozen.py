@@ -6,8 +6,9 @@ the splats of it that can be seen, in depth order and tile by tile. Renders that
 prepared value then project only the other splats, and draw only the tiles that these change:
 images and gradients keep every bit. On other backends P is drawn anew each time.
 
-One view of 256 x 256 pixels costs 1.3 MB for the image (20 bytes a pixel), and 56 bytes for every
-splat that can be seen plus 4 for every tile it is in: about 3 MB for an opaque object.
+One view of 256 x 256 pixels costs 1.3 MB for the image (20 bytes a pixel), 56 bytes for every splat
+that can be seen and 4 for every tile that it is in: 9.6 MB for 148,000 discs of which 132,000 can
+be seen through the gaps between others.
 """
 
 from __future__ import annotations
