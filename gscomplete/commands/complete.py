@@ -65,6 +65,8 @@ class CompleteOptions:
     preserve: str | None = None
     """Bounds COLOR,DEPTH on E_color and E_depth over V, such as 0.001,0.0005: at the end, new
     splats that hide P fade, move or go until both hold. None = what the preset gives."""
+    match_seam: bool = False
+    """At the end, shift new splats' colours near P towards P's, so that no seam shows."""
     text_only: bool = False
     """Withhold P's renders from priors that can see them."""
     seed: int = 0
@@ -116,6 +118,7 @@ def _complete(options: CompleteOptions) -> int:
     _say(options, *job.notes, *([fallback] if fallback else []))
     if job.completion.step_number:
         _say(options, f"resuming at step {job.completion.step_number}")
+    said = len(job.notes)
     content = _with_progress(job)
     if options.json:
         print(json.dumps(content))
@@ -124,14 +127,19 @@ def _complete(options: CompleteOptions) -> int:
     c, views = result["metrics"]["input_view"], result["metrics"]["all_views"]
     _say(
         options,
-        f"{result['new_splats']:,} new splats in {content['timings']['optimise_s']:.1f} s"
+        *job.notes[said:],
+        f"{result['new_splats']:,} new splats in {_seconds(content['timings']):.1f} s"
         + _memory_note(result["peak_gpu_bytes"]),
-        *([job.notes[-1]] if result["hard_preservation"] else []),
         f"E_color {c['color']:.6f} from c, {views['color']:.6f} over V; "
         f"E_depth {c['depth']:.6f} from c, {views['depth']:.6f} over V",
         f"written: {job.request.out}/completed.ply, preview.png, turntable.webp, run.json",
     )
     return 0
+
+
+def _seconds(timings: dict[str, float]) -> float:
+    """Return the time that completing took, without files and pictures."""
+    return sum(timings[stage] for stage in ("prepare_s", "optimise_s", "finish_s"))
 
 
 def _memory_note(peak_bytes: int | None) -> str:
@@ -146,7 +154,7 @@ def _request(options: CompleteOptions, prior: Prior) -> Request:
         UserError: an option has the wrong form.
     """
     from gscomplete.completion.run import Request
-    from gscomplete.completion.settings import HardPreservationSettings, preset
+    from gscomplete.completion.settings import HardPreservationSettings, SeamColorSettings, preset
 
     if not options.prompt.strip():
         raise UserError("--prompt: expected what the whole object is, found an empty text")
@@ -166,6 +174,8 @@ def _request(options: CompleteOptions, prior: Prior) -> Request:
             raise UserError(f"--preserve: expected positive bounds, found {options.preserve!r}")
         hard = HardPreservationSettings(color_bound=bounds[0], depth_bound=bounds[1])
         settings = dataclasses.replace(settings, hard_preservation=hard)
+    if options.match_seam:
+        settings = dataclasses.replace(settings, seam_colors=SeamColorSettings())
     view = parse_numbers(options.view, 2, "--view", "AZIMUTH,ELEVATION")
     center = parse_numbers(options.center, 3, "--center", "X,Y,Z")
     if view is not None and not -90 <= view[1] <= 90:
@@ -212,6 +222,8 @@ def _with_progress(job: Run) -> dict[str, Any]:
 
     from gscomplete.completion.run import execute
 
+    if job.completion.finished:
+        return execute(job, lambda report: None)
     columns = (
         TextColumn("completing"),
         BarColumn(),

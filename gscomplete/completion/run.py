@@ -24,8 +24,8 @@ import gscomplete
 from gscomplete import jsonio
 from gscomplete.atomic import atomic_path
 from gscomplete.completion.checkpoint import FILE_NAME, load_checkpoint, save_checkpoint
+from gscomplete.completion.finish import finish_splats
 from gscomplete.completion.framing import guess_framing
-from gscomplete.completion.hard_preservation import preserve_hard
 from gscomplete.completion.optimise import Completion, NonFiniteError, StepReport
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.completion.working_set import WorkingSet, working_set
@@ -187,8 +187,11 @@ def _finish(run: Run) -> dict[str, Any]:
     out = run.request.out
     started = time.perf_counter()
     partial = run.completion.partial.to("cpu")
-    new, preserved = _bounded(run, run.completion.new_splats().to("cpu"), partial)
-    run.timings["preserve_s"] = time.perf_counter() - started
+    last = run.completion.new_splats().to("cpu")
+    finished = finish_splats(last, partial, run.distribution, run.request.settings)
+    new = finished.splats
+    run.notes = (*run.notes, *finished.notes)
+    run.timings["finish_s"] = time.perf_counter() - started
     started = time.perf_counter()
     in_file = transform_splats(new, run.frame.file_from_object)
     append_splats(
@@ -214,19 +217,10 @@ def _finish(run: Run) -> dict[str, Any]:
         "metrics": metrics,
         "new_splats": len(new),
         "peak_gpu_bytes": peak_gpu_bytes(),
-        "hard_preservation": preserved,
+        "seam_colors": jsonio.to_json(finished.seam_colors),
+        "hard_preservation": jsonio.to_json(finished.hard_preservation),
     }
     return _write_run_file(run, "finished", result)
-
-
-def _bounded(run: Run, new: Splats, partial: Splats) -> tuple[Splats, dict[str, Any] | None]:
-    """Hold the new splats to the bounds asked for, and say what was done to them."""
-    settings = run.request.settings
-    if settings.hard_preservation is None:
-        return new, None
-    done = preserve_hard(new, partial, run.distribution, settings.hard_preservation, settings.seed)
-    run.notes = (*run.notes, done.report.summary())
-    return done.splats, jsonio.to_json(done.report)
 
 
 def _decide_frame(

@@ -123,6 +123,10 @@ class HardPreservationSettings:
     """Views of V that the errors are measured over; never those that splats are fitted to."""
     check_px: int = 256
     """Side of the check views: that of the evaluation, since errors grow with the resolution."""
+    max_backing: int = 30_000
+    """Most copies of P's splats tried behind its thin places; 0 = none."""
+    backing_distance: float = 0.01
+    """How far behind P's surface the copies are, in object sizes."""
     rounds: int = 10
     """Most rounds of refitting; what is left then is faded out."""
     fit_views: int = 10
@@ -166,15 +170,16 @@ class HardPreservationSettings:
         for name in ("check_views", "fit_views", "steps", "views_per_step"):
             if getattr(self, name) < 1:
                 raise UserError(f"{name}: expected at least 1, found {getattr(self, name)}")
-        if self.rounds < 0:
-            raise UserError(f"rounds: expected at least 0, found {self.rounds}")
+        for name in ("max_backing", "backing_distance", "rounds"):
+            if not getattr(self, name) >= 0:
+                raise UserError(f"{name}: expected at least 0, found {getattr(self, name)}")
 
 
 @dataclass(frozen=True, slots=True)
 class SeamColorSettings:
     """How colours of new splats pass into P's; lengths in object sizes."""
 
-    reach: float = 0.03
+    reach: float = 0.05
     """New splats this near to one of P's are at the seam."""
     smoothness: float = 0.05
     """Differences are smoothed along the seam over about this length."""
@@ -361,11 +366,16 @@ RECONSTRUCT = dataclasses.replace(
 )
 """Iterative reconstruction: a few denoised rings, many cheap fitting steps."""
 
-GUESS = dataclasses.replace(RECONSTRUCT, steps=0, new_splats=20_000)
-"""The first guess of a prior with an idea of shape: steps of a small denoiser make it no better in
-shape, and dirtier (the time/quality benchmark of the recipes)."""
+GUESS = dataclasses.replace(
+    RECONSTRUCT,
+    steps=0,
+    new_splats=20_000,
+    hard_preservation=HardPreservationSettings(color_bound=8e-4, depth_bound=2e-3, mask_from=0.8),
+)
+"""The first guess of a prior with an idea of shape, held to P's looks where P is dense: steps of a
+small denoiser make it no better in shape, and dirtier (the time/quality benchmark)."""
 
-FAST = dataclasses.replace(GUESS, new_splats=10_000, guess_frames=1)
+FAST = dataclasses.replace(GUESS, new_splats=10_000, guess_frames=1, hard_preservation=None)
 """The first guess with less care."""
 
 TEXT_ONLY = dataclasses.replace(

@@ -11,6 +11,7 @@ by leaving out what is really there.
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import sys
 from dataclasses import dataclass, field
@@ -33,7 +34,7 @@ from gscomplete.evaluate.pictures import contact_sheet, render_images, save_imag
 from gscomplete.priors import Prior, load_prior
 from gscomplete.splats import Splats, concatenate, read_splats, write_splats
 from gscomplete.views import Cameras
-from recipes.real_objects.compare import Posed, new_splats, pose
+from recipes.real_objects.compare import Posed, completed, pose, settings_of
 from recipes.real_objects.complete import DATA
 from recipes.real_objects.load import load_real_object
 
@@ -73,9 +74,8 @@ def completion(posed: Posed, way: Way, options: Options, prior: Prior) -> Splats
     for folder in (*options.completions, options.out):
         if (folder / name).exists():
             return read_splats(folder / name).splats
-    made, _ = new_splats(posed, way, prior, options.seed)
-    if made is None:
-        raise RuntimeError(f"{name}: no new splats")
+    settings = dataclasses.replace(settings_of(way, prior, options.seed), hard_preservation=None)
+    made, _ = completed(posed, prior, settings)
     write_splats(options.out / name, made)
     return made
 

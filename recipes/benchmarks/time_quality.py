@@ -28,6 +28,7 @@ from rich.console import Console
 from rich.progress import track
 
 from gscomplete.atomic import atomic_path
+from gscomplete.completion.finish import finish_splats
 from gscomplete.completion.framing import guess_framing
 from gscomplete.completion.optimise import Completion
 from gscomplete.completion.settings import (
@@ -79,6 +80,7 @@ def variants() -> dict[str, CompletionSettings]:
     return {
         "fast": FAST,
         "three frames": change(GUESS, guess_frames=3),
+        "without bounds": change(GUESS, hard_preservation=None),
         "default": GUESS,
         "fifteen frames": change(GUESS, guess_frames=15),
         "reconstruct": RECONSTRUCT,
@@ -115,7 +117,8 @@ def complete(held: Held, settings: CompletionSettings, prior: Prior) -> tuple[Sp
     run = Completion(held.partial, prior, prior.condition(held.caption), held.views, settings)
     while not run.finished:
         run.step()
-    return run.new_splats(), time.perf_counter() - started
+    finished = finish_splats(run.new_splats(), held.partial, held.views, settings)
+    return finished.splats, time.perf_counter() - started
 
 
 def measure(held: Held, new: Splats | None) -> dict[str, float]:

@@ -33,6 +33,7 @@ from rich.progress import track
 
 from gscomplete import jsonio
 from gscomplete.atomic import atomic_path
+from gscomplete.completion.finish import finish_splats
 from gscomplete.completion.framing import FramingGuess, guess_framing
 from gscomplete.completion.optimise import Completion
 from gscomplete.completion.settings import CompletionSettings, PresetName, preset
@@ -104,12 +105,18 @@ def new_splats(posed: Posed, way: Way, prior: Prior, seed: int) -> tuple[Splats 
         return None, 0.0
     if way == "mirror":
         return best_mirror(posed), time.perf_counter() - started
-    settings = settings_of(way, prior, seed)
+    return completed(posed, prior, settings_of(way, prior, seed))
+
+
+def completed(posed: Posed, prior: Prior, settings: CompletionSettings) -> tuple[Splats, float]:
+    """Return the new splats of a whole run, and its seconds."""
+    started = time.perf_counter()
     conditioning = prior.condition(posed.item.prompt)
     run = Completion(posed.partial, prior, conditioning, posed.views, settings)
     while not run.finished:
         run.step()
-    return run.new_splats(), time.perf_counter() - started
+    finished = finish_splats(run.new_splats(), posed.partial, posed.views, settings)
+    return finished.splats, time.perf_counter() - started
 
 
 def settings_of(way: Way, prior: Prior, seed: int) -> CompletionSettings:

@@ -159,7 +159,9 @@ def test_a_start_with_nan_is_refused():
 
 
 @pytest.mark.parametrize("base", [SMALL_PRIOR, RECONSTRUCT], ids=["distill", "reconstruct"])
-@pytest.mark.parametrize("where", ["PartialViews.together", "random_background", "SplatParameters.step"])
+@pytest.mark.parametrize(
+    "where", ["PartialViews.together", "random_background", "SplatParameters.step"]
+)
 def test_a_step_broken_off_is_taken_again_or_marked(base, where, monkeypatch):
     settings = dataclasses.replace(base, **QUICK, rounds=5)
     unbroken = finish(completion(settings))

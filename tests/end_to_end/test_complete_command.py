@@ -203,11 +203,16 @@ def test_prompts_without_sense(tmp_path):
     assert "xyzzy" in unknown.stdout
 
 
-def test_the_default_takes_the_first_guess_as_it_is(tmp_path):
+def test_the_default_takes_the_first_guess_and_holds_it_to_bounds(tmp_path):
     out = tmp_path / "guess"
-    result = gscomplete("complete", SAMPLE, "--prompt", "a red mug", "--out", out)
+    more = ("--preserve", "0.001,0.001", "--match-seam")
+    result = gscomplete("complete", SAMPLE, "--prompt", "a red mug", "--out", out, *more)
     assert result.returncode == 0, result.stderr
     content = json.loads((out / "run.json").read_text())
     assert content["result"]["new_splats"] > 1000
+    assert content["result"]["metrics"]["all_views"]["color"] <= 0.001
+    assert content["result"]["hard_preservation"]["met"]
+    assert content["result"]["seam_colors"]["changed"] > 0
+    assert "hard preservation: E_color" in result.stdout
     assert any("the prior guesses" in note for note in content["notes"])
     assert (out / "log.jsonl").read_text() == ""
