@@ -5,14 +5,17 @@ leaves what it leaves. Here, after the optimisation, the errors E_color and E_de
 ``evaluate.metrics`` are brought below bounds, at as little cost to the rest as can be:
 
 1. Measure over the check views. Below the bounds: nothing is changed.
-2. Refit, a few rounds (``preserving_fit``): the gradient of the errors with respect to opacities
+2. Back: where P is thin (its silhouette, gaps between its splats) depth and colour of what lies far
+   behind show through it. Copies of P's own splats just behind its surface close it, so that
+   what is behind need not fade.
+3. Refit, a few rounds (``preserving_fit``): the gradient of the errors with respect to opacities
    says how much each splat contributes. Those that make up nearly all of it may fade, move (a
    splat in front of P's surface is drawn back behind it by the depth error) and shrink, against
    a term that keeps the picture from outside V, and within V beside P, as it was. A last round
    that went farther than it had to is partly taken back.
-3. Fade, while a bound is exceeded: the splats that contribute most lose most of their opacity, as
+4. Fade, while a bound is exceeded: the splats that contribute most lose most of their opacity, as
    many as the excess asks for.
-4. Remove, as the last resort, what the errors depend on most, again and again. P alone has none,
+5. Remove, as the last resort, what the errors depend on most, again and again. P alone has none,
    so this ends.
 
 Conventions
@@ -49,12 +52,15 @@ from gscomplete.completion.settings import HardPreservationSettings
 from gscomplete.evaluate.metrics import MID_GREY
 from gscomplete.render import PreparedFrozen, Render, prepare_frozen, render
 from gscomplete.splats import Splats, concatenate
+from gscomplete.splats.filters import thinned
 from gscomplete.views import Cameras, ViewDistribution, join_cameras
 
 _FIRST_CHECK_VIEW = 10_000
 """Place in V's sequence of the first check view; rounds use the places from 1 on."""
 _WATCHED_SHARE = 0.5
 """Refitting watches errors above this share of what is aimed at, not only those above it."""
+_FAINT = 0.05
+"""Opacity at which it is found out where backing helps."""
 _CLOSE_SHARE = 0.85
 """Errors above this share of what is aimed at are near enough to it."""
 _FADE = 0.5
@@ -100,6 +106,8 @@ class HardPreservationReport:
     dropped: dict[str, int]
     """Splats removed for each reason: ``faded_away`` (their opacity fell below
     ``prune_opacity``) or ``in_the_way`` (the last resort)."""
+    added: int
+    """Backing splats behind P's surface, after the rows that were given."""
     rounds: int
     """Rounds of refitting."""
     fadings: int
@@ -114,6 +122,8 @@ class HardPreservationReport:
             f"{before.depth:.6f} to {after.depth:.6f}; {self.untouched:,} of {self.total:,} new "
             f"splats untouched, {self.faded:,} faded, {self.moved:,} moved, {self.shrunk:,} shrunk"
         )
+        if self.added:
+            text += f", {self.added:,} added behind P's surface"
         for reason, count in self.dropped.items():
             text += f", {count:,} removed ({reason.replace('_', ' ')})"
         return text + ("" if self.met else "; THE BOUND IS NOT REACHED")
@@ -124,6 +134,7 @@ class HardPreservation:
     """The new splats after the bound was enforced."""
 
     splats: Splats
+    """The rows of ``kept``, then those that were added."""
     kept: Tensor  # [N] bool: which of the rows that were given are left
     report: HardPreservationReport
 
@@ -148,13 +159,16 @@ def preserve_hard(
     original = new.detach()
     work = _Work(original, partial.detach(), distribution, settings, seed)
     found = before = work.check(original)
-    current, rounds, fadings = original, 0, 0
+    start = original
+    if work.above(found):
+        start, found = work.backed(original, found)
+    current, rounds, fadings = start, 0, 0
     while work.above(found) and rounds < settings.rounds:
         previous, current = current, work.refit(current, found, rounds)
         found, rounds = work.check(current), rounds + 1
         if not work.above(found):
             current, found = work.no_further_than_needed(previous, current, found)
-    cleared = torch.zeros(len(new), dtype=torch.bool, device=new.means.device)
+    cleared = torch.zeros(len(start), dtype=torch.bool, device=new.means.device)
     while work.above(found):
         previous, last_resort = current, fadings >= _FADE_SWEEPS
         current, chosen = work.fade(current, found, rounds, fadings, entirely=last_resort)
@@ -164,10 +178,11 @@ def preserve_hard(
         found, fadings = work.check(current), fadings + 1
         if not (last_resort or work.above(found)):
             current, found = work.no_further_than_needed(previous, current, found)
-    kept = _still_visible(original, current, settings.prune_opacity)
+    kept = _still_visible(start, current, settings.prune_opacity)
+    count = len(original)
     return HardPreservation(
         current.select(kept),
-        kept,
+        kept[:count],
         HardPreservationReport(
             before=before,
             after=found,
@@ -175,7 +190,8 @@ def preserve_hard(
             rounds=rounds,
             fadings=fadings,
             seconds=time.perf_counter() - started,
-            **_counts(original, current, kept, cleared),
+            added=int(kept[count:].sum()),
+            **_counts(original, current.select(torch.arange(count)), kept[:count], cleared[:count]),
         ),
     )
 
@@ -217,6 +233,29 @@ class _Work:
             "depth": found.depth / (settings.margin * settings.depth_bound),
         }
         return {name: value for name, value in relative.items() if value > share}
+
+    def backed(self, splats: Splats, found: CheckedErrors) -> tuple[Splats, CheckedErrors]:
+        """Back P's thin places with copies of its own splats, if that makes the errors smaller."""
+        settings = self._settings
+        if settings.max_backing == 0:
+            return splats, found
+        generator = generator_for(self._seed, 0, "backing")
+        copies = thinned(self._partial, settings.max_backing, generator)
+        camera = self._distribution.input_camera(settings.check_px)
+        away = camera.camera_from_world[0, 2, :3].to(copies.means)
+        copies = dataclasses.replace(
+            copies.with_sh_degree(splats.sh_degree),
+            means=copies.means + settings.backing_distance * away,
+        )
+        faint = dataclasses.replace(copies, opacities=torch.full_like(copies.opacities, _FAINT))
+        prepared = prepare_frozen(self._partial, self._round_views(0, settings.fit_px))
+        watched = tuple(self.above(found))
+        gain = -self._contributions(concatenate([splats, faint]), prepared, watched)[len(splats) :]
+        helpful = largest_share(gain.clamp_min(0.0), settings.active_share)
+        joined = concatenate([splats, copies.select(helpful)])
+        errors = self.check(joined)
+        better = sum(self.above(errors, 0.0).values()) < sum(self.above(found, 0.0).values())
+        return (joined, errors) if better else (splats, found)
 
     def refit(self, splats: Splats, found: CheckedErrors, round_: int) -> Splats:
         """Let the splats that contribute fade, move and shrink for some steps."""

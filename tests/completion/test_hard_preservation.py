@@ -76,8 +76,27 @@ def test_the_bounds_hold_from_views_never_looked_at(rounds):
     # What V cannot see, or sees beside P, is what the completion is for.
     unseen = len(IN_FRONT) + len(BEHIND)
     for name, value in result.splats.fields():
-        kept = value[int(result.kept[:unseen].sum()) :]
+        kept = value[int(result.kept[:unseen].sum()) :][: len(BESIDE)]
         assert torch.equal(kept, dict(new.fields())[name][unseen:]), name
+
+
+def test_what_shows_through_a_thin_input_is_covered_rather_than_faded():
+    thin = dataclasses.replace(PARTIAL, opacities=torch.full((len(PARTIAL),), 0.6))
+    far = dataclasses.replace(BEHIND, means=BEHIND.means - torch.tensor([0.3, 0.0, 0.0]))
+    bounds = dataclasses.replace(SMALL, color_bound=0.2, depth_bound=0.006)
+    backed = preserve_hard(far, thin, VIEWS, bounds)
+    bare = preserve_hard(far, thin, VIEWS, dataclasses.replace(bounds, max_backing=0))
+    assert bare.report.before == backed.report.before
+    assert bare.report.before.depth > bounds.depth_bound
+    assert bare.report.added == 0 < backed.report.added
+    assert bare.report.met
+    assert backed.report.met
+    assert bare.report.untouched < backed.report.untouched
+    count = int(backed.kept.sum())
+    assert len(backed.splats) == count + backed.report.added
+    assert f"{backed.report.added:,} added" in backed.report.summary()
+    # The copies stand behind P, where V looks from +x.
+    assert float(backed.splats.means[count:, 0].max()) < 0.2
 
 
 def test_every_splat_is_accounted_for_and_p_is_not_touched():
@@ -87,12 +106,14 @@ def test_every_splat_is_accounted_for_and_p_is_not_touched():
     result = preserve_hard(new, PARTIAL, VIEWS, SMALL)
     report = result.report
     assert report.total == len(new)
-    assert int(result.kept.sum()) == len(result.splats)
-    assert len(new) - len(result.splats) == sum(report.dropped.values())
+    assert int(result.kept.sum()) + report.added == len(result.splats)
+    assert len(new) - int(result.kept.sum()) == sum(report.dropped.values())
     for value, (_, now) in zip(values + originals, [*PARTIAL.fields(), *new.fields()], strict=True):
         assert torch.equal(value, now)
     rows = [
-        (value == old[result.kept]).reshape(len(value), -1).all(1)
+        (value[: len(old[result.kept])] == old[result.kept])
+        .reshape(len(old[result.kept]), -1)
+        .all(1)
         for (_, value), old in zip(result.splats.fields(), originals, strict=True)
     ]
     assert int(torch.stack(rows).all(0).sum()) == report.untouched > 0
@@ -139,7 +160,7 @@ def test_opaque_splats_that_fill_the_picture_are_found():
     result = preserve_hard(giant, PARTIAL, VIEWS, dataclasses.replace(SMALL, rounds=0))
     assert result.report.before.color > 0.1
     assert result.report.met
-    assert float(result.splats.opacities.sum()) < 0.1
+    assert float(result.splats.opacities[: int(result.kept.sum())].sum()) < 0.1
 
 
 @pytest.mark.parametrize("count", [0, 1])
