@@ -153,8 +153,9 @@ def _request(options: CompleteOptions, prior: Prior) -> Request:
     Raises:
         UserError: an option has the wrong form.
     """
+    from gscomplete.completion.presets import preset
     from gscomplete.completion.run import Request
-    from gscomplete.completion.settings import HardPreservationSettings, SeamColorSettings, preset
+    from gscomplete.completion.settings import HardPreservationSettings, SeamColorSettings
 
     if not options.prompt.strip():
         raise UserError("--prompt: expected what the whole object is, found an empty text")

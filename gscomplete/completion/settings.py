@@ -1,11 +1,10 @@
-"""Every knob of a completion, and the presets.
+"""Every knob of a completion. Defaults are the paper's; ``presets`` has other choices.
 
 Conventions
 -----------
 * Lengths are in the object frame (largest side of the object = 1), angles in degrees.
 * A stage of a schedule ends at a fraction of all steps, so that one schedule fits any step count.
 * Timesteps are those of the prior (0 = clean, 1000 steps); the paper's T is 980.
-* ``PAPER`` is the paper to the letter; presets differ from it only in what they list.
 """
 
 from __future__ import annotations
@@ -25,11 +24,6 @@ cheap steps (after MicroDreamer); the preservation loss is the same."""
 Start = Literal["sphere", "guess"]
 """``sphere``: new splats uniform in a sphere (paper, section 3.3). ``guess``: on the surface that a
 prior with an idea of shape guesses (``priors.base.ShapePrior``), else in the sphere."""
-
-PresetName = Literal["default", "fast", "reconstruct", "distill", "paper"]
-"""``default``: the best of time and quality for the prior. ``fast``: less care.
-``reconstruct``: iterative reconstruction. ``distill``: the paper's method in fewer steps, for small
-priors. ``paper``: its settings."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,102 +316,3 @@ class CompletionSettings:
             warmup_steps=0,
             timesteps=(TimestepStage(1.0, 20.0, 980.0),),
         )
-
-
-PAPER = CompletionSettings()
-"""The paper's settings (sections 3.1 to 3.3)."""
-
-SMALL_PRIOR = dataclasses.replace(
-    PAPER,
-    steps=600,
-    min_scale_px=0.5,
-    max_scale=0.1,
-    learning_rates=LearningRates(means=4e-3, means_final=4e-4, sh=2e-2, log_scales=1e-2),
-    densify=DensifySettings(every=25, growth=0.2, max_new=20_000, split_scale=0.03, final_from=0.8),
-    checkpoint_every=100,
-)
-"""The paper's method for a prior of 64 pixels: fewer and larger steps, sizes bound to a pixel."""
-
-RECONSTRUCT = dataclasses.replace(
-    SMALL_PRIOR,
-    mode="reconstruct",
-    steps=240,
-    new_splats=10_000,
-    min_scale_px=0.1,
-    rounds=8,
-    denoise_steps=2,
-    ring_memory=5,
-    start="guess",
-    preservation_every=1,
-    preservation_views=32,
-    timesteps=(
-        TimestepStage(0.5, 200.0, 350.0),
-        TimestepStage(1.0, 50.0, 150.0),
-    ),
-    learning_rates=LearningRates(
-        means=5e-4,
-        means_final=1e-4,
-        quaternions=2e-3,
-        log_scales=3e-3,
-        opacity_logits=2e-2,
-        sh=5e-3,
-    ),
-    checkpoint_every=80,
-)
-"""Iterative reconstruction: a few denoised rings, many cheap fitting steps."""
-
-GUESS = dataclasses.replace(
-    RECONSTRUCT,
-    steps=0,
-    new_splats=20_000,
-    hard_preservation=HardPreservationSettings(color_bound=8e-4, depth_bound=2e-3, mask_from=0.8),
-)
-"""The first guess of a prior with an idea of shape, held to P's looks where P is dense: steps of a
-small denoiser make it no better in shape, and dirtier (the time/quality benchmark)."""
-
-FAST = dataclasses.replace(GUESS, new_splats=10_000, guess_frames=1, hard_preservation=None)
-"""The first guess with less care."""
-
-TEXT_ONLY = dataclasses.replace(
-    SMALL_PRIOR,
-    mode="reconstruct",
-    see_input=False,
-    steps=480,
-    new_splats=8000,
-    rounds=16,
-    denoise_steps=2,
-    ring_memory=5,
-    preservation_every=1,
-    preservation_views=32,
-    timesteps=(
-        TimestepStage(0.4, 960.0, 999.0),
-        TimestepStage(0.7, 700.0, 850.0),
-        TimestepStage(1.0, 250.0, 500.0),
-    ),
-    learning_rates=LearningRates(means=2e-3, means_final=2e-4, sh=5e-3, log_scales=1e-2),
-    checkpoint_every=80,
-)
-"""Iterative reconstruction with P withheld from the prior, or for priors that cannot see it: from
-a sphere, from pure noise."""
-
-
-def preset(name: PresetName, prior_name: str, *, text_only: bool = False) -> CompletionSettings:
-    """Return the settings of a preset for a prior, with P withheld from it if ``text_only``.
-
-    Raises:
-        UserError: there is no such preset.
-    """
-    small = prior_name == "embedded"
-    table = {
-        "default": GUESS if small else PAPER,
-        "fast": FAST if small else TEXT_ONLY,
-        "reconstruct": RECONSTRUCT if small else TEXT_ONLY,
-        "distill": SMALL_PRIOR if small else PAPER,
-        "paper": PAPER,
-    }
-    if name not in table:
-        raise UserError(f"preset: expected one of {', '.join(table)}, found {name!r}")
-    if not text_only:
-        return table[name]
-    chosen = TEXT_ONLY if table[name].start == "guess" else table[name]
-    return dataclasses.replace(chosen, see_input=False)

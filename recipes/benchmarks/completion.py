@@ -32,12 +32,8 @@ from rich.console import Console
 from rich.progress import track
 
 from gscomplete.atomic import atomic_path
+from gscomplete.completion.presets import FAST, GUESS, PAPER, RECONSTRUCT, SMALL_PRIOR
 from gscomplete.completion.settings import (
-    FAST,
-    GUESS,
-    PAPER,
-    RECONSTRUCT,
-    SMALL_PRIOR,
     CompletionSettings,
     HardPreservationSettings,
     LearningRates,

@@ -34,7 +34,7 @@ from gscomplete.atomic import atomic_path
 from gscomplete.completion import optimise
 from gscomplete.completion.losses import preservation_loss
 from gscomplete.completion.optimise import Completion
-from gscomplete.completion.settings import PAPER
+from gscomplete.completion.presets import PAPER
 from gscomplete.device import choose_device, choose_render_device
 from gscomplete.priors.base import FourViews, PriorViews
 from gscomplete.priors.mvdream.config import PUBLISHED, MVDreamConfig, UNetConfig, VAEConfig

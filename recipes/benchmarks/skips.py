@@ -31,12 +31,8 @@ from torch import Tensor
 from gscomplete.atomic import atomic_path
 from gscomplete.completion.optimise import Completion
 from gscomplete.completion.partial_views import PartialViews
-from gscomplete.completion.settings import (
-    RECONSTRUCT,
-    SMALL_PRIOR,
-    CompletionSettings,
-    SkipSettings,
-)
+from gscomplete.completion.presets import RECONSTRUCT, SMALL_PRIOR
+from gscomplete.completion.settings import CompletionSettings, SkipSettings
 from gscomplete.priors import Prior, load_prior
 from gscomplete.splats import Splats
 from recipes.real_objects.compare import Posed, pose

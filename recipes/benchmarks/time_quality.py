@@ -31,14 +31,8 @@ from gscomplete.atomic import atomic_path
 from gscomplete.completion.finish import finish_splats
 from gscomplete.completion.framing import guess_framing
 from gscomplete.completion.optimise import Completion
-from gscomplete.completion.settings import (
-    FAST,
-    GUESS,
-    RECONSTRUCT,
-    TEXT_ONLY,
-    CompletionSettings,
-    TimestepStage,
-)
+from gscomplete.completion.presets import FAST, GUESS, RECONSTRUCT, TEXT_ONLY
+from gscomplete.completion.settings import CompletionSettings, TimestepStage
 from gscomplete.evaluate.metrics import against_truth, preservation
 from gscomplete.evaluate.pictures import contact_sheet, render_images, save_image
 from gscomplete.priors import Prior, load_prior

@@ -36,7 +36,8 @@ from gscomplete.atomic import atomic_path
 from gscomplete.completion.finish import finish_splats
 from gscomplete.completion.framing import FramingGuess, guess_framing
 from gscomplete.completion.optimise import Completion
-from gscomplete.completion.settings import CompletionSettings, PresetName, preset
+from gscomplete.completion.presets import PresetName, preset
+from gscomplete.completion.settings import CompletionSettings
 from gscomplete.evaluate.metrics import against_truth, preservation
 from gscomplete.evaluate.pictures import contact_sheet, render_images, save_image
 from gscomplete.priors import Prior, load_prior

@@ -22,8 +22,9 @@ from rich.progress import track
 
 from gscomplete import jsonio
 from gscomplete.atomic import atomic_path
+from gscomplete.completion.presets import PresetName, preset
 from gscomplete.completion.run import RUN_FILE, Request, execute, prepare
-from gscomplete.completion.settings import CompletionSettings, PresetName, preset
+from gscomplete.completion.settings import CompletionSettings
 from gscomplete.evaluate.metrics import against_truth
 from gscomplete.evaluate.pictures import contact_sheet, render_images, save_image
 from gscomplete.priors import Prior, load_prior

@@ -16,13 +16,9 @@ import torch
 from gscomplete.completion import schedules
 from gscomplete.completion.checkpoint import FILE_NAME, load_checkpoint
 from gscomplete.completion.optimise import Completion, NonFiniteError
+from gscomplete.completion.presets import RECONSTRUCT, SMALL_PRIOR
 from gscomplete.completion.run import Request, execute, prepare
-from gscomplete.completion.settings import (
-    RECONSTRUCT,
-    SMALL_PRIOR,
-    CompletionSettings,
-    LearningRates,
-)
+from gscomplete.completion.settings import CompletionSettings, LearningRates
 from gscomplete.errors import UserError
 from gscomplete.render import render
 from gscomplete.splats import Splats, concatenate, read_splats, write_splats

@@ -9,7 +9,8 @@ import torch
 
 from gscomplete.completion import schedules
 from gscomplete.completion.optimise import Completion, NonFiniteError
-from gscomplete.completion.settings import RECONSTRUCT, SMALL_PRIOR, LearningRates
+from gscomplete.completion.presets import RECONSTRUCT, SMALL_PRIOR
+from gscomplete.completion.settings import LearningRates
 from gscomplete.errors import UserError
 from gscomplete.evaluate.metrics import against_truth, preservation
 from gscomplete.priors import Guidance

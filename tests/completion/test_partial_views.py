@@ -9,7 +9,8 @@ import torch
 
 from gscomplete.completion.optimise import Completion
 from gscomplete.completion.partial_views import PartialViews
-from gscomplete.completion.settings import RECONSTRUCT, SkipSettings
+from gscomplete.completion.presets import RECONSTRUCT
+from gscomplete.completion.settings import SkipSettings
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution, join_cameras

@@ -5,7 +5,8 @@ import dataclasses
 import pytest
 
 from gscomplete.completion import schedules
-from gscomplete.completion.settings import PAPER, CompletionSettings, preset
+from gscomplete.completion.presets import PAPER, preset
+from gscomplete.completion.settings import CompletionSettings
 from gscomplete.errors import UserError
 
 

@@ -12,7 +12,7 @@ pytest.importorskip("diffusers", reason="the extra gscomplete[mvdream] is not in
 pytest.importorskip("transformers", reason="the extra gscomplete[mvdream] is not installed")
 
 from gscomplete.completion import optimise
-from gscomplete.completion.settings import PAPER, RECONSTRUCT
+from gscomplete.completion.presets import PAPER, RECONSTRUCT
 from gscomplete.priors.mvdream.prior import mvdream_prior
 from gscomplete.priors.mvdream.weights import open_weights
 from gscomplete.render import cuda

@@ -9,7 +9,8 @@ pytest.importorskip("diffusers", reason="the extra gscomplete[mvdream] is not in
 pytest.importorskip("transformers", reason="the extra gscomplete[mvdream] is not installed")
 
 from gscomplete.completion.optimise import Completion
-from gscomplete.completion.settings import PAPER, DensifySettings, preset
+from gscomplete.completion.presets import PAPER, preset
+from gscomplete.completion.settings import DensifySettings
 from gscomplete.priors.mvdream.prior import mvdream_prior
 from gscomplete.priors.mvdream.weights import open_weights
 from gscomplete.splats import Splats, colors_to_sh
