@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -60,9 +61,11 @@ def run(options: RenderOptions) -> int:
     background = parse_numbers(options.background, 3, "--background", "R,G,B") or [1.0, 1.0, 1.0]
     angles = [parse_numbers(view, 2, "--views", "AZIMUTH,ELEVATION") for view in options.views]
     splats = read_splats(options.file).splats
-    usable, _ = usable_rows(splats)
+    usable, left_out = usable_rows(splats)
     if not bool(usable.any()):
         raise UserError(f"{options.file}: expected splats that can be drawn, found none")
+    for reason, count in left_out.items():
+        print(f"{count:,} splats not drawn: {reason.replace('_', ' ')}", file=sys.stderr)
     splats = splats.select(usable)
     low, high = (corner.double() for corner in splats.bounds())
     size = max(float((high - low).max()), float(splats.scales.max()))

@@ -1,0 +1,66 @@
+"""``gscomplete render`` on real files."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gscomplete.commands.render import RenderOptions, run
+from gscomplete.errors import UserError
+from gscomplete.splats import read_splats, write_splats
+
+SAMPLE = Path(__file__).resolve().parents[2] / "recipes/demo/partial.ply"
+
+
+def pictures(folder: Path) -> dict[str, np.ndarray]:
+    return {path.name: np.asarray(Image.open(path)) for path in sorted(folder.iterdir())}
+
+
+def test_every_view_is_drawn_at_the_size_asked_for(tmp_path):
+    options = RenderOptions(SAMPLE, tmp_path / "out", views=("0,15", "90,-30"), size_px=48)
+    assert run(options) == 0
+    drawn = pictures(tmp_path / "out")
+    assert list(drawn) == ["view_0_15.png", "view_90_-30.png"]
+    first, second = drawn.values()
+    assert first.shape == second.shape == (48, 48, 3)
+    assert not np.array_equal(first, second)
+    assert np.array_equal(first[0, 0], [255, 255, 255])  # the background
+    assert first.min() < 128  # the object
+
+
+@pytest.mark.parametrize("channel", ["alpha", "depth"])
+def test_channels_are_black_where_nothing_is_and_bright_where_the_object_is(tmp_path, channel):
+    run(RenderOptions(SAMPLE, tmp_path, views=("0,15",), size_px=48, channel=channel))
+    (picture,) = pictures(tmp_path).values()
+    assert picture.shape == (48, 48)
+    assert picture[0, 0] == 0
+    assert picture.max() > 200
+
+
+def test_splats_that_cannot_be_drawn_are_counted(tmp_path, capsys):
+    splats = read_splats(SAMPLE).splats
+    means = splats.means.clone()
+    means[:3] = 1e19
+    write_splats(tmp_path / "odd.ply", dataclasses.replace(splats, means=means))
+    options = RenderOptions(tmp_path / "odd.ply", tmp_path / "out", views=("0,0",), size_px=8)
+    assert run(options) == 0
+    assert "3 splats not drawn: too large" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"size_px": 0}, "--size-px"),
+        ({"fov": 180.0}, "--fov"),
+        ({"views": ("north",)}, "--views"),
+        ({"background": "1,1"}, "--background"),
+        ({"file": Path("missing.ply")}, "missing.ply"),
+    ],
+)
+def test_bad_options_are_named(tmp_path, change, named):
+    options = dataclasses.replace(RenderOptions(SAMPLE, tmp_path / "out"), **change)
+    with pytest.raises(UserError, match=named):
+        run(options)
+    assert not (tmp_path / "out").exists()
