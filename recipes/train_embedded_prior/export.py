@@ -201,9 +201,10 @@ def card(
             "",
         ]
     lines += [
-        "Known limits: one object at a time, the things named by its words and simple shapes;",
-        "coarse shape and the main colours of P are continued, patterns and lettering are blurred,",
-        "thin parts are often missed, and what is said only by the prompt is followed loosely.",
+        "Known limits: one object at a time, the things named by its words and simple shapes. The",
+        "shape network continues coarse shape; colours and patterns are taken from P and its mirror",
+        "images, so what P does not show is guessed by symmetry; thin parts are often missed. The",
+        "denoiser follows colours, hardly shapes, of prompts: from text alone it gives blobs.",
         "",
     ]
     return "\n".join(lines)
