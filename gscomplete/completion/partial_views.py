@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Sequence
 
+import torch
 from torch import Tensor
 
 from gscomplete.completion.settings import SkipSettings
@@ -25,7 +26,7 @@ from gscomplete.render import (
     prepare_frozen,
     render,
 )
-from gscomplete.splats import Splats
+from gscomplete.splats import Splats, concatenate
 from gscomplete.views import Cameras, join_cameras
 
 MAX_BYTES = 512 * 2**20
@@ -46,7 +47,8 @@ class PartialViews:
         """
         chosen = skips or SkipSettings()
         self._partial = partial
-        self._keeps = chosen.prepared_partial
+        self._takes_gradients = not chosen.partial_gradients
+        self._keeps = chosen.prepared_partial and chosen.partial_gradients
         self._max_bytes = max_bytes
         self._settings = render_settings(chosen)
         self._known: OrderedDict[bytes, PreparedFrozen] = OrderedDict()
@@ -75,6 +77,8 @@ class PartialViews:
             batches: views; each batch is known for itself.
             screen_offsets: as in ``render``.
         """
+        if self._takes_gradients:
+            return self._as_one_set(splats, join_cameras(batches), screen_offsets)
         if self._keeps:
             frozen: Splats | PreparedFrozen
             frozen = join_prepared([self._prepared(cameras) for cameras in batches])
@@ -85,6 +89,21 @@ class PartialViews:
             splats,
             views,
             frozen=frozen,
+            screen_offsets=screen_offsets,
+            settings=self._settings,
+        )
+
+    def _as_one_set(
+        self, splats: Splats, cameras: Cameras, screen_offsets: Tensor | None
+    ) -> Render:
+        """Render P and other splats with gradients for both; P's lead nowhere."""
+        leaves = {name: value.clone().requires_grad_() for name, value in self._partial.fields()}
+        if screen_offsets is not None:
+            unmoved = screen_offsets.new_zeros(len(cameras), len(self._partial), 2)
+            screen_offsets = torch.cat([unmoved, screen_offsets], dim=1)
+        return render(
+            concatenate([Splats(**leaves), splats]),
+            cameras,
             screen_offsets=screen_offsets,
             settings=self._settings,
         )

@@ -87,6 +87,9 @@ class DensifySettings:
 class SkipSettings:
     """What a step leaves out because the result does not need it; off only to measure the gain."""
 
+    partial_gradients: bool = True
+    """P takes no gradients; off: P and new splats are one set, as where P is merely not updated,
+    and nothing of P is kept either."""
     prepared_partial: bool = True
     """P's projection, order, tile lists and picture are kept per view; the same bits."""
     idle_tiles: bool = True

@@ -22,9 +22,7 @@ TRUTH = ball()
 PARTIAL = TRUTH.select(TRUTH.means[:, 0] > 0)
 OTHERS = TRUTH.select(TRUTH.means[:, 0] <= 0)
 VIEWS = ViewDistribution(0.0, 10.0)
-NOTHING_SKIPPED = SkipSettings(
-    prepared_partial=False, idle_tiles=False, exact_tile_lists=False, early_stop=False
-)
+NOTHING_SKIPPED = SkipSettings(**{field.name: False for field in dataclasses.fields(SkipSettings)})
 
 
 def drawn(views: PartialViews, batches):
@@ -76,9 +74,10 @@ def test_a_run_with_all_skips_is_the_run_without():
         return job.new_splats()
 
     usual = finish(SkipSettings())
-    same = finish(SkipSettings(prepared_partial=False, idle_tiles=False))
-    for (name, a), (_, b) in zip(usual.fields(), same.fields(), strict=True):
-        assert torch.equal(a, b), name
+    for exact in ({"prepared_partial": False, "idle_tiles": False}, {"partial_gradients": False}):
+        same = finish(SkipSettings(**exact))
+        for (name, a), (_, b) in zip(usual.fields(), same.fields(), strict=True):
+            assert torch.equal(a, b), name
     nothing = finish(NOTHING_SKIPPED)
     assert len(nothing) == len(usual)
     moved = (nothing.means - usual.means).abs()
