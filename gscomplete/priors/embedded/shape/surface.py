@@ -29,6 +29,10 @@ _INWARD = 0.4
 _SEEDS_PER_CELL = 6
 _NEWTON_STEPS = 5
 _FLATNESS = 0.1
+_RIM_NEIGHBOURS = 12
+_ONE_SIDED = 0.7
+"""A point is beyond the rim if the mean of the ways to P's nearest splats is this share of their
+mean length; within a surface it is near 0."""
 _OVERLAP = 0.75
 """Tangent standard deviation per spacing, so that neighbours overlap into a closed surface."""
 
@@ -41,7 +45,9 @@ class SurfaceSettings:
     """Most splats."""
     opacity: float = 0.95
     near_partial: float = 0.03
-    """Surface points this near to P's splats are P's own."""
+    """Surface points this near to P's splats are P's own, ..."""
+    near_rim: float = 0.01
+    """... unless they lie beyond P's rim: there only points this near are. So no gap shows."""
     filled_logit: float = -0.25
     """Cells with at least this logit count as filled. On held-out procedural objects -0.25 gives
     the best silhouettes: thin walls, of which the network is never sure, are worth some excess."""
@@ -68,7 +74,7 @@ def surface_splats(
     points, normals, on_surface = _project(logits, _seeds(logits, generator))
     points = (points - _INWARD * CELL_SIDE * normals)[on_surface]
     normals = normals[on_surface]
-    is_new = _distance(points, anchor.means) > settings.near_partial
+    is_new = _is_missing(points, normals, anchor.means, settings)
     points, normals, spacing = _spread(points[is_new], normals[is_new], settings.count, generator)
     colors = source_colors(output, inputs, partial, points, generator)
     scales = torch.full((len(points), 3), _OVERLAP * spacing)
@@ -145,7 +151,22 @@ def _one_per_cell(points: Tensor, normals: Tensor, side: float) -> Tensor:  # [K
     return first.scatter_reduce(0, inverse, torch.arange(len(keys)), "amin")
 
 
-def _distance(points: Tensor, others: Tensor) -> Tensor:  # [N, 3], [M, 3] -> [N]
-    """Return the distance to the nearest of other points."""
-    distance, _ = cKDTree(others.numpy()).query(points.numpy())
-    return torch.from_numpy(distance).float()
+def _is_missing(
+    points: Tensor,  # [N, 3]
+    normals: Tensor,  # [N, 3]
+    others: Tensor,  # [M, 3]
+    settings: SurfaceSettings,
+) -> Tensor:  # [N] bool
+    """Mark the surface points that P does not have: away from its splats, or beyond its rim.
+
+    Beyond the rim the nearest splats all lie to one side, within the surface all around.
+    """
+    nearest = range(1, min(_RIM_NEIGHBOURS, len(others)) + 1)
+    distance, index = cKDTree(others.numpy()).query(points.numpy(), k=nearest)
+    offsets = others[torch.from_numpy(index)] - points[:, None]
+    along = (offsets * normals[:, None]).sum(dim=2, keepdim=True)
+    offsets = offsets - along * normals[:, None]
+    middle = offsets.mean(dim=1).norm(dim=1)
+    one_sided = middle > _ONE_SIDED * offsets.norm(dim=2).mean(dim=1)
+    near = torch.from_numpy(distance[:, 0])
+    return (near > settings.near_partial) | (one_sided & (near > settings.near_rim))

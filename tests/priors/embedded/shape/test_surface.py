@@ -88,3 +88,17 @@ def test_the_same_seed_gives_the_same_splats():
     first, again = guess(), guess()
     for (_, a), (_, b) in zip(first.fields(), again.fields(), strict=True):
         assert torch.equal(a, b)
+
+
+def test_the_surface_goes_on_from_ps_rim_without_a_gap():
+    """Within P nothing is added, however near its splats are to each other; beyond its rim there
+    are splats nearer than ``near_partial``, so that no seam shows."""
+    partial = half(sphere(20_000))
+    new = guess(SurfaceSettings(count=20_000), partial=partial).means
+    distance = torch.cdist(new, partial.means).amin(dim=1)
+    beyond = new[:, 0] < 0.0
+    assert int((distance[beyond] < 0.025).sum()) > 50
+    inside = new[:, 0] > 0.02  # a few, in the random gaps between P's own splats
+    assert int(inside.sum()) < 0.005 * len(new)
+    apart = guess(SurfaceSettings(count=20_000, near_rim=0.03), partial=partial).means
+    assert float(torch.cdist(apart, partial.means).min()) >= 0.03 - 1e-6
