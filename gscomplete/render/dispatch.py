@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from typing import Any, Literal
 
 import torch
@@ -102,7 +101,16 @@ def _backend(name: Backend) -> Any:
     Raises:
         UserError: there is no such backend.
     """
-    homes = {"cpu": "cpu.rasterize", "cuda": "cuda", "reference": "reference"}
-    if name not in homes:
-        raise UserError(f"render: expected backend auto, cpu, cuda or reference, found {name}")
-    return importlib.import_module(f"gscomplete.render.{homes[name]}")
+    if name == "cpu":
+        from gscomplete.render.cpu import rasterize
+
+        return rasterize
+    if name == "cuda":
+        from gscomplete.render import cuda
+
+        return cuda
+    if name == "reference":
+        from gscomplete.render import reference
+
+        return reference
+    raise UserError(f"render: expected backend auto, cpu, cuda or reference, found {name}")
