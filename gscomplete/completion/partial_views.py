@@ -51,7 +51,7 @@ class PartialViews:
         self._keeps = chosen.prepared_partial and chosen.partial_gradients
         self._max_bytes = max_bytes
         self._settings = render_settings(chosen)
-        self._known: OrderedDict[bytes, PreparedFrozen] = OrderedDict()
+        self._known: OrderedDict[tuple[float, ...], PreparedFrozen] = OrderedDict()
 
     @property
     def nbytes(self) -> int:
@@ -131,7 +131,7 @@ def render_settings(skips: SkipSettings) -> RenderSettings:
     )
 
 
-def _key(cameras: Cameras) -> bytes:
+def _key(cameras: Cameras) -> tuple[float, ...]:
     parts = (cameras.camera_from_world, cameras.focal_px, cameras.center_px)
-    values = b"".join(part.detach().cpu().numpy().tobytes() for part in parts)
-    return values + f"{cameras.width}x{cameras.height}".encode()
+    values = (number for part in parts for number in part.detach().flatten().tolist())
+    return (cameras.width, cameras.height, *values)

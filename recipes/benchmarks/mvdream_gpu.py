@@ -31,9 +31,9 @@ from torch import Tensor
 from torch.utils.flop_counter import FlopCounterMode
 
 from gscomplete.atomic import atomic_path
-from gscomplete.completion import optimise
 from gscomplete.completion.losses import preservation_loss
 from gscomplete.completion.optimise import Completion
+from gscomplete.completion.partial_views import PartialViews
 from gscomplete.completion.presets import PAPER
 from gscomplete.device import choose_device, choose_render_device
 from gscomplete.priors.base import FourViews, PriorViews
@@ -219,10 +219,11 @@ def time_steps(step: Callable[[], object], count: int, clock: Clock) -> float:
 def time_parts(job: Completion, prior: LatentPrior, count: int, clock: Clock) -> dict[str, float]:
     """Return milliseconds per step by part; waiting between them makes the sum a bit longer."""
     denoiser, codec = prior._denoiser, prior._codec
+    drawn = clock.wrapped("render forward", PartialViews.together)
     with (
         mock.patch.object(prior, "_denoiser", _Timed(denoiser, clock.wrapped("unet", denoiser))),
         mock.patch.object(codec, "encode", clock.wrapped("vae forward", codec.encode)),
-        mock.patch.object(optimise, "render", clock.wrapped("render forward", render)),
+        mock.patch.object(PartialViews, "together", drawn),
         mock.patch.object(Tensor, "backward", clock.wrapped("backward (all)", Tensor.backward)),
         clock.part("step"),
     ):
