@@ -82,7 +82,9 @@ class RingMemory:
                 color.shape[2],
                 color.shape[1],
             )
-            alpha, step = state[prefix + "alpha"], int(state[prefix + "step"])
+            # Checkpoints of early versions do not say when a ring was made.
+            step = int(state.get(prefix + "step", torch.tensor(-1)))
+            alpha = state[prefix + "alpha"]
             self._rings.append(Ring(cameras, color, alpha, step))
 
 

@@ -214,3 +214,15 @@ def test_settings_replace_only_the_scales_they_name():
     prior = OraclePrior(TRUTH)
     completion(dataclasses.replace(SMALL_PRIOR, steps=1, rescale=0.75), prior).step()
     assert prior.guidance_seen == Guidance(text_scale=9.0, rescale=0.75)
+
+
+def test_checkpoints_of_rings_without_their_step_can_be_resumed():
+    settings = dataclasses.replace(RECONSTRUCT, **QUICK, rounds=5)
+    job = completion(settings)
+    for _ in range(3):
+        job.step()
+    state = {k: v.clone() for k, v in job.state().items() if not k.endswith("0.step")}
+    resumed = completion(settings)
+    resumed.restore(state)
+    a, b = finish(job), finish(resumed)
+    assert torch.equal(a.means, b.means)
