@@ -33,7 +33,7 @@ ORIENTATIONS = 8
 class FrameSettings:
     """Frames that the network is asked in."""
 
-    count: int = 7
+    count: int
     """How many, the given frame included."""
     shift: float = 0.03
     """Standard deviation of their origins, object sizes: one fine cell."""
@@ -47,7 +47,7 @@ def predict_over_frames(
     distribution: ViewDistribution,
     tokens: Tensor,  # [L]
     generator: torch.Generator,
-    settings: FrameSettings | None = None,
+    settings: FrameSettings,
     *,
     bfloat16: bool = False,
 ) -> tuple[ShapeInputs, ShapeOutput]:
@@ -59,7 +59,7 @@ def predict_over_frames(
         distribution: V.
         tokens: the prompt.
         generator: chooses the other frames.
-        settings: knobs; None = defaults.
+        settings: which frames.
         bfloat16: precision of the network.
 
     Returns:
@@ -70,7 +70,7 @@ def predict_over_frames(
     output = predict_whole(model, seen, tokens, bfloat16=bfloat16)
     occupancy, count = output.occupancy, 1
     centers = torch.from_numpy(cell_centers(CELLS)).reshape(-1, 3)
-    for moved in _other_frames(generator, settings or FrameSettings()):
+    for moved in _other_frames(generator, settings):
         again = shape_inputs(transform_splats(partial, moved), distribution)
         answer = predict_whole(model, again, tokens, bfloat16=bfloat16).occupancy[0]
         there = moved.scale * centers + moved.translation.float()
