@@ -19,8 +19,11 @@ _VISIBLE_MOVE = 0.001
 
 @dataclass(frozen=True, slots=True)
 class CheckedErrors:
-    """E_color and E_depth over the check views; with ``mask_from`` above 0 only of the pixels that
-    are held, so below what the evaluation finds over all of P."""
+    """E_color and E_depth over the check views.
+
+    With ``mask_from`` above 0 only of the pixels that are held, so below what the evaluation finds
+    over all of P.
+    """
 
     color: float
     depth: float
