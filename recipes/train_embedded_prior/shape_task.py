@@ -2,8 +2,10 @@
 
 Conventions
 -----------
-* The loss is the cross entropy of the filled cells, heavier near the whole's surface, plus the
-  absolute error of the surface's colour where P is not.
+* The loss is the cross entropy of the filled cells, heavier near the whole's surface, plus what
+  soft intersections over union of the filled cells and of their shadows along the axes lack of 1,
+  plus the absolute error of the surface's colour where P is not. The cross entropy alone leaves
+  thin objects out: they have few cells, and none of them is certain.
 * While training, a source's colour in a cell is that of its filled cells nearby.
 """
 
@@ -34,6 +36,8 @@ from recipes.train_embedded_prior.shape_dataset import (
 )
 
 _SURFACE_WEIGHT = 4.0
+_OVERLAP_WEIGHT = 1.0
+_SHADOW_WEIGHT = 2.0
 _COLOR_WEIGHT = 0.5
 _SEEN_WEIGHT = 0.1
 _SHEET_SETS = 8
@@ -86,7 +90,12 @@ class ShapeTask:
         tokens = torch.where(dropped[:, None], no_text, batch.tokens)
         out = model(batch.volumes, batch.evidence, batch.scores, tokens)
         losses = shape_losses(out, batch)
-        return losses["occupancy"] + _COLOR_WEIGHT * losses["color"]
+        return (
+            losses["occupancy"]
+            + _OVERLAP_WEIGHT * losses["overlap"]
+            + _SHADOW_WEIGHT * losses["shadow"]
+            + _COLOR_WEIGHT * losses["color"]
+        )
 
     def evaluate(self, model: nn.Module, sheet: Path) -> dict[str, float]:
         """Measure on held-out sets and draw a sheet."""
@@ -128,8 +137,28 @@ def shape_losses(out: ShapeOutput, batch: ShapeBatch) -> dict[str, Tensor]:
     where = there * torch.where(seen, _SEEN_WEIGHT, 1.0)
     return {
         "occupancy": (weight * occupancy).mean() * 10,
+        "overlap": 1 - soft_iou(out.occupancy.sigmoid(), solid).mean(),
+        "shadow": 1 - shadow_iou(out.occupancy, solid).mean(),
         "color": (where * error).sum() / where.sum().clamp_min(1.0),
     }
+
+
+def soft_iou(filled: Tensor, solid: Tensor) -> Tensor:  # [B, ...] both -> [B]
+    """Return expected intersections over expected unions of shares in [0, 1] with a truth."""
+    both = (filled * solid).flatten(1).sum(dim=1)
+    return both / (filled + solid - filled * solid).flatten(1).sum(dim=1).clamp_min(1.0)
+
+
+def shadow_iou(logits: Tensor, solid: Tensor) -> Tensor:  # [B, C, C, C] both -> [B]
+    """Return soft intersections over union of the shadows along x, y and z, their mean.
+
+    A ray is free with the product of its cells' probabilities to be empty.
+    """
+    blocked = F.softplus(logits.float())
+    shares = [
+        soft_iou(-torch.expm1(-blocked.sum(dim=axis)), solid.amax(dim=axis)) for axis in (1, 2, 3)
+    ]
+    return torch.stack(shares).mean(dim=0)
 
 
 def coarse_colors(volume: Tensor) -> tuple[Tensor, Tensor]:

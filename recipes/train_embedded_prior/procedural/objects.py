@@ -38,6 +38,7 @@ from recipes.train_embedded_prior.procedural.captions import caption
 from recipes.train_embedded_prior.procedural.materials import bake, paint, sample_light
 from recipes.train_embedded_prior.procedural.primitives import FloatArray, turn_about
 from recipes.train_embedded_prior.procedural.sampling import SurfaceSamples, sample_quads
+from recipes.train_embedded_prior.procedural.warps import draw_warp, warped
 from splatcomplete_data.mesh.discs import DiscSettings, discs_at
 
 Family = Callable[[Assembly], Description]
@@ -51,12 +52,14 @@ class GeneratorSettings:
     """Fewest splats of an object."""
     most_splats: int = 11000
     """Most splats of an object."""
-    abstract_share: float = 0.2
+    abstract_share: float = 0.3
     """Share of abstract shapes in the stream, which teach surfaces rather than templates."""
     tilted_share: float = 0.08
     """Share of objects that are tilted a little."""
     lying_share: float = 0.03
     """Share of objects that lie on their side."""
+    warped_share: float = 0.6
+    """Share of objects that are deformed as a whole."""
     color_noise: float = 0.02
     """Largest standard deviation of the colour noise per splat (drawn per object)."""
 
@@ -125,6 +128,9 @@ def make_object_of(
     description = FAMILIES[family](assembly)
     count = int(rng.integers(chosen.fewest_splats, chosen.most_splats + 1))
     samples = sample_quads(assembly.quads, count, rng)
+    shaping = np.random.default_rng((seed, index, 3))
+    if shaping.random() < chosen.warped_share:
+        samples = warped(samples, draw_warp(shaping))
     colors = bake(sample_light(rng), samples, _colors(assembly, samples))
     noise = rng.uniform(0, chosen.color_noise)
     colors += noise * rng.standard_normal(colors.shape, dtype=np.float32)

@@ -13,7 +13,13 @@ from recipes.train_embedded_prior.shape_dataset import (
     turn_batch,
     unpack_cells,
 )
-from recipes.train_embedded_prior.shape_task import ShapeTask, filled_iou, shape_losses
+from recipes.train_embedded_prior.shape_task import (
+    ShapeTask,
+    filled_iou,
+    shadow_iou,
+    shape_losses,
+    soft_iou,
+)
 from recipes.train_embedded_prior.state import open_run
 from recipes.train_embedded_prior.train import train
 from tests.recipes.train_embedded_prior.stub import WORDS, stub_source, tiny_shape_run
@@ -107,6 +113,32 @@ def test_the_truth_scores_full_marks(batch):
     sources = torch.zeros(count, SOURCES + 1, half, half, half)
     out = ShapeOutput(40 * batch.solid - 20, torch.zeros(count, 3, half, half, half), sources)
     assert filled_iou(out, batch)["iou"] == 1.0
-    assert float(shape_losses(out, batch)["occupancy"]) < 1e-3
+    losses = shape_losses(out, batch)
+    assert float(losses["occupancy"]) < 1e-3
+    # Thousands of cells at a probability of 2e-9 of being wrong.
+    assert float(losses["overlap"]) < 1e-4
+    assert float(losses["shadow"]) < 1e-4
     wrong = dataclasses.replace(out, occupancy=-out.occupancy)
     assert filled_iou(wrong, batch)["iou"] == 0.0
+
+
+def test_overlaps_of_hard_answers_are_counts():
+    generator = torch.Generator().manual_seed(0)
+    ours = (torch.rand(2, 6, 6, 6, generator=generator) < 0.1).float()
+    truth = (torch.rand(2, 6, 6, 6, generator=generator) < 0.1).float()
+
+    def counted(a, b):
+        return [float((x * y).sum() / ((x + y) > 0).sum()) for x, y in zip(a, b, strict=True)]
+
+    assert soft_iou(ours, truth).tolist() == pytest.approx(counted(ours, truth))
+    shadows = [counted(ours.amax(d), truth.amax(d)) for d in (1, 2, 3)]
+    found = shadow_iou(80 * ours - 40, truth)
+    assert found.tolist() == pytest.approx(np.mean(shadows, axis=0).tolist(), rel=1e-5)
+
+
+def test_shadows_pull_a_missing_rod_into_being():
+    truth = torch.zeros(1, 8, 8, 8)
+    truth[0, 3, 3, :] = 1
+    logits = torch.full_like(truth, -4.0, requires_grad=True)
+    (1 - shadow_iou(logits, truth)).sum().backward()
+    assert float(logits.grad[0, 3, 3].max()) < 0 < float(logits.grad[0, 6, 6].min())
