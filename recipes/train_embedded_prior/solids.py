@@ -2,8 +2,10 @@
 
 Conventions
 -----------
-* The whole is solid where the grid's border cannot be reached, after gaps of up to
-  ``2 * _CLOSING`` cells were closed (a bottle's neck, a missing base); thin walls fill their cells.
+* Filled are the cells that the surface passes through and those inside it. Inside is what cannot
+  be reached from the grid's border; behind gaps of up to ``2 * _CLOSING`` cells (a bottle's neck,
+  a missing base) it is the room that is out of reach once they are closed, and what is between
+  that room and the surface. So a gap between two legs, however narrow, stays empty.
 * The grid is that of ``gscomplete.priors.embedded.shape.grid``.
 """
 
@@ -17,15 +19,22 @@ from scipy import ndimage
 from gscomplete.priors.embedded.shape.grid import CELLS, HALF_SIDE, FloatArray
 
 _CLOSING = 2
+"""Steps of one cell that the surface is grown by, at most, to close its gaps."""
 
 
 def solid_cells(positions: FloatArray, tangents: FloatArray) -> NDArray[np.uint8]:  # [C, C, C]
     """Return 1 where a whole object fills its cell, from its splats."""
     shell = fill_shell(positions, tangents, CELLS, 1.2)
-    near = _grow(shell, _CLOSING)
-    outside = _grow((1 - fill_inside(near)).astype(np.uint8), _CLOSING)
-    outside[shell > 0] = 0
-    return (1 - outside).astype(np.uint8)
+    solid = fill_inside(shell) > 0
+    for steps in range(1, _CLOSING + 1):
+        near = _grow(shell, steps)
+        reached = (1 - fill_inside(near)).astype(np.uint8)
+        room = (reached == 0) & (near == 0)
+        if room.any():
+            within = (_grow(reached, steps) == 0) & (shell == 0)
+            # A corner is as many steps away along each axis, and steps go along axes.
+            solid |= ndimage.binary_dilation(room, iterations=3 * steps, mask=within)
+    return solid.astype(np.uint8)
 
 
 def _grow(mask: NDArray[np.uint8], cells: int) -> NDArray[np.uint8]:

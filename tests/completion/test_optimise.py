@@ -111,7 +111,7 @@ def test_bounds_hold():
 
 
 def test_nan_from_the_prior_stops_before_the_parameters():
-    job = completion(dataclasses.replace(SMALL_PRIOR, **QUICK), OraclePrior(TRUTH, poison_step=7))
+    job = completion(dataclasses.replace(SMALL_PRIOR, **QUICK), OraclePrior(TRUTH, "loss", 7))
     with pytest.raises(NonFiniteError, match="step 7: the prior's loss"):
         finish(job)
     assert job.step_number == 7
@@ -121,11 +121,11 @@ def test_nan_from_the_prior_stops_before_the_parameters():
 
 @pytest.mark.parametrize(
     ("poison", "culprit"),
-    [("loss", "the prior's loss"), ("gradient", "gradient of"), ("huge", "gradient of")],
+    [("loss", "the prior's loss"), ("gradient", "gradient of"), ("huge gradient", "gradient of")],
 )
 def test_a_poisoned_distillation_step_changes_nothing(poison, culprit):
     """A NaN gradient may come with a finite loss; a huge one would make Adam's moments infinite."""
-    job = completion(dataclasses.replace(SMALL_PRIOR, **QUICK), OraclePrior(TRUTH, 7, poison))
+    job = completion(dataclasses.replace(SMALL_PRIOR, **QUICK), OraclePrior(TRUTH, poison, 7))
     for _ in range(7):
         job.step()
     before = {name: value.clone() for name, value in job.state().items()}
@@ -139,7 +139,7 @@ def test_a_poisoned_distillation_step_changes_nothing(poison, culprit):
 def test_targets_with_nan_are_not_kept():
     """A step may fit another ring than the newest, so a bad one would reach a checkpoint unseen."""
     settings = dataclasses.replace(RECONSTRUCT, **QUICK, rounds=6)
-    job = completion(settings, OraclePrior(TRUTH, 2, "target"))
+    job = completion(settings, OraclePrior(TRUTH, "target", 2))
     with pytest.raises(NonFiniteError, match="step 20: colour of the prior's targets"):
         finish(job)
     assert all(torch.isfinite(value).all() for value in job.state().values())
