@@ -60,10 +60,12 @@ class ExportConfig:
     out: Path = dataclasses.field(default_factory=packaged_weights)
     """Folder for the weights; the default is the package's own."""
     storage: Storage = "int8"
-    words_from: int = 4000
+    words_from: int = 6000
     """Captions read to find the words that training has shown."""
     evaluation_sets: int = 32
     """Held-out sets on which the stored weights are compared with the trained ones; 0 = none."""
+    history: str = ""
+    """For the card: how the recipe changed while the weights were trained; empty = it did not."""
 
 
 def words_seen(words: tuple[str, ...], captions: Iterable[str]) -> tuple[str, ...]:
@@ -154,6 +156,7 @@ def card(
     shape: ShapeCompleter | None,
     losses: dict[str, dict[str, float]],
     shape_losses: dict[str, float],
+    history: str = "",
 ) -> str:
     """Describe the weights in Markdown."""
     views, training = config.views, config.training
@@ -197,6 +200,7 @@ def card(
             f"* Training: {made.steps} steps, {made.sets} objects with their parts, each seen "
             f"about twice in different orientations, {made.hours:.2f} hours on {made.machine}, "
             f"seed {made.seed}.",
+            *([f"* History: {history}"] if history else []),
             *(f"* Held-out {name}: {value:.4f}" for name, value in shape_losses.items()),
             "",
         ]
@@ -255,7 +259,7 @@ def main() -> int:
     except UserError as error:
         _LOG.error("%s", error)
         return error.exit_code
-    text = card(config, model, shape_model, losses, shape_losses)
+    text = card(config, model, shape_model, losses, shape_losses, options.history)
     (options.out / "CARD.md").write_text(text, encoding="utf-8")
     size = sum(path.stat().st_size for path in options.out.iterdir())
     left_out = sorted(set(views.words) - set(kept) - STOP_WORDS)

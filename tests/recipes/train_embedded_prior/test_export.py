@@ -43,10 +43,11 @@ def test_exported_weights_make_a_prior(tmp_path):
     assert prior.views.resolution_px == views.config.model.resolution_px
     assert "unknown to this prior: blue" in " ".join(prior.condition("a blue ball").report)
     losses = {"stored": {"input_mean": 0.1, "text_mean": 0.2}}
-    text = card(read, model, shape_model, losses, {"iou": 0.5})
+    text = card(read, model, shape_model, losses, {"iou": 0.5}, "one seed was changed")
     assert "| stored | 0.1000 | 0.2000 |" in text
     assert "7 steps, 14 four-view sets" in text
     assert "Held-out iou: 0.5000" in text
+    assert "History: one seed was changed" in text
 
 
 def test_weights_without_a_shape_network_make_a_prior_that_does_not_guess(tmp_path):
