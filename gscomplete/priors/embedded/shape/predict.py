@@ -36,8 +36,8 @@ class FrameSettings:
     count: int
     """How many, the given frame included."""
     shift: float = 0.015
-    """Standard deviation of their origins, object sizes: half a fine cell. Answers of frames farther
-    apart blur thin parts away."""
+    """Standard deviation of their origins, object sizes: half a fine cell. Answers of frames
+    farther apart blur thin parts away."""
     log_scale: float = 0.03
     """Standard deviation of the logarithm of their sizes."""
 
