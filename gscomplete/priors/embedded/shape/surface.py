@@ -51,8 +51,8 @@ class SurfaceSettings:
     """... unless they lie beyond P's rim: there only points this near are. So no gap shows."""
     filled_logit: float = -1.0
     """Cells with at least this logit count as filled. Of -1.5 to 0, -1 gives the best silhouettes
-    on held-out procedural objects and on real ones that no benchmark uses, taken together: thin
-    walls, of which the network is never sure, are worth some excess."""
+    on held-out procedural objects and on real ones that no benchmark uses, taken together (four of
+    each: a small sample): thin walls, of which the network is never sure, are worth some excess."""
 
 
 def surface_splats(
