@@ -1,10 +1,11 @@
 """Compare ways to complete real objects: ``python -m recipes.real_objects.compare --out DIR``.
 
-Every object is completed (or not) in six ways and compared with the truth from eight views:
+Every object is completed (or not) in seven ways and compared with the truth from eight views:
 
 * ``input``: P alone.
-* ``mirror``: P and the best of its three likely mirror images, *chosen with the truth*: more than
-  a method without the truth could reach by mirroring alone.
+* ``likeliest``: P and its mirror image through the plane that is ranked first.
+* ``mirror``: P and the best of the three mirror images that the shape network sees, *chosen with
+  the truth*: more than a method without the truth could reach by mirroring alone.
 * ``text``: the default preset with P withheld from the prior (no first guess, no renders of P).
 * ``reconstruct``: the first guess, then rounds of denoised views that splats are fitted to.
 * ``fast``: the fast preset.
@@ -48,8 +49,8 @@ from gscomplete.views import ObjectFrame, ViewDistribution, up_rotation
 from recipes.real_objects.complete import DATA
 from recipes.real_objects.load import RealObject, load_real_object
 
-Way = Literal["input", "mirror", "text", "reconstruct", "fast", "default"]
-WAYS: tuple[Way, ...] = ("input", "mirror", "text", "reconstruct", "fast", "default")
+Way = Literal["input", "likeliest", "mirror", "text", "reconstruct", "fast", "default"]
+WAYS: tuple[Way, ...] = ("input", "likeliest", "mirror", "text", "reconstruct", "fast", "default")
 OBJECTS = (
     "blue_mug", "bowl", "apple", "stapler", "armchair", "refrigerator", "lantern", "sofa",
     "soccer_ball", "duck", "knight", "chair", "donut", "frying_pan", "statue", "cow", "bottle",
@@ -104,8 +105,10 @@ def new_splats(posed: Posed, way: Way, prior: Prior, seed: int) -> tuple[Splats 
     started = time.perf_counter()
     if way == "input":
         return None, 0.0
-    if way == "mirror":
-        return best_mirror(posed), time.perf_counter() - started
+    if way in ("likeliest", "mirror"):
+        copies = mirror_images(posed)
+        chosen = copies[0] if way == "likeliest" else best_by_truth(copies, posed)
+        return chosen, time.perf_counter() - started
     return completed(posed, prior, settings_of(way, prior, seed))
 
 
@@ -127,22 +130,28 @@ def settings_of(way: Way, prior: Prior, seed: int) -> CompletionSettings:
     return dataclasses.replace(chosen, seed=seed)
 
 
-def best_mirror(posed: Posed) -> Splats | None:
-    """Return the mirror image of P that is best by the truth."""
+def mirror_images(posed: Posed) -> list[Splats]:
+    """Return the mirror images of P that the shape network sees, the likeliest first."""
     partial = posed.partial.with_sh_degree(0)
+    # Only silhouettes and colours are compared: widths are made round rather than turned.
+    scales = partial.scales.amax(dim=1, keepdim=True).expand(-1, 3).contiguous()
+    return [
+        dataclasses.replace(
+            partial, means=torch.from_numpy(s.apply(partial.means.numpy())), scales=scales
+        )
+        for s in shape_inputs(partial, posed.views).symmetries
+    ]
+
+
+def best_by_truth(copies: list[Splats], posed: Posed) -> Splats | None:
+    """Return the copy with the best silhouettes; None where the truth is unknown."""
     if posed.truth is None:
         return None
-    best, best_iou = None, -1.0
-    for symmetry in shape_inputs(partial, posed.views).symmetries:
-        means = torch.from_numpy(symmetry.apply(partial.means.numpy()))
-        # Only silhouettes and colours are compared: widths are made round rather than turned.
-        size = partial.scales.amax(dim=1, keepdim=True).expand(-1, 3)
-        copy = dataclasses.replace(partial, means=means, scales=size.contiguous())
-        cameras = posed.views.ring(8, 128)
-        found = against_truth(concatenate([partial, copy]), partial, posed.truth, cameras)
-        if found.silhouette_iou > best_iou:
-            best, best_iou = copy, found.silhouette_iou
-    return best
+    partial, truth = posed.partial.with_sh_degree(0), posed.truth
+    cameras = posed.views.ring(8, 128)
+    found = [against_truth(concatenate([partial, c]), partial, truth, cameras) for c in copies]
+    best = max(range(len(copies)), key=lambda k: found[k].silhouette_iou)
+    return copies[best]
 
 
 def measure(posed: Posed, new: Splats | None, seconds: float) -> dict[str, Any]:

@@ -30,6 +30,7 @@ from gscomplete.priors.embedded.shape.grid import (
     splat_arrays,
 )
 from gscomplete.priors.embedded.shape.inputs import SOURCES, shape_inputs
+from gscomplete.priors.embedded.shape.plane_ranker import packaged_ranker
 from gscomplete.priors.embedded.shape.predict import turned
 from gscomplete.priors.embedded.shape.symmetries import COPIES
 from gscomplete.priors.embedded.text import Tokenizer
@@ -88,8 +89,18 @@ class ShapeSpec:
 
     def key(self) -> str:
         """Name the contents: folders of different options never mix."""
-        text = dumps([self.data, self.words, self.seed, "shape"])
+        text = dumps([self.data, self.words, self.seed, packaged_ranker().digest(), "shape"])
         return hashlib.sha256(f"{text}{self.shard_sets}".encode()).hexdigest()[:12]
+
+
+@dataclass(frozen=True, slots=True)
+class PosedObject:
+    """A part and the whole in the frame guessed from the part."""
+
+    partial: Splats
+    whole: Splats
+    distribution: ViewDistribution
+    caption: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,22 +114,33 @@ class ShapeSetMaker:
 
     def __call__(self, index: int) -> np.ndarray:  # [] of set_dtype
         """Make set ``index``."""
-        item = self.source(self.seed, index)
         rng = np.random.default_rng((self.seed, index, 2))
-        partial = item.partial(bool(rng.random() < self.data.corrupt_share))
-        frame, distribution = self._frame(partial, rng)
-        seen = shape_inputs(transform_splats(partial, frame.object_from_file), distribution)
+        posed = self.posed(index, rng)
+        seen = shape_inputs(posed.partial, posed.distribution)
         stored = np.zeros((), set_dtype(self.data))
         for n, volume in enumerate(seen.volumes):
             stored["cells"][n] = pack_cells(volume, self.data.most_cells, rng)
         stored["evidence"] = np.round(seen.evidence * 255)
         stored["scores"] = seen.scores
-        stored["tokens"] = self.tokenizer.encode(item.caption).numpy()
-        whole = splat_arrays(transform_splats(item.splats, frame.object_from_file))
+        stored["tokens"] = self.tokenizer.encode(posed.caption).numpy()
+        whole = splat_arrays(posed.whole)
         stored["solid"] = np.packbits(solid_cells(whole[0], whole[1]))
         surface = fill_colored(*whole, CELLS)
         stored["surface"] = pack_cells(surface, self.data.most_surface_cells, rng)
         return stored
+
+    def posed(self, index: int, rng: np.random.Generator) -> PosedObject:
+        """Return object ``index`` and a part of it in a frame as a run would guess it."""
+        item = self.source(self.seed, index)
+        partial = item.partial(bool(rng.random() < self.data.corrupt_share))
+        frame, distribution = self._frame(partial, rng)
+        to_frame = frame.object_from_file
+        return PosedObject(
+            transform_splats(partial, to_frame),
+            transform_splats(item.splats, to_frame),
+            distribution,
+            item.caption,
+        )
 
     def _frame(
         self, partial: Splats, rng: np.random.Generator

@@ -101,7 +101,8 @@ class ShardReader:
             spec: what to read.
             folder: where shards are buffered, in a folder of their own.
             workers: see above.
-            first: the set to start with.
+            first: the set to start with; older ones may be read too, as far as ``behind``
+                reaches, and are made first if they are gone.
             ahead: shards made before they are wanted.
             behind: shards kept after the newest one that was wanted.
         """
@@ -123,7 +124,15 @@ class ShardReader:
         for number in range(self._workers or 0):
             process = self._context.Process(
                 target=_work,
-                args=(self._spec, self._folder, number, self._workers, self._ahead, self._wanted),
+                args=(
+                    self._spec,
+                    self._folder,
+                    number,
+                    self._workers,
+                    self._ahead,
+                    self._behind,
+                    self._wanted,
+                ),
                 daemon=True,
             )
             process.start()
@@ -196,7 +205,15 @@ def _make_shard(
         np.save(file, stored)
 
 
-def _work(spec: SetSpec, folder: Path, number: int, workers: int, ahead: int, wanted: Any) -> None:
+def _work(
+    spec: SetSpec,
+    folder: Path,
+    number: int,
+    workers: int,
+    ahead: int,
+    behind: int,
+    wanted: Any,
+) -> None:
     """Make this worker's shards in order, staying near the reader."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(19)
@@ -204,7 +221,8 @@ def _work(spec: SetSpec, folder: Path, number: int, workers: int, ahead: int, wa
     _use_one_numba_thread()
     maker = spec.maker()
     parent = os.getppid()
-    shard = wanted.value + (number - wanted.value) % workers
+    oldest = max(wanted.value - behind, 0)
+    shard = oldest + (number - oldest) % workers
     while os.getppid() == parent:
         if shard_path(folder, shard).exists():
             shard += workers

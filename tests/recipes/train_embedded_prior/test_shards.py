@@ -37,6 +37,14 @@ def test_workers_make_the_same_sets_from_the_middle(tmp_path):
     assert read.tobytes() == np.stack([made(k) for k in range(9, 12)]).tobytes()
 
 
+def test_older_sets_that_are_gone_are_made_again(tmp_path):
+    """A run resumed without its buffer, or with other data, replays sets of before."""
+    with ShardReader(spec(), tmp_path, workers=2, first=16, behind=3) as reader:
+        read = reader.read([5, 16, 17])
+    made = spec().maker()
+    assert read.tobytes() == np.stack([made(k) for k in (5, 16, 17)]).tobytes()
+
+
 def test_a_dead_worker_is_reported(tmp_path):
     reader = ShardReader(spec(failing_source), tmp_path, workers=1, first=0)
     with reader, pytest.raises(UserError, match="exit code 1"):

@@ -62,6 +62,30 @@ def gather_evidence(partial: Splats, distribution: ViewDistribution) -> Evidence
 
 
 @numba.njit(cache=True)
+def kind_of(
+    x: float,
+    y: float,
+    z: float,
+    depth: FloatArray,  # [S, S]
+    m: FloatArray,  # [4, 4] camera from world
+    focal_px: float,
+) -> int:
+    """Return whether one view finds a point in front of P (0), behind it (1) or beside it (2)."""
+    size = depth.shape[0]
+    far = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+    if far <= 1e-3:
+        return 2
+    px = (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]) / far * focal_px + 0.5 * size
+    py = (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]) / far * focal_px + 0.5 * size
+    if not (0 <= px < size and 0 <= py < size):
+        return 2
+    surface = depth[int(py), int(px)]
+    if surface == np.inf:
+        return 2
+    return 0 if far < surface - FRONT_TOLERANCE else 1
+
+
+@numba.njit(cache=True)
 def _classify(
     points: FloatArray,  # [N, 3]
     depth: FloatArray,  # [V, S, S]
@@ -69,20 +93,9 @@ def _classify(
     focal_px: float,
 ) -> NDArray[np.float32]:  # [N, 3]
     shares = np.zeros((len(points), 3), np.float32)
-    views, size = depth.shape[0], depth.shape[1]
+    views = depth.shape[0]
     for n in range(len(points)):
+        x, y, z = points[n]
         for v in range(views):
-            m = camera_from_world[v]
-            x = m[0, 0] * points[n, 0] + m[0, 1] * points[n, 1] + m[0, 2] * points[n, 2] + m[0, 3]
-            y = m[1, 0] * points[n, 0] + m[1, 1] * points[n, 1] + m[1, 2] * points[n, 2] + m[1, 3]
-            z = m[2, 0] * points[n, 0] + m[2, 1] * points[n, 1] + m[2, 2] * points[n, 2] + m[2, 3]
-            kind = 2
-            if z > 1e-3:
-                px = x / z * focal_px + 0.5 * size
-                py = y / z * focal_px + 0.5 * size
-                if 0 <= px < size and 0 <= py < size:
-                    surface = depth[v, int(py), int(px)]
-                    if surface < np.inf:
-                        kind = 0 if z < surface - FRONT_TOLERANCE else 1
-            shares[n, kind] += 1.0 / views
+            shares[n, kind_of(x, y, z, depth[v], camera_from_world[v], focal_px)] += 1.0 / views
     return shares

@@ -22,6 +22,8 @@ from gscomplete.priors.embedded.shape.grid import (
     fill_colored,
     splat_arrays,
 )
+from gscomplete.priors.embedded.shape.plane_ranker import packaged_ranker
+from gscomplete.priors.embedded.shape.planes import part_samples
 from gscomplete.priors.embedded.shape.symmetries import COPIES, SymmetryMap, likely_symmetries
 from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution
@@ -39,17 +41,24 @@ class ShapeInputs:
     symmetries: tuple[SymmetryMap, ...]  # COPIES
 
 
-def shape_inputs(partial: Splats, distribution: ViewDistribution) -> ShapeInputs:
+def shape_inputs(
+    partial: Splats,
+    distribution: ViewDistribution,
+    symmetries: tuple[SymmetryMap, ...] | None = None,
+) -> ShapeInputs:
     """Look at P.
 
     Args:
         partial: P in the object frame.
         distribution: V.
+        symmetries: how P is mirrored; None = as P's own looks suggest.
     """
     positions, tangents, opacities, colors = splat_arrays(partial)
     alone = fill_colored(positions, tangents, opacities, colors, CELLS)
     evidence = gather_evidence(partial, distribution)
-    symmetries = likely_symmetries(positions, alone[0], evidence)
+    if symmetries is None:
+        part = part_samples(positions, tangents, colors, alone)
+        symmetries = likely_symmetries(part, evidence, packaged_ranker())
     volumes = [alone]
     for symmetry in symmetries:
         turned = np.ascontiguousarray(tangents @ symmetry.matrix.T)

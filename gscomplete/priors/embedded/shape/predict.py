@@ -72,7 +72,8 @@ def predict_over_frames(
     occupancy, count = output.occupancy, 1
     centers = torch.from_numpy(cell_centers(CELLS)).reshape(-1, 3)
     for moved in _other_frames(generator, settings):
-        again = shape_inputs(transform_splats(partial, moved), distribution)
+        symmetries = tuple(s.in_frame(moved) for s in seen.symmetries)
+        again = shape_inputs(transform_splats(partial, moved), distribution, symmetries)
         answer = predict_whole(model, again, tokens, bfloat16=bfloat16).occupancy[0]
         there = moved.scale * centers + moved.translation.float()
         occupancy = occupancy + sample_volume(answer[None], there).reshape(1, *answer.shape)

@@ -34,6 +34,9 @@ _RIM_NEIGHBOURS = 12
 _ONE_SIDED = 0.7
 """A point is beyond the rim if the mean of the ways to P's nearest splats is this share of their
 mean length; within a surface it is near 0."""
+_COPY_REACH = 1.2
+"""Cells to a mirror image of P within which a point belongs on it."""
+_COPY_NEIGHBOURS = 4
 _OVERLAP = 1.0
 """Tangent standard deviation per spacing, so that neighbours overlap into a closed surface."""
 
@@ -76,6 +79,7 @@ def surface_splats(
     points, normals, on_surface = _project(logits, _seeds(logits, generator))
     points = (points - _INWARD * CELL_SIDE * normals)[on_surface]
     normals = normals[on_surface]
+    points = on_copies(points, normals, anchor.means, inputs)
     is_new = _is_missing(points, normals, anchor.means, settings)
     points, normals, spacing = _spread(points[is_new], normals[is_new], settings.count, generator)
     colors = source_colors(output, inputs, partial, points, generator)
@@ -88,6 +92,32 @@ def surface_splats(
         torch.full((len(points),), settings.opacity),
         colors_to_sh(colors.clamp(0.0, 1.0)),
     )
+
+
+def on_copies(
+    points: Tensor,  # [N, 3]
+    normals: Tensor,  # [N, 3]
+    others: Tensor,  # [M, 3] P's splats
+    inputs: ShapeInputs,
+) -> Tensor:  # [N, 3]
+    """Move points along their normals onto the mirror image of P that passes near them, if any.
+
+    Cells are coarse; where the network follows a copy, the copy's own splats say exactly where the
+    surface is. The likelier copy goes first.
+    """
+    tree = cKDTree(others.numpy())
+    moved, free = points.clone(), torch.ones(len(points), dtype=torch.bool)
+    nearest = range(1, min(_COPY_NEIGHBOURS, len(others)) + 1)
+    for symmetry in inputs.symmetries:
+        distance, index = tree.query(symmetry.undo(points.numpy()), k=nearest)
+        flat = symmetry.apply(others.numpy()[index.reshape(-1)])
+        copies = torch.from_numpy(flat).reshape(*index.shape, 3)
+        along = ((copies - points[:, None]) * normals[:, None]).sum(dim=2)
+        is_near = torch.from_numpy(distance).amax(dim=1) < _COPY_REACH * CELL_SIDE
+        use = free & is_near & (along.amax(dim=1) - along.amin(dim=1) < CELL_SIDE)
+        moved[use] += along.mean(dim=1)[use, None] * normals[use]
+        free &= ~use
+    return moved
 
 
 def _seeds(logits: Tensor, generator: torch.Generator) -> Tensor:  # [N, 3]

@@ -1,14 +1,14 @@
 """Mirror images of P that may show what is missing.
 
 Most objects have an upright plane of symmetry, and many have two, so what P lacks is often there,
-elsewhere. Planes of many directions and offsets are judged by samples of P mirrored through them:
-good where they land in new places; bad where they would show from V in front of P or beside it,
-where they nearly but not quite meet P, where they leave the frame, or where a gap remains between
-the two halves. The network is shown the best two and their composition, and decides.
+elsewhere: on real objects one well-chosen plane shows most of what is missing. Planes are ranked by
+a small trained network; the best two are moved to where P and its copy agree best, and the shape
+network is shown both copies and their composition, and decides.
 
 Conventions
 -----------
-* A map takes x to ``matrix x + shift`` in the object frame; upright planes face azimuth ``angle``.
+* A map takes x to ``matrix x + shift`` in the object frame.
+* A map's score is the ranker's belief in its plane and those near it, in [0, 1].
 """
 
 from __future__ import annotations
@@ -16,34 +16,29 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from gscomplete.priors.embedded.shape.evidence import Evidence
-from gscomplete.priors.embedded.shape.grid import CELL_SIDE, HALF_SIDE, FloatArray
+from gscomplete.priors.embedded.shape.grid import CELL_SIDE, FloatArray
+from gscomplete.priors.embedded.shape.plane_ranker import PlaneRanker
+from gscomplete.priors.embedded.shape.planes import (
+    ANGLES,
+    OFFSETS,
+    PartSamples,
+    plane_features,
+)
+from gscomplete.splats.transform import Similarity
 
 COPIES = 3
-_SAMPLES = 600
-_ANGLES = 36
-_OFFSETS = tuple(0.025 * k for k in range(-6, 7))
-_APART_DEG = 40.0
-
-
-@dataclass(frozen=True, slots=True)
-class SymmetryWeights:
-    """What counts against novelty (the share of the copy that is new); shares of the copy."""
-
-    front: float = 3.0
-    beside: float = 2.0
-    near: float = 0.6
-    """For samples that miss P by little: the plane is slightly wrong."""
-    outside: float = 1.0
-    """For samples outside the object frame's box."""
-    gap: float = 4.0
-    """Per object size between P and the plane."""
-    offset: float = 0.5
-    """Per object size between the plane and the frame's centre."""
+_APART_DEG = 15.0
+_APART_OFFSET = 0.1
+"""The second plane differs from the first by more than one of these."""
+_REFINEMENTS = 4
+_FEWEST_MATCHES = 40
+_LARGEST_TURN = math.radians(4.0)
+_LARGEST_MOVE = 0.03
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,83 +57,86 @@ class SymmetryMap:
         """Map points back."""
         return np.ascontiguousarray((points - self.shift) @ self.matrix, dtype=np.float32)
 
+    def in_frame(self, moved: Similarity) -> SymmetryMap:
+        """Return the same map for points that were moved and scaled, not turned."""
+        move = moved.translation.numpy().astype(np.float32)
+        shift = np.float32(moved.scale) * self.shift + move - self.matrix @ move
+        return SymmetryMap(self.matrix, shift.astype(np.float32), self.score)
+
 
 def likely_symmetries(
-    points: FloatArray,  # [N, 3]
-    occupancy: FloatArray,  # [cells, cells, cells] of P
-    evidence: Evidence,
-    weights: SymmetryWeights | None = None,
+    part: PartSamples, evidence: Evidence, ranker: PlaneRanker
 ) -> tuple[SymmetryMap, SymmetryMap, SymmetryMap]:
-    """Return the best plane, the best one well apart from it, and one after the other."""
-    chosen = weights or SymmetryWeights()
-    step = max(len(points) // _SAMPLES, 1)
-    samples = np.ascontiguousarray(points[::step][:_SAMPLES])
-    scores = _score_planes(samples, occupancy, evidence, chosen)
-    first = np.unravel_index(int(scores.argmax()), scores.shape)
-    apart = np.abs(np.arange(_ANGLES) - first[0]) * (180.0 / _ANGLES)
-    apart = np.minimum(apart, 180.0 - apart)
-    rest = np.where(apart[:, None] >= _APART_DEG, scores, -np.inf)
-    second = np.unravel_index(int(rest.argmax()), rest.shape)
-    a, b = (_plane(int(k[0]), int(k[1]), float(scores[k])) for k in (first, second))
-    both = SymmetryMap(b.matrix @ a.matrix, b.matrix @ a.shift + b.shift, 0.5 * (a.score + b.score))
-    return a, b, both
+    """Return the likeliest plane, the likeliest one unlike it, and one after the other."""
+    logits = ranker(plane_features(part, evidence)).astype(np.float64)
+    belief = np.exp(logits - logits.max())
+    belief /= belief.sum()
+    tree = cKDTree(part.spread)
+    first = np.unravel_index(int(belief.argmax()), belief.shape)
+    alike = _alike(int(first[0]), int(first[1]))
+    second = np.unravel_index(int(np.where(alike, -1.0, belief).argmax()), belief.shape)
+    chosen = []
+    for index in (first, second):
+        a, o = int(index[0]), int(index[1])
+        angle, offset = refined(part, tree, math.pi * a / ANGLES, OFFSETS[o])
+        chosen.append(_mirror(angle, offset, float(belief[_alike(a, o)].sum())))
+    one, other = chosen
+    both = SymmetryMap(
+        other.matrix @ one.matrix,
+        other.matrix @ one.shift + other.shift,
+        0.5 * (one.score + other.score),
+    )
+    return one, other, both
 
 
-def _plane(angle_index: int, offset_index: int, score: float) -> SymmetryMap:
-    """Return the mirror image through a plane of the table."""
-    angle = math.pi * angle_index / _ANGLES
+def refined(
+    part: PartSamples, tree: cKDTree, angle: float, offset: float
+) -> tuple[float, float]:  # radians, object sizes
+    """Move a plane to where P's copy fits P best: Gauss-Newton, point to surface.
+
+    Only samples that land within a cell and a half of P count; with few of them the plane stays.
+    """
+    found = angle, offset
+    for _ in range(_REFINEMENTS):
+        nx, ny = math.cos(found[0]), math.sin(found[0])
+        normal = np.array([nx, ny, 0.0])
+        across = np.array([-ny, nx, 0.0])
+        along = part.points @ normal
+        copies = part.points + 2 * (found[1] - along)[:, None] * normal
+        distance, index = tree.query(copies)
+        # Samples in the plane are their own copies: they say nothing of where it is.
+        use = (distance < 1.5 * CELL_SIDE) & (np.abs(found[1] - along) > 1.5 * CELL_SIDE)
+        if use.sum() < _FEWEST_MATCHES:
+            break
+        turned = part.normals[use] - 2 * (part.normals[use] @ normal)[:, None] * normal
+        gap = ((part.spread[index[use]] - copies[use]) * turned).sum(axis=1)
+        by_offset = 2 * (turned @ normal)
+        by_angle = -2 * (part.points[use] @ across) * (turned @ normal)
+        by_angle += 2 * (found[1] - along[use]) * (turned @ across)
+        slopes = np.stack([by_angle, by_offset], axis=1)
+        weight = 1.0 / (1.0 + np.square(gap / (0.3 * CELL_SIDE)))
+        system = (slopes * weight[:, None]).T @ slopes + np.eye(2) * 1e-2 * len(gap)
+        move = np.linalg.solve(system, (slopes * weight[:, None]).T @ gap)
+        found = (
+            angle + float(np.clip(found[0] + move[0] - angle, -_LARGEST_TURN, _LARGEST_TURN)),
+            offset + float(np.clip(found[1] + move[1] - offset, -_LARGEST_MOVE, _LARGEST_MOVE)),
+        )
+    return found
+
+
+def _mirror(angle: float, offset: float, score: float) -> SymmetryMap:
+    """Return the mirror image through a plane."""
     normal = np.array([math.cos(angle), math.sin(angle), 0.0])
     matrix = np.eye(3) - 2 * np.outer(normal, normal)
-    shift = 2 * _OFFSETS[offset_index] * normal
+    shift = 2 * offset * normal
     return SymmetryMap(matrix.astype(np.float32), shift.astype(np.float32), score)
 
 
-def _score_planes(
-    samples: FloatArray, occupancy: FloatArray, evidence: Evidence, weights: SymmetryWeights
-) -> NDArray[np.float64]:  # [_ANGLES, offsets]
-    angles = np.pi * np.arange(_ANGLES) / _ANGLES
-    normals = np.stack([np.cos(angles), np.sin(angles)], axis=1).astype(np.float32)
-    offsets = np.array(_OFFSETS, np.float32)
-    distance = _cells_to_surface(occupancy)
-    along = samples[:, :2] @ normals.T  # [N, A]
-    low, high = along.min(axis=0)[:, None], along.max(axis=0)[:, None]
-    gap = np.maximum(np.maximum(low - offsets, offsets - high), 0.0)
-    copies = np.repeat(samples[None, None], len(normals), 0).repeat(len(offsets), 1)
-    shift = 2 * (offsets[None, :, None] - along.T[:, None, :])  # [A, O, N]
-    copies[..., 0] += shift * normals[:, None, None, 0]
-    copies[..., 1] += shift * normals[:, None, None, 1]
-    shares = evidence.classify(copies).reshape(len(normals), len(offsets), -1, 3)
-    cells = np.clip(((copies + HALF_SIDE) / CELL_SIDE).astype(np.int32), 0, len(distance) - 1)
-    far = distance[cells[..., 0], cells[..., 1], cells[..., 2]]
-    novel = (far >= 2).mean(axis=-1)
-    near = (far == 2).mean(axis=-1)
-    outside = (np.abs(copies) > 0.53).any(axis=-1).mean(axis=-1)
-    is_new = (far >= 2)[..., None]
-    violated = (shares * is_new).mean(axis=2)
-    return (
-        novel
-        - weights.front * violated[..., 0]
-        - weights.beside * violated[..., 2]
-        - weights.near * near
-        - weights.outside * outside
-        - weights.gap * gap
-        - weights.offset * np.abs(offsets)
-    ).astype(np.float64)
-
-
-@numba.njit(cache=True)
-def _cells_to_surface(occupancy: FloatArray) -> NDArray[np.uint8]:
-    """Return the distance to P in cells (largest coordinate difference), at most 3."""
-    n = occupancy.shape[0]
-    distance = np.full((n, n, n), 3, np.uint8)
-    for i in range(n):
-        for j in range(n):
-            for k in range(n):
-                if occupancy[i, j, k] <= 0.2:
-                    continue
-                for x in range(max(i - 2, 0), min(i + 3, n)):
-                    for y in range(max(j - 2, 0), min(j + 3, n)):
-                        for z in range(max(k - 2, 0), min(k + 3, n)):
-                            away = max(abs(x - i), abs(y - j), abs(z - k))
-                            distance[x, y, z] = min(distance[x, y, z], np.uint8(away))
-    return distance
+def _alike(angle_index: int, offset_index: int) -> NDArray[np.bool_]:  # [ANGLES, offsets]
+    """Mark the planes like one, itself included."""
+    turn = np.abs(np.arange(ANGLES) - angle_index) * (180.0 / ANGLES)
+    # Half a turn further, the same plane has the other sign.
+    sign = np.where(turn > 90.0, -1.0, 1.0)[:, None]
+    apart = np.abs(sign * np.array(OFFSETS) - OFFSETS[offset_index])
+    near_turn = np.minimum(turn, 180.0 - turn)[:, None] < _APART_DEG
+    return near_turn & (apart < _APART_OFFSET)

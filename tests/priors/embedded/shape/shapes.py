@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import torch
 
+from gscomplete.priors.embedded.shape.symmetries import SymmetryMap
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.rotations import quaternions_facing
 
@@ -37,3 +38,13 @@ def half(splats: Splats, axis: int = 0) -> Splats:
 def moved(splats: Splats, shift: tuple[float, float, float]) -> Splats:
     """Return the splats elsewhere."""
     return dataclasses.replace(splats, means=splats.means + torch.tensor(shift))
+
+
+def mirrors() -> tuple[SymmetryMap, SymmetryMap, SymmetryMap]:
+    """Return the mirror images through x = 0 and y = 0, and half a turn."""
+    nothing = np.zeros(3, np.float32)
+    return (
+        SymmetryMap(np.diag([-1.0, 1.0, 1.0]).astype(np.float32), nothing, 0.6),
+        SymmetryMap(np.diag([1.0, -1.0, 1.0]).astype(np.float32), nothing, 0.2),
+        SymmetryMap(np.diag([-1.0, -1.0, 1.0]).astype(np.float32), nothing, 0.4),
+    )

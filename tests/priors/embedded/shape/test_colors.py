@@ -9,7 +9,7 @@ from gscomplete.priors.embedded.shape.inputs import SOURCES, shape_inputs
 from gscomplete.priors.embedded.shape.model import ShapeOutput
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.views import ViewDistribution
-from tests.priors.embedded.shape.shapes import half, sphere
+from tests.priors.embedded.shape.shapes import half, mirrors, sphere
 
 VIEWS = ViewDistribution(0.0, 10.0)
 OWN = SOURCES
@@ -27,7 +27,7 @@ def pointing_at(*sources: int) -> ShapeOutput:
 
 def colors_at(points, output, partial=None, settings=None):
     partial = half(sphere()) if partial is None else partial
-    inputs = shape_inputs(partial, VIEWS)
+    inputs = shape_inputs(partial, VIEWS, mirrors())
     generator = torch.Generator().manual_seed(0)
     return source_colors(output, inputs, partial, points, generator, settings), inputs
 
@@ -56,11 +56,11 @@ def test_the_colour_of_the_network_is_never_mixed_in():
 
 def test_of_two_sources_trusted_alike_the_likelier_is_taken_whole():
     points = hidden_points()
-    both, _ = colors_at(points, pointing_at(1, 2))
+    both, _ = colors_at(points, pointing_at(1, 3))
     first, _ = colors_at(points, pointing_at(1))
     near = (both - first).abs().amax(dim=1) < 0.02
     assert float(near.float().mean()) > 0.9
-    mixed, _ = colors_at(points, pointing_at(1, 2), settings=ColorSettings(preference=0.0))
+    mixed, _ = colors_at(points, pointing_at(1, 3), settings=ColorSettings(preference=0.0))
     assert float((mixed - first).abs().mean()) > float((both - first).abs().mean())
 
 

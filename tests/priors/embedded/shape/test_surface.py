@@ -3,6 +3,7 @@ import pytest
 import torch
 
 from gscomplete.priors.embedded.shape.grid import (
+    CELL_SIDE,
     CELLS,
     COARSE_CELLS,
     cell_centers,
@@ -10,11 +11,11 @@ from gscomplete.priors.embedded.shape.grid import (
 )
 from gscomplete.priors.embedded.shape.inputs import SOURCES, shape_inputs
 from gscomplete.priors.embedded.shape.model import ShapeOutput
-from gscomplete.priors.embedded.shape.surface import SurfaceSettings, surface_splats
+from gscomplete.priors.embedded.shape.surface import SurfaceSettings, on_copies, surface_splats
 from gscomplete.render import render
 from gscomplete.splats import concatenate
 from gscomplete.views import ViewDistribution
-from tests.priors.embedded.shape.shapes import half, sphere
+from tests.priors.embedded.shape.shapes import half, mirrors, sphere
 
 VIEWS = ViewDistribution(0.0, 10.0)
 
@@ -102,3 +103,16 @@ def test_the_surface_goes_on_from_ps_rim_without_a_gap():
     assert int(inside.sum()) < 0.005 * len(new)
     apart = guess(SurfaceSettings(count=20_000, near_rim=0.03), partial=partial).means
     assert float(torch.cdist(apart, partial.means).min()) >= 0.03 - 1e-6
+
+
+def test_points_near_a_copy_move_onto_it_and_others_stay():
+    partial = half(sphere(12_000))
+    inputs = shape_inputs(partial, VIEWS, mirrors())
+    normals = torch.nn.functional.normalize(
+        torch.from_numpy(inputs.symmetries[0].apply(partial.means.numpy()[::40])), dim=1
+    )
+    near = on_copies((0.4 + 0.7 * CELL_SIDE) * normals, normals, partial.means, inputs)
+    # P's own splats lie on the sphere; the mean of four of them lies a little inside it.
+    assert float((near.norm(dim=1) - 0.4).abs().max()) < 0.1 * CELL_SIDE
+    apart = (0.4 + 2 * CELL_SIDE) * normals
+    assert torch.equal(on_copies(apart, normals, partial.means, inputs), apart)

@@ -1,0 +1,215 @@
+"""Train what ranks planes of symmetry: ``python -m recipes.train_embedded_prior.plane_ranker``.
+
+It comes before the shape network, whose training sets hold the copies that it chooses.
+
+Conventions
+-----------
+* A plane is worth the share of the missing surface that P's copy covers, less half the share of
+  the copy that is new and not on the whole's surface.
+* The ranker learns the softmax of the planes' worths times ``sharpness`` by cross entropy.
+* Object k is that of the shape network's sets of another seed; every fifth is held out.
+"""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+import tyro
+from rich.console import Console
+from rich.progress import track
+from scipy import ndimage
+from torch import Tensor, nn
+
+from gscomplete.priors.embedded.prior import packaged_weights
+from gscomplete.priors.embedded.shape.evidence import gather_evidence
+from gscomplete.priors.embedded.shape.grid import (
+    CELL_SIDE,
+    CELLS,
+    HALF_SIDE,
+    FloatArray,
+    fill_colored,
+    splat_arrays,
+)
+from gscomplete.priors.embedded.shape.plane_ranker import LAYERS, RANKER_FILE, PlaneRanker
+from gscomplete.priors.embedded.shape.planes import (
+    FEATURES,
+    OFFSETS,
+    part_samples,
+    plane_features,
+    plane_normals,
+)
+from gscomplete.priors.embedded.text import Tokenizer
+from recipes.train_embedded_prior.config import ShapeDataConfig
+from recipes.train_embedded_prior.shape_dataset import PosedObject, ShapeSetMaker
+from recipes.train_embedded_prior.source import procedural_source
+
+_LOG = logging.getLogger(__name__)
+_HELD_OUT_EVERY = 5
+_MISSING_SAMPLES = 400
+_COPY_SAMPLES = 400
+
+
+@dataclass(frozen=True)
+class RankerConfig:
+    """Train the ranker of planes."""
+
+    out: Path = field(default_factory=lambda: packaged_weights() / RANKER_FILE)
+    """File to write; the default is the package's own."""
+    objects: int = 2400
+    """Objects to learn from, the held-out ones included."""
+    seed: int = 5_000_000
+    width: int = 48
+    """Units of both hidden layers."""
+    steps: int = 2500
+    batch_objects: int = 16
+    learning_rate: float = 3e-3
+    weight_decay: float = 1e-2
+    dropout: float = 0.1
+    sharpness: float = 16.0
+    """Factor on the planes' worths in the target."""
+    workers: int = 2
+    """Processes that make objects."""
+
+
+def plane_worth(posed: PosedObject) -> FloatArray:  # [A, O]
+    """Return how much P's copy through each plane shows of the whole."""
+    part, whole = splat_arrays(posed.partial), splat_arrays(posed.whole)
+    to_part = _cells_to(*part)
+    to_whole = _cells_to(*whole)
+    missing = np.argwhere((to_whole == 0) & (to_part > 1.5))
+    worth = np.zeros((len(plane_normals()), len(OFFSETS)), np.float32)
+    if not len(missing):
+        return worth
+    rng = np.random.default_rng(0)
+    missing = missing[rng.permutation(len(missing))[:_MISSING_SAMPLES]]
+    wanted = ((missing + 0.5) * CELL_SIDE - HALF_SIDE).astype(np.float32)
+    points = part[0][rng.permutation(len(part[0]))[:_COPY_SAMPLES]]
+    for a, normal in enumerate(plane_normals()):
+        covered = _at(to_part, _mirrored(wanted, normal)) <= 1.0
+        copies = _mirrored(points, normal)
+        wrong = (_at(to_whole, copies) > 1.5) & (_at(to_part, copies) > 1.5)
+        worth[a] = covered.mean(axis=1) - 0.5 * wrong.mean(axis=1)
+    return worth
+
+
+def _mirrored(points: FloatArray, normal: FloatArray) -> FloatArray:  # [N, 3] -> [O, N, 3]
+    """Mirror points through all the planes of one normal."""
+    shift = 2 * (np.array(OFFSETS, np.float32)[:, None] - points[:, :2] @ normal)
+    copies = np.repeat(points[None], len(OFFSETS), axis=0)
+    copies[..., :2] += shift[..., None] * normal
+    return copies
+
+
+def _cells_to(
+    positions: FloatArray, tangents: FloatArray, opacities: FloatArray, colors: FloatArray
+) -> FloatArray:  # [C, C, C]
+    """Return distances to a surface in cells."""
+    filled = fill_colored(positions, tangents, opacities, colors, CELLS)[0] > 0
+    if not filled.any():
+        return np.full(filled.shape, CELLS, np.float32)
+    return ndimage.distance_transform_edt(~filled).astype(np.float32)
+
+
+def _at(volume: FloatArray, points: FloatArray) -> FloatArray:
+    """Look points up; outside the grid everything is far."""
+    cells = np.floor((points + HALF_SIDE) / CELL_SIDE).astype(np.intp)
+    inside = ((cells >= 0) & (cells < CELLS)).all(axis=-1)
+    i, j, k = np.moveaxis(cells.clip(0, CELLS - 1), -1, 0)
+    return np.where(inside, volume[i, j, k], np.float32(CELLS))
+
+
+def _measured(task: tuple[int, int]) -> tuple[FloatArray, FloatArray]:  # (seed, index)
+    """Return the planes' features and worths for one object."""
+    seed, index = task
+    torch.set_num_threads(1)
+    maker = ShapeSetMaker(procedural_source, ShapeDataConfig(), Tokenizer((), 1), seed)
+    posed = maker.posed(index, np.random.default_rng((seed, index, 2)))
+    positions, tangents, opacities, colors = splat_arrays(posed.partial)
+    volume = fill_colored(positions, tangents, opacities, colors, CELLS)
+    part = part_samples(positions, tangents, colors, volume)
+    features = plane_features(part, gather_evidence(posed.partial, posed.distribution))
+    return features, plane_worth(posed)
+
+
+def measured_planes(config: RankerConfig) -> tuple[Tensor, Tensor]:  # [N, A, O, F], [N, A, O]
+    """Make the objects and measure all planes of each."""
+    tasks = [(config.seed, index) for index in range(config.objects)]
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(config.workers, mp_context=context) as pool:
+        made = pool.map(_measured, tasks, chunksize=8)
+        console = Console(file=sys.stderr)
+        found = list(track(made, "objects", total=len(tasks), console=console))
+    features, worths = zip(*found, strict=True)
+    return torch.from_numpy(np.stack(features)), torch.from_numpy(np.stack(worths))
+
+
+def fit(config: RankerConfig, features: Tensor, worths: Tensor) -> PlaneRanker:
+    """Train the ranker.
+
+    Args:
+        config: knobs.
+        features: [N, A, O, F].
+        worths: [N, A, O].
+    """
+    torch.manual_seed(config.seed)
+    center = features.mean(dim=(0, 1, 2))
+    spread = features.std(dim=(0, 1, 2)).clamp_min(1e-3)
+    inputs = ((features - center) / spread).flatten(1, 2)
+    targets = (config.sharpness * worths.flatten(1)).softmax(dim=1)
+    hidden = config.width
+    network = nn.Sequential(
+        nn.Linear(len(FEATURES), hidden), nn.SiLU(), nn.Dropout(config.dropout),
+        nn.Linear(hidden, hidden), nn.SiLU(),
+        nn.Linear(hidden, 1),
+    )  # fmt: skip
+    optimizer = torch.optim.AdamW(
+        network.parameters(), config.learning_rate, weight_decay=config.weight_decay
+    )
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, config.learning_rate, config.steps)
+    for _ in range(config.steps):
+        chosen = torch.randint(len(inputs), (config.batch_objects,))
+        logits = network(inputs[chosen])[..., 0]
+        loss = -(logits.log_softmax(dim=1) * targets[chosen]).sum(dim=1).mean()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        schedule.step()
+    layers = [module for module in network if isinstance(module, nn.Linear)]
+    assert len(layers) == LAYERS
+    tensors = {"center": center, "spread": spread}
+    for n, layer in enumerate(layers):
+        tensors |= {f"weight{n}": layer.weight.detach(), f"bias{n}": layer.bias.detach()}
+    return PlaneRanker({name: value.float().numpy() for name, value in tensors.items()})
+
+
+def worth_of_choice(ranker: PlaneRanker, features: Tensor, worths: Tensor) -> tuple[float, float]:
+    """Return the mean worth of the planes that the ranker puts first, and of the best ones."""
+    first = torch.from_numpy(ranker(features.numpy())).flatten(1).argmax(dim=1)
+    flat = worths.flatten(1)
+    return float(flat[torch.arange(len(flat)), first].mean()), float(flat.amax(dim=1).mean())
+
+
+def main() -> int:
+    """Run from the command line."""
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    config = tyro.cli(RankerConfig, description=__doc__)
+    features, worths = measured_planes(config)
+    held_out = torch.arange(len(features)) % _HELD_OUT_EVERY == 0
+    ranker = fit(config, features[~held_out], worths[~held_out])
+    for name, rows in (("trained on", ~held_out), ("held out", held_out)):
+        found, best = worth_of_choice(ranker, features[rows], worths[rows])
+        _LOG.info("%s: worth of the first plane %.3f, of the best %.3f", name, found, best)
+    ranker.save(config.out)
+    _LOG.info("%s", config.out)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
