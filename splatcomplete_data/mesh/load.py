@@ -40,6 +40,14 @@ from splatcomplete_data.mesh.discs import (
     triangle_areas_and_normals,
 )
 from splatcomplete_data.mesh.side_files import gltf_text, side_files
+from splatcomplete_data.mesh.textures import (
+    as_srgb,
+    open_image,
+    sample_texture,
+    texture_array,
+    unit_colors,
+    unit_rgb,
+)
 
 FloatArray = NDArray[np.float32]
 GltfColors = Literal["linear", "srgb"]
@@ -152,7 +160,7 @@ def load_mesh(
     is_linear = path.suffix.lower() in (".gltf", ".glb") and gltf_colors == "linear"
     reader = _PartReader(path, is_linear, max_texture_px)
     if texture is not None:
-        reader.override = reader.texture_array(_open_image(texture), True)
+        reader.override = reader.texture_array(open_image(texture), True)
     try:
         parts = tuple(reader.parts(scene))
     except (ValueError, IndexError, TypeError, KeyError, AttributeError) as error:
@@ -209,32 +217,6 @@ def mesh_to_discs(
     return discs_at(points[kept], unit[kept].astype(np.float32), colors[kept], spacing, settings)
 
 
-def sample_texture(
-    texture: FloatArray,  # [H, W, C], top row first
-    uv: FloatArray,  # [N, 2], v upwards
-) -> FloatArray:  # [N, C]
-    """Look a texture up bilinearly, wrapping round at its edges."""
-    height, width = texture.shape[:2]
-    x = np.nan_to_num(uv[:, 0].astype(np.float64)) * width - 0.5
-    y = (1.0 - np.nan_to_num(uv[:, 1].astype(np.float64))) * height - 0.5
-    column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
-    fx, fy = (x - column)[:, None], (y - row)[:, None]
-    left, right = column % width, (column + 1) % width
-    top, bottom = row % height, (row + 1) % height
-    upper = texture[top, left] * (1 - fx) + texture[top, right] * fx
-    lower = texture[bottom, left] * (1 - fx) + texture[bottom, right] * fx
-    return (upper * (1 - fy) + lower * fy).astype(np.float32)
-
-
-def srgb_from_linear(values: FloatArray) -> FloatArray:
-    """Encode linear light in [0, 1] as sRGB."""
-    values = np.clip(values, 0.0, 1.0)
-    encoded = np.where(
-        values <= 0.0031308, 12.92 * values, 1.055 * np.maximum(values, 1e-9) ** (1 / 2.4) - 0.055
-    )
-    return encoded.astype(np.float32)
-
-
 @dataclass(slots=True)
 class _PartReader:
     """Turns a loaded scene into parts and notes what is odd on the way."""
@@ -280,9 +262,9 @@ class _PartReader:
         visual, faces = geometry.visual, geometry.faces
         corners = np.ones((len(faces), 3, 3), np.float32)
         if visual.kind == "face":
-            return MeshPart(corners, corners * _unit(visual.face_colors)[:, None, :])
+            return MeshPart(corners, corners * unit_rgb(visual.face_colors)[:, None, :])
         if visual.kind == "vertex":
-            colors = _convert(_unit(visual.vertex_colors), self.is_linear)
+            colors = as_srgb(unit_rgb(visual.vertex_colors), self.is_linear)
             return MeshPart(corners, colors[faces])
         if visual.kind != "texture":
             return MeshPart(corners, corners * np.float32(GREY))
@@ -296,17 +278,17 @@ class _PartReader:
         factor = getattr(material, "baseColorFactor", None)
         alpha = 1.0
         if factor is not None and mode != "OPAQUE" and len(np.atleast_1d(factor)) > 3:
-            alpha = float(_unit4(np.asarray(factor))[3])
+            alpha = float(unit_colors(np.asarray(factor))[3])
         if mode == "MASK":  # scaled so that the material's cutoff lands on 1/2
             cutoff = getattr(material, "alphaCutoff", None)
             alpha *= 0.5 / max(float(0.5 if cutoff is None else cutoff), 1e-3)
         if factor is None and texture is None:
             factor = getattr(material, "diffuse", None)
         if factor is not None and self.override is None:
-            corners = corners * _convert(_unit(np.asarray(factor)), self.is_linear)
+            corners = corners * as_srgb(unit_rgb(np.asarray(factor)), self.is_linear)
         painted = (getattr(visual, "vertex_attributes", None) or {}).get("color")
         if painted is not None:
-            corners = corners * _convert(_unit(np.asarray(painted)), self.is_linear)[faces]
+            corners = corners * as_srgb(unit_rgb(np.asarray(painted)), self.is_linear)[faces]
         corner_uv = None
         if texture is not None and uv is not None:
             corner_uv = uv[faces].astype(np.float32)
@@ -338,7 +320,7 @@ class _PartReader:
         key = (id(image), has_alpha)
         if key not in self.textures:
             try:
-                self.textures[key] = _texture_array(image, has_alpha, self.max_texture_px)
+                self.textures[key] = texture_array(image, has_alpha, self.max_texture_px)
             except (OSError, ValueError, SyntaxError) as error:
                 raise UserError(f"{self.path}: texture: cannot read it ({error})") from error
         return self.textures[key]
@@ -384,45 +366,3 @@ def _missing_files(path: Path) -> Iterator[str]:
     for name, file in side_files(path).items():
         if not file.exists():
             yield f"missing file {name}: parts of the mesh are without their texture or material"
-
-
-def _open_image(path: Path) -> Image.Image:
-    """Open an image file.
-
-    Raises:
-        UserError: it is missing or not an image.
-    """
-    try:
-        return Image.open(path)
-    except OSError as error:
-        raise UserError(f"{path}: cannot read it as an image ({error})") from error
-
-
-def _texture_array(image: Image.Image, has_alpha: bool, max_px: int) -> FloatArray:  # [H, W, 4]
-    """Turn an image into colours in [0, 1], reduced so that no side is above twice ``max_px``."""
-    image = image.convert("RGBA")
-    factor = max(image.size) // max_px
-    if factor > 1:
-        image = image.reduce(factor)
-    pixels = np.asarray(image, np.float32) / np.float32(255.0)
-    if not has_alpha:
-        pixels = pixels.copy()
-        pixels[..., 3] = 1.0
-    return pixels
-
-
-def _unit(colors: NDArray[Any]) -> FloatArray:
-    """Scale colours [..., 3 or 4] of any type to RGB in [0, 1]."""
-    return _unit4(np.asarray(colors)[..., :3])
-
-
-def _unit4(values: NDArray[Any]) -> FloatArray:
-    """Scale colours of any type to [0, 1]."""
-    if np.issubdtype(values.dtype, np.integer):
-        return (values / np.iinfo(values.dtype).max).astype(np.float32)
-    return values.astype(np.float32)
-
-
-def _convert(colors: FloatArray, is_linear: bool) -> FloatArray:
-    """Encode colours as sRGB if they are linear."""
-    return srgb_from_linear(colors) if is_linear else colors

@@ -9,14 +9,8 @@ import trimesh
 from PIL import Image
 
 from gscomplete.errors import UserError
-from splatcomplete_data.mesh.load import (
-    GREY,
-    BakedLight,
-    load_mesh,
-    mesh_to_discs,
-    sample_texture,
-    srgb_from_linear,
-)
+from splatcomplete_data.mesh.load import GREY, BakedLight, load_mesh, mesh_to_discs
+from splatcomplete_data.mesh.textures import srgb_from_linear
 
 DATA = Path(__file__).resolve().parents[3] / "../shared/data/mesh"
 
@@ -123,18 +117,6 @@ def test_baked_light_darkens_what_faces_away() -> None:
     light = BakedLight((0.0, 0.0, 2.0), 0.4)
     normals = np.array([[0, 0, 1], [1, 0, 0], [0, 0, -1]], float)
     np.testing.assert_allclose(light.shade(normals), [1.0, 0.8, 0.6], atol=1e-6)
-
-
-def test_texture_lookup_wraps_and_interpolates() -> None:
-    texture = np.array([[[0.0], [1.0]], [[2.0], [3.0]]], np.float32)  # rows from the top
-    centers = np.array([[0.25, 0.75], [0.75, 0.75], [0.25, 0.25], [0.75, 0.25]], np.float32)
-    np.testing.assert_allclose(sample_texture(texture, centers)[:, 0], [0, 1, 2, 3], atol=1e-6)
-    np.testing.assert_allclose(
-        sample_texture(texture, centers + np.float32([[3, -2]]))[:, 0], [0, 1, 2, 3], atol=1e-5
-    )
-    middle = sample_texture(texture, np.array([[0.5, 0.5], [0.0, 0.0], [np.nan, 0.5]], np.float32))
-    np.testing.assert_allclose(middle[:2, 0], 1.5, atol=1e-6)
-    assert np.isfinite(middle).all()
 
 
 @pytest.mark.parametrize("content", [b"", b"v 0 0 0\n", b"v 0 0 0\nv 1 1 1\nv 2 2 2\nf 1 2 3\n"])
