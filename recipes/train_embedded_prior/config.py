@@ -49,6 +49,9 @@ class ShapeDataConfig:
     guess_share: float = 0.7
     """Share of sets whose frame and input view are guessed from P, as runs guess them; the others
     have the true frame with a small error."""
+    best_copy_share: float = 0.6
+    """Share of sets whose first mirror image is the best by the truth of the candidates; in the
+    others it is the likeliest."""
     frame_jitter: float = 0.04
     """Standard deviation of that error, object sizes."""
     most_cells: int = 4096

@@ -4,8 +4,7 @@ It comes before the shape network, whose training sets hold the copies that it c
 
 Conventions
 -----------
-* A plane is worth the share of the missing surface that P's copy covers, less half the share of
-  the copy that is new and not on the whole's surface.
+* What a plane is worth is said in ``copies``.
 * The ranker learns the softmax of the planes' worths times ``sharpness`` by cross entropy.
 * Object k is that of the shape network's sets of another seed; every fifth is held out.
 """
@@ -24,36 +23,21 @@ import torch
 import tyro
 from rich.console import Console
 from rich.progress import track
-from scipy import ndimage
 from torch import Tensor, nn
 
 from gscomplete.priors.embedded.prior import packaged_weights
 from gscomplete.priors.embedded.shape.evidence import gather_evidence
-from gscomplete.priors.embedded.shape.grid import (
-    CELL_SIDE,
-    CELLS,
-    HALF_SIDE,
-    FloatArray,
-    fill_colored,
-    splat_arrays,
-)
+from gscomplete.priors.embedded.shape.grid import CELLS, FloatArray, fill_colored, splat_arrays
 from gscomplete.priors.embedded.shape.plane_ranker import LAYERS, RANKER_FILE, PlaneRanker
-from gscomplete.priors.embedded.shape.planes import (
-    FEATURES,
-    OFFSETS,
-    part_samples,
-    plane_features,
-    plane_normals,
-)
+from gscomplete.priors.embedded.shape.planes import FEATURES, part_samples, plane_features
 from gscomplete.priors.embedded.text import Tokenizer
 from recipes.train_embedded_prior.config import ShapeDataConfig
-from recipes.train_embedded_prior.shape_dataset import PosedObject, ShapeSetMaker
+from recipes.train_embedded_prior.copies import Truth
+from recipes.train_embedded_prior.shape_dataset import ShapeSetMaker
 from recipes.train_embedded_prior.source import procedural_source
 
 _LOG = logging.getLogger(__name__)
 _HELD_OUT_EVERY = 5
-_MISSING_SAMPLES = 400
-_COPY_SAMPLES = 400
 
 
 @dataclass(frozen=True)
@@ -78,53 +62,6 @@ class RankerConfig:
     """Processes that make objects."""
 
 
-def plane_worth(posed: PosedObject) -> FloatArray:  # [A, O]
-    """Return how much P's copy through each plane shows of the whole."""
-    part, whole = splat_arrays(posed.partial), splat_arrays(posed.whole)
-    to_part = _cells_to(*part)
-    to_whole = _cells_to(*whole)
-    missing = np.argwhere((to_whole == 0) & (to_part > 1.5))
-    worth = np.zeros((len(plane_normals()), len(OFFSETS)), np.float32)
-    if not len(missing):
-        return worth
-    rng = np.random.default_rng(0)
-    missing = missing[rng.permutation(len(missing))[:_MISSING_SAMPLES]]
-    wanted = ((missing + 0.5) * CELL_SIDE - HALF_SIDE).astype(np.float32)
-    points = part[0][rng.permutation(len(part[0]))[:_COPY_SAMPLES]]
-    for a, normal in enumerate(plane_normals()):
-        covered = _at(to_part, _mirrored(wanted, normal)) <= 1.0
-        copies = _mirrored(points, normal)
-        wrong = (_at(to_whole, copies) > 1.5) & (_at(to_part, copies) > 1.5)
-        worth[a] = covered.mean(axis=1) - 0.5 * wrong.mean(axis=1)
-    return worth
-
-
-def _mirrored(points: FloatArray, normal: FloatArray) -> FloatArray:  # [N, 3] -> [O, N, 3]
-    """Mirror points through all the planes of one normal."""
-    shift = 2 * (np.array(OFFSETS, np.float32)[:, None] - points[:, :2] @ normal)
-    copies = np.repeat(points[None], len(OFFSETS), axis=0)
-    copies[..., :2] += shift[..., None] * normal
-    return copies
-
-
-def _cells_to(
-    positions: FloatArray, tangents: FloatArray, opacities: FloatArray, colors: FloatArray
-) -> FloatArray:  # [C, C, C]
-    """Return distances to a surface in cells."""
-    filled = fill_colored(positions, tangents, opacities, colors, CELLS)[0] > 0
-    if not filled.any():
-        return np.full(filled.shape, CELLS, np.float32)
-    return ndimage.distance_transform_edt(~filled).astype(np.float32)
-
-
-def _at(volume: FloatArray, points: FloatArray) -> FloatArray:
-    """Look points up; outside the grid everything is far."""
-    cells = np.floor((points + HALF_SIDE) / CELL_SIDE).astype(np.intp)
-    inside = ((cells >= 0) & (cells < CELLS)).all(axis=-1)
-    i, j, k = np.moveaxis(cells.clip(0, CELLS - 1), -1, 0)
-    return np.where(inside, volume[i, j, k], np.float32(CELLS))
-
-
 def _measured(task: tuple[int, int]) -> tuple[FloatArray, FloatArray]:  # (seed, index)
     """Return the planes' features and worths for one object."""
     seed, index = task
@@ -135,7 +72,7 @@ def _measured(task: tuple[int, int]) -> tuple[FloatArray, FloatArray]:  # (seed,
     volume = fill_colored(positions, tangents, opacities, colors, CELLS)
     part = part_samples(positions, tangents, colors, volume)
     features = plane_features(part, gather_evidence(posed.partial, posed.distribution))
-    return features, plane_worth(posed)
+    return features, Truth.of(posed.partial, posed.whole).plane_worths()
 
 
 def measured_planes(config: RankerConfig) -> tuple[Tensor, Tensor]:  # [N, A, O, F], [N, A, O]

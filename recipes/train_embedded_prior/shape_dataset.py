@@ -22,6 +22,7 @@ from torch import Tensor
 
 from gscomplete.completion.framing import FramingSettings, guess_framing
 from gscomplete.jsonio import dumps
+from gscomplete.priors.embedded.shape.choice import CANDIDATES
 from gscomplete.priors.embedded.shape.grid import (
     CELLS,
     COARSE_CELLS,
@@ -29,15 +30,16 @@ from gscomplete.priors.embedded.shape.grid import (
     fill_colored,
     splat_arrays,
 )
-from gscomplete.priors.embedded.shape.inputs import SOURCES, shape_inputs
+from gscomplete.priors.embedded.shape.inputs import SOURCES, ShapeInputs, look_at
 from gscomplete.priors.embedded.shape.plane_ranker import packaged_ranker
 from gscomplete.priors.embedded.shape.predict import turned
-from gscomplete.priors.embedded.shape.symmetries import COPIES
+from gscomplete.priors.embedded.shape.symmetries import COPIES, shown_symmetries
 from gscomplete.priors.embedded.text import Tokenizer
 from gscomplete.splats import Splats
 from gscomplete.splats.transform import transform_splats
 from gscomplete.views import ObjectFrame, ViewDistribution
 from recipes.train_embedded_prior.config import ShapeDataConfig
+from recipes.train_embedded_prior.copies import Truth
 from recipes.train_embedded_prior.dataset import Source
 from recipes.train_embedded_prior.solids import solid_cells
 
@@ -116,7 +118,7 @@ class ShapeSetMaker:
         """Make set ``index``."""
         rng = np.random.default_rng((self.seed, index, 2))
         posed = self.posed(index, rng)
-        seen = shape_inputs(posed.partial, posed.distribution)
+        seen = self._shown(posed, rng)
         stored = np.zeros((), set_dtype(self.data))
         for n, volume in enumerate(seen.volumes):
             stored["cells"][n] = pack_cells(volume, self.data.most_cells, rng)
@@ -128,6 +130,20 @@ class ShapeSetMaker:
         surface = fill_colored(*whole, CELLS)
         stored["surface"] = pack_cells(surface, self.data.most_surface_cells, rng)
         return stored
+
+    def _shown(self, posed: PosedObject, rng: np.random.Generator) -> ShapeInputs:
+        """Show P with the likeliest mirror image first, or with the best by the truth.
+
+        Runs choose among the same candidates by the network's answers, better than the likeliest.
+        """
+        look = look_at(posed.partial, posed.distribution)
+        planes = look.candidates(CANDIDATES)
+        first = 0
+        if rng.random() < self.data.best_copy_share:
+            truth = Truth.of(posed.partial, posed.whole)
+            first = int(np.argmax([truth.map_worth(plane) for plane in planes]))
+        other = 1 if first == 0 else 0
+        return look.with_copies(shown_symmetries(planes[first], planes[other]))
 
     def posed(self, index: int, rng: np.random.Generator) -> PosedObject:
         """Return object ``index`` and a part of it in a frame as a run would guess it."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gscomplete.priors.embedded.shape.evidence import gather_evidence
+from gscomplete.priors.embedded.shape.evidence import Evidence, gather_evidence
 from gscomplete.priors.embedded.shape.grid import (
     CELLS,
     COARSE_CELLS,
@@ -24,7 +24,12 @@ from gscomplete.priors.embedded.shape.grid import (
 )
 from gscomplete.priors.embedded.shape.plane_ranker import packaged_ranker
 from gscomplete.priors.embedded.shape.planes import part_samples
-from gscomplete.priors.embedded.shape.symmetries import COPIES, SymmetryMap, likely_symmetries
+from gscomplete.priors.embedded.shape.symmetries import (
+    COPIES,
+    SymmetryMap,
+    candidate_planes,
+    shown_symmetries,
+)
 from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution
 
@@ -41,33 +46,55 @@ class ShapeInputs:
     symmetries: tuple[SymmetryMap, ...]  # COPIES
 
 
-def shape_inputs(
-    partial: Splats,
-    distribution: ViewDistribution,
-    symmetries: tuple[SymmetryMap, ...] | None = None,
-) -> ShapeInputs:
+@dataclass(frozen=True, slots=True)
+class PartLook:
+    """P as the network sees it, whatever mirror images are shown beside it."""
+
+    positions: FloatArray  # [N, 3]
+    tangents: FloatArray  # [N, 2, 3]
+    opacities: FloatArray  # [N]
+    colors: FloatArray  # [N, 3]
+    volume: FloatArray  # [4, C, C, C]
+    evidence: Evidence
+    shares: FloatArray  # [3, C/2, C/2, C/2]
+
+    def candidates(self, count: int) -> list[SymmetryMap]:
+        """Return mirror images through likely planes, the likeliest first."""
+        part = part_samples(self.positions, self.tangents, self.colors, self.volume)
+        return candidate_planes(part, self.evidence, packaged_ranker(), count)
+
+    def with_copies(self, symmetries: tuple[SymmetryMap, ...]) -> ShapeInputs:
+        """Return what the network is shown with these mirror images."""
+        volumes = [self.volume]
+        for symmetry in symmetries:
+            turned = np.ascontiguousarray(self.tangents @ symmetry.matrix.T)
+            copies = symmetry.apply(self.positions)
+            volumes.append(fill_colored(copies, turned, self.opacities, self.colors, CELLS))
+        scores = np.array([s.score for s in symmetries], np.float32)
+        return ShapeInputs(np.stack(volumes), self.shares, scores, symmetries)
+
+
+def look_at(partial: Splats, distribution: ViewDistribution) -> PartLook:
     """Look at P.
 
     Args:
         partial: P in the object frame.
         distribution: V.
-        symmetries: how P is mirrored; None = as P's own looks suggest.
     """
     positions, tangents, opacities, colors = splat_arrays(partial)
-    alone = fill_colored(positions, tangents, opacities, colors, CELLS)
+    volume = fill_colored(positions, tangents, opacities, colors, CELLS)
     evidence = gather_evidence(partial, distribution)
-    if symmetries is None:
-        part = part_samples(positions, tangents, colors, alone)
-        symmetries = likely_symmetries(part, evidence, packaged_ranker())
-    volumes = [alone]
-    for symmetry in symmetries:
-        turned = np.ascontiguousarray(tangents @ symmetry.matrix.T)
-        volumes.append(fill_colored(symmetry.apply(positions), turned, opacities, colors, CELLS))
     shares = evidence.classify(cell_centers(COARSE_CELLS))
-    shape = (COARSE_CELLS,) * 3
-    return ShapeInputs(
-        np.stack(volumes),
-        np.ascontiguousarray(shares.T.reshape(3, *shape)),
-        np.array([s.score for s in symmetries], np.float32),
-        symmetries,
-    )
+    split = np.ascontiguousarray(shares.T.reshape(3, *(COARSE_CELLS,) * 3))
+    return PartLook(positions, tangents, opacities, colors, volume, evidence, split)
+
+
+def shape_inputs(partial: Splats, distribution: ViewDistribution) -> ShapeInputs:
+    """Look at P beside the likeliest of its mirror images.
+
+    Args:
+        partial: P in the object frame.
+        distribution: V.
+    """
+    look = look_at(partial, distribution)
+    return look.with_copies(shown_symmetries(*look.candidates(2)))

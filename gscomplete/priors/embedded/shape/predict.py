@@ -18,8 +18,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from gscomplete.priors.embedded.shape.choice import choose_symmetries
 from gscomplete.priors.embedded.shape.grid import CELLS, cell_centers, sample_volume
-from gscomplete.priors.embedded.shape.inputs import ShapeInputs, shape_inputs
+from gscomplete.priors.embedded.shape.inputs import ShapeInputs, look_at
 from gscomplete.priors.embedded.shape.model import ShapeCompleter, ShapeOutput
 from gscomplete.splats import Splats
 from gscomplete.splats.transform import Similarity, transform_splats
@@ -52,7 +53,7 @@ def predict_over_frames(
     *,
     bfloat16: bool = False,
 ) -> tuple[ShapeInputs, ShapeOutput]:
-    """Look at P and ask the network, in the given frame and in others near it.
+    """Look at P, choose its mirror images, and ask the network in frames near the given one.
 
     Args:
         model: in evaluation mode, on the CPU.
@@ -67,13 +68,15 @@ def predict_over_frames(
         What the network saw in the given frame, and the answer there for a batch of one: mean
         occupancy over all frames, colours of the given frame.
     """
-    seen = shape_inputs(partial, distribution)
+    look = look_at(partial, distribution)
+    symmetries = choose_symmetries(model, look, tokens, bfloat16=bfloat16)
+    seen = look.with_copies(symmetries)
     output = predict_whole(model, seen, tokens, bfloat16=bfloat16)
     occupancy, count = output.occupancy, 1
     centers = torch.from_numpy(cell_centers(CELLS)).reshape(-1, 3)
     for moved in _other_frames(generator, settings):
-        symmetries = tuple(s.in_frame(moved) for s in seen.symmetries)
-        again = shape_inputs(transform_splats(partial, moved), distribution, symmetries)
+        look = look_at(transform_splats(partial, moved), distribution)
+        again = look.with_copies(tuple(s.in_frame(moved) for s in symmetries))
         answer = predict_whole(model, again, tokens, bfloat16=bfloat16).occupancy[0]
         there = moved.scale * centers + moved.translation.float()
         occupancy = occupancy + sample_volume(answer[None], there).reshape(1, *answer.shape)

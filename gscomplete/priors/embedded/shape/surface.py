@@ -79,9 +79,9 @@ def surface_splats(
     points, normals, on_surface = _project(logits, _seeds(logits, generator))
     points = (points - _INWARD * CELL_SIDE * normals)[on_surface]
     normals = normals[on_surface]
-    points = on_copies(points, normals, anchor.means, inputs)
     is_new = _is_missing(points, normals, anchor.means, settings)
     points, normals, spacing = _spread(points[is_new], normals[is_new], settings.count, generator)
+    points = on_copies(points, normals, anchor.means, inputs)
     colors = source_colors(output, inputs, partial, points, generator)
     scales = torch.full((len(points), 3), _OVERLAP * spacing)
     scales[:, 2] *= _FLATNESS

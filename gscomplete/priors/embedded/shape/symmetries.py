@@ -2,8 +2,8 @@
 
 Most objects have an upright plane of symmetry, and many have two, so what P lacks is often there,
 elsewhere: on real objects one well-chosen plane shows most of what is missing. Planes are ranked by
-a small trained network; the best two are moved to where P and its copy agree best, and the shape
-network is shown both copies and their composition, and decides.
+a small trained network and moved to where P and its copy agree best. The shape network is shown the
+copies through two of them (``choice``) and their composition, and decides what to take.
 
 Conventions
 -----------
@@ -34,7 +34,7 @@ from gscomplete.splats.transform import Similarity
 COPIES = 3
 _APART_DEG = 15.0
 _APART_OFFSET = 0.1
-"""The second plane differs from the first by more than one of these."""
+"""Planes are unlike each other if they differ by more than one of these."""
 _REFINEMENTS = 4
 _FEWEST_MATCHES = 40
 _LARGEST_TURN = math.radians(4.0)
@@ -64,23 +64,28 @@ class SymmetryMap:
         return SymmetryMap(self.matrix, shift.astype(np.float32), self.score)
 
 
-def likely_symmetries(
-    part: PartSamples, evidence: Evidence, ranker: PlaneRanker
-) -> tuple[SymmetryMap, SymmetryMap, SymmetryMap]:
-    """Return the likeliest plane, the likeliest one unlike it, and one after the other."""
+def candidate_planes(
+    part: PartSamples, evidence: Evidence, ranker: PlaneRanker, count: int
+) -> list[SymmetryMap]:
+    """Return mirror images through likely planes unlike each other, the likeliest first."""
     logits = ranker(plane_features(part, evidence)).astype(np.float64)
     belief = np.exp(logits - logits.max())
     belief /= belief.sum()
+    left = belief.copy()
     tree = cKDTree(part.spread)
-    first = np.unravel_index(int(belief.argmax()), belief.shape)
-    alike = _alike(int(first[0]), int(first[1]))
-    second = np.unravel_index(int(np.where(alike, -1.0, belief).argmax()), belief.shape)
-    chosen = []
-    for index in (first, second):
+    found = []
+    for _ in range(count):
+        index = np.unravel_index(int(left.argmax()), left.shape)
         a, o = int(index[0]), int(index[1])
+        alike = _alike(a, o)
         angle, offset = refined(part, tree, math.pi * a / ANGLES, OFFSETS[o])
-        chosen.append(_mirror(angle, offset, float(belief[_alike(a, o)].sum())))
-    one, other = chosen
+        found.append(_mirror(angle, offset, float(belief[alike].sum())))
+        left[alike] = -1.0
+    return found
+
+
+def shown_symmetries(one: SymmetryMap, other: SymmetryMap) -> tuple[SymmetryMap, ...]:
+    """Return what the shape network is shown: two mirror images, and one after the other."""
     both = SymmetryMap(
         other.matrix @ one.matrix,
         other.matrix @ one.shift + other.shift,

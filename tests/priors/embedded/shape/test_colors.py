@@ -5,7 +5,7 @@ import torch
 
 from gscomplete.priors.embedded.shape.colors import ColorSettings, source_colors
 from gscomplete.priors.embedded.shape.grid import CELLS, COARSE_CELLS
-from gscomplete.priors.embedded.shape.inputs import SOURCES, shape_inputs
+from gscomplete.priors.embedded.shape.inputs import SOURCES, look_at
 from gscomplete.priors.embedded.shape.model import ShapeOutput
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.views import ViewDistribution
@@ -27,7 +27,7 @@ def pointing_at(*sources: int) -> ShapeOutput:
 
 def colors_at(points, output, partial=None, settings=None):
     partial = half(sphere()) if partial is None else partial
-    inputs = shape_inputs(partial, VIEWS, mirrors())
+    inputs = look_at(partial, VIEWS).with_copies(mirrors())
     generator = torch.Generator().manual_seed(0)
     return source_colors(output, inputs, partial, points, generator, settings), inputs
 

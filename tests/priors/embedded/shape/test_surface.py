@@ -9,7 +9,7 @@ from gscomplete.priors.embedded.shape.grid import (
     cell_centers,
     sample_volume,
 )
-from gscomplete.priors.embedded.shape.inputs import SOURCES, shape_inputs
+from gscomplete.priors.embedded.shape.inputs import SOURCES, look_at, shape_inputs
 from gscomplete.priors.embedded.shape.model import ShapeOutput
 from gscomplete.priors.embedded.shape.surface import SurfaceSettings, on_copies, surface_splats
 from gscomplete.render import render
@@ -102,12 +102,13 @@ def test_the_surface_goes_on_from_ps_rim_without_a_gap():
     inside = new[:, 0] > 0.02  # a few, in the random gaps between P's own splats
     assert int(inside.sum()) < 0.005 * len(new)
     apart = guess(SurfaceSettings(count=20_000, near_rim=0.03), partial=partial).means
-    assert float(torch.cdist(apart, partial.means).min()) >= 0.03 - 1e-6
+    # Kept points then move onto a copy, if one is near: here by little, for it is the same ball.
+    assert float(torch.cdist(apart, partial.means).min()) >= 0.03 - 0.1 * CELL_SIDE
 
 
 def test_points_near_a_copy_move_onto_it_and_others_stay():
     partial = half(sphere(12_000))
-    inputs = shape_inputs(partial, VIEWS, mirrors())
+    inputs = look_at(partial, VIEWS).with_copies(mirrors())
     normals = torch.nn.functional.normalize(
         torch.from_numpy(inputs.symmetries[0].apply(partial.means.numpy()[::40])), dim=1
     )

@@ -10,7 +10,11 @@ from gscomplete.priors.embedded.shape.evidence import FRONT_TOLERANCE, gather_ev
 from gscomplete.priors.embedded.shape.grid import CELL_SIDE, CELLS
 from gscomplete.priors.embedded.shape.inputs import SOURCES, shape_inputs
 from gscomplete.priors.embedded.shape.plane_ranker import packaged_ranker
-from gscomplete.priors.embedded.shape.symmetries import likely_symmetries, refined
+from gscomplete.priors.embedded.shape.symmetries import (
+    candidate_planes,
+    refined,
+    shown_symmetries,
+)
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.views import ViewDistribution
@@ -42,16 +46,15 @@ def test_part_of_a_sphere_is_mirrored_to_what_is_missing():
     """Every upright plane through the middle is right; the one chosen must show something new."""
     partial = half(sphere())
     points = partial.means.numpy()
-    ranker = packaged_ranker()
-    first, second, both = likely_symmetries(
-        sampled(partial), gather_evidence(partial, VIEWS), ranker
+    planes = candidate_planes(
+        sampled(partial), gather_evidence(partial, VIEWS), packaged_ranker(), 4
     )
+    first, second, both = shown_symmetries(planes[0], planes[1])
     copy = first.apply(points)
     missing = copy[copy[:, 0] < -0.05]
     assert len(missing) > 0.4 * len(copy)
     assert np.linalg.norm(missing, axis=1) == pytest.approx(0.4, abs=0.02)
-    assert 0 < second.score <= 1
-    assert 0 < first.score <= 1
+    assert all(0 < plane.score <= 1 for plane in planes)
     np.testing.assert_allclose(both.apply(points), second.apply(copy), atol=1e-5)
 
 

@@ -1,0 +1,104 @@
+"""What mirror images of P are worth by the truth.
+
+Conventions
+-----------
+* A copy is worth the share of the missing surface that it covers, less half the share of it that is
+  new and not on the whole's surface: 1 is perfect, 0 is no copy at all.
+* Distances are in the cells of ``grid``; a surface is met within 1, missed beyond 1.5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from gscomplete.priors.embedded.shape.grid import (
+    CELL_SIDE,
+    CELLS,
+    HALF_SIDE,
+    FloatArray,
+    fill_colored,
+    splat_arrays,
+)
+from gscomplete.priors.embedded.shape.planes import OFFSETS, plane_normals
+from gscomplete.priors.embedded.shape.symmetries import SymmetryMap
+from gscomplete.splats import Splats
+
+_SAMPLES = 400
+_WRONG_WEIGHT = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """A part and its whole, as copies are judged by them."""
+
+    to_part: FloatArray  # [C, C, C] cells
+    to_whole: FloatArray  # [C, C, C] cells
+    missing: FloatArray  # [M, 3] points of the whole's surface that P lacks
+    points: FloatArray  # [N, 3] of P
+
+    @classmethod
+    def of(cls, partial: Splats, whole: Splats) -> Truth:
+        """Look at both, in one object frame."""
+        part = splat_arrays(partial)
+        to_part, to_whole = _cells_to(*part), _cells_to(*splat_arrays(whole))
+        cells = np.argwhere((to_whole == 0) & (to_part > 1.5))
+        rng = np.random.default_rng(0)
+        cells = cells[rng.permutation(len(cells))[:_SAMPLES]]
+        missing = ((cells + 0.5) * CELL_SIDE - HALF_SIDE).astype(np.float32)
+        points = part[0][rng.permutation(len(part[0]))[:_SAMPLES]]
+        return cls(to_part, to_whole, missing, points)
+
+    def map_worth(self, symmetry: SymmetryMap) -> float:
+        """Return what the copy by one map is worth."""
+        back, copies = symmetry.undo(self.missing), symmetry.apply(self.points)
+        return float(self._worths(back[None], copies[None])[0])
+
+    def plane_worths(self) -> FloatArray:  # [A, O]
+        """Return what the copies through all planes of ``planes`` are worth."""
+        rows = [
+            self._worths(_mirrored(self.missing, normal), _mirrored(self.points, normal))
+            for normal in plane_normals()
+        ]
+        return np.stack(rows)
+
+    def _worths(
+        self,
+        back: FloatArray,  # [K, M, 3] missing points, mapped back to where P should have them
+        copies: FloatArray,  # [K, N, 3]
+    ) -> FloatArray:  # [K]
+        if not len(self.missing):
+            return np.zeros(len(back), np.float32)
+        covered = _at(self.to_part, back) <= 1.0
+        wrong = (_at(self.to_whole, copies) > 1.5) & (_at(self.to_part, copies) > 1.5)
+        worth = covered.mean(axis=1) - _WRONG_WEIGHT * wrong.mean(axis=1)
+        return worth.astype(np.float32)
+
+
+def _mirrored(points: FloatArray, normal: FloatArray) -> FloatArray:  # [N, 3] -> [O, N, 3]
+    """Mirror points through all the planes of one normal."""
+    shift = 2 * (np.array(OFFSETS, np.float32)[:, None] - points[:, :2] @ normal)
+    copies = np.repeat(points[None], len(OFFSETS), axis=0)
+    copies[..., :2] += shift[..., None] * normal
+    return copies
+
+
+def _cells_to(
+    positions: FloatArray, tangents: FloatArray, opacities: FloatArray, colors: FloatArray
+) -> FloatArray:  # [C, C, C]
+    """Return distances to a surface in cells."""
+    filled = fill_colored(positions, tangents, opacities, colors, CELLS)[0] > 0
+    if not filled.any():
+        return np.full(filled.shape, CELLS, np.float32)
+    return ndimage.distance_transform_edt(~filled).astype(np.float32)
+
+
+def _at(volume: FloatArray, points: FloatArray) -> FloatArray:
+    """Look points up; outside the grid everything is far."""
+    cells = np.floor((points + HALF_SIDE) / CELL_SIDE).astype(np.intp)
+    inside: NDArray[np.bool_] = ((cells >= 0) & (cells < CELLS)).all(axis=-1)
+    i, j, k = np.moveaxis(cells.clip(0, CELLS - 1), -1, 0)
+    return np.where(inside, volume[i, j, k], np.float32(CELLS))

@@ -1,0 +1,33 @@
+import numpy as np
+import pytest
+
+from gscomplete.priors.embedded.shape.planes import ANGLES, OFFSETS
+from recipes.train_embedded_prior.copies import Truth
+from tests.priors.embedded.shape.shapes import half, mirrors, sphere
+
+MIDDLE = OFFSETS.index(0.0)
+
+
+def test_a_copy_is_worth_what_it_shows_of_the_missing():
+    truth = Truth.of(half(sphere()), sphere())
+    worth = truth.plane_worths()
+    assert worth.shape == (ANGLES, len(OFFSETS))
+    assert worth[0, MIDDLE] > 0.9  # the cut itself: all of the other half
+    assert abs(worth[ANGLES // 2, MIDDLE]) < 0.1  # a copy onto P shows nothing and harms nothing
+    assert worth[0, MIDDLE + 12] < 0.0  # a copy in front of P is nothing but wrong
+
+
+def test_maps_are_worth_what_their_planes_are():
+    truth = Truth.of(half(sphere()), sphere())
+    worth = truth.plane_worths()
+    across, along, turned = mirrors()
+    # Points on the border of two cells may fall on the other side.
+    assert truth.map_worth(across) == pytest.approx(worth[0, MIDDLE], abs=0.02)
+    assert truth.map_worth(along) == pytest.approx(worth[ANGLES // 2, MIDDLE], abs=0.02)
+    assert truth.map_worth(turned) > 0.9
+
+
+def test_nothing_missing_is_worth_nothing():
+    worth = Truth.of(sphere(), sphere()).plane_worths()
+    assert not worth.any()
+    assert np.isfinite(worth).all()
