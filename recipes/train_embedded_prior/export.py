@@ -28,6 +28,7 @@ from gscomplete.priors.embedded.model import FourViewDenoiser, count_parameters
 from gscomplete.priors.embedded.prior import packaged_weights
 from gscomplete.priors.embedded.shape.grid import CELL_SIDE, CELLS
 from gscomplete.priors.embedded.shape.model import ShapeCompleter
+from gscomplete.priors.embedded.shape.plane_ranker import RANKER_FILE
 from gscomplete.priors.embedded.text import FIRST_WORD_TOKEN, STOP_WORDS, split_words
 from gscomplete.priors.embedded.weights import (
     FORMAT_VERSION,
@@ -200,6 +201,8 @@ def card(
             f"* Training: {made.steps} steps, {made.sets} objects with their parts, each seen "
             f"about twice in different orientations, {made.hours:.2f} hours on {made.machine}, "
             f"seed {made.seed}.",
+            f"* Planes that P is mirrored through are proposed by `{RANKER_FILE}`, trained before it "
+            "by `recipes/train_embedded_prior/plane_ranker.py`.",
             *([f"* History: {history}"] if history else []),
             *(f"* Held-out {name}: {value:.4f}" for name, value in shape_losses.items()),
             "",

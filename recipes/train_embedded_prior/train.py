@@ -1,7 +1,8 @@
 """Train a network of the embedded prior.
 
 ``python -m recipes.train_embedded_prior.train views --out DIR`` trains the four-view denoiser,
-``... shape --out DIR`` the shape network.
+``... shape --out DIR`` the shape network. What ranks planes of symmetry for the latter is trained
+before it, by ``plane_ranker``; ``export`` turns both runs into the package's weights.
 
 Conventions
 -----------

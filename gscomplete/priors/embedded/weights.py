@@ -1,7 +1,9 @@
 """Weights of the embedded prior on disk.
 
 ``model.safetensors`` holds the four-view denoiser, ``shape.safetensors`` the shape network (it may
-be absent), ``config.json`` what goes with them, and ``CARD.md`` tells people about them.
+be absent), ``config.json`` what goes with them, and ``CARD.md`` tells people about them. The
+package's folder also holds ``planes.safetensors`` (``shape.plane_ranker``), which is not read from
+any other: like the grid, it is part of what the shape network was trained to be shown.
 
 Conventions
 -----------
