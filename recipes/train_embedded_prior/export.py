@@ -201,8 +201,8 @@ def card(
             f"* Training: {made.steps} steps, {made.sets} objects with their parts, each seen "
             f"about twice in different orientations, {made.hours:.2f} hours on {made.machine}, "
             f"seed {made.seed}.",
-            f"* Planes that P is mirrored through are proposed by `{RANKER_FILE}`, trained before it "
-            "by `recipes/train_embedded_prior/plane_ranker.py`.",
+            f"* Planes that P is mirrored through are proposed by `{RANKER_FILE}`, trained before "
+            "it by `recipes/train_embedded_prior/plane_ranker.py`.",
             *([f"* History: {history}"] if history else []),
             *(f"* Held-out {name}: {value:.4f}" for name, value in shape_losses.items()),
             "",
