@@ -2,20 +2,21 @@
 
 The ranker judges planes by what P looks like through them. The network knows more of objects: shown
 a copy, it fills the copy's cells or leaves them empty. So it is asked once per likely plane, and by
-each answer the plane is worth the share of the answer's new surface that the copy covers, less half
-the share of the copy that is new and left empty. On real objects that no benchmark uses, the planes
-chosen so were worth .49 by the truth; those that the ranker puts first .35, the best plane .72.
+its answer the plane is worth the share of new surface that the copy covers, less half the share of
+the copy that is new and left empty. On 45 cuts of 15 real objects that no benchmark uses, planes
+chosen so were worth .46 by the truth; those that the ranker puts first .38, the best of eight .60.
 
 Conventions
 -----------
 * Cells of P and those beside them are P's; only what lies elsewhere counts as new.
+* New surface is counted against the mean over the answers where an answer has less of it: one that
+  adds next to nothing covers it easily.
 """
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
-import math
 
 import numpy as np
 import torch
@@ -27,7 +28,7 @@ from gscomplete.priors.embedded.shape.model import ShapeCompleter
 from gscomplete.priors.embedded.shape.symmetries import SymmetryMap, shown_symmetries
 
 CANDIDATES = 8
-_BELIEF_WEIGHT = 0.1
+_BELIEF_WEIGHT = 0.15
 """Of the logarithm of the ranker's belief, beside the worth by the network's answer."""
 _FILLED = 0.35
 """Cells with at least this probability count as filled."""
@@ -63,33 +64,31 @@ def choose_symmetries(
             torch.from_numpy(np.stack([a.scores for a in asked])),
             tokens.expand(len(asked), -1),
         )
-    filled = answer.occupancy.float().sigmoid()
-    worth = [
-        answered_worth(p, copy, volumes[0, 0, 0]) + _BELIEF_WEIGHT * math.log(plane.score + 1e-4)
-        for p, copy, plane in zip(filled, volumes[:, 1, 0], planes, strict=True)
-    ]
-    best = np.argsort(worth, kind="stable")[::-1]
-    return shown_symmetries(planes[best[0]], planes[best[1]])
+    worth = answered_worths(answer.occupancy.float().sigmoid(), volumes[:, 1, 0], volumes[0, 0, 0])
+    belief = torch.tensor([plane.score for plane in planes])
+    best = (worth + _BELIEF_WEIGHT * (belief + 1e-4).log()).argsort(descending=True, stable=True)
+    return shown_symmetries(planes[int(best[0])], planes[int(best[1])])
 
 
-def answered_worth(
-    filled: Tensor,  # [C, C, C] probabilities of the network's answer
-    copy: Tensor,  # [C, C, C] occupancy of the mirror image it was shown first
+def answered_worths(
+    filled: Tensor,  # [K, C, C, C] probabilities of the network's answers
+    copies: Tensor,  # [K, C, C, C] occupancies of the mirror images it was shown first
     partial: Tensor,  # [C, C, C] occupancy of P
-) -> float:
-    """Return what a copy is worth by the answer to it; see the module's description."""
-    elsewhere = _grown(partial) <= 0
-    new = (copy > 0) & elsewhere
+) -> Tensor:  # [K]
+    """Return what copies are worth by the answers to them; see the module's description."""
+    cells = (1, 2, 3)
+    elsewhere = _grown(partial[None]) <= 0
+    new = (copies > 0) & elsewhere
     solid = (filled > _FILLED).float()
     surface = (solid > 0) & (_grown(1 - solid) > 0) & elsewhere
-    covered = surface & (_grown(copy) > 0)
-    share_covered = (filled * covered).sum() / (filled * surface).sum().clamp_min(1e-3)
-    left_empty = ((1 - filled) * new).sum() / (copy > 0).sum().clamp_min(1)
-    return float(share_covered - _WRONG_WEIGHT * left_empty)
+    covered = (filled * (surface & (_grown(copies) > 0))).sum(dim=cells)
+    wanted = (filled * surface).sum(dim=cells)
+    left_empty = ((1 - filled) * new).sum(dim=cells) / (copies > 0).sum(dim=cells).clamp_min(1)
+    return covered / wanted.clamp_min(float(wanted.mean()) + 1e-3) - _WRONG_WEIGHT * left_empty
 
 
-def _grown(volume: Tensor) -> Tensor:  # [C, C, C] -> [C, C, C]
-    return F.max_pool3d(volume[None], 3, 1, 1)[0]
+def _grown(volumes: Tensor) -> Tensor:  # [K, C, C, C] -> [K, C, C, C]
+    return F.max_pool3d(volumes, 3, 1, 1)
 
 
 def _inputs_with_first(look: PartLook, planes: list[SymmetryMap], index: int) -> ShapeInputs:

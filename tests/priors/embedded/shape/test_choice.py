@@ -1,6 +1,6 @@
 import torch
 
-from gscomplete.priors.embedded.shape.choice import CANDIDATES, answered_worth, choose_symmetries
+from gscomplete.priors.embedded.shape.choice import CANDIDATES, answered_worths, choose_symmetries
 from gscomplete.priors.embedded.shape.grid import CELLS, COARSE_CELLS
 from gscomplete.priors.embedded.shape.inputs import SOURCES, look_at
 from gscomplete.priors.embedded.shape.model import ShapeOutput
@@ -28,10 +28,25 @@ def test_a_copy_the_answer_fills_is_worth_more_than_one_it_leaves_empty():
     seen = LOOK.with_copies(mirrors())
     partial, across, along = (torch.from_numpy(seen.volumes[k, 0]) for k in range(3))
     whole = ((partial > 0) | (across > 0)).float()
-    assert answered_worth(whole, across, partial) > 0.95
-    assert abs(answered_worth(whole, along, partial)) < 0.1  # it shows nothing new
     alone = (partial > 0).float()
-    assert answered_worth(alone, across, partial) < -0.2
+    answers = torch.stack([whole, whole, alone])
+    filled, useless, refused = answered_worths(
+        answers, torch.stack([across, along, across]), partial
+    ).tolist()
+    assert filled > 0.95
+    assert abs(useless) < 0.1  # it shows nothing new
+    assert refused < -0.2
+
+
+def test_an_answer_that_adds_next_to_nothing_does_not_win():
+    seen = LOOK.with_copies(mirrors())
+    partial, across, along = (torch.from_numpy(seen.volumes[k, 0]) for k in range(3))
+    whole = ((partial > 0) | (across > 0)).float()
+    little = (partial > 0).float()
+    free = (along > 0) & (torch.nn.functional.max_pool3d(partial[None], 3, 1, 1)[0] <= 0)
+    little[free] = 1.0  # the few new cells of the copy are all filled
+    worths = answered_worths(torch.stack([whole, little]), torch.stack([across, along]), partial)
+    assert float(worths[0]) > float(worths[1]) + 0.5
 
 
 def test_the_copies_that_answers_bear_out_are_shown():
