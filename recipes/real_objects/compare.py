@@ -4,8 +4,8 @@ Every object is completed (or not) in seven ways and compared with the truth fro
 
 * ``input``: P alone.
 * ``likeliest``: P and its mirror image through the plane that is ranked first.
-* ``mirror``: P and the best of the three mirror images that the shape network sees, *chosen with
-  the truth*: more than a method without the truth could reach by mirroring alone.
+* ``mirror``: P and the best of three copies, *chosen with the truth*: through the two planes ranked
+  first, and one after the other. More than a method without the truth could reach with them.
 * ``text``: the default preset with P withheld from the prior (no first guess, no renders of P).
 * ``reconstruct``: the first guess, then rounds of denoised views that splats are fitted to.
 * ``fast``: the fast preset.
@@ -42,7 +42,8 @@ from gscomplete.completion.settings import CompletionSettings
 from gscomplete.evaluate.metrics import against_truth, preservation
 from gscomplete.evaluate.pictures import contact_sheet, render_images, save_image
 from gscomplete.priors import Prior, load_prior
-from gscomplete.priors.embedded.shape.inputs import shape_inputs
+from gscomplete.priors.embedded.shape.inputs import look_at
+from gscomplete.priors.embedded.shape.symmetries import shown_symmetries
 from gscomplete.splats import Splats, concatenate, read_splats, write_splats
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.views import ObjectFrame, ViewDistribution, up_rotation
@@ -131,7 +132,7 @@ def settings_of(way: Way, prior: Prior, seed: int) -> CompletionSettings:
 
 
 def mirror_images(posed: Posed) -> list[Splats]:
-    """Return the mirror images of P that the shape network sees, the likeliest first."""
+    """Return P's copies by the likeliest planes, the likeliest first; see ``mirror`` above."""
     partial = posed.partial.with_sh_degree(0)
     # Only silhouettes and colours are compared: widths are made round rather than turned.
     scales = partial.scales.amax(dim=1, keepdim=True).expand(-1, 3).contiguous()
@@ -139,7 +140,7 @@ def mirror_images(posed: Posed) -> list[Splats]:
         dataclasses.replace(
             partial, means=torch.from_numpy(s.apply(partial.means.numpy())), scales=scales
         )
-        for s in shape_inputs(partial, posed.views).symmetries
+        for s in shown_symmetries(*look_at(partial, posed.views).candidates(2))
     ]
 
 

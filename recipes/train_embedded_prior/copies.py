@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from gscomplete.priors.embedded.shape.choice import WRONG_WEIGHT
 from gscomplete.priors.embedded.shape.grid import (
     CELL_SIDE,
     CELLS,
@@ -28,7 +29,6 @@ from gscomplete.priors.embedded.shape.symmetries import SymmetryMap
 from gscomplete.splats import Splats
 
 _SAMPLES = 400
-_WRONG_WEIGHT = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,7 @@ class Truth:
             return np.zeros(len(back), np.float32)
         covered = _at(self.to_part, back) <= 1.0
         wrong = (_at(self.to_whole, copies) > 1.5) & (_at(self.to_part, copies) > 1.5)
-        worth = covered.mean(axis=1) - _WRONG_WEIGHT * wrong.mean(axis=1)
+        worth = covered.mean(axis=1) - WRONG_WEIGHT * wrong.mean(axis=1)
         return worth.astype(np.float32)
 
 

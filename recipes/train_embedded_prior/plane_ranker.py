@@ -26,10 +26,10 @@ from rich.progress import track
 from torch import Tensor, nn
 
 from gscomplete.priors.embedded.prior import packaged_weights
-from gscomplete.priors.embedded.shape.evidence import gather_evidence
-from gscomplete.priors.embedded.shape.grid import CELLS, FloatArray, fill_colored, splat_arrays
+from gscomplete.priors.embedded.shape.grid import FloatArray
+from gscomplete.priors.embedded.shape.inputs import look_at
 from gscomplete.priors.embedded.shape.plane_ranker import LAYERS, RANKER_FILE, PlaneRanker
-from gscomplete.priors.embedded.shape.planes import FEATURES, part_samples, plane_features
+from gscomplete.priors.embedded.shape.planes import FEATURES, plane_features
 from gscomplete.priors.embedded.text import Tokenizer
 from recipes.train_embedded_prior.config import ShapeDataConfig
 from recipes.train_embedded_prior.copies import Truth
@@ -46,7 +46,7 @@ class RankerConfig:
 
     out: Path = field(default_factory=lambda: packaged_weights() / RANKER_FILE)
     """File to write; the default is the package's own."""
-    objects: int = 2400
+    objects: int = 2800
     """Objects to learn from, the held-out ones included."""
     seed: int = 5_000_000
     width: int = 48
@@ -68,10 +68,8 @@ def _measured(task: tuple[int, int]) -> tuple[FloatArray, FloatArray]:  # (seed,
     torch.set_num_threads(1)
     maker = ShapeSetMaker(procedural_source, ShapeDataConfig(), Tokenizer((), 1), seed)
     posed = maker.posed(index, np.random.default_rng((seed, index, 2)))
-    positions, tangents, opacities, colors = splat_arrays(posed.partial)
-    volume = fill_colored(positions, tangents, opacities, colors, CELLS)
-    part = part_samples(positions, tangents, colors, volume)
-    features = plane_features(part, gather_evidence(posed.partial, posed.distribution))
+    look = look_at(posed.partial, posed.distribution)
+    features = plane_features(look.samples(), look.evidence)
     return features, Truth.of(posed.partial, posed.whole).plane_worths()
 
 

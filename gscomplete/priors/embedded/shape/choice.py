@@ -15,7 +15,6 @@ Conventions
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 
 import numpy as np
@@ -24,7 +23,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from gscomplete.priors.embedded.shape.inputs import PartLook, ShapeInputs
-from gscomplete.priors.embedded.shape.model import ShapeCompleter
+from gscomplete.priors.embedded.shape.model import ShapeCompleter, cpu_precision
 from gscomplete.priors.embedded.shape.symmetries import SymmetryMap, shown_symmetries
 
 CANDIDATES = 8
@@ -32,7 +31,8 @@ _BELIEF_WEIGHT = 0.15
 """Of the logarithm of the ranker's belief, beside the worth by the network's answer."""
 _FILLED = 0.35
 """Cells with at least this probability count as filled."""
-_WRONG_WEIGHT = 0.5
+WRONG_WEIGHT = 0.5
+"""Of the share of a copy that is new and wrong, beside the share of the missing that it shows."""
 
 
 @torch.no_grad()
@@ -54,10 +54,7 @@ def choose_symmetries(
     planes = look.candidates(CANDIDATES)
     asked = [_inputs_with_first(look, planes, k) for k in range(len(planes))]
     volumes = torch.from_numpy(np.stack([a.volumes for a in asked]))
-    precision: contextlib.AbstractContextManager[None] = torch.autocast(
-        "cpu", torch.bfloat16, enabled=bfloat16
-    )
-    with precision:
+    with cpu_precision(bfloat16=bfloat16):
         answer = model(
             volumes,
             torch.from_numpy(look.shares).expand(len(asked), -1, -1, -1, -1),
@@ -84,7 +81,7 @@ def answered_worths(
     covered = (filled * (surface & (_grown(copies) > 0))).sum(dim=cells)
     wanted = (filled * surface).sum(dim=cells)
     left_empty = ((1 - filled) * new).sum(dim=cells) / (copies > 0).sum(dim=cells).clamp_min(1)
-    return covered / wanted.clamp_min(float(wanted.mean()) + 1e-3) - _WRONG_WEIGHT * left_empty
+    return covered / wanted.clamp_min(float(wanted.mean()) + 1e-3) - WRONG_WEIGHT * left_empty
 
 
 def _grown(volumes: Tensor) -> Tensor:  # [K, C, C, C] -> [K, C, C, C]

@@ -23,12 +23,11 @@ from gscomplete.priors.embedded.shape.grid import (
     splat_arrays,
 )
 from gscomplete.priors.embedded.shape.plane_ranker import packaged_ranker
-from gscomplete.priors.embedded.shape.planes import part_samples
+from gscomplete.priors.embedded.shape.planes import PartSamples, part_samples
 from gscomplete.priors.embedded.shape.symmetries import (
     COPIES,
     SymmetryMap,
     candidate_planes,
-    shown_symmetries,
 )
 from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution
@@ -58,10 +57,13 @@ class PartLook:
     evidence: Evidence
     shares: FloatArray  # [3, C/2, C/2, C/2]
 
+    def samples(self) -> PartSamples:
+        """Return P as planes are judged on it."""
+        return part_samples(self.positions, self.tangents, self.colors, self.volume)
+
     def candidates(self, count: int) -> list[SymmetryMap]:
         """Return mirror images through likely planes, the likeliest first."""
-        part = part_samples(self.positions, self.tangents, self.colors, self.volume)
-        return candidate_planes(part, self.evidence, packaged_ranker(), count)
+        return candidate_planes(self.samples(), self.evidence, packaged_ranker(), count)
 
     def with_copies(self, symmetries: tuple[SymmetryMap, ...]) -> ShapeInputs:
         """Return what the network is shown with these mirror images."""
@@ -87,14 +89,3 @@ def look_at(partial: Splats, distribution: ViewDistribution) -> PartLook:
     shares = evidence.classify(cell_centers(COARSE_CELLS))
     split = np.ascontiguousarray(shares.T.reshape(3, *(COARSE_CELLS,) * 3))
     return PartLook(positions, tangents, opacities, colors, volume, evidence, split)
-
-
-def shape_inputs(partial: Splats, distribution: ViewDistribution) -> ShapeInputs:
-    """Look at P beside the likeliest of its mirror images.
-
-    Args:
-        partial: P in the object frame.
-        distribution: V.
-    """
-    look = look_at(partial, distribution)
-    return look.with_copies(shown_symmetries(*look.candidates(2)))

@@ -14,6 +14,7 @@ Conventions
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 
 import torch
@@ -166,6 +167,14 @@ class ShapeCompleter(nn.Module):
         filled, colors, sources, trust = out.split(parts, dim=1)
         pointed = F.interpolate(trust, scale_factor=float(_FOLD)) * volumes[:, :, 0]
         return ShapeOutput(unfold(filled)[:, 0] + pointed.sum(1), torch.sigmoid(colors), sources)
+
+
+def cpu_precision(*, bfloat16: bool) -> contextlib.AbstractContextManager[None]:
+    """Return the context that the network runs in on the CPU."""
+    context: contextlib.AbstractContextManager[None] = torch.autocast(
+        "cpu", torch.bfloat16, enabled=bfloat16
+    )
+    return context
 
 
 def fold(x: Tensor) -> Tensor:  # [B, C, n, n, n] -> [B, 8 C, n/2, n/2, n/2]

@@ -10,7 +10,6 @@ Conventions
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from torch import Tensor
 from gscomplete.priors.embedded.shape.choice import choose_symmetries
 from gscomplete.priors.embedded.shape.grid import CELLS, cell_centers, sample_volume
 from gscomplete.priors.embedded.shape.inputs import ShapeInputs, look_at
-from gscomplete.priors.embedded.shape.model import ShapeCompleter, ShapeOutput
+from gscomplete.priors.embedded.shape.model import ShapeCompleter, ShapeOutput, cpu_precision
 from gscomplete.splats import Splats
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.views import ViewDistribution
@@ -118,12 +117,9 @@ def predict_whole(
     evidence = torch.from_numpy(seen.evidence)[None]
     scores = torch.from_numpy(seen.scores)[None]
     sums: list[Tensor] = []
-    precision: contextlib.AbstractContextManager[None] = torch.autocast(
-        "cpu", torch.bfloat16, enabled=bfloat16
-    )
     for index in range(orientations):
         turns, mirror = index % 4, index >= 4
-        with precision:
+        with cpu_precision(bfloat16=bfloat16):
             out = model(
                 turned(volumes, turns, mirror),
                 turned(evidence, turns, mirror),

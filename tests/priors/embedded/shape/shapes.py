@@ -7,9 +7,11 @@ import dataclasses
 import numpy as np
 import torch
 
-from gscomplete.priors.embedded.shape.symmetries import SymmetryMap
+from gscomplete.priors.embedded.shape.inputs import ShapeInputs, look_at
+from gscomplete.priors.embedded.shape.symmetries import SymmetryMap, shown_symmetries
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.rotations import quaternions_facing
+from gscomplete.views import ViewDistribution
 
 
 def sphere(
@@ -38,6 +40,12 @@ def half(splats: Splats, axis: int = 0) -> Splats:
 def moved(splats: Splats, shift: tuple[float, float, float]) -> Splats:
     """Return the splats elsewhere."""
     return dataclasses.replace(splats, means=splats.means + torch.tensor(shift))
+
+
+def likeliest_inputs(partial: Splats, distribution: ViewDistribution) -> ShapeInputs:
+    """Return what the network is shown with the copies that the ranker puts first."""
+    look = look_at(partial, distribution)
+    return look.with_copies(shown_symmetries(*look.candidates(2)))
 
 
 def mirrors() -> tuple[SymmetryMap, SymmetryMap, SymmetryMap]:

@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from gscomplete.priors.embedded.shape.grid import CELLS, COARSE_CELLS
-from gscomplete.priors.embedded.shape.inputs import SOURCES, shape_inputs
+from gscomplete.priors.embedded.shape.inputs import SOURCES
 from gscomplete.priors.embedded.shape.model import (
     ShapeCompleter,
     ShapeModelConfig,
@@ -17,7 +17,7 @@ from gscomplete.priors.embedded.shape.predict import (
     turned_back,
 )
 from gscomplete.views import ViewDistribution
-from tests.priors.embedded.shape.shapes import half, sphere
+from tests.priors.embedded.shape.shapes import half, likeliest_inputs, sphere
 
 TINY = ShapeModelConfig(vocabulary_size=8, widths=(8, 8, 16), blocks=(1, 1, 1), embedding=8)
 
@@ -68,7 +68,7 @@ def test_turning_is_undone_and_the_mean_answer_turns_with_the_object(model):
     for turns in range(4):
         for mirror in (False, True):
             assert torch.equal(turned_back(turned(x, turns, mirror), turns, mirror), x)
-    seen = shape_inputs(half(sphere()), ViewDistribution(0.0, 10.0))
+    seen = likeliest_inputs(half(sphere()), ViewDistribution(0.0, 10.0))
     tokens = torch.tensor([2, 3])
     answer = predict_whole(model, seen, tokens)
     assert torch.isfinite(answer.occupancy).all()

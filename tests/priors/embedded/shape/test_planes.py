@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from gscomplete.priors.embedded.shape.evidence import gather_evidence
-from gscomplete.priors.embedded.shape.grid import CELLS, fill_colored, splat_arrays
+from gscomplete.priors.embedded.shape.grid import CELLS
+from gscomplete.priors.embedded.shape.inputs import look_at
 from gscomplete.priors.embedded.shape.planes import (
     ANGLES,
     FEATURES,
     OFFSETS,
     PartSamples,
-    part_samples,
     plane_features,
     plane_normals,
 )
@@ -23,9 +23,7 @@ MIDDLE = OFFSETS.index(0.0)
 
 
 def sampled(partial: Splats) -> PartSamples:
-    positions, tangents, opacities, colors = splat_arrays(partial)
-    volume = fill_colored(positions, tangents, opacities, colors, CELLS)
-    return part_samples(positions, tangents, colors, volume)
+    return look_at(partial, VIEWS).samples()
 
 
 def features_of(partial: Splats) -> dict[str, np.ndarray]:
@@ -70,14 +68,12 @@ def test_half_a_sphere_closes_across_its_cut():
     assert found["aligned"][across, MIDDLE] > 0.8 * found["exact"][across, MIDDLE]
 
 
-def test_colors_tell_planes_apart():
+def test_colors_of_a_copy_are_compared():
     found = features_of(sphere())  # its colour is its normal
-    a, b = ANGLES // 2, 0
-    for angle in (a, b):
+    for angle in (0, ANGLES // 2):
         share = found["exact"][angle, MIDDLE]
-        assert found["color_error"][angle, MIDDLE] / share == pytest.approx(
-            0.4 / 3, abs=0.04
-        )  # the mean of |2 n 0.4| / 3 over a sphere
+        # The mean of |2 n 0.4| / 3 over a sphere.
+        assert found["color_error"][angle, MIDDLE] / share == pytest.approx(0.4 / 3, abs=0.04)
 
 
 def test_lengths():

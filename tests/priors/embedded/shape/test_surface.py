@@ -9,13 +9,13 @@ from gscomplete.priors.embedded.shape.grid import (
     cell_centers,
     sample_volume,
 )
-from gscomplete.priors.embedded.shape.inputs import SOURCES, look_at, shape_inputs
+from gscomplete.priors.embedded.shape.inputs import SOURCES, look_at
 from gscomplete.priors.embedded.shape.model import ShapeOutput
 from gscomplete.priors.embedded.shape.surface import SurfaceSettings, on_copies, surface_splats
 from gscomplete.render import render
 from gscomplete.splats import concatenate
 from gscomplete.views import ViewDistribution
-from tests.priors.embedded.shape.shapes import half, mirrors, sphere
+from tests.priors.embedded.shape.shapes import half, likeliest_inputs, mirrors, sphere
 
 VIEWS = ViewDistribution(0.0, 10.0)
 
@@ -33,7 +33,7 @@ def guess(settings=None, output=None, partial=None):
     generator = torch.Generator().manual_seed(0)
     return surface_splats(
         output or ball_output(),
-        shape_inputs(partial, VIEWS),
+        likeliest_inputs(partial, VIEWS),
         partial,
         settings or SurfaceSettings(),
         generator,

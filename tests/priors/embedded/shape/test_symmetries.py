@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from gscomplete.priors.embedded.shape.evidence import FRONT_TOLERANCE, gather_evidence
 from gscomplete.priors.embedded.shape.grid import CELL_SIDE, CELLS
-from gscomplete.priors.embedded.shape.inputs import SOURCES, shape_inputs
+from gscomplete.priors.embedded.shape.inputs import SOURCES
 from gscomplete.priors.embedded.shape.plane_ranker import packaged_ranker
 from gscomplete.priors.embedded.shape.symmetries import (
     candidate_planes,
@@ -18,7 +18,7 @@ from gscomplete.priors.embedded.shape.symmetries import (
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.views import ViewDistribution
-from tests.priors.embedded.shape.shapes import half, moved, sphere
+from tests.priors.embedded.shape.shapes import half, likeliest_inputs, moved, sphere
 from tests.priors.embedded.shape.test_planes import sampled
 
 VIEWS = ViewDistribution(0.0, 10.0)
@@ -70,7 +70,7 @@ def test_half_a_dumbbell_finds_its_one_plane(turn_deg):
     placed = Similarity(1.0, turn, torch.zeros(3).double())
     partial, whole = transform_splats(partial, placed), transform_splats(whole, placed)
     views = dataclasses.replace(VIEWS, azimuth_deg=turn_deg)
-    seen = shape_inputs(partial, views)
+    seen = likeliest_inputs(partial, views)
     copy = seen.symmetries[0].apply(partial.means.numpy())
     away, _ = cKDTree(whole.means.numpy()).query(copy)
     # Where P has no match for its copy the plane stays on its grid of 5 degrees and 0.025.
@@ -92,7 +92,7 @@ def test_where_nothing_matches_a_plane_stays():
 
 
 def test_maps_are_rigid_and_undone():
-    seen = shape_inputs(half(sphere()), VIEWS)
+    seen = likeliest_inputs(half(sphere()), VIEWS)
     points = np.random.default_rng(0).normal(size=(20, 3)).astype(np.float32)
     for symmetry in seen.symmetries:
         there = symmetry.apply(points)
@@ -109,7 +109,7 @@ def test_maps_follow_points_to_another_frame():
     frame = Similarity(1.3, torch.eye(3).double(), torch.tensor([0.1, -0.2, 0.05]).double())
     points = np.random.default_rng(0).normal(size=(20, 3))
     there = 1.3 * points + frame.translation.numpy()
-    for symmetry in shape_inputs(half(sphere()), VIEWS).symmetries:
+    for symmetry in likeliest_inputs(half(sphere()), VIEWS).symmetries:
         expected = 1.3 * symmetry.apply(points.astype(np.float32)) + frame.translation.numpy()
         found = symmetry.in_frame(frame).apply(there.astype(np.float32))
         np.testing.assert_allclose(found, expected, atol=1e-5)
