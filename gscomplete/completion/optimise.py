@@ -204,7 +204,6 @@ class Completion:
                 self._conditioning,
                 generator_for(settings.seed, 0, "first guess"),
                 settings.new_splats,
-                settings.guess_frames,
             )
             if guess is not None:
                 note = f"start: {len(guess):,} splats on the surface the prior guesses"

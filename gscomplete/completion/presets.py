@@ -76,8 +76,8 @@ GUESS = dataclasses.replace(
 """The first guess of a prior with an idea of shape, held to P's looks where P is dense: steps of a
 small denoiser make it no better in shape, and dirtier (the time/quality benchmark)."""
 
-FAST = dataclasses.replace(GUESS, new_splats=10_000, guess_frames=1, hard_preservation=None)
-"""The first guess with less care."""
+FAST = dataclasses.replace(GUESS, new_splats=10_000, hard_preservation=None)
+"""The first guess as it is."""
 
 TEXT_ONLY = dataclasses.replace(
     SMALL_PRIOR,

@@ -220,8 +220,6 @@ class CompletionSettings:
     """New splats at the start, uniform in the sphere about the object (section 3.3)."""
     start: Start = "sphere"
     """Where new splats start."""
-    guess_frames: int = 7
-    """``guess``: frames near the object's in which the prior is asked; answers are averaged."""
     warmup_steps: int = 50
     """Steps at the start whose preservation loss is unmasked (n_init, section 3.3)."""
     preservation_weight: float = 2.0
@@ -284,7 +282,6 @@ class CompletionSettings:
         least = {
             "steps": 0,
             "new_splats": 1,
-            "guess_frames": 1,
             "warmup_steps": 0,
             "preservation_weight": 0,
             "preservation_every": 1,

@@ -210,7 +210,6 @@ class ShapePrior(Protocol):
         conditioning: Conditioning,
         generator: torch.Generator,
         count: int,
-        frames: int,
     ) -> Splats | None:
         """Guess what is missing.
 
@@ -220,7 +219,6 @@ class ShapePrior(Protocol):
             conditioning: from ``condition`` of the same prior.
             generator: chooses where splats sit.
             count: most splats.
-            frames: how many frames near the object's to ask in; answers are averaged.
 
         Returns:
             New splats in the object frame, where P has none.

@@ -47,7 +47,7 @@ KINDS: dict[Case, tuple[Kind, int]] = {
     "distill 64 px": ("distill", 64),
 }
 NO_SKIPS = SkipSettings(**{field.name: False for field in dataclasses.fields(SkipSettings)})
-FIT = dataclasses.replace(RECONSTRUCT, steps=4000, rounds=1, guess_frames=1, ring_memory=3)
+FIT = dataclasses.replace(RECONSTRUCT, steps=4000, rounds=1, ring_memory=3)
 DISTILL = dataclasses.replace(SMALL_PRIOR, steps=4000, preservation_every=1)
 
 

@@ -73,10 +73,8 @@ def variants() -> dict[str, CompletionSettings]:
     change = dataclasses.replace
     return {
         "fast": FAST,
-        "three frames": change(GUESS, guess_frames=3),
         "without bounds": change(GUESS, hard_preservation=None),
         "default": GUESS,
-        "fifteen frames": change(GUESS, guess_frames=15),
         "reconstruct": RECONSTRUCT,
         "twice as long": change(RECONSTRUCT, steps=2 * RECONSTRUCT.steps, rounds=16),
         "high noise": change(RECONSTRUCT, timesteps=high),

@@ -42,8 +42,8 @@ from gscomplete.completion.settings import CompletionSettings
 from gscomplete.evaluate.metrics import against_truth, preservation
 from gscomplete.evaluate.pictures import contact_sheet, render_images, save_image
 from gscomplete.priors import Prior, load_prior
+from gscomplete.priors.embedded.shape.choice import CANDIDATES
 from gscomplete.priors.embedded.shape.inputs import look_at
-from gscomplete.priors.embedded.shape.symmetries import shown_symmetries
 from gscomplete.splats import Splats, concatenate, read_splats, write_splats
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.views import ObjectFrame, ViewDistribution, up_rotation
@@ -136,11 +136,12 @@ def mirror_images(posed: Posed) -> list[Splats]:
     partial = posed.partial.with_sh_degree(0)
     # Only silhouettes and colours are compared: widths are made round rather than turned.
     scales = partial.scales.amax(dim=1, keepdim=True).expand(-1, 3).contiguous()
+    look = look_at(partial, posed.views)
     return [
         dataclasses.replace(
             partial, means=torch.from_numpy(s.apply(partial.means.numpy())), scales=scales
         )
-        for s in shown_symmetries(*look_at(partial, posed.views).candidates(2))
+        for s in look.shown_first(look.candidates(CANDIDATES), 0)
     ]
 
 

@@ -49,9 +49,13 @@ class ShapeDataConfig:
     guess_share: float = 0.7
     """Share of sets whose frame and input view are guessed from P, as runs guess them; the others
     have the true frame with a small error."""
-    best_copy_share: float = 0.6
-    """Share of sets whose first mirror image is the best by the truth of the candidates; in the
-    others it is the likeliest."""
+    no_copy_share: float = 0.08
+    """Share of sets without mirror images, whatever they are worth."""
+    best_copy_share: float = 0.5
+    """Share of the others whose first mirror image is the best by the truth of the candidates; in
+    the rest it is the likeliest."""
+    least_worth: float = 0.05
+    """Where the best by the truth is worth less, no mirror images are shown either."""
     frame_jitter: float = 0.04
     """Standard deviation of that error, object sizes."""
     most_cells: int = 4096

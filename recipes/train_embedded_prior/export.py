@@ -28,6 +28,7 @@ from gscomplete.priors.embedded.model import FourViewDenoiser, count_parameters
 from gscomplete.priors.embedded.prior import packaged_weights
 from gscomplete.priors.embedded.shape.grid import CELL_SIDE, CELLS
 from gscomplete.priors.embedded.shape.model import ShapeCompleter
+from gscomplete.priors.embedded.shape.plane_judge import JUDGE_FILE
 from gscomplete.priors.embedded.shape.plane_ranker import RANKER_FILE
 from gscomplete.priors.embedded.text import FIRST_WORD_TOKEN, STOP_WORDS, split_words
 from gscomplete.priors.embedded.weights import (
@@ -201,8 +202,9 @@ def card(
             f"* Training: {made.steps} steps, {made.sets} objects with their parts, each seen "
             f"about twice in different orientations, {made.hours:.2f} hours on {made.machine}, "
             f"seed {made.seed}.",
-            f"* Planes that P is mirrored through are proposed by `{RANKER_FILE}`, trained before "
-            "it by `recipes/train_embedded_prior/plane_ranker.py`.",
+            f"* Planes that P is mirrored through are ranked by `{RANKER_FILE}` and judged by "
+            f"`{JUDGE_FILE}`, trained before it by `plane_ranker.py` and `plane_judge.py` of "
+            "`recipes/train_embedded_prior`.",
             *([f"* History: {history}"] if history else []),
             *(f"* Held-out {name}: {value:.4f}" for name, value in shape_losses.items()),
             "",

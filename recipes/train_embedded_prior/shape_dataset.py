@@ -30,10 +30,11 @@ from gscomplete.priors.embedded.shape.grid import (
     fill_colored,
     splat_arrays,
 )
-from gscomplete.priors.embedded.shape.inputs import SOURCES, ShapeInputs, look_at
+from gscomplete.priors.embedded.shape.inputs import ShapeInputs, look_at
+from gscomplete.priors.embedded.shape.plane_judge import packaged_judge
 from gscomplete.priors.embedded.shape.plane_ranker import packaged_ranker
 from gscomplete.priors.embedded.shape.predict import turned
-from gscomplete.priors.embedded.shape.symmetries import COPIES, shown_symmetries
+from gscomplete.priors.embedded.shape.symmetries import COPIES, SOURCES, no_symmetries
 from gscomplete.priors.embedded.text import Tokenizer
 from gscomplete.splats import Splats
 from gscomplete.splats.transform import transform_splats
@@ -91,7 +92,8 @@ class ShapeSpec:
 
     def key(self) -> str:
         """Name the contents: folders of different options never mix."""
-        text = dumps([self.data, self.words, self.seed, packaged_ranker().digest(), "shape"])
+        planes = [packaged_ranker().digest(), packaged_judge().digest()]
+        text = dumps([self.data, self.words, self.seed, planes, "shape"])
         return hashlib.sha256(f"{text}{self.shard_sets}".encode()).hexdigest()[:12]
 
 
@@ -132,18 +134,22 @@ class ShapeSetMaker:
         return stored
 
     def _shown(self, posed: PosedObject, rng: np.random.Generator) -> ShapeInputs:
-        """Show P with the likeliest mirror image first, or with the best by the truth.
+        """Show P with the likeliest mirror image first, or the best by the truth, or none.
 
         Runs choose among the same candidates by the network's answers, better than the likeliest.
         """
         look = look_at(posed.partial, posed.distribution)
+        if rng.random() < self.data.no_copy_share:
+            return look.with_copies(no_symmetries())
         planes = look.candidates(CANDIDATES)
         first = 0
         if rng.random() < self.data.best_copy_share:
             truth = Truth.of(posed.partial, posed.whole)
-            first = int(np.argmax([truth.map_worth(plane) for plane in planes]))
-        other = 1 if first == 0 else 0
-        return look.with_copies(shown_symmetries(planes[first], planes[other]))
+            worths = [truth.map_worth(plane) for plane in planes]
+            first = int(np.argmax(worths))
+            if worths[first] < self.data.least_worth:
+                return look.with_copies(no_symmetries())
+        return look.with_copies(look.shown_first(planes, first))
 
     def posed(self, index: int, rng: np.random.Generator) -> PosedObject:
         """Return object ``index`` and a part of it in a frame as a run would guess it."""

@@ -23,8 +23,8 @@ from torch import Tensor, nn
 
 from gscomplete.atomic import atomic_path
 from gscomplete.priors.embedded.shape.grid import COARSE_CELLS
-from gscomplete.priors.embedded.shape.inputs import SOURCES
 from gscomplete.priors.embedded.shape.model import ShapeCompleter, ShapeOutput
+from gscomplete.priors.embedded.shape.symmetries import SOURCES
 from gscomplete.priors.embedded.text import NO_TEXT_TOKEN
 from recipes.train_embedded_prior.config import ShapeTrainConfig
 from recipes.train_embedded_prior.dataset import HELD_OUT_SEED_OFFSET, Source

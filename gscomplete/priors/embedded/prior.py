@@ -38,7 +38,7 @@ from gscomplete.priors.embedded.inputs import images_to_color_alpha, input_map, 
 from gscomplete.priors.embedded.model import INPUT_CHANNELS, VIEWS, FourViewDenoiser
 from gscomplete.priors.embedded.rays import ring_numbers
 from gscomplete.priors.embedded.shape.model import ShapeCompleter
-from gscomplete.priors.embedded.shape.predict import FrameSettings, predict_over_frames
+from gscomplete.priors.embedded.shape.predict import predict
 from gscomplete.priors.embedded.shape.surface import (
     SurfaceSettings,
     surface_splats,
@@ -134,20 +134,13 @@ class EmbeddedPrior:
         conditioning: Conditioning,
         generator: torch.Generator,
         count: int,
-        frames: int,
     ) -> Splats | None:
         """Return the whole as the shape network sees it; see :class:`base.ShapePrior`."""
         if self._shape is None:
             return None
         assert isinstance(conditioning, EmbeddedConditioning)
-        seen, output = predict_over_frames(
-            self._shape,
-            partial,
-            distribution,
-            conditioning.tokens,
-            generator,
-            FrameSettings(count=frames),
-            bfloat16=self._bfloat16,
+        seen, output = predict(
+            self._shape, partial, distribution, conditioning.tokens, bfloat16=self._bfloat16
         )
         settings = SurfaceSettings(count=count)
         splats = surface_splats(output, seen, partial, settings, generator)

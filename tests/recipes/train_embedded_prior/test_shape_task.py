@@ -43,6 +43,26 @@ def test_sets_are_a_function_of_seed_and_index(tmp_path):
     assert spec.maker(9)(3).tobytes() != spec.maker()(3).tobytes()
 
 
+def test_what_is_shown_follows_the_shares(tmp_path):
+    """No copies are shown in the share asked for, and where the best is worth too little."""
+    spec = ShapeTask(tiny_shape_run(tmp_path), stub_source, WORDS).spec
+
+    def shown(**changes):
+        data = dataclasses.replace(spec.data, **changes)
+        stored = dataclasses.replace(spec, data=data).maker()(3)
+        volumes = [unpack_cells(cells)[0] > 0 for cells in stored["cells"]]
+        return volumes, stored["scores"]
+
+    volumes, scores = shown(no_copy_share=1.0)
+    assert (scores == 0).all()
+    assert all((volume == volumes[0]).all() for volume in volumes)
+    volumes, scores = shown(no_copy_share=0.0, best_copy_share=1.0, least_worth=2.0)
+    assert (scores == 0).all()
+    volumes, scores = shown(no_copy_share=0.0, best_copy_share=1.0, least_worth=-2.0)
+    assert scores[0] > 0
+    assert (volumes[1] != volumes[0]).any()
+
+
 def interrupting_source(seed, index):
     """Ask the trainer to stop while the sets of its second step are made."""
     if index == 2:
@@ -105,8 +125,8 @@ def test_turning_a_batch_turns_everything_alike(batch):
 
 
 def test_the_truth_scores_full_marks(batch):
-    from gscomplete.priors.embedded.shape.inputs import SOURCES
     from gscomplete.priors.embedded.shape.model import ShapeOutput
+    from gscomplete.priors.embedded.shape.symmetries import SOURCES
 
     count = len(batch.solid)
     half = CELLS // 2

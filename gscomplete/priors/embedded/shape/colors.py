@@ -18,8 +18,9 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from gscomplete.priors.embedded.shape.grid import CELL_SIDE, sample_volume
-from gscomplete.priors.embedded.shape.inputs import SOURCES, ShapeInputs
+from gscomplete.priors.embedded.shape.inputs import ShapeInputs
 from gscomplete.priors.embedded.shape.model import ShapeOutput
+from gscomplete.priors.embedded.shape.symmetries import SOURCES
 from gscomplete.splats import Splats
 from gscomplete.splats.filters import thinned
 

@@ -9,6 +9,7 @@ Conventions
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,17 +23,17 @@ from gscomplete.priors.embedded.shape.grid import (
     fill_colored,
     splat_arrays,
 )
+from gscomplete.priors.embedded.shape.plane_judge import packaged_judge
 from gscomplete.priors.embedded.shape.plane_ranker import packaged_ranker
 from gscomplete.priors.embedded.shape.planes import PartSamples, part_samples
+from gscomplete.priors.embedded.shape.proposals import candidate_planes
 from gscomplete.priors.embedded.shape.symmetries import (
-    COPIES,
     SymmetryMap,
-    candidate_planes,
+    companion,
+    shown_symmetries,
 )
 from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution
-
-SOURCES = 1 + COPIES
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +64,16 @@ class PartLook:
 
     def candidates(self, count: int) -> list[SymmetryMap]:
         """Return mirror images through likely planes, the likeliest first."""
-        return candidate_planes(self.samples(), self.evidence, packaged_ranker(), count)
+        return candidate_planes(
+            self.samples(), self.volume, self.evidence, self.shares,
+            packaged_ranker(), packaged_judge(), count,
+        )  # fmt: skip
+
+    def shown_first(
+        self, planes: Sequence[SymmetryMap], first: int
+    ) -> tuple[SymmetryMap, ...]:  # COPIES
+        """Return what the network is to be shown: one of the planes, and what goes with it."""
+        return shown_symmetries(planes[first], companion(planes, first, self.positions))
 
     def with_copies(self, symmetries: tuple[SymmetryMap, ...]) -> ShapeInputs:
         """Return what the network is shown with these mirror images."""

@@ -14,15 +14,13 @@ Conventions
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from gscomplete.priors.embedded.shape.inputs import SOURCES
-from gscomplete.priors.embedded.shape.symmetries import COPIES
+from gscomplete.priors.embedded.shape.symmetries import COPIES, SOURCES
 
 _FOLD = 2
 _EVIDENCE = 3
@@ -167,14 +165,6 @@ class ShapeCompleter(nn.Module):
         filled, colors, sources, trust = out.split(parts, dim=1)
         pointed = F.interpolate(trust, scale_factor=float(_FOLD)) * volumes[:, :, 0]
         return ShapeOutput(unfold(filled)[:, 0] + pointed.sum(1), torch.sigmoid(colors), sources)
-
-
-def cpu_precision(*, bfloat16: bool) -> contextlib.AbstractContextManager[None]:
-    """Return the context that the network runs in on the CPU."""
-    context: contextlib.AbstractContextManager[None] = torch.autocast(
-        "cpu", torch.bfloat16, enabled=bfloat16
-    )
-    return context
 
 
 def fold(x: Tensor) -> Tensor:  # [B, C, n, n, n] -> [B, 8 C, n/2, n/2, n/2]

@@ -7,8 +7,9 @@ import dataclasses
 import numpy as np
 import torch
 
+from gscomplete.priors.embedded.shape.choice import CANDIDATES
 from gscomplete.priors.embedded.shape.inputs import ShapeInputs, look_at
-from gscomplete.priors.embedded.shape.symmetries import SymmetryMap, shown_symmetries
+from gscomplete.priors.embedded.shape.symmetries import SymmetryMap
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.rotations import quaternions_facing
 from gscomplete.views import ViewDistribution
@@ -43,9 +44,9 @@ def moved(splats: Splats, shift: tuple[float, float, float]) -> Splats:
 
 
 def likeliest_inputs(partial: Splats, distribution: ViewDistribution) -> ShapeInputs:
-    """Return what the network is shown with the copies that the ranker puts first."""
+    """Return what the network is shown with the copies that are believed in most."""
     look = look_at(partial, distribution)
-    return look.with_copies(shown_symmetries(*look.candidates(2)))
+    return look.with_copies(look.shown_first(look.candidates(CANDIDATES), 0))
 
 
 def mirrors() -> tuple[SymmetryMap, SymmetryMap, SymmetryMap]:

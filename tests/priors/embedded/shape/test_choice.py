@@ -2,8 +2,9 @@ import torch
 
 from gscomplete.priors.embedded.shape.choice import CANDIDATES, answered_worths, choose_symmetries
 from gscomplete.priors.embedded.shape.grid import CELLS, COARSE_CELLS
-from gscomplete.priors.embedded.shape.inputs import SOURCES, look_at
+from gscomplete.priors.embedded.shape.inputs import look_at
 from gscomplete.priors.embedded.shape.model import ShapeOutput
+from gscomplete.priors.embedded.shape.symmetries import SOURCES
 from gscomplete.views import ViewDistribution
 from tests.priors.embedded.shape.shapes import half, mirrors, sphere
 
@@ -11,14 +12,24 @@ LOOK = look_at(half(sphere()), ViewDistribution(0.0, 10.0))
 
 
 class Believer(torch.nn.Module):
-    """Fills P and, of the copies shown first, those that reach far behind P."""
+    """Fills P and, of the copies shown first, those that reach far behind P.
+
+    Shown no copy it fills what lies across x = 0, or nothing if it has no idea of its own.
+    """
+
+    def __init__(self, has_ideas: bool = True) -> None:
+        super().__init__()
+        self.has_ideas = has_ideas
 
     def forward(self, volumes, evidence, scores, tokens):
         assert volumes.shape[0] == evidence.shape[0] == scores.shape[0] == tokens.shape[0]
-        filled = volumes[:, 0, 0] > 0
+        partial = volumes[:, 0, 0] > 0
         copy = volumes[:, 1, 0] > 0
         trusted = copy[:, : CELLS // 4].any(dim=(1, 2, 3))[:, None, None, None]
-        filled = filled | (copy & trusted)
+        filled = partial | (copy & trusted)
+        none_shown = (copy == partial).all(dim=3).all(dim=2).all(dim=1)
+        if self.has_ideas:
+            filled[none_shown] |= partial[none_shown].flip(1)
         n = COARSE_CELLS
         nothing = torch.zeros(len(volumes), SOURCES + 1, n, n, n)
         return ShapeOutput(16.0 * filled.float() - 8.0, nothing[:, :3], nothing)
@@ -61,3 +72,11 @@ def test_the_copies_that_answers_bear_out_are_shown():
     assert farthest < -0.36
     again = choose_symmetries(Believer(), LOOK, tokens)
     assert [c.score for c in chosen] == [c.score for c in again]
+
+
+def test_no_copy_is_shown_if_the_answer_without_one_speaks_against_it():
+    chosen = choose_symmetries(Believer(has_ideas=False), LOOK, torch.zeros(4, dtype=torch.long))
+    points = LOOK.positions
+    for symmetry in chosen:
+        assert symmetry.score == 0.0
+        assert (symmetry.apply(points) == points).all()

@@ -5,8 +5,9 @@ import torch
 
 from gscomplete.priors.embedded.shape.colors import ColorSettings, source_colors
 from gscomplete.priors.embedded.shape.grid import CELLS, COARSE_CELLS
-from gscomplete.priors.embedded.shape.inputs import SOURCES, look_at
+from gscomplete.priors.embedded.shape.inputs import look_at
 from gscomplete.priors.embedded.shape.model import ShapeOutput
+from gscomplete.priors.embedded.shape.symmetries import SOURCES
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.views import ViewDistribution
 from tests.priors.embedded.shape.shapes import half, mirrors, sphere

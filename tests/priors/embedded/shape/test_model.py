@@ -2,7 +2,6 @@ import pytest
 import torch
 
 from gscomplete.priors.embedded.shape.grid import CELLS, COARSE_CELLS
-from gscomplete.priors.embedded.shape.inputs import SOURCES
 from gscomplete.priors.embedded.shape.model import (
     ShapeCompleter,
     ShapeModelConfig,
@@ -10,12 +9,11 @@ from gscomplete.priors.embedded.shape.model import (
     unfold,
 )
 from gscomplete.priors.embedded.shape.predict import (
-    FrameSettings,
-    predict_over_frames,
     predict_whole,
     turned,
     turned_back,
 )
+from gscomplete.priors.embedded.shape.symmetries import SOURCES
 from gscomplete.views import ViewDistribution
 from tests.priors.embedded.shape.shapes import half, likeliest_inputs, sphere
 
@@ -74,28 +72,3 @@ def test_turning_is_undone_and_the_mean_answer_turns_with_the_object(model):
     assert torch.isfinite(answer.occupancy).all()
     single = predict_whole(model, seen, tokens, orientations=1)
     assert not torch.allclose(single.occupancy, answer.occupancy)
-
-
-def test_answers_of_other_frames_are_carried_back(model):
-    """A network that believes just what it sees of P says the same of P in every frame."""
-    partial, views = half(sphere()), ViewDistribution(0.0, 10.0)
-    blind = ShapeCompleter(TINY, COARSE_CELLS).eval()
-    with torch.no_grad():
-        blind.head.bias[:8] = -5.0
-        blind.head.bias[-SOURCES] = 10.0
-
-    def ask(count):
-        generator = torch.Generator().manual_seed(3)
-        tokens = torch.tensor([2, 3])
-        return predict_over_frames(
-            blind, partial, views, tokens, generator, FrameSettings(count=count)
-        )
-
-    seen, single = ask(1)
-    assert torch.equal(single.occupancy, predict_whole(blind, seen, torch.tensor([2, 3])).occupancy)
-    _, averaged = ask(5)
-    assert torch.equal(averaged.occupancy, ask(5)[1].occupancy)
-    filled = torch.from_numpy(seen.volumes[0, 0]) > 0
-    assert float(averaged.occupancy[0][filled].mean()) > 1.0
-    far = torch.nn.functional.max_pool3d(filled[None].float(), 5, 1, 2)[0] == 0
-    assert float(averaged.occupancy[0][far].max()) < -4.0

@@ -9,9 +9,10 @@ from gscomplete.priors.embedded.shape.grid import (
     cell_centers,
     sample_volume,
 )
-from gscomplete.priors.embedded.shape.inputs import SOURCES, look_at
+from gscomplete.priors.embedded.shape.inputs import look_at
 from gscomplete.priors.embedded.shape.model import ShapeOutput
 from gscomplete.priors.embedded.shape.surface import SurfaceSettings, on_copies, surface_splats
+from gscomplete.priors.embedded.shape.symmetries import SOURCES
 from gscomplete.render import render
 from gscomplete.splats import concatenate
 from gscomplete.views import ViewDistribution

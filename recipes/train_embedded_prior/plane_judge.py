@@ -1,0 +1,273 @@
+"""Train what judges planes of symmetry: ``python -m recipes.train_embedded_prior.plane_judge``.
+
+It comes after the ranker, whose likely planes it judges, and before the shape network, whose
+training sets hold the copies that it prefers. Objects are made once and kept in the run's folder;
+training goes on from the last checkpoint there.
+
+Conventions
+-----------
+* What a plane is worth is said in ``copies``.
+* One answer of the judge learns the softmax of worths times ``sharpness`` by cross entropy, the
+  other the worths themselves by squared error.
+* Random numbers are a function of (seed, step). The first file of objects is held out.
+"""
+
+from __future__ import annotations
+
+import copy
+import logging
+import math
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+import tyro
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import track
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+from gscomplete.atomic import atomic_path
+from gscomplete.priors.embedded.prior import packaged_weights
+from gscomplete.priors.embedded.shape.plane_judge import (
+    JUDGE_FILE,
+    FoldedVolumes,
+    PlaneJudge,
+    folded_volumes,
+)
+from gscomplete.priors.embedded.shape.precision import cpu_precision
+from gscomplete.priors.embedded.shape.proposals import JUDGED
+from recipes.train_embedded_prior.plane_sets import (
+    BEST_PLANES,
+    FILE_OBJECTS,
+    PlaneSets,
+    plane_sets,
+)
+
+_LOG = logging.getLogger(__name__)
+_CHECKPOINT = "judge_checkpoint.safetensors"
+
+
+@dataclass(frozen=True)
+class JudgeConfig:
+    """Train the judge of planes."""
+
+    run: Path = Path("runs/plane_judge")
+    """Folder for the objects and the checkpoint."""
+    out: Path = field(default_factory=lambda: packaged_weights() / JUDGE_FILE)
+    """File to write; the default is the package's own."""
+    objects: int = 6000
+    """Objects to learn from, the held-out ones included."""
+    seed: int = 6_000_000
+    steps: int = 3000
+    batch_objects: int = 8
+    planes: int = 12
+    """Of each object in a step, one of the best by the truth among them."""
+    learning_rate: float = 2e-3
+    weight_decay: float = 1e-2
+    decay_from: float = 0.4
+    """Share of the steps after which the learning rate falls, as a cosine, to 0."""
+    sharpness: float = 10.0
+    """Factor on the planes' worths in the target."""
+    worth_weight: float = 3.0
+    """Of the squared error of worths."""
+    average: float = 0.998
+    """Decay of the average of the weights that is exported."""
+    checkpoint_every: int = 200
+    """Steps."""
+    workers: int = 2
+    """Processes that make objects."""
+
+
+@dataclass(frozen=True, slots=True)
+class JudgedSets:
+    """A batch: the planes of all its objects one after the other."""
+
+    volumes: FoldedVolumes
+    features: Tensor  # [B P, F]
+    ranked: Tensor  # [B P] the ranker's logits
+    worths: Tensor  # [B P]
+
+
+def batch_of(sets: PlaneSets, config: JudgeConfig, step: int) -> JudgedSets:
+    """Draw the batch of a step: objects with colours changed, turned, and seen from either side."""
+    rng = np.random.default_rng((config.seed, step))
+    drawn = []
+    for index in rng.integers(FILE_OBJECTS, len(sets), config.batch_objects):
+        best = JUDGED + int(rng.integers(BEST_PLANES))
+        chosen = np.append(rng.permutation(JUDGED)[: config.planes - 1], best)
+        drawn.append(_planes(sets, int(index), chosen, rng))
+    fine = torch.cat([one.volumes.fine for one in drawn])
+    coarse = torch.cat([one.volumes.coarse for one in drawn])
+    features, ranked, worths = (
+        torch.cat([getattr(one, name) for one in drawn])
+        for name in ("features", "ranked", "worths")
+    )
+    return JudgedSets(FoldedVolumes(fine, coarse), features, ranked, worths)
+
+
+def _planes(
+    sets: PlaneSets,
+    index: int,
+    chosen: NDArray[np.intp],  # [P]
+    rng: np.random.Generator | None,
+) -> JudgedSets:
+    """Return some planes of an object.
+
+    Args:
+        sets: objects.
+        index: of the object.
+        chosen: which of its planes.
+        rng: for changes that leave worths as they are; None = none.
+    """
+    cells = sets.colored(index)
+    if rng is not None:
+        cells[:, 3:6] = cells[:, 3:6][:, rng.permutation(3)] * rng.uniform(0.6, 1.0, 3)
+    evidence = sets.evidence[index].astype(np.float32) / 255
+    folded = folded_volumes(
+        cells, evidence, sets.angles(index)[chosen], sets.offsets(index)[chosen]
+    )
+    fine, coarse = folded.fine, folded.coarse
+    if rng is not None:
+        if rng.random() < 0.5:
+            fine, coarse = fine.flip(3), coarse.flip(3)
+        other_side = torch.from_numpy(rng.random(len(chosen)) < 0.5)
+        fine, coarse = _swapped(fine, other_side), _swapped(coarse, other_side)
+    return JudgedSets(
+        FoldedVolumes(fine, coarse),
+        torch.from_numpy(sets.features[index, chosen]),
+        torch.from_numpy(sets.logits[index, chosen]),
+        torch.from_numpy(sets.worths[index, chosen]),
+    )
+
+
+def _swapped(sides: Tensor, which: Tensor) -> Tensor:  # [K, 2 C, u, v, z], [K]
+    """Swap the sides of some planes."""
+    one, other = sides.chunk(2, dim=1)
+    swapped = torch.cat([other, one], dim=1)
+    return torch.where(which[:, None, None, None, None], swapped, sides)
+
+
+def learning_rate(config: JudgeConfig, step: int) -> float:
+    """Return the learning rate of a step."""
+    done = max(step / config.steps - config.decay_from, 0.0) / (1 - config.decay_from)
+    warm = min(1.0, (step + 1) / 100)
+    return config.learning_rate * warm * (0.5 + 0.5 * math.cos(math.pi * done))
+
+
+class JudgeTraining:
+    """The networks and the optimiser, kept in a file."""
+
+    def __init__(self, config: JudgeConfig, features: Tensor) -> None:
+        """Start anew; ``features`` [N, K, F] gives their scaling."""
+        torch.manual_seed(config.seed)
+        self.config = config
+        self.judge = PlaneJudge()
+        self.judge.center.copy_(features.mean(dim=(0, 1)))
+        self.judge.spread.copy_(features.std(dim=(0, 1)).clamp_min(1e-3))
+        self.average = copy.deepcopy(self.judge)
+        self.optimizer = torch.optim.AdamW(
+            self.judge.parameters(),
+            config.learning_rate,
+            betas=(0.9, 0.98),
+            weight_decay=config.weight_decay,
+        )
+        self.step = 0
+
+    def advance(self, batch: JudgedSets) -> float:
+        """Take a step and return its loss."""
+        config = self.config
+        for group in self.optimizer.param_groups:
+            group["lr"] = learning_rate(config, self.step)
+        with cpu_precision(bfloat16=True):
+            logits, worths = self.judge(batch.volumes, batch.features, batch.ranked)
+        by_object = (config.batch_objects, config.planes)
+        target = (config.sharpness * batch.worths).view(by_object).softmax(dim=1)
+        guess = logits.float().view(by_object).log_softmax(dim=1)
+        loss = -(guess * target).sum(dim=1).mean()
+        loss = loss + config.worth_weight * (worths.float() - batch.worths).square().mean()
+        self.optimizer.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.judge.parameters(), 1.0)
+        self.optimizer.step()
+        self.step += 1
+        keep = min(config.average, self.step / (self.step + 10))
+        with torch.no_grad():
+            for mean, value in zip(self.average.parameters(), self.judge.parameters(), strict=True):
+                mean.lerp_(value, 1 - keep)
+        return float(loss.detach())
+
+    def save(self) -> None:
+        """Write the checkpoint."""
+        tensors = {f"judge.{k}": v for k, v in self.judge.state_dict().items()}
+        tensors |= {f"average.{k}": v for k, v in self.average.state_dict().items()}
+        for index, moments in self.optimizer.state_dict()["state"].items():
+            tensors |= {f"moments.{index}.{k}": torch.as_tensor(v) for k, v in moments.items()}
+        tensors["step"] = torch.tensor(self.step)
+        with atomic_path(self.config.run / _CHECKPOINT) as temporary:
+            save_file({k: v.contiguous() for k, v in tensors.items()}, temporary)
+
+    def resume(self) -> None:
+        """Go on from the checkpoint, if there is one."""
+        path = self.config.run / _CHECKPOINT
+        if not path.is_file():
+            return
+        tensors = load_file(path)
+        for name, network in (("judge", self.judge), ("average", self.average)):
+            start = name + "."
+            network.load_state_dict(
+                {k.removeprefix(start): v for k, v in tensors.items() if k.startswith(start)}
+            )
+        state = self.optimizer.state_dict()
+        for key, value in tensors.items():
+            if key.startswith("moments."):
+                _, index, moment = key.split(".")
+                state["state"].setdefault(int(index), {})[moment] = value
+        self.optimizer.load_state_dict(state)
+        self.step = int(tensors["step"])
+
+
+@torch.no_grad()
+def worth_of_choice(judge: PlaneJudge, sets: PlaneSets) -> tuple[float, float, float]:
+    """Return the mean worths of the judge's first planes, the ranker's, and the best judged."""
+    found = []
+    for index in range(len(sets)):
+        one = _planes(sets, index, np.arange(JUDGED), None)
+        with cpu_precision(bfloat16=True):
+            logits, _ = judge(one.volumes, one.features, one.ranked)
+        found.append((one.worths[logits.argmax()], one.worths[0], one.worths.max()))
+    first, ranked, best = np.array(found).mean(axis=0).tolist()
+    return first, ranked, best
+
+
+def main() -> int:
+    """Run from the command line."""
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    config = tyro.cli(JudgeConfig, description=__doc__)
+    sets = plane_sets(config.run / "objects", config.seed, config.objects, config.workers)
+    training = JudgeTraining(config, torch.from_numpy(sets.features))
+    training.resume()
+    started, smoothed = time.monotonic(), math.nan
+    steps = range(training.step, config.steps)
+    for _ in track(steps, "steps", console=Console(file=sys.stderr)):
+        loss = training.advance(batch_of(sets, config, training.step))
+        smoothed = loss if math.isnan(smoothed) else 0.98 * smoothed + 0.02 * loss
+        if training.step % config.checkpoint_every == 0:
+            training.save()
+            minutes = (time.monotonic() - started) / 60
+            _LOG.info("step %d, %.1f min: loss %.3f", training.step, minutes, smoothed)
+    judge = training.average.eval()
+    held_out = sets.first(FILE_OBJECTS)
+    _LOG.info("held out: worth of the judge's plane %.3f, of the ranker's %.3f, of the best %.3f",
+              *worth_of_choice(judge, held_out))  # fmt: skip
+    judge.save(config.out)
+    _LOG.info("%s", config.out)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

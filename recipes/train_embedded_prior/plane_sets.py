@@ -1,0 +1,144 @@
+"""What the judge of planes learns from: parts as voxels, likely planes, what they are worth.
+
+Conventions
+-----------
+* Object k is that of the shape network's sets of another seed; it is a pure function of (seed, k).
+* Objects are kept in files of ``FILE_OBJECTS``: made once, whatever is trained on them.
+* An object's planes are those that the ranker likes, then the best by the truth.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import multiprocessing
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import track
+
+from gscomplete.atomic import atomic_path
+from gscomplete.priors.embedded.shape.grid import CELL_SIDE, HALF_SIDE, FloatArray
+from gscomplete.priors.embedded.shape.inputs import look_at
+from gscomplete.priors.embedded.shape.plane_ranker import packaged_ranker
+from gscomplete.priors.embedded.shape.planes import ANGLES, OFFSETS, plane_features
+from gscomplete.priors.embedded.shape.proposals import JUDGED, unlike_planes
+from gscomplete.priors.embedded.text import Tokenizer
+from recipes.train_embedded_prior.config import ShapeDataConfig
+from recipes.train_embedded_prior.copies import Truth
+from recipes.train_embedded_prior.shape_dataset import PosedObject, ShapeSetMaker, pack_cells
+from recipes.train_embedded_prior.source import procedural_source
+
+FILE_OBJECTS = 200
+BEST_PLANES = 4
+"""By the truth, so that there is always something to prefer."""
+_MOST_CELLS = 5000
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneSets:
+    """N objects with K planes each."""
+
+    cells: NDArray[np.uint8]  # [N, n, 7] place, colour, occupancy; occupancy 0 = unused
+    evidence: NDArray[np.uint8]  # [N, 3, C/2, C/2, C/2] shares in 255ths
+    planes: NDArray[np.int16]  # [N, K, 2] angle, offset
+    features: FloatArray  # [N, K, F]
+    logits: FloatArray  # [N, K] the ranker's
+    worths: FloatArray  # [N, K]
+
+    def __len__(self) -> int:
+        return len(self.worths)
+
+    def first(self, count: int) -> PlaneSets:
+        """Return the first objects."""
+        names = [field.name for field in dataclasses.fields(self)]
+        return PlaneSets(*(getattr(self, name)[:count] for name in names))
+
+    def colored(self, index: int) -> FloatArray:  # [n, 7]
+        """Return the cells of an object's part: centre, colour, occupancy."""
+        packed = self.cells[index]
+        packed = packed[packed[:, 6] > 0].astype(np.float32)
+        packed[:, :3] = (packed[:, :3] + 0.5) * CELL_SIDE - HALF_SIDE
+        packed[:, 3:] /= 255
+        return packed
+
+    def angles(self, index: int) -> FloatArray:  # [K] radians
+        """Return the azimuths of the normals of an object's planes."""
+        return (np.pi / ANGLES * self.planes[index, :, 0]).astype(np.float32)
+
+    def offsets(self, index: int) -> FloatArray:  # [K]
+        """Return the places of an object's planes along their normals."""
+        return np.array(OFFSETS, np.float32)[self.planes[index, :, 1]]
+
+
+def planes_of(posed: PosedObject, rng: np.random.Generator) -> PlaneSets:
+    """Measure the planes of one object."""
+    look = look_at(posed.partial, posed.distribution)
+    features = plane_features(look.samples(), look.evidence)
+    worths = Truth.of(posed.partial, posed.whole).plane_worths()
+    logits = packaged_ranker()(features)
+    likely = unlike_planes(logits, JUDGED)
+    planes = np.concatenate([likely, unlike_planes(worths, BEST_PLANES)])
+    a, o = planes.T
+    return PlaneSets(
+        pack_cells(look.volume, _MOST_CELLS, rng)[None],
+        np.round(look.shares * 255).astype(np.uint8)[None],
+        planes.astype(np.int16)[None],
+        features[a, o][None],
+        logits[a, o][None],
+        worths[a, o][None],
+    )
+
+
+def joined(parts: list[PlaneSets]) -> PlaneSets:
+    """Put sets one after the other."""
+    names = [field.name for field in dataclasses.fields(PlaneSets)]
+    return PlaneSets(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
+
+
+def plane_sets(folder: Path, seed: int, objects: int, workers: int) -> PlaneSets:
+    """Return the first objects of a seed, rounded up to whole files; make those not yet made.
+
+    Args:
+        folder: for the files.
+        seed: of the objects.
+        objects: how many.
+        workers: processes that make them.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    starts = range(0, objects, FILE_OBJECTS)
+    key = hashlib.sha256(f"{seed} {packaged_ranker().digest()}".encode()).hexdigest()[:8]
+    paths = {start: folder / f"planes-{key}-{start:06d}.npz" for start in starts}
+    missing = [start for start in starts if not paths[start].is_file()]
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=context) as pool:
+        console = Console(file=sys.stderr)
+        for start in track(missing, f"objects, {FILE_OBJECTS} at a time", console=console):
+            tasks = [(seed, index) for index in range(start, start + FILE_OBJECTS)]
+            _store(joined(list(pool.map(_made, tasks, chunksize=4))), paths[start])
+    return joined([_stored(path) for path in paths.values()])
+
+
+def _made(task: tuple[int, int]) -> PlaneSets:  # (seed, index)
+    seed, index = task
+    torch.set_num_threads(1)
+    rng = np.random.default_rng((seed, index, 2))
+    maker = ShapeSetMaker(procedural_source, ShapeDataConfig(), Tokenizer((), 1), seed)
+    return planes_of(maker.posed(index, rng), rng)
+
+
+def _store(sets: PlaneSets, path: Path) -> None:
+    arrays = {field.name: getattr(sets, field.name) for field in dataclasses.fields(sets)}
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, **arrays)
+
+
+def _stored(path: Path) -> PlaneSets:
+    with np.load(path) as arrays:
+        return PlaneSets(*(arrays[field.name] for field in dataclasses.fields(PlaneSets)))

@@ -1,0 +1,106 @@
+import dataclasses
+
+import numpy as np
+import torch
+
+from gscomplete.priors.embedded.shape.grid import COARSE_CELLS
+from gscomplete.priors.embedded.shape.planes import ANGLES, FEATURES, OFFSETS
+from gscomplete.priors.embedded.shape.proposals import JUDGED
+from gscomplete.priors.embedded.text import Tokenizer
+from recipes.train_embedded_prior.config import ShapeDataConfig
+from recipes.train_embedded_prior.plane_judge import (
+    JudgeConfig,
+    JudgeTraining,
+    batch_of,
+    learning_rate,
+    worth_of_choice,
+)
+from recipes.train_embedded_prior.plane_sets import (
+    BEST_PLANES,
+    FILE_OBJECTS,
+    PlaneSets,
+    joined,
+    planes_of,
+)
+from recipes.train_embedded_prior.shape_dataset import ShapeSetMaker
+from recipes.train_embedded_prior.source import procedural_source
+
+
+def simple_sets(count: int = FILE_OBJECTS + 8) -> PlaneSets:
+    """Objects of a few cells; a plane is worth more the nearer it is to the middle."""
+    rng = np.random.default_rng(0)
+    planes = JUDGED + BEST_PLANES
+    angles, places = (rng.integers(n, size=(count, planes)) for n in (ANGLES, len(OFFSETS)))
+    chosen = np.stack([angles, places], axis=-1)
+    offsets = np.array(OFFSETS)[chosen[..., 1]]
+    worths = (1 - np.abs(offsets) / 0.45).astype(np.float32)
+    worths[:, JUDGED:] = 1.0
+    chosen[:, JUDGED:, 1] = OFFSETS.index(0.0)
+    return PlaneSets(
+        rng.integers(1, 48, (count, 30, 7)).astype(np.uint8),
+        np.zeros((count, 3, *(COARSE_CELLS,) * 3), np.uint8),
+        chosen.astype(np.int16),
+        rng.normal(size=(count, planes, len(FEATURES))).astype(np.float32),
+        np.zeros((count, planes), np.float32),
+        worths,
+    )
+
+
+def test_training_goes_on_as_if_it_had_not_stopped(tmp_path):
+    sets = simple_sets()
+    config = JudgeConfig(run=tmp_path, steps=4, batch_objects=2, planes=3)
+    features = torch.from_numpy(sets.features)
+    whole = JudgeTraining(config, features)
+    for step in range(4):
+        whole.advance(batch_of(sets, config, step))
+    first = JudgeTraining(config, features)
+    for step in range(2):
+        first.advance(batch_of(sets, config, step))
+    first.save()
+    second = JudgeTraining(dataclasses.replace(config), features)
+    second.resume()
+    assert second.step == 2
+    for step in range(2, 4):
+        second.advance(batch_of(sets, config, step))
+    for (name, a), b in zip(
+        whole.average.state_dict().items(), second.average.state_dict().values(), strict=True
+    ):
+        assert torch.equal(a, b), name
+
+
+def test_a_judge_learns_where_planes_should_be(tmp_path):
+    """Only the volumes tell the offset: the features are noise."""
+    sets = simple_sets()
+    config = JudgeConfig(run=tmp_path, steps=40, batch_objects=4, planes=6, average=0.9)
+    training = JudgeTraining(config, torch.from_numpy(sets.features))
+    losses = [training.advance(batch_of(sets, config, step)) for step in range(config.steps)]
+    assert np.mean(losses[-5:]) < 0.85 * np.mean(losses[:5])
+    first, ranked, best = worth_of_choice(training.average.eval(), sets.first(6))
+    assert ranked < best
+    assert first > ranked
+
+
+def test_the_learning_rate_falls_to_nothing():
+    config = JudgeConfig(steps=1000)
+    rates = [learning_rate(config, step) for step in (0, 100, 400, 700, 1000)]
+    assert rates[0] < rates[1] == rates[2] == config.learning_rate
+    assert rates[3] < rates[2]
+    assert rates[4] < 1e-9
+
+
+def test_planes_of_an_object_are_measured_alike_again():
+    maker = ShapeSetMaker(procedural_source, ShapeDataConfig(), Tokenizer((), 1), 7)
+    made = []
+    for _ in range(2):
+        rng = np.random.default_rng(0)
+        made.append(planes_of(maker.posed(3, rng), rng))
+    for field in dataclasses.fields(PlaneSets):
+        one, other = (getattr(sets, field.name) for sets in made)
+        np.testing.assert_array_equal(one, other)
+    sets = joined(made)
+    assert len(sets) == 2
+    assert sets.worths.shape == (2, JUDGED + BEST_PLANES)
+    assert sets.worths[0, JUDGED] == sets.worths[0].max()
+    cells = sets.colored(0)
+    assert (np.abs(cells[:, :3]) < 0.72).all()
+    assert (cells[:, 6] > 0).all()
