@@ -4,7 +4,7 @@ Planes are proposed by what P looks like through them. The network knows more of
 a copy, it fills the copy's cells or leaves them empty. So it is asked once per likely plane, and by
 its answer the plane is worth the share of new surface that the copy covers, less half the share of
 the copy that is new and left empty. On 45 cuts of 15 real objects that no benchmark uses, planes
-chosen so were worth .47 by the truth; those that are proposed first .40, the best of eight .61.
+chosen so were worth .49 by the truth; those that are proposed first .40, the best of eight .61.
 Shown no copy at all, the network must guess more, but it is not led astray: where that answer does
 not bear out the best copy, none is shown.
 
