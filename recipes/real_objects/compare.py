@@ -3,9 +3,10 @@
 Every object is completed (or not) in seven ways and compared with the truth from eight views:
 
 * ``input``: P alone.
-* ``likeliest``: P and its mirror image through the plane that is ranked first.
-* ``mirror``: P and the best of three copies, *chosen with the truth*: through the two planes ranked
-  first, and one after the other. More than a method without the truth could reach with them.
+* ``likeliest``: P and its mirror image through the plane that is proposed first.
+* ``mirror``: P and the best of three copies, *chosen with the truth*: through that plane, through
+  the next that shows something else, and one after the other. More than a method without the truth
+  could reach with them.
 * ``text``: the default preset with P withheld from the prior (no first guess, no renders of P).
 * ``reconstruct``: the first guess, then rounds of denoised views that splats are fitted to.
 * ``fast``: the fast preset.

@@ -8,7 +8,7 @@ Conventions
 -----------
 * What a plane is worth is said in ``copies``.
 * One answer of the judge learns the softmax of worths times ``sharpness`` by cross entropy, the
-  other the worths themselves by squared error.
+  other the worths themselves by squared error; runs use the former only.
 * Random numbers are a function of (seed, step). The first file of objects is held out.
 """
 

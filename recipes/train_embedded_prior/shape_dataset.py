@@ -141,7 +141,7 @@ class ShapeSetMaker:
         look = look_at(posed.partial, posed.distribution)
         if rng.random() < self.data.no_copy_share:
             return look.with_copies(no_symmetries())
-        planes = look.candidates(CANDIDATES)
+        planes = look.candidates(CANDIDATES, bfloat16=True)
         first = 0
         if rng.random() < self.data.best_copy_share:
             truth = Truth.of(posed.partial, posed.whole)

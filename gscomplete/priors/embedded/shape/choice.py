@@ -56,7 +56,7 @@ def choose_symmetries(
         tokens: the prompt.
         bfloat16: precision of the network.
     """
-    planes = look.candidates(CANDIDATES)
+    planes = look.candidates(CANDIDATES, bfloat16=bfloat16)
     asked = [_inputs_with_first(look, planes, k) for k in range(len(planes))]
     asked.append(look.with_copies(no_symmetries()))
     volumes = torch.from_numpy(np.stack([a.volumes for a in asked]))

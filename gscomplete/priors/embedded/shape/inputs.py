@@ -62,11 +62,11 @@ class PartLook:
         """Return P as planes are judged on it."""
         return part_samples(self.positions, self.tangents, self.colors, self.volume)
 
-    def candidates(self, count: int) -> list[SymmetryMap]:
+    def candidates(self, count: int, *, bfloat16: bool = False) -> list[SymmetryMap]:
         """Return mirror images through likely planes, the likeliest first."""
         return candidate_planes(
             self.samples(), self.volume, self.evidence, self.shares,
-            packaged_ranker(), packaged_judge(), count,
+            packaged_ranker(), packaged_judge(), count, bfloat16=bfloat16,
         )  # fmt: skip
 
     def shown_first(

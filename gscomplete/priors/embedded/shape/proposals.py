@@ -98,11 +98,13 @@ def candidate_planes(
     ranker: PlaneRanker,
     judge: PlaneJudge,
     count: int,
+    *,
+    bfloat16: bool,
 ) -> list[SymmetryMap]:
     """Return mirror images through the planes that the judge believes in most, the best first."""
     ranked = ranked_planes(part, evidence, ranker, JUDGED)
     volumes = folded_volumes(colored_cells(volume), shares, ranked.angles(), ranked.offsets())
-    with torch.no_grad(), cpu_precision(bfloat16=True):
+    with torch.no_grad(), cpu_precision(bfloat16=bfloat16):
         logits, _ = judge(
             volumes, torch.from_numpy(ranked.features), torch.from_numpy(ranked.logits)
         )
