@@ -32,6 +32,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from gscomplete.atomic import atomic_path
+from gscomplete.jsonio import write_json
 from gscomplete.priors.embedded.prior import packaged_weights
 from gscomplete.priors.embedded.shape.plane_judge import (
     JUDGE_FILE,
@@ -249,6 +250,7 @@ def main() -> int:
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     config = tyro.cli(JudgeConfig, description=__doc__)
     sets = plane_sets(config.run / "objects", config.seed, config.objects, config.workers)
+    write_json(config.run / "judge.json", config)
     training = JudgeTraining(config, torch.from_numpy(sets.features))
     training.resume()
     started, smoothed = time.monotonic(), math.nan
