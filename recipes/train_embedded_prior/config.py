@@ -57,7 +57,7 @@ class ShapeDataConfig:
     least_worth: float = 0.05
     """Where the best by the truth is worth less, no mirror images are shown either."""
     frame_jitter: float = 0.04
-    """Standard deviation of that error, object sizes."""
+    """Standard deviation of the error of frames that are not guessed, object sizes."""
     most_cells: int = 4096
     """Most filled cells stored of P and of each of its mirror images."""
     most_surface_cells: int = 6144

@@ -38,8 +38,10 @@ from gscomplete.priors.embedded.shape.plane_judge import (
     JUDGE_FILE,
     FoldedVolumes,
     PlaneJudge,
+    colored_cells,
     folded_volumes,
 )
+from gscomplete.priors.embedded.shape.planes import plane_places
 from gscomplete.priors.embedded.shape.precision import cpu_precision
 from gscomplete.priors.embedded.shape.proposals import JUDGED
 from recipes.train_embedded_prior.plane_sets import (
@@ -48,6 +50,7 @@ from recipes.train_embedded_prior.plane_sets import (
     PlaneSets,
     plane_sets,
 )
+from recipes.train_embedded_prior.shape_dataset import unpack_cells
 
 _LOG = logging.getLogger(__name__)
 _CHECKPOINT = "judge_checkpoint.safetensors"
@@ -125,13 +128,11 @@ def _planes(
         chosen: which of its planes.
         rng: for changes that leave worths as they are; None = none.
     """
-    cells = sets.colored(index)
+    cells = colored_cells(unpack_cells(sets.cells[index]))
     if rng is not None:
         cells[:, 3:6] = cells[:, 3:6][:, rng.permutation(3)] * rng.uniform(0.6, 1.0, 3)
     evidence = sets.evidence[index].astype(np.float32) / 255
-    folded = folded_volumes(
-        cells, evidence, sets.angles(index)[chosen], sets.offsets(index)[chosen]
-    )
+    folded = folded_volumes(cells, evidence, *plane_places(sets.planes[index, chosen]))
     fine, coarse = folded.fine, folded.coarse
     if rng is not None:
         if rng.random() < 0.5:

@@ -30,11 +30,8 @@ from gscomplete.priors.embedded.shape.grid import FloatArray
 from gscomplete.priors.embedded.shape.inputs import look_at
 from gscomplete.priors.embedded.shape.plane_ranker import LAYERS, RANKER_FILE, PlaneRanker
 from gscomplete.priors.embedded.shape.planes import FEATURES, plane_features
-from gscomplete.priors.embedded.text import Tokenizer
-from recipes.train_embedded_prior.config import ShapeDataConfig
 from recipes.train_embedded_prior.copies import Truth
-from recipes.train_embedded_prior.shape_dataset import ShapeSetMaker
-from recipes.train_embedded_prior.source import procedural_source
+from recipes.train_embedded_prior.plane_sets import posed_object
 
 _LOG = logging.getLogger(__name__)
 _HELD_OUT_EVERY = 5
@@ -64,10 +61,8 @@ class RankerConfig:
 
 def _measured(task: tuple[int, int]) -> tuple[FloatArray, FloatArray]:  # (seed, index)
     """Return the planes' features and worths for one object."""
-    seed, index = task
     torch.set_num_threads(1)
-    maker = ShapeSetMaker(procedural_source, ShapeDataConfig(), Tokenizer((), 1), seed)
-    posed = maker.posed(index, np.random.default_rng((seed, index, 2)))
+    posed, _ = posed_object(task)
     look = look_at(posed.partial, posed.distribution)
     features = plane_features(look.samples(), look.evidence)
     return features, Truth.of(posed.partial, posed.whole).plane_worths()

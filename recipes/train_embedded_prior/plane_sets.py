@@ -1,4 +1,4 @@
-"""What the judge of planes learns from: parts as voxels, likely planes, what they are worth.
+"""What those who rank and judge planes learn from: parts, planes, what the planes are worth.
 
 Conventions
 -----------
@@ -24,10 +24,10 @@ from rich.console import Console
 from rich.progress import track
 
 from gscomplete.atomic import atomic_path
-from gscomplete.priors.embedded.shape.grid import CELL_SIDE, HALF_SIDE, FloatArray
+from gscomplete.priors.embedded.shape.grid import FloatArray
 from gscomplete.priors.embedded.shape.inputs import look_at
 from gscomplete.priors.embedded.shape.plane_ranker import packaged_ranker
-from gscomplete.priors.embedded.shape.planes import ANGLES, OFFSETS, plane_features
+from gscomplete.priors.embedded.shape.planes import plane_features
 from gscomplete.priors.embedded.shape.proposals import JUDGED, unlike_planes
 from gscomplete.priors.embedded.text import Tokenizer
 from recipes.train_embedded_prior.config import ShapeDataConfig
@@ -59,22 +59,6 @@ class PlaneSets:
         """Return the first objects."""
         names = [field.name for field in dataclasses.fields(self)]
         return PlaneSets(*(getattr(self, name)[:count] for name in names))
-
-    def colored(self, index: int) -> FloatArray:  # [n, 7]
-        """Return the cells of an object's part: centre, colour, occupancy."""
-        packed = self.cells[index]
-        packed = packed[packed[:, 6] > 0].astype(np.float32)
-        packed[:, :3] = (packed[:, :3] + 0.5) * CELL_SIDE - HALF_SIDE
-        packed[:, 3:] /= 255
-        return packed
-
-    def angles(self, index: int) -> FloatArray:  # [K] radians
-        """Return the azimuths of the normals of an object's planes."""
-        return (np.pi / ANGLES * self.planes[index, :, 0]).astype(np.float32)
-
-    def offsets(self, index: int) -> FloatArray:  # [K]
-        """Return the places of an object's planes along their normals."""
-        return np.array(OFFSETS, np.float32)[self.planes[index, :, 1]]
 
 
 def planes_of(posed: PosedObject, rng: np.random.Generator) -> PlaneSets:
@@ -125,12 +109,17 @@ def plane_sets(folder: Path, seed: int, objects: int, workers: int) -> PlaneSets
     return joined([_stored(path) for path in paths.values()])
 
 
-def _made(task: tuple[int, int]) -> PlaneSets:  # (seed, index)
+def posed_object(task: tuple[int, int]) -> tuple[PosedObject, np.random.Generator]:
+    """Return object (seed, index) with a part of it, and what further draws are made from."""
     seed, index = task
-    torch.set_num_threads(1)
     rng = np.random.default_rng((seed, index, 2))
     maker = ShapeSetMaker(procedural_source, ShapeDataConfig(), Tokenizer((), 1), seed)
-    return planes_of(maker.posed(index, rng), rng)
+    return maker.posed(index, rng), rng
+
+
+def _made(task: tuple[int, int]) -> PlaneSets:  # (seed, index)
+    torch.set_num_threads(1)
+    return planes_of(*posed_object(task))
 
 
 def _store(sets: PlaneSets, path: Path) -> None:

@@ -6,8 +6,6 @@ import torch
 from gscomplete.priors.embedded.shape.grid import COARSE_CELLS
 from gscomplete.priors.embedded.shape.planes import ANGLES, FEATURES, OFFSETS
 from gscomplete.priors.embedded.shape.proposals import JUDGED
-from gscomplete.priors.embedded.text import Tokenizer
-from recipes.train_embedded_prior.config import ShapeDataConfig
 from recipes.train_embedded_prior.plane_judge import (
     JudgeConfig,
     JudgeTraining,
@@ -21,14 +19,15 @@ from recipes.train_embedded_prior.plane_sets import (
     PlaneSets,
     joined,
     planes_of,
+    posed_object,
 )
-from recipes.train_embedded_prior.shape_dataset import ShapeSetMaker
-from recipes.train_embedded_prior.source import procedural_source
 
 
 def simple_sets(count: int = FILE_OBJECTS + 8) -> PlaneSets:
-    """Objects of a few cells; a plane is worth more the nearer it is to the middle."""
+    """Small blobs in the middle; a plane is worth more the nearer it is to the middle."""
     rng = np.random.default_rng(0)
+    cells = rng.integers(1, 256, (count, 60, 7))
+    cells[..., :3] = rng.integers(20, 28, (count, 60, 3))
     planes = JUDGED + BEST_PLANES
     angles, places = (rng.integers(n, size=(count, planes)) for n in (ANGLES, len(OFFSETS)))
     chosen = np.stack([angles, places], axis=-1)
@@ -37,7 +36,7 @@ def simple_sets(count: int = FILE_OBJECTS + 8) -> PlaneSets:
     worths[:, JUDGED:] = 1.0
     chosen[:, JUDGED:, 1] = OFFSETS.index(0.0)
     return PlaneSets(
-        rng.integers(1, 48, (count, 30, 7)).astype(np.uint8),
+        cells.astype(np.uint8),
         np.zeros((count, 3, *(COARSE_CELLS,) * 3), np.uint8),
         chosen.astype(np.int16),
         rng.normal(size=(count, planes, len(FEATURES))).astype(np.float32),
@@ -74,10 +73,9 @@ def test_a_judge_learns_where_planes_should_be(tmp_path):
     config = JudgeConfig(run=tmp_path, steps=40, batch_objects=4, planes=6, average=0.9)
     training = JudgeTraining(config, torch.from_numpy(sets.features))
     losses = [training.advance(batch_of(sets, config, step)) for step in range(config.steps)]
-    assert np.mean(losses[-5:]) < 0.85 * np.mean(losses[:5])
-    first, ranked, best = worth_of_choice(training.average.eval(), sets.first(6))
-    assert ranked < best
-    assert first > ranked
+    assert np.mean(losses[-5:]) < 0.5 * np.mean(losses[:5])
+    first, ranked, best = worth_of_choice(training.average.eval(), sets.first(24))
+    assert first > ranked + 0.8 * (best - ranked) > ranked
 
 
 def test_the_learning_rate_falls_to_nothing():
@@ -89,11 +87,7 @@ def test_the_learning_rate_falls_to_nothing():
 
 
 def test_planes_of_an_object_are_measured_alike_again():
-    maker = ShapeSetMaker(procedural_source, ShapeDataConfig(), Tokenizer((), 1), 7)
-    made = []
-    for _ in range(2):
-        rng = np.random.default_rng(0)
-        made.append(planes_of(maker.posed(3, rng), rng))
+    made = [planes_of(*posed_object((7, 3))) for _ in range(2)]
     for field in dataclasses.fields(PlaneSets):
         one, other = (getattr(sets, field.name) for sets in made)
         np.testing.assert_array_equal(one, other)
@@ -101,6 +95,4 @@ def test_planes_of_an_object_are_measured_alike_again():
     assert len(sets) == 2
     assert sets.worths.shape == (2, JUDGED + BEST_PLANES)
     assert sets.worths[0, JUDGED] == sets.worths[0].max()
-    cells = sets.colored(0)
-    assert (np.abs(cells[:, :3]) < 0.72).all()
-    assert (cells[:, 6] > 0).all()
+    assert (sets.cells[0, :, 6] > 0).any()

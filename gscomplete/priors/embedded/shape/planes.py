@@ -107,6 +107,14 @@ def plane_normals() -> FloatArray:  # [ANGLES, 2]
     return np.stack([np.cos(angles), np.sin(angles)], axis=1).astype(np.float32)
 
 
+def plane_places(
+    planes: NDArray[np.integer],  # [K, 2] angle, offset
+) -> tuple[FloatArray, FloatArray]:  # [K] radians, [K] object sizes
+    """Return the azimuths of planes' normals, and the planes' places along them."""
+    angles = (math.pi / ANGLES * planes[:, 0]).astype(np.float32)
+    return angles, np.array(OFFSETS, np.float32)[planes[:, 1]]
+
+
 def plane_features(part: PartSamples, evidence: Evidence) -> FloatArray:  # [A, O, F]
     """Measure what speaks for each plane and against it."""
     normals, offsets = plane_normals(), np.array(OFFSETS, np.float32)

@@ -32,6 +32,7 @@ from gscomplete.priors.embedded.shape.planes import (
     OFFSETS,
     PartSamples,
     plane_features,
+    plane_places,
 )
 from gscomplete.priors.embedded.shape.precision import cpu_precision
 from gscomplete.priors.embedded.shape.symmetries import SymmetryMap, mirror
@@ -58,14 +59,6 @@ class RankedPlanes:
     planes: NDArray[np.intp]  # [K, 2] angle, offset
     features: FloatArray  # [K, F]
     logits: FloatArray  # [K] the ranker's
-
-    def angles(self) -> FloatArray:  # [K] radians
-        """Return the azimuths of their normals."""
-        return (math.pi / ANGLES * self.planes[:, 0]).astype(np.float32)
-
-    def offsets(self) -> FloatArray:  # [K]
-        """Return their places along the normals."""
-        return np.array(OFFSETS, np.float32)[self.planes[:, 1]]
 
 
 def ranked_planes(
@@ -103,7 +96,8 @@ def candidate_planes(
 ) -> list[SymmetryMap]:
     """Return mirror images through the planes that the judge believes in most, the best first."""
     ranked = ranked_planes(part, evidence, ranker, JUDGED)
-    volumes = folded_volumes(colored_cells(volume), shares, ranked.angles(), ranked.offsets())
+    angles, offsets = plane_places(ranked.planes)
+    volumes = folded_volumes(colored_cells(volume), shares, angles, offsets)
     with torch.no_grad(), cpu_precision(bfloat16=bfloat16):
         logits, _ = judge(
             volumes, torch.from_numpy(ranked.features), torch.from_numpy(ranked.logits)
@@ -115,8 +109,8 @@ def candidate_planes(
         a, o = ranked.planes[index]
         near = _alike(int(a), int(o), _NEAR_DEG, _NEAR_OFFSET)
         score = belief[near[ranked.planes[:, 0], ranked.planes[:, 1]]].sum()
-        start = float(ranked.angles()[index]), float(ranked.offsets()[index])
-        found.append(mirror(*refined(part, tree, *start), float(score)))
+        place = refined(part, tree, float(angles[index]), float(offsets[index]))
+        found.append(mirror(*place, float(score)))
     return found
 
 

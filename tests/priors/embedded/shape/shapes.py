@@ -1,4 +1,4 @@
-"""Simple objects as splats, for tests of the shape network's parts."""
+"""Simple objects as splats, and a tiny network, for tests of the shape network's parts."""
 
 from __future__ import annotations
 
@@ -8,11 +8,25 @@ import numpy as np
 import torch
 
 from gscomplete.priors.embedded.shape.choice import CANDIDATES
+from gscomplete.priors.embedded.shape.grid import COARSE_CELLS
 from gscomplete.priors.embedded.shape.inputs import ShapeInputs, look_at
+from gscomplete.priors.embedded.shape.model import ShapeCompleter, ShapeModelConfig
 from gscomplete.priors.embedded.shape.symmetries import SymmetryMap
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.rotations import quaternions_facing
 from gscomplete.views import ViewDistribution
+
+TINY = ShapeModelConfig(vocabulary_size=8, widths=(8, 8, 16), blocks=(1, 1, 1), embedding=8)
+
+
+def tiny_network() -> ShapeCompleter:
+    """Return a network whose answers depend on all that it is shown."""
+    torch.manual_seed(0)
+    model = ShapeCompleter(TINY, COARSE_CELLS)
+    with torch.no_grad():
+        for parameter in model.parameters():
+            parameter.add_(0.05 * torch.randn(parameter.shape))
+    return model.eval()
 
 
 def sphere(

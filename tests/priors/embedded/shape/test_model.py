@@ -4,30 +4,16 @@ import torch
 from gscomplete.priors.embedded.shape.grid import CELLS, COARSE_CELLS
 from gscomplete.priors.embedded.shape.model import (
     ShapeCompleter,
-    ShapeModelConfig,
     fold,
     unfold,
 )
-from gscomplete.priors.embedded.shape.predict import (
-    predict_whole,
-    turned,
-    turned_back,
-)
 from gscomplete.priors.embedded.shape.symmetries import SOURCES
-from gscomplete.views import ViewDistribution
-from tests.priors.embedded.shape.shapes import half, likeliest_inputs, sphere
-
-TINY = ShapeModelConfig(vocabulary_size=8, widths=(8, 8, 16), blocks=(1, 1, 1), embedding=8)
+from tests.priors.embedded.shape.shapes import TINY, tiny_network
 
 
 @pytest.fixture(scope="module")
 def model():
-    torch.manual_seed(0)
-    model = ShapeCompleter(TINY, COARSE_CELLS)
-    with torch.no_grad():
-        for parameter in model.parameters():
-            parameter.add_(0.05 * torch.randn(parameter.shape))
-    return model.eval()
+    return tiny_network()
 
 
 def test_folding_is_undone():
@@ -59,16 +45,3 @@ def test_a_trusted_source_fills_its_own_cells(model):
         blind.head.bias[-SOURCES] = 10.0
         out = blind(volumes, evidence, torch.zeros(1, SOURCES - 1), torch.zeros(1, 1).long())
     assert torch.equal(out.occupancy > 0, volumes[:, 0, 0] > 0.5)
-
-
-def test_turning_is_undone_and_the_mean_answer_turns_with_the_object(model):
-    x = torch.rand(1, 2, 6, 6, 6)
-    for turns in range(4):
-        for mirror in (False, True):
-            assert torch.equal(turned_back(turned(x, turns, mirror), turns, mirror), x)
-    seen = likeliest_inputs(half(sphere()), ViewDistribution(0.0, 10.0))
-    tokens = torch.tensor([2, 3])
-    answer = predict_whole(model, seen, tokens)
-    assert torch.isfinite(answer.occupancy).all()
-    single = predict_whole(model, seen, tokens, orientations=1)
-    assert not torch.allclose(single.occupancy, answer.occupancy)

@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import save_file
 
 from gscomplete.errors import UserError
 from gscomplete.priors.embedded.shape.grid import COARSE_CELLS, cell_centers
@@ -113,10 +114,7 @@ def test_files_are_checked(tmp_path):
         PlaneJudge.load(path)
     packaged_judge().save(path)
     assert PlaneJudge.load(path).digest() == packaged_judge().digest()
-    path.write_bytes((path.parent / JUDGE_FILE).read_bytes())
-    torch_file = {k: v for k, v in packaged_judge().state_dict().items() if k != "trust"}
-    from safetensors.torch import save_file
-
-    save_file({k: v.contiguous() for k, v in torch_file.items()}, path)
+    tensors = packaged_judge().state_dict()
+    save_file({k: v.contiguous() for k, v in tensors.items() if k != "trust"}, path)
     with pytest.raises(UserError, match="expected tensors of the plane judge"):
         PlaneJudge.load(path)

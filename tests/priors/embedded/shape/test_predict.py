@@ -1,0 +1,37 @@
+import pytest
+import torch
+
+from gscomplete.priors.embedded.shape.choice import choose_symmetries
+from gscomplete.priors.embedded.shape.inputs import look_at
+from gscomplete.priors.embedded.shape.predict import predict, predict_whole, turned, turned_back
+from gscomplete.views import ViewDistribution
+from tests.priors.embedded.shape.shapes import half, likeliest_inputs, sphere, tiny_network
+
+
+@pytest.fixture(scope="module")
+def model():
+    return tiny_network()
+
+
+def test_turning_is_undone_and_the_mean_answer_turns_with_the_object(model):
+    x = torch.rand(1, 2, 6, 6, 6)
+    for turns in range(4):
+        for mirror in (False, True):
+            assert torch.equal(turned_back(turned(x, turns, mirror), turns, mirror), x)
+    seen = likeliest_inputs(half(sphere()), ViewDistribution(0.0, 10.0))
+    tokens = torch.tensor([2, 3])
+    answer = predict_whole(model, seen, tokens)
+    assert torch.isfinite(answer.occupancy).all()
+    single = predict_whole(model, seen, tokens, orientations=1)
+    assert not torch.allclose(single.occupancy, answer.occupancy)
+
+
+def test_the_answer_is_to_what_was_chosen(model):
+    partial, views = half(sphere()), ViewDistribution(0.0, 10.0)
+    tokens = torch.tensor([2, 3])
+    seen, answer = predict(model, partial, views, tokens)
+    chosen = choose_symmetries(model, look_at(partial, views), tokens)
+    for found, expected in zip(seen.symmetries, chosen, strict=True):
+        assert (found.matrix == expected.matrix).all()
+        assert (found.shift == expected.shift).all()
+    assert torch.equal(answer.occupancy, predict_whole(model, seen, tokens).occupancy)
