@@ -7,7 +7,6 @@ that decided the result, and what came of it), ``preview.png``, ``turntable.webp
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
 import platform
@@ -23,9 +22,10 @@ import torch
 import gscomplete
 from gscomplete import jsonio
 from gscomplete.atomic import atomic_path
-from gscomplete.completion.checkpoint import FILE_NAME, load_checkpoint, save_checkpoint
+from gscomplete.completion.checkpoint import FILE_NAME, load_checkpoint
 from gscomplete.completion.finish import finish_splats
 from gscomplete.completion.framing import guess_framing
+from gscomplete.completion.long_run import CHECKPOINTS, require_same_identity, take_steps
 from gscomplete.completion.optimise import Completion, NonFiniteError, StepReport
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.completion.working_set import WorkingSet, working_set
@@ -42,8 +42,6 @@ from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution, radius_to_fi
 
 RUN_FILE = "run.json"
 OUTPUT_FILE = "completed.ply"
-LOG_FILE = "log.jsonl"
-CHECKPOINTS = "checkpoints"
 VISIBILITY_PX = 128
 """Side of the picture in which P must be seen."""
 COARSE = 1e-3
@@ -127,7 +125,7 @@ def prepare(request: Request, prior: Prior, device: torch.device | str = "cpu") 
     notes = (*notes, chosen.summary(), completion.start_note, *conditioning.report)
     run = Run(request, source, chosen, frame, distribution, notes, completion, identity)
     if request.resume:
-        _check_identity(request.out / RUN_FILE, identity)
+        require_same_identity(request.out / RUN_FILE, identity)
         state = load_checkpoint(request.out / CHECKPOINTS)
         if state is not None:
             completion.restore(state)
@@ -147,29 +145,13 @@ def execute(run: Run, on_step: Callable[[StepReport], None]) -> dict[str, Any]:
         UserError: a value stopped being finite, or a file cannot be written.
     """
     out, completion = run.request.out, run.completion
-    every = run.request.settings.checkpoint_every
     started = time.perf_counter()
-    _trim_log(out / LOG_FILE, completion.step_number)
-    with (out / LOG_FILE).open("a", encoding="utf-8") as log:
-        try:
-            while not completion.finished:
-                report = completion.step()
-                log.write(json.dumps(dataclasses.asdict(report)) + "\n")
-                on_step(report)
-                if every and completion.step_number % every == 0:
-                    log.flush()
-                    save_checkpoint(out / CHECKPOINTS, completion.state())
-        except KeyboardInterrupt:
-            if completion.between_updates:
-                log.flush()
-                save_checkpoint(out / CHECKPOINTS, completion.state())
-            raise
-        except NonFiniteError as error:
-            log.flush()
-            stopped = NonFiniteError(error.step, error.tensor, _way_back(out / CHECKPOINTS))
-            _write_run_file(run, "stopped", {"error": str(stopped)})
-            raise stopped from error
-    save_checkpoint(out / CHECKPOINTS, completion.state())
+    try:
+        take_steps(completion, out, run.request.settings.checkpoint_every, on_step)
+    except NonFiniteError as error:
+        stopped = NonFiniteError(error.step, error.tensor, _way_back(out / CHECKPOINTS))
+        _write_run_file(run, "stopped", {"error": str(stopped)})
+        raise stopped from error
     run.timings["optimise_s"] = time.perf_counter() - started
     return _finish(run)
 
@@ -301,32 +283,6 @@ def _make_folder(out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"{out}: cannot create the output folder: {error.strerror}") from error
-
-
-def _check_identity(path: Path, identity: dict[str, Any]) -> None:
-    """Refuse to resume a run with anything that would change its result."""
-    stored = json.loads(path.read_text(encoding="utf-8")).get("identity", {})
-    for key, value in identity.items():
-        found = stored.get(key)
-        if found == value:
-            continue
-        if isinstance(value, dict) and isinstance(found, dict):
-            names = [name for name in value if found.get(name) != value[name]]
-            detail = "; ".join(
-                f"{name}: the run has {found.get(name)}, asked for {value[name]}" for name in names
-            )
-        else:
-            detail = f"the run has {found!r}, asked for {value!r}"
-        raise UserError(f"{path}: cannot resume with another {key}: {detail}")
-
-
-def _trim_log(path: Path, step: int) -> None:
-    """Drop log lines of steps that will be taken again."""
-    if not path.exists():
-        return
-    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)[:step]
-    with atomic_path(path) as temporary:
-        temporary.write_text("".join(lines), encoding="utf-8")
 
 
 def _write_run_file(run: Run, status: str, result: dict[str, Any] | None) -> dict[str, Any]:

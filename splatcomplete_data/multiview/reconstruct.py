@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import json
 import shutil
 import time
 from collections.abc import Callable, Sequence
@@ -24,8 +23,13 @@ from PIL import Image
 
 import gscomplete
 from gscomplete import jsonio
-from gscomplete.atomic import atomic_path
-from gscomplete.completion.checkpoint import load_checkpoint, save_checkpoint
+from gscomplete.completion.checkpoint import load_checkpoint
+from gscomplete.completion.long_run import (
+    CHECKPOINTS,
+    LOG_FILE,
+    require_same_identity,
+    take_steps,
+)
 from gscomplete.errors import UserError
 from gscomplete.evaluate.pictures import contact_sheet, save_image, to_image
 from gscomplete.render import render
@@ -57,8 +61,6 @@ from splatcomplete_data.scan import PointCloud
 CAPTURE_FILE = "capture.json"
 SPLATS_FILE = "splats.ply"
 PREVIEW_FILE = "preview.png"
-LOG_FILE = "log.jsonl"
-CHECKPOINTS = "checkpoints"
 SFM_FOLDER = "sfm"
 SCHEMA = "splatcomplete.capture"
 _OURS = (CAPTURE_FILE, SPLATS_FILE, PREVIEW_FILE, LOG_FILE, CHECKPOINTS, SFM_FOLDER)
@@ -149,7 +151,7 @@ def prepare(
     identity = _identity(request, capture, initial)
     run = Reconstruction(request, capture, training, train, held_out, identity, notes, timings)
     if request.resume and (request.out / CAPTURE_FILE).is_file():
-        _check_identity(request.out / CAPTURE_FILE, identity)
+        require_same_identity(request.out / CAPTURE_FILE, identity)
         state = load_checkpoint(request.out / CHECKPOINTS)
         if state is not None:
             training.restore(state)
@@ -165,20 +167,7 @@ def execute(run: Reconstruction, on_step: Callable[[StepReport], None]) -> dict[
     """
     out, training = run.request.out, run.training
     started = time.perf_counter()
-    _trim_log(out / LOG_FILE, training.step_number)
-    with (out / LOG_FILE).open("a", encoding="utf-8") as log:
-        try:
-            while not training.finished:
-                report = training.step()
-                log.write(json.dumps(dataclasses.asdict(report)) + "\n")
-                on_step(report)
-                if training.step_number % max(run.request.checkpoint_every, 1) == 0:
-                    log.flush()
-                    save_checkpoint(out / CHECKPOINTS, training.state())
-        except KeyboardInterrupt:
-            save_checkpoint(out / CHECKPOINTS, training.state())
-            raise
-    save_checkpoint(out / CHECKPOINTS, training.state())
+    take_steps(training, out, run.request.checkpoint_every, on_step)
     run.timings["train_s"] = time.perf_counter() - started
     return _finish(run)
 
@@ -309,34 +298,6 @@ def _make_folder(request: Request) -> None:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"{out}: cannot create the output folder: {error.strerror}") from error
-
-
-def _check_identity(path: Path, identity: dict[str, Any]) -> None:
-    """Refuse to resume a run with anything that would change its result."""
-    data = jsonio.read_json(path)
-    stored = data.get("identity", {}) if isinstance(data, dict) else {}
-    for key, value in identity.items():
-        found = stored.get(key)
-        if found == value:
-            continue
-        if isinstance(value, dict) and isinstance(found, dict):
-            key, value, found = next(
-                (f"{key}.{name}", value[name], found.get(name))
-                for name in value
-                if found.get(name) != value[name]
-            )
-        raise UserError(
-            f"{path}: cannot resume with another {key}: the run has {found!r}, asked for {value!r}"
-        )
-
-
-def _trim_log(path: Path, step: int) -> None:
-    """Drop log lines of steps that will be taken again."""
-    if not path.exists():
-        return
-    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)[:step]
-    with atomic_path(path) as temporary:
-        temporary.write_text("".join(lines), encoding="utf-8")
 
 
 def _write_capture_file(

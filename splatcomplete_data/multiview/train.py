@@ -138,6 +138,15 @@ class Training:
         self.parameters = GaussianParameters(start, settings.rates, extent)
         self._statistics = GradientStatistics(len(start), self._device)
         self._draw = RenderSettings(near=settings.near_extent * extent)
+        self._updating = False
+
+    @property
+    def between_updates(self) -> bool:
+        """Whether :meth:`state` is one that a training may go on from.
+
+        False after a step that was broken off (Ctrl-C, an error) while it changed the splats.
+        """
+        return not self._updating
 
     @property
     def finished(self) -> bool:
@@ -175,6 +184,7 @@ class Training:
             image, photo = image * target.weight, photo * target.weight
         loss = photo_loss(image, photo, settings.ssim_weight)
         loss.backward()
+        self._updating = True
         self.parameters.step(number / settings.steps)
         self.step_number = number + 1
         report = None
@@ -182,6 +192,7 @@ class Training:
             camera = target.camera
             self._statistics.add(offsets.grad, camera.width, camera.height)
             report = self._edit()
+        self._updating = False
         if self.step_number % CHECK_EVERY == 0 or self.finished:
             bad = self.parameters.first_nonfinite()
             if bad is not None:

@@ -71,6 +71,28 @@ def test_a_resumed_run_gives_the_same_bytes(capture):
         assert torch.equal(a, b), name
 
 
+@pytest.mark.parametrize("where", ["render", "GaussianParameters.step", "grow"])
+def test_a_step_broken_off_is_taken_again_or_marked(where, capture, monkeypatch):
+    """Splats grow in the steps before every tenth."""
+    job = run(capture, steps=19)
+
+    def interrupt(*arguments, **options):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(f"splatcomplete_data.multiview.train.{where}", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            job.step()
+    assert job.between_updates == (where == "render")
+    if job.between_updates:
+        job.step()
+        unbroken = run(capture, steps=20)
+        for (name, a), (_, b) in zip(
+            unbroken.splats().fields(), job.splats().fields(), strict=True
+        ):
+            assert torch.equal(a, b), name
+
+
 def test_the_cap_holds_and_splats_grow(capture):
     settings = dataclasses.replace(
         SETTINGS, growth=dataclasses.replace(GROWTH, max_splats=400, gradient=0.0)
