@@ -45,6 +45,7 @@ from gscomplete.evaluate.pictures import contact_sheet, render_images, save_imag
 from gscomplete.priors import Prior, load_prior
 from gscomplete.priors.embedded.shape.choice import CANDIDATES
 from gscomplete.priors.embedded.shape.inputs import look_at
+from gscomplete.priors.embedded.shape.proposals import candidate_planes
 from gscomplete.splats import Splats, concatenate, read_splats, write_splats
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.views import ObjectFrame, ViewDistribution, up_rotation
@@ -142,7 +143,7 @@ def mirror_images(posed: Posed) -> list[Splats]:
         dataclasses.replace(
             partial, means=torch.from_numpy(s.apply(partial.means.numpy())), scales=scales
         )
-        for s in look.shown_first(look.candidates(CANDIDATES), 0)
+        for s in look.shown_first(candidate_planes(look, CANDIDATES), 0)
     ]
 
 

@@ -34,6 +34,7 @@ from gscomplete.priors.embedded.shape.inputs import ShapeInputs, look_at
 from gscomplete.priors.embedded.shape.plane_judge import packaged_judge
 from gscomplete.priors.embedded.shape.plane_ranker import packaged_ranker
 from gscomplete.priors.embedded.shape.predict import turned
+from gscomplete.priors.embedded.shape.proposals import candidate_planes
 from gscomplete.priors.embedded.shape.symmetries import COPIES, SOURCES, no_symmetries
 from gscomplete.priors.embedded.text import Tokenizer
 from gscomplete.splats import Splats
@@ -141,7 +142,7 @@ class ShapeSetMaker:
         look = look_at(posed.partial, posed.distribution)
         if rng.random() < self.data.no_copy_share:
             return look.with_copies(no_symmetries())
-        planes = look.candidates(CANDIDATES, bfloat16=True)
+        planes = candidate_planes(look, CANDIDATES, bfloat16=True)
         first = 0
         if rng.random() < self.data.best_copy_share:
             truth = Truth.of(posed.partial, posed.whole)

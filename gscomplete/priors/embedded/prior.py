@@ -39,10 +39,7 @@ from gscomplete.priors.embedded.model import INPUT_CHANNELS, VIEWS, FourViewDeno
 from gscomplete.priors.embedded.rays import ring_numbers
 from gscomplete.priors.embedded.shape.model import ShapeCompleter
 from gscomplete.priors.embedded.shape.predict import predict
-from gscomplete.priors.embedded.shape.surface import (
-    SurfaceSettings,
-    surface_splats,
-)
+from gscomplete.priors.embedded.shape.whole import WholeSettings, whole_splats
 from gscomplete.priors.embedded.text import Tokenizer
 from gscomplete.priors.embedded.weights import PriorConfig, load_weights
 from gscomplete.splats import Splats
@@ -139,11 +136,10 @@ class EmbeddedPrior:
         if self._shape is None:
             return None
         assert isinstance(conditioning, EmbeddedConditioning)
-        seen, output = predict(
+        guess = predict(
             self._shape, partial, distribution, conditioning.tokens, bfloat16=self._bfloat16
         )
-        settings = SurfaceSettings(count=count)
-        splats = surface_splats(output, seen, partial, settings, generator)
+        splats = whole_splats(guess, partial, WholeSettings(count=count), generator)
         return splats if len(splats) else None
 
     def distill(

@@ -18,6 +18,7 @@ Conventions
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -27,6 +28,7 @@ from torch import Tensor
 from gscomplete.priors.embedded.shape.inputs import PartLook, ShapeInputs
 from gscomplete.priors.embedded.shape.model import ShapeCompleter
 from gscomplete.priors.embedded.shape.precision import cpu_precision
+from gscomplete.priors.embedded.shape.proposals import candidate_planes
 from gscomplete.priors.embedded.shape.symmetries import SymmetryMap, no_symmetries
 
 CANDIDATES = 8
@@ -40,6 +42,15 @@ WRONG_WEIGHT = 0.5
 """Of the share of a copy that is new and wrong, beside the share of the missing that it shows."""
 
 
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What the network is to be shown."""
+
+    symmetries: tuple[SymmetryMap, ...]  # COPIES
+    worth: float
+    """Of the first by the network's answer; 0 where none is shown."""
+
+
 @torch.no_grad()
 def choose_symmetries(
     model: ShapeCompleter,
@@ -47,8 +58,8 @@ def choose_symmetries(
     tokens: Tensor,  # [L]
     *,
     bfloat16: bool = False,
-) -> tuple[SymmetryMap, ...]:
-    """Return what the network is to be shown.
+) -> Choice:
+    """Choose what the network is to be shown.
 
     Args:
         model: in evaluation mode, on the CPU.
@@ -56,7 +67,7 @@ def choose_symmetries(
         tokens: the prompt.
         bfloat16: precision of the network.
     """
-    planes = look.candidates(CANDIDATES, bfloat16=bfloat16)
+    planes = candidate_planes(look, CANDIDATES, bfloat16=bfloat16)
     asked = [_inputs_with_first(look, planes, k) for k in range(len(planes))]
     asked.append(look.with_copies(no_symmetries()))
     volumes = torch.from_numpy(np.stack([a.volumes for a in asked]))
@@ -68,14 +79,14 @@ def choose_symmetries(
             tokens.expand(len(asked), -1),
         )
     filled, copies = answer.occupancy.float().sigmoid(), volumes[:-1, 1, 0]
-    worth = answered_worths(filled[:-1], copies, volumes[0, 0, 0])
+    answered = answered_worths(filled[:-1], copies, volumes[0, 0, 0])
     belief = torch.tensor([plane.score for plane in planes])
-    worth = worth + _BELIEF_WEIGHT * (belief + 1e-4).log()
-    best = worth.argsort(descending=True, stable=True)
+    best = (answered + _BELIEF_WEIGHT * (belief + 1e-4).log()).argsort(descending=True, stable=True)
     unled = answered_worths(filled[-1:], copies[best[:1]], volumes[0, 0, 0])
     if float(unled) < _LEAST_UNLED:
-        return no_symmetries()
-    return look.shown_first([planes[int(k)] for k in best], 0)
+        return Choice(no_symmetries(), 0.0)
+    shown = look.shown_first([planes[int(k)] for k in best], 0)
+    return Choice(shown, float(answered[best[0]]))
 
 
 def answered_worths(

@@ -23,10 +23,7 @@ from gscomplete.priors.embedded.shape.grid import (
     fill_colored,
     splat_arrays,
 )
-from gscomplete.priors.embedded.shape.plane_judge import packaged_judge
-from gscomplete.priors.embedded.shape.plane_ranker import packaged_ranker
 from gscomplete.priors.embedded.shape.planes import PartSamples, part_samples
-from gscomplete.priors.embedded.shape.proposals import candidate_planes
 from gscomplete.priors.embedded.shape.symmetries import (
     SymmetryMap,
     companion,
@@ -61,13 +58,6 @@ class PartLook:
     def samples(self) -> PartSamples:
         """Return P as planes are judged on it."""
         return part_samples(self.positions, self.tangents, self.colors, self.volume)
-
-    def candidates(self, count: int, *, bfloat16: bool = False) -> list[SymmetryMap]:
-        """Return mirror images through likely planes, the likeliest first."""
-        return candidate_planes(
-            self.samples(), self.volume, self.evidence, self.shares,
-            packaged_ranker(), packaged_judge(), count, bfloat16=bfloat16,
-        )  # fmt: skip
 
     def shown_first(
         self, planes: Sequence[SymmetryMap], first: int

@@ -9,11 +9,13 @@ Conventions
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
 from gscomplete.priors.embedded.shape.choice import choose_symmetries
-from gscomplete.priors.embedded.shape.inputs import ShapeInputs, look_at
+from gscomplete.priors.embedded.shape.inputs import PartLook, ShapeInputs, look_at
 from gscomplete.priors.embedded.shape.model import ShapeCompleter, ShapeOutput
 from gscomplete.priors.embedded.shape.precision import cpu_precision
 from gscomplete.splats import Splats
@@ -23,6 +25,19 @@ ORIENTATIONS = 8
 """Four quarter turns, each mirrored or not."""
 
 
+@dataclass(frozen=True, slots=True)
+class Guess:
+    """The network's answer about one object."""
+
+    look: PartLook
+    seen: ShapeInputs
+    """What the network was shown of P."""
+    output: ShapeOutput
+    """Its answer, for a batch of one."""
+    worth: float
+    """Of the first mirror image by the network's answer; 0 where none is shown."""
+
+
 def predict(
     model: ShapeCompleter,
     partial: Splats,
@@ -30,7 +45,7 @@ def predict(
     tokens: Tensor,  # [L]
     *,
     bfloat16: bool = False,
-) -> tuple[ShapeInputs, ShapeOutput]:
+) -> Guess:
     """Look at P, choose its mirror images, and ask the network.
 
     Args:
@@ -39,13 +54,12 @@ def predict(
         distribution: V.
         tokens: the prompt.
         bfloat16: precision of the network.
-
-    Returns:
-        What the network saw, and the answer for a batch of one.
     """
     look = look_at(partial, distribution)
-    seen = look.with_copies(choose_symmetries(model, look, tokens, bfloat16=bfloat16))
-    return seen, predict_whole(model, seen, tokens, bfloat16=bfloat16)
+    choice = choose_symmetries(model, look, tokens, bfloat16=bfloat16)
+    seen = look.with_copies(choice.symmetries)
+    output = predict_whole(model, seen, tokens, bfloat16=bfloat16)
+    return Guess(look, seen, output, choice.worth)
 
 
 @torch.no_grad()

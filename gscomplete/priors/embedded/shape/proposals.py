@@ -21,12 +21,13 @@ from scipy.spatial import cKDTree
 
 from gscomplete.priors.embedded.shape.evidence import Evidence
 from gscomplete.priors.embedded.shape.grid import CELL_SIDE, FloatArray
+from gscomplete.priors.embedded.shape.inputs import PartLook
 from gscomplete.priors.embedded.shape.plane_judge import (
-    PlaneJudge,
     colored_cells,
     folded_volumes,
+    packaged_judge,
 )
-from gscomplete.priors.embedded.shape.plane_ranker import PlaneRanker
+from gscomplete.priors.embedded.shape.plane_ranker import PlaneRanker, packaged_ranker
 from gscomplete.priors.embedded.shape.planes import (
     ANGLES,
     OFFSETS,
@@ -83,23 +84,20 @@ def unlike_planes(worths: FloatArray, count: int) -> NDArray[np.intp]:  # [A, O]
     return np.array(found)
 
 
-def candidate_planes(
-    part: PartSamples,
-    volume: FloatArray,  # [4, C, C, C] of P
-    evidence: Evidence,
-    shares: FloatArray,  # [3, C/2, C/2, C/2]
-    ranker: PlaneRanker,
-    judge: PlaneJudge,
-    count: int,
-    *,
-    bfloat16: bool,
-) -> list[SymmetryMap]:
-    """Return mirror images through the planes that the judge believes in most, the best first."""
-    ranked = ranked_planes(part, evidence, ranker, JUDGED)
+def candidate_planes(look: PartLook, count: int, *, bfloat16: bool = False) -> list[SymmetryMap]:
+    """Return mirror images through the planes that are believed in most, the best first.
+
+    Args:
+        look: P.
+        count: how many planes.
+        bfloat16: precision of the judge.
+    """
+    part = look.samples()
+    ranked = ranked_planes(part, look.evidence, packaged_ranker(), JUDGED)
     angles, offsets = plane_places(ranked.planes)
-    volumes = folded_volumes(colored_cells(volume), shares, angles, offsets)
+    volumes = folded_volumes(colored_cells(look.volume), look.shares, angles, offsets)
     with torch.no_grad(), cpu_precision(bfloat16=bfloat16):
-        logits, _ = judge(
+        logits, _ = packaged_judge()(
             volumes, torch.from_numpy(ranked.features), torch.from_numpy(ranked.logits)
         )
     belief = torch.softmax(logits.double(), dim=0).numpy()

@@ -64,6 +64,7 @@ def surface_splats(
     partial: Splats,
     settings: SurfaceSettings,
     generator: torch.Generator,
+    mirrored: Splats | None = None,
 ) -> Splats:
     """Cover the surface of one object where P does not.
 
@@ -73,13 +74,15 @@ def surface_splats(
         partial: P in the object frame, for colours and to know what is there already.
         settings: knobs.
         generator: chooses where splats sit.
+        mirrored: other splats that are there already; None = none.
     """
     logits = (output.occupancy[0].float() - settings.filled_logit).clamp(-8, 8)
     anchor = thinned(partial, 20_000, generator)
     points, normals, on_surface = _project(logits, _seeds(logits, generator))
     points = (points - _INWARD * CELL_SIDE * normals)[on_surface]
     normals = normals[on_surface]
-    is_new = _is_missing(points, normals, anchor.means, settings)
+    there = anchor.means if mirrored is None else torch.cat([anchor.means, mirrored.means])
+    is_new = is_missing(points, normals, there, settings)
     points, normals, spacing = _spread(points[is_new], normals[is_new], settings.count, generator)
     points = on_copies(points, normals, anchor.means, inputs)
     colors = source_colors(output, inputs, partial, points, generator)
@@ -183,13 +186,13 @@ def _one_per_cell(points: Tensor, normals: Tensor, side: float) -> Tensor:  # [K
     return first.scatter_reduce(0, inverse, torch.arange(len(keys)), "amin")
 
 
-def _is_missing(
+def is_missing(
     points: Tensor,  # [N, 3]
     normals: Tensor,  # [N, 3]
     others: Tensor,  # [M, 3]
     settings: SurfaceSettings,
 ) -> Tensor:  # [N] bool
-    """Mark the surface points that P does not have: away from its splats, or beyond its rim.
+    """Mark the points of a surface that others do not have: away from them, or beyond their rim.
 
     Beyond the rim the nearest splats all lie to one side, within the surface all around.
     """

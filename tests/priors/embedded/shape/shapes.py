@@ -11,6 +11,7 @@ from gscomplete.priors.embedded.shape.choice import CANDIDATES
 from gscomplete.priors.embedded.shape.grid import COARSE_CELLS
 from gscomplete.priors.embedded.shape.inputs import ShapeInputs, look_at
 from gscomplete.priors.embedded.shape.model import ShapeCompleter, ShapeModelConfig
+from gscomplete.priors.embedded.shape.proposals import candidate_planes
 from gscomplete.priors.embedded.shape.symmetries import SymmetryMap
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.rotations import quaternions_facing
@@ -60,7 +61,7 @@ def moved(splats: Splats, shift: tuple[float, float, float]) -> Splats:
 def likeliest_inputs(partial: Splats, distribution: ViewDistribution) -> ShapeInputs:
     """Return what the network is shown with the copies that are believed in most."""
     look = look_at(partial, distribution)
-    return look.with_copies(look.shown_first(look.candidates(CANDIDATES), 0))
+    return look.with_copies(look.shown_first(candidate_planes(look, CANDIDATES), 0))
 
 
 def mirrors() -> tuple[SymmetryMap, SymmetryMap, SymmetryMap]:

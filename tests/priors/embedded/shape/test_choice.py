@@ -4,6 +4,7 @@ from gscomplete.priors.embedded.shape.choice import CANDIDATES, answered_worths,
 from gscomplete.priors.embedded.shape.grid import CELLS, COARSE_CELLS
 from gscomplete.priors.embedded.shape.inputs import look_at
 from gscomplete.priors.embedded.shape.model import ShapeOutput
+from gscomplete.priors.embedded.shape.proposals import candidate_planes
 from gscomplete.priors.embedded.shape.symmetries import SOURCES
 from gscomplete.views import ViewDistribution
 from tests.priors.embedded.shape.shapes import half, mirrors, sphere
@@ -62,21 +63,24 @@ def test_an_answer_that_adds_next_to_nothing_does_not_win():
 
 def test_the_copies_that_answers_bear_out_are_shown():
     tokens = torch.zeros(4, dtype=torch.long)
-    planes = LOOK.candidates(CANDIDATES)
-    chosen = choose_symmetries(Believer(), LOOK, tokens)
+    planes = candidate_planes(LOOK, CANDIDATES)
+    choice = choose_symmetries(Believer(), LOOK, tokens)
+    chosen = choice.symmetries
+    assert 0.9 < choice.worth <= 1
     assert len(chosen) == SOURCES - 1
     places = {plane.shift.tobytes() + plane.matrix.tobytes() for plane in planes}
     among = [plane.shift.tobytes() + plane.matrix.tobytes() in places for plane in chosen]
     assert among == [True, True, False]
     farthest = chosen[0].apply(LOOK.positions)[:, 0].min()
     assert farthest < -0.36
-    again = choose_symmetries(Believer(), LOOK, tokens)
+    again = choose_symmetries(Believer(), LOOK, tokens).symmetries
     assert [c.score for c in chosen] == [c.score for c in again]
 
 
 def test_no_copy_is_shown_if_the_answer_without_one_speaks_against_it():
     chosen = choose_symmetries(Believer(has_ideas=False), LOOK, torch.zeros(4, dtype=torch.long))
     points = LOOK.positions
-    for symmetry in chosen:
+    assert chosen.worth == 0
+    for symmetry in chosen.symmetries:
         assert symmetry.score == 0.0
         assert (symmetry.apply(points) == points).all()

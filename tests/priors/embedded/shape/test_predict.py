@@ -29,9 +29,11 @@ def test_turning_is_undone_and_the_mean_answer_turns_with_the_object(model):
 def test_the_answer_is_to_what_was_chosen(model):
     partial, views = half(sphere()), ViewDistribution(0.0, 10.0)
     tokens = torch.tensor([2, 3])
-    seen, answer = predict(model, partial, views, tokens)
+    guess = predict(model, partial, views, tokens)
     chosen = choose_symmetries(model, look_at(partial, views), tokens)
-    for found, expected in zip(seen.symmetries, chosen, strict=True):
+    assert guess.worth == chosen.worth
+    for found, expected in zip(guess.seen.symmetries, chosen.symmetries, strict=True):
         assert (found.matrix == expected.matrix).all()
         assert (found.shift == expected.shift).all()
-    assert torch.equal(answer.occupancy, predict_whole(model, seen, tokens).occupancy)
+    again = predict_whole(model, guess.seen, tokens)
+    assert torch.equal(guess.output.occupancy, again.occupancy)

@@ -15,6 +15,7 @@ from gscomplete.priors.embedded.shape.planes import ANGLES, OFFSETS
 from gscomplete.priors.embedded.shape.proposals import (
     APART_DEG,
     APART_OFFSET,
+    candidate_planes,
     refined,
     unlike_planes,
 )
@@ -36,7 +37,7 @@ def dumbbell() -> Splats:
 def test_part_of_a_sphere_is_mirrored_to_what_is_missing():
     """Every upright plane through the middle is right; the one chosen must show something new."""
     partial = half(sphere())
-    planes = look_at(partial, VIEWS).candidates(CANDIDATES)
+    planes = candidate_planes(look_at(partial, VIEWS), CANDIDATES)
     copy = planes[0].apply(partial.means.numpy())
     missing = copy[copy[:, 0] < -0.05]
     assert len(missing) > 0.4 * len(copy)

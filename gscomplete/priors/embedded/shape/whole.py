@@ -1,0 +1,83 @@
+"""The first guess of the whole: P mirrored where that is believed, the network's surface elsewhere.
+
+Conventions
+-----------
+* Lengths are in object sizes. "New" is what P does not have.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+
+from gscomplete.priors.embedded.shape.grid import CELL_SIDE
+from gscomplete.priors.embedded.shape.mirrored import borne_out, mirror_image
+from gscomplete.priors.embedded.shape.predict import Guess
+from gscomplete.priors.embedded.shape.surface import (
+    SurfaceSettings,
+    is_missing,
+    surface_splats,
+)
+from gscomplete.splats import Splats, concatenate
+from gscomplete.splats.filters import thinned
+from gscomplete.splats.rotations import rotation_matrices
+
+_MOST_LOOKED_AT = 20_000
+"""Splats of P."""
+
+
+@dataclass(frozen=True, slots=True)
+class WholeSettings:
+    """How the first guess is put together."""
+
+    count: int = 20_000
+    """Most new splats."""
+    least_worth: float = 0.75
+    """Worth of the first mirror image, by the network's answer, from which on its splats are used;
+    below it the network's surface is all there is."""
+    mirrored_share: float = 0.7
+    """Most of the new splats that are mirrored ones."""
+    led_logit: float = 0.5
+    """Beside a mirror image that is believed, cells need this logit to count as filled: what the
+    network is less sure of is, beside it, more often wrong than right."""
+    reach: float = 1.5 * CELL_SIDE
+    """Surface this near to P's splats or mirrored ones is theirs; cells blur it by as much."""
+
+
+def whole_splats(
+    guess: Guess, partial: Splats, settings: WholeSettings, generator: torch.Generator
+) -> Splats:
+    """Return the new splats of one object.
+
+    Args:
+        guess: the network's answer and what it was shown.
+        partial: P in the object frame.
+        settings: knobs.
+        generator: chooses where splats sit.
+    """
+    if guess.worth < settings.least_worth:
+        return surface_splats(
+            guess.output, guess.seen, partial, SurfaceSettings(settings.count), generator
+        )
+    most = int(settings.mirrored_share * settings.count)
+    copies = _new_copies(guess, partial, most, generator)
+    beside = SurfaceSettings(
+        settings.count - len(copies), near_partial=settings.reach, filled_logit=settings.led_logit
+    )
+    surface = surface_splats(guess.output, guess.seen, partial, beside, generator, copies)
+    return concatenate([copies, surface])
+
+
+def _new_copies(guess: Guess, partial: Splats, limit: int, generator: torch.Generator) -> Splats:
+    """Return P's splats through the first mirror image, where P has none and nothing is against."""
+    copies = mirror_image(partial, guess.seen.symmetries[0])
+    copies = borne_out(copies, guess.output.occupancy.float(), guess.look.evidence)
+    if not len(copies):
+        return copies
+    axes = rotation_matrices(copies.quaternions)
+    thinnest = copies.scales.argmin(dim=1)[:, None, None].expand(-1, 3, 1)
+    normals = axes.gather(2, thinnest)[:, :, 0]
+    anchor = thinned(partial, _MOST_LOOKED_AT, generator)
+    is_new = is_missing(copies.means, normals, anchor.means, SurfaceSettings())
+    return thinned(copies.select(is_new), limit, generator)

@@ -1,0 +1,83 @@
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial import cKDTree
+
+from gscomplete.priors.embedded.shape.grid import CELLS, COARSE_CELLS, cell_centers
+from gscomplete.priors.embedded.shape.inputs import look_at
+from gscomplete.priors.embedded.shape.model import ShapeOutput
+from gscomplete.priors.embedded.shape.predict import Guess
+from gscomplete.priors.embedded.shape.surface import SurfaceSettings, surface_splats
+from gscomplete.priors.embedded.shape.symmetries import SOURCES
+from gscomplete.priors.embedded.shape.whole import WholeSettings, whole_splats
+from gscomplete.render import render
+from gscomplete.splats import concatenate
+from gscomplete.views import ViewDistribution
+from tests.priors.embedded.shape.shapes import half, mirrors, sphere
+
+VIEWS = ViewDistribution(0.0, 10.0)
+
+
+def guessed(worth: float, *, confidence: float = 200.0) -> Guess:
+    """Half a ball and its mirror image, of which the network thinks a ball (cells blur it inwards)."""
+    partial = half(sphere())
+    look = look_at(partial, VIEWS)
+    distance = torch.from_numpy(np.linalg.norm(cell_centers(CELLS), axis=-1))
+    nothing = torch.zeros(1, SOURCES + 1, *(COARSE_CELLS,) * 3)
+    output = ShapeOutput((confidence * (0.42 - distance))[None], nothing[:, :3], nothing)
+    return Guess(look, look.with_copies(mirrors()), output, worth)
+
+
+def put_together(guess: Guess, **changes: object):
+    settings = dataclasses.replace(WholeSettings(count=8000), **changes)
+    return whole_splats(guess, half(sphere()), settings, torch.Generator().manual_seed(0))
+
+
+def test_a_believed_mirror_image_is_shown_by_ps_own_splats():
+    partial, new = half(sphere()), put_together(guessed(0.9))
+    image = partial.means * torch.tensor([-1.0, 1.0, 1.0])
+    away, index = cKDTree(image.numpy()).query(new.means.numpy())
+    mirrored = away < 1e-6
+    assert mirrored.mean() > 0.9
+    torch.testing.assert_close(
+        new.base_colors[torch.from_numpy(mirrored)],
+        partial.base_colors[torch.from_numpy(index[mirrored])],
+        atol=1e-6,
+        rtol=0,
+    )
+
+
+def test_without_belief_the_networks_surface_is_all():
+    guess, partial = guessed(0.1), half(sphere())
+    generator = torch.Generator().manual_seed(0)
+    alone = surface_splats(guess.output, guess.seen, partial, SurfaceSettings(8000), generator)
+    assert torch.equal(put_together(guess).means, alone.means)
+
+
+def test_the_mirrored_whole_is_that_of_the_truth():
+    whole = concatenate([half(sphere()), put_together(guessed(0.9))])
+    cameras = VIEWS.ring(8, 96)
+    with torch.no_grad():
+        ours, truth = render(whole, cameras), render(sphere(), cameras)
+    iou = ((ours.alpha > 0.5) & (truth.alpha > 0.5)).sum() / (
+        (ours.alpha > 0.5) | (truth.alpha > 0.5)
+    ).sum()
+    assert float(iou) > 0.98
+
+
+@pytest.mark.parametrize("count", [2, 100, 3000])
+def test_no_more_splats_than_asked_for(count):
+    new = put_together(guessed(0.9), count=count)
+    assert 0 < len(new) <= count
+    for _, value in new.fields():
+        assert torch.isfinite(value).all()
+
+
+def test_what_the_network_leaves_empty_is_not_mirrored():
+    guess = guessed(0.9)
+    empty = dataclasses.replace(
+        guess.output, occupancy=torch.full_like(guess.output.occupancy, -8.0)
+    )
+    assert len(put_together(dataclasses.replace(guess, output=empty))) == 0
