@@ -41,6 +41,9 @@ class WholeSettings:
     led_logit: float = 0.5
     """Beside a mirror image that is believed, cells need this logit to count as filled: what the
     network is less sure of is, beside it, more often wrong than right."""
+    gap_spacings: float = 2.5
+    """Where P and mirrored splats leave gaps wider than so many spacings of splats, the network's
+    surface closes them."""
     reach: float = 1.5 * CELL_SIDE
     """Surface this near to P's splats or mirrored ones is theirs; cells blur it by as much."""
 
@@ -63,7 +66,10 @@ def whole_splats(
     most = int(settings.mirrored_share * settings.count)
     copies = _new_copies(guess, partial, most, generator)
     beside = SurfaceSettings(
-        settings.count - len(copies), near_partial=settings.reach, filled_logit=settings.led_logit
+        settings.count - len(copies),
+        near_partial=settings.reach,
+        filled_logit=settings.led_logit,
+        gap_spacings=settings.gap_spacings,
     )
     surface = surface_splats(guess.output, guess.seen, partial, beside, generator, copies)
     return concatenate([copies, surface])

@@ -11,7 +11,12 @@ from gscomplete.priors.embedded.shape.grid import (
 )
 from gscomplete.priors.embedded.shape.inputs import look_at
 from gscomplete.priors.embedded.shape.model import ShapeOutput
-from gscomplete.priors.embedded.shape.surface import SurfaceSettings, on_copies, surface_splats
+from gscomplete.priors.embedded.shape.surface import (
+    SurfaceSettings,
+    is_missing,
+    on_copies,
+    surface_splats,
+)
 from gscomplete.priors.embedded.shape.symmetries import SOURCES
 from gscomplete.render import render
 from gscomplete.splats import concatenate
@@ -118,3 +123,19 @@ def test_points_near_a_copy_move_onto_it_and_others_stay():
     assert float((near.norm(dim=1) - 0.4).abs().max()) < 0.1 * CELL_SIDE
     apart = (0.4 + 2 * CELL_SIDE) * normals
     assert torch.equal(on_copies(apart, normals, partial.means, inputs), apart)
+
+
+def test_gaps_are_told_from_surface_that_is_there():
+    """Two sheets 0.01 apart in spacing, 0.04 from each other; points 0.02 above all that."""
+    along = torch.arange(-0.3, 0.3, 0.01)
+    x, y = torch.meshgrid(along, along, indexing="ij")
+    sheet = torch.stack([x, y, torch.zeros_like(x)], dim=-1).reshape(-1, 3)
+    there = sheet[sheet[:, 0].abs() > 0.02]
+    points = torch.tensor([[0.0, 0.0, 0.02], [0.003, 0.1, 0.02], [0.1, 0.0, 0.02]])
+    normals = torch.tensor([[0.0, 0.0, 1.0]]).expand(3, -1)
+    left = SurfaceSettings(near_partial=0.045)
+    assert is_missing(points, normals, there, left).tolist() == [False, False, False]
+    closed = SurfaceSettings(near_partial=0.045, gap_spacings=1.5)
+    assert is_missing(points, normals, there, closed).tolist() == [True, True, False]
+    wide = SurfaceSettings(near_partial=0.045, gap_spacings=4.0)
+    assert is_missing(points, normals, there, wide).tolist() == [False, False, False]

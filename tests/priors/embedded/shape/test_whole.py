@@ -21,7 +21,7 @@ VIEWS = ViewDistribution(0.0, 10.0)
 
 
 def guessed(worth: float, *, confidence: float = 200.0) -> Guess:
-    """Half a ball and its mirror image, of which the network thinks a ball (cells blur it inwards)."""
+    """Half a ball and its mirror image, of which the network thinks a ball (blurred inwards)."""
     partial = half(sphere())
     look = look_at(partial, VIEWS)
     distance = torch.from_numpy(np.linalg.norm(cell_centers(CELLS), axis=-1))
@@ -40,7 +40,8 @@ def test_a_believed_mirror_image_is_shown_by_ps_own_splats():
     image = partial.means * torch.tensor([-1.0, 1.0, 1.0])
     away, index = cKDTree(image.numpy()).query(new.means.numpy())
     mirrored = away < 1e-6
-    assert mirrored.mean() > 0.9
+    # The others close the gaps that randomly placed splats leave.
+    assert mirrored.mean() > 0.7
     torch.testing.assert_close(
         new.base_colors[torch.from_numpy(mirrored)],
         partial.base_colors[torch.from_numpy(index[mirrored])],
