@@ -41,7 +41,7 @@ class WholeSettings:
     led_logit: float = 0.5
     """Beside a mirror image that is believed, cells need this logit to count as filled: what the
     network is less sure of is, beside it, more often wrong than right."""
-    gap_spacings: float = 2.5
+    gap_spacings: float = 3.0
     """Where P and mirrored splats leave gaps wider than so many spacings of splats, the network's
     surface closes them."""
     reach: float = 1.5 * CELL_SIDE
