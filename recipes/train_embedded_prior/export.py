@@ -213,8 +213,8 @@ def card(
         "Known limits: one object at a time, the things named by its words and simple shapes. The",
         "shape network continues coarse shape; colours and patterns are taken from P and its",
         "mirror images, so what P does not show is guessed by symmetry; thin parts are often",
-        "missed. The denoiser follows the colours of prompts, hardly their shapes: from text",
-        "alone it gives blobs.",
+        "missed where no mirror image is sure enough to be shown by P's own splats. The denoiser",
+        "follows the colours of prompts, hardly their shapes: from text alone it gives blobs.",
         "",
     ]
     return "\n".join(lines)

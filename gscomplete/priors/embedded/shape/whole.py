@@ -23,8 +23,10 @@ from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.filters import thinned
 from gscomplete.splats.rotations import rotation_matrices
 
+_MOST_MIRRORED = 60_000
+"""Splats of P, chosen at random where it has more."""
 _MOST_LOOKED_AT = 20_000
-"""Splats of P."""
+"""Splats of P that tell where P is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +79,8 @@ def whole_splats(
 
 def _new_copies(guess: Guess, partial: Splats, limit: int, generator: torch.Generator) -> Splats:
     """Return P's splats through the first mirror image, where P has none and nothing is against."""
-    copies = mirror_image(partial, guess.seen.symmetries[0])
+    source = thinned(partial, _MOST_MIRRORED, generator)
+    copies = mirror_image(source, guess.seen.symmetries[0])
     copies = borne_out(copies, guess.output.occupancy.float(), guess.look.evidence)
     if not len(copies):
         return copies
