@@ -17,7 +17,7 @@ from gscomplete.priors.mvdream.settings import LatentPriorSettings
 if TYPE_CHECKING:
     from gscomplete.completion.optimise import StepReport
     from gscomplete.completion.run import Request, Run
-    from gscomplete.priors.base import Prior
+    from gscomplete.priors.base import Mirror, Prior
 
 
 @dataclass(frozen=True)
@@ -67,6 +67,9 @@ class CompleteOptions:
     splats that hide P fade, move or go until both hold. None = what the preset gives."""
     match_seam: bool = False
     """At the end, shift new splats' colours near P towards P's, so that no seam shows."""
+    mirror: str = "guess"
+    """Upright plane that P is mirrored through: guess, none, or AZIMUTH,OFFSET (of its normal in
+    degrees as in --view; from the frame's centre in object sizes). A run prints the one it took."""
     text_only: bool = False
     """Withhold P's renders from priors that can see them."""
     seed: int = 0
@@ -177,6 +180,13 @@ def _request(options: CompleteOptions, prior: Prior) -> Request:
         settings = dataclasses.replace(settings, hard_preservation=hard)
     if options.match_seam:
         settings = dataclasses.replace(settings, seam_colors=SeamColorSettings())
+    if options.mirror != "guess":
+        settings = dataclasses.replace(settings, mirror=_mirror(options.mirror))
+        if settings.start != "guess":
+            raise UserError(
+                f"--mirror: preset {options.preset} with prior {prior.name} starts without a guess "
+                "of the whole; --preset default, fast or reconstruct of the embedded prior have one"
+            )
     view = parse_numbers(options.view, 2, "--view", "AZIMUTH,ELEVATION")
     center = parse_numbers(options.center, 3, "--center", "X,Y,Z")
     if view is not None and not -90 <= view[1] <= 90:
@@ -194,6 +204,21 @@ def _request(options: CompleteOptions, prior: Prior) -> Request:
         size_file=options.size,
         resume=options.resume,
     )
+
+
+def _mirror(text: str) -> Mirror:
+    """Parse a plane of symmetry.
+
+    Raises:
+        UserError: it has the wrong form.
+    """
+    from gscomplete.priors.base import MirrorPlane
+
+    if text == "none":
+        return "none"
+    numbers = parse_numbers(text, 2, "--mirror", "guess, none or AZIMUTH,OFFSET")
+    assert numbers is not None
+    return MirrorPlane(*numbers)
 
 
 def parse_numbers(text: str | None, count: int, option: str, form: str) -> list[float] | None:

@@ -204,10 +204,11 @@ class Completion:
                 self._conditioning,
                 generator_for(settings.seed, 0, "first guess"),
                 settings.new_splats,
+                settings.mirror,
             )
             if guess is not None:
-                note = f"start: {len(guess):,} splats on the surface the prior guesses"
-                return guess, note
+                count = f"start: {len(guess.splats):,} splats that the prior guesses"
+                return guess.splats, "; ".join([count, *guess.notes])
         scattered = initial_splats(
             self.partial,
             settings.new_splats,

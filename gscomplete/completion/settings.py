@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from gscomplete.errors import UserError
+from gscomplete.priors.base import Mirror
 
 Mode = Literal["distill", "reconstruct"]
 """``distill``: score distillation, one denoising per step (paper, Equation 2).
@@ -220,6 +221,8 @@ class CompletionSettings:
     """New splats at the start, uniform in the sphere about the object (section 3.3)."""
     start: Start = "sphere"
     """Where new splats start."""
+    mirror: Mirror = "guess"
+    """``start="guess"``: the plane of symmetry that P is mirrored through."""
     warmup_steps: int = 50
     """Steps at the start whose preservation loss is unmasked (n_init, section 3.3)."""
     preservation_weight: float = 2.0

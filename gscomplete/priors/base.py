@@ -15,12 +15,14 @@ Conventions
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
 
+from gscomplete.errors import UserError
 from gscomplete.jsonio import to_json
 from gscomplete.render.record import Render
 from gscomplete.splats.record import Splats
@@ -199,6 +201,47 @@ class Prior(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class MirrorPlane:
+    """An upright plane of symmetry in the object frame."""
+
+    azimuth_deg: float
+    """Of its normal, as of views: 0 = +x, 90 = +y."""
+    offset: float
+    """How far along its normal it is from the frame's centre, in object sizes."""
+
+    def __post_init__(self) -> None:
+        """Check ranges.
+
+        Raises:
+            UserError: a value makes no sense.
+        """
+        for name in ("azimuth_deg", "offset"):
+            if not math.isfinite(getattr(self, name)):
+                raise UserError(f"mirror: {name}: expected a finite number")
+        if not abs(self.offset) <= 1:
+            raise UserError(f"mirror: offset: expected -1 to 1 object sizes, found {self.offset:g}")
+
+    def __str__(self) -> str:
+        """Return the plane as users write it."""
+        # Adding 0 turns a negative zero into 0.
+        return f"{round(self.azimuth_deg, 1) + 0.0:.1f},{round(self.offset, 3) + 0.0:.3f}"
+
+
+Mirror = Literal["guess", "none"] | MirrorPlane
+"""Which plane P is mirrored through: the prior's guess, none, or this one."""
+
+
+@dataclass(frozen=True, slots=True)
+class FirstGuess:
+    """What a prior guesses to be missing."""
+
+    splats: Splats
+    """In the object frame, where P has none."""
+    notes: tuple[str, ...]
+    """How it came about, for the user."""
+
+
 @runtime_checkable
 class ShapePrior(Protocol):
     """A prior that can also guess the whole from P at once, for new splats to start from."""
@@ -210,7 +253,8 @@ class ShapePrior(Protocol):
         conditioning: Conditioning,
         generator: torch.Generator,
         count: int,
-    ) -> Splats | None:
+        mirror: Mirror = "guess",
+    ) -> FirstGuess | None:
         """Guess what is missing.
 
         Args:
@@ -219,9 +263,9 @@ class ShapePrior(Protocol):
             conditioning: from ``condition`` of the same prior.
             generator: chooses where splats sit.
             count: most splats.
+            mirror: the plane of symmetry.
 
         Returns:
-            New splats in the object frame, where P has none.
             None if nothing seems to be missing, or these weights cannot guess.
         """
         ...

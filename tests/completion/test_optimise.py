@@ -14,6 +14,7 @@ from gscomplete.completion.settings import LearningRates
 from gscomplete.errors import UserError
 from gscomplete.evaluate.metrics import against_truth, preservation
 from gscomplete.priors import Guidance
+from gscomplete.priors.base import FirstGuess
 from gscomplete.splats import concatenate
 from gscomplete.views import ViewDistribution
 
@@ -153,7 +154,7 @@ def test_targets_with_nan_are_not_kept():
 def test_a_start_with_nan_is_refused():
     class NanGuess(OraclePrior):
         def first_guess(self, partial, *arguments):
-            return dataclasses.replace(partial, means=partial.means * torch.nan)
+            return FirstGuess(dataclasses.replace(partial, means=partial.means * torch.nan), ())
 
     with pytest.raises(NonFiniteError, match="step 0: means at the start"):
         completion(RECONSTRUCT, NanGuess(TRUTH))

@@ -214,5 +214,43 @@ def test_the_default_takes_the_first_guess_and_holds_it_to_bounds(tmp_path):
     assert content["result"]["hard_preservation"]["met"]
     assert content["result"]["seam_colors"]["changed"] > 0
     assert "hard preservation: E_color" in result.stdout
-    assert any("the prior guesses" in note for note in content["notes"])
+    assert any("that the prior guesses" in note for note in content["notes"])
     assert (out / "log.jsonl").read_text() == ""
+
+
+def test_the_plane_of_symmetry_can_be_chosen(tmp_path):
+    """The sample is a mug cut through; --preset fast takes the first guess as it is."""
+
+    def mirrored(name: str, *more: str) -> dict:
+        out = tmp_path / name
+        result = gscomplete(
+            "complete", SAMPLE, "--prompt", "a red mug", "--out", out, "--preset", "fast", *more
+        )
+        assert result.returncode == 0, result.stderr
+        return json.loads((out / "run.json").read_text())
+
+    guessed = mirrored("guessed")
+    assert any("(--mirror)" in note for note in guessed["notes"])
+    chosen = mirrored("chosen", "--mirror", "45,0.05")
+    assert chosen["identity"]["settings"]["mirror"] == {"azimuth_deg": 45.0, "offset": 0.05}
+    assert any("own splats through the upright plane 45.0,0.050" in n for n in chosen["notes"])
+    none = mirrored("none", "--mirror", "none")
+    assert any("not mirrored" in note for note in none["notes"])
+    sizes = [content["result"]["new_splats"] for content in (guessed, chosen, none)]
+    assert min(sizes) > 100
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--mirror", "left"), "--mirror: expected guess, none or AZIMUTH,OFFSET"),
+        (("--mirror", "0,3"), "offset: expected -1 to 1"),
+        (("--mirror", "none", "--preset", "paper"), "preset paper with prior embedded starts"),
+    ],
+)
+def test_planes_that_make_no_sense_are_refused(tmp_path, options, message):
+    out = tmp_path / "out"
+    result = gscomplete("complete", SAMPLE, "--prompt", "a mug", "--out", out, *options)
+    assert result.returncode == 2
+    assert message in " ".join(result.stderr.split())
+    assert not out.exists()

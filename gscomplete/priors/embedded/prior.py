@@ -23,8 +23,10 @@ from torch import Tensor
 from gscomplete.errors import UserError
 from gscomplete.priors.base import (
     Conditioning,
+    FirstGuess,
     FourViews,
     Guidance,
+    Mirror,
     PriorViews,
 )
 from gscomplete.priors.embedded.diffusion import (
@@ -39,7 +41,7 @@ from gscomplete.priors.embedded.model import INPUT_CHANNELS, VIEWS, FourViewDeno
 from gscomplete.priors.embedded.rays import ring_numbers
 from gscomplete.priors.embedded.shape.model import ShapeCompleter
 from gscomplete.priors.embedded.shape.predict import predict
-from gscomplete.priors.embedded.shape.whole import WholeSettings, whole_splats
+from gscomplete.priors.embedded.shape.whole import WholeSettings, mirror_note, whole_splats
 from gscomplete.priors.embedded.text import Tokenizer
 from gscomplete.priors.embedded.weights import PriorConfig, load_weights
 from gscomplete.splats import Splats
@@ -131,16 +133,23 @@ class EmbeddedPrior:
         conditioning: Conditioning,
         generator: torch.Generator,
         count: int,
-    ) -> Splats | None:
+        mirror: Mirror = "guess",
+    ) -> FirstGuess | None:
         """Return the whole as the shape network sees it; see :class:`base.ShapePrior`."""
         if self._shape is None:
             return None
         assert isinstance(conditioning, EmbeddedConditioning)
         guess = predict(
-            self._shape, partial, distribution, conditioning.tokens, bfloat16=self._bfloat16
+            self._shape,
+            partial,
+            distribution,
+            conditioning.tokens,
+            bfloat16=self._bfloat16,
+            mirror_plane=mirror,
         )
-        splats = whole_splats(guess, partial, WholeSettings(count=count), generator)
-        return splats if len(splats) else None
+        settings = WholeSettings(count=count)
+        splats = whole_splats(guess, partial, settings, generator)
+        return FirstGuess(splats, (mirror_note(guess, settings),)) if len(splats) else None
 
     def distill(
         self,

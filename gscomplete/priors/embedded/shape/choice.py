@@ -18,6 +18,7 @@ Conventions
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,11 +26,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from gscomplete.priors.base import Mirror, MirrorPlane
 from gscomplete.priors.embedded.shape.inputs import PartLook, ShapeInputs
 from gscomplete.priors.embedded.shape.model import ShapeCompleter
 from gscomplete.priors.embedded.shape.precision import cpu_precision
 from gscomplete.priors.embedded.shape.proposals import candidate_planes
-from gscomplete.priors.embedded.shape.symmetries import SymmetryMap, no_symmetries
+from gscomplete.priors.embedded.shape.symmetries import SymmetryMap, mirror, no_symmetries
 
 CANDIDATES = 8
 _BELIEF_WEIGHT = 0.15
@@ -58,6 +60,7 @@ def choose_symmetries(
     tokens: Tensor,  # [L]
     *,
     bfloat16: bool = False,
+    mirror_plane: Mirror = "guess",
 ) -> Choice:
     """Choose what the network is to be shown.
 
@@ -66,8 +69,15 @@ def choose_symmetries(
         look: P.
         tokens: the prompt.
         bfloat16: precision of the network.
+        mirror_plane: which one to show first.
     """
+    if mirror_plane == "none":
+        return Choice(no_symmetries(), 0.0)
     planes = candidate_planes(look, CANDIDATES, bfloat16=bfloat16)
+    if isinstance(mirror_plane, MirrorPlane):
+        angle = math.radians(mirror_plane.azimuth_deg)
+        given = mirror(angle, mirror_plane.offset, planes[0].score)
+        return Choice(look.shown_first([given, *planes], 0), 1.0)
     asked = [_inputs_with_first(look, planes, k) for k in range(len(planes))]
     asked.append(look.with_copies(no_symmetries()))
     volumes = torch.from_numpy(np.stack([a.volumes for a in asked]))

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from gscomplete.priors.base import Mirror
 from gscomplete.priors.embedded.shape.choice import choose_symmetries
 from gscomplete.priors.embedded.shape.inputs import PartLook, ShapeInputs, look_at
 from gscomplete.priors.embedded.shape.model import ShapeCompleter, ShapeOutput
@@ -45,6 +46,7 @@ def predict(
     tokens: Tensor,  # [L]
     *,
     bfloat16: bool = False,
+    mirror_plane: Mirror = "guess",
 ) -> Guess:
     """Look at P, choose its mirror images, and ask the network.
 
@@ -54,9 +56,10 @@ def predict(
         distribution: V.
         tokens: the prompt.
         bfloat16: precision of the network.
+        mirror_plane: which plane of symmetry to show first.
     """
     look = look_at(partial, distribution)
-    choice = choose_symmetries(model, look, tokens, bfloat16=bfloat16)
+    choice = choose_symmetries(model, look, tokens, bfloat16=bfloat16, mirror_plane=mirror_plane)
     seen = look.with_copies(choice.symmetries)
     output = predict_whole(model, seen, tokens, bfloat16=bfloat16)
     return Guess(look, seen, output, choice.worth)

@@ -73,6 +73,17 @@ def no_symmetries() -> tuple[SymmetryMap, ...]:  # COPIES
     return (nothing,) * COPIES
 
 
+def plane_of(symmetry: SymmetryMap) -> tuple[float, float]:
+    """Return the plane of a mirror image: its normal's azimuth in radians, and its offset.
+
+    Undoes :func:`mirror` up to half a turn of the normal, which changes the offset's sign.
+    """
+    (a, b), _ = symmetry.matrix[:2, :2].tolist()
+    angle = 0.5 * math.atan2(-b, -a)
+    x, y, _ = symmetry.shift.tolist()
+    return angle, 0.5 * (x * math.cos(angle) + y * math.sin(angle))
+
+
 def mirror(angle: float, offset: float, score: float) -> SymmetryMap:
     """Return the mirror image through a plane."""
     normal = np.array([math.cos(angle), math.sin(angle), 0.0])

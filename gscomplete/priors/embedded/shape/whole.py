@@ -7,10 +7,12 @@ Conventions
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
 
+from gscomplete.priors.base import MirrorPlane
 from gscomplete.priors.embedded.shape.grid import CELL_SIDE
 from gscomplete.priors.embedded.shape.mirrored import borne_out, mirror_image
 from gscomplete.priors.embedded.shape.predict import Guess
@@ -19,6 +21,7 @@ from gscomplete.priors.embedded.shape.surface import (
     is_missing,
     surface_splats,
 )
+from gscomplete.priors.embedded.shape.symmetries import plane_of
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.filters import thinned
 from gscomplete.splats.rotations import rotation_matrices
@@ -75,6 +78,17 @@ def whole_splats(
     )
     surface = surface_splats(guess.output, guess.seen, partial, beside, generator, copies)
     return concatenate([copies, surface])
+
+
+def mirror_note(guess: Guess, settings: WholeSettings) -> str:
+    """Tell users through which plane P was mirrored, as they would ask for it."""
+    first = guess.seen.symmetries[0]
+    if first.score == 0:
+        return "not mirrored"
+    angle, offset = plane_of(first)
+    plane = MirrorPlane(math.degrees(angle), offset)
+    how = "by P's own splats" if guess.worth >= settings.least_worth else "as a hint"
+    return f"mirrored {how} through the upright plane {plane} (--mirror)"
 
 
 def _new_copies(guess: Guess, partial: Splats, limit: int, generator: torch.Generator) -> Splats:

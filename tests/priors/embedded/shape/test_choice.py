@@ -1,11 +1,15 @@
+import math
+
+import pytest
 import torch
 
+from gscomplete.priors.base import MirrorPlane
 from gscomplete.priors.embedded.shape.choice import CANDIDATES, answered_worths, choose_symmetries
 from gscomplete.priors.embedded.shape.grid import CELLS, COARSE_CELLS
 from gscomplete.priors.embedded.shape.inputs import look_at
 from gscomplete.priors.embedded.shape.model import ShapeOutput
 from gscomplete.priors.embedded.shape.proposals import candidate_planes
-from gscomplete.priors.embedded.shape.symmetries import SOURCES
+from gscomplete.priors.embedded.shape.symmetries import SOURCES, plane_of
 from gscomplete.views import ViewDistribution
 from tests.priors.embedded.shape.shapes import half, mirrors, sphere
 
@@ -84,3 +88,16 @@ def test_no_copy_is_shown_if_the_answer_without_one_speaks_against_it():
     for symmetry in chosen.symmetries:
         assert symmetry.score == 0.0
         assert (symmetry.apply(points) == points).all()
+
+
+def test_users_may_choose_the_plane_or_none():
+    tokens = torch.zeros(4, dtype=torch.long)
+    none = choose_symmetries(Believer(), LOOK, tokens, mirror_plane="none")
+    assert none.worth == 0
+    assert all(symmetry.score == 0 for symmetry in none.symmetries)
+    given = choose_symmetries(Believer(), LOOK, tokens, mirror_plane=MirrorPlane(30.0, 0.1))
+    angle, offset = plane_of(given.symmetries[0])
+    assert math.degrees(angle) == pytest.approx(30.0, abs=1e-4)
+    assert offset == pytest.approx(0.1, abs=1e-6)
+    assert given.worth == 1
+    assert given.symmetries[0].score > 0

@@ -1,11 +1,17 @@
 import dataclasses
+import math
 
 import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from gscomplete.priors.embedded.shape.grid import CELLS
 from gscomplete.priors.embedded.shape.symmetries import (
     SOURCES,
     companion,
+    mirror,
+    plane_of,
 )
 from gscomplete.views import ViewDistribution
 from tests.priors.embedded.shape.shapes import half, likeliest_inputs, mirrors, sphere
@@ -41,3 +47,18 @@ def test_maps_are_rigid_and_undone():
             atol=1e-5,
         )
     assert seen.volumes.shape == (SOURCES, 4, CELLS, CELLS, CELLS)
+
+
+@given(st.floats(-10.0, 10.0), st.floats(-1.0, 1.0))
+def test_a_mirror_images_plane_is_known(angle, offset):
+    symmetry = mirror(angle, offset, 0.5)
+    found = mirror(*plane_of(symmetry), 0.5)
+    # the matrix holds cosines of twice the angle in float32
+    np.testing.assert_allclose(found.matrix, symmetry.matrix, atol=1e-6)
+    np.testing.assert_allclose(found.shift, symmetry.shift, atol=1e-6)
+
+
+def test_planes_are_told_in_the_frame_of_views():
+    angle, offset = plane_of(mirror(math.radians(60.0), 0.1, 0.5))
+    assert math.degrees(angle) == pytest.approx(60.0, abs=1e-4)
+    assert offset == pytest.approx(0.1, abs=1e-6)

@@ -10,8 +10,8 @@ from gscomplete.priors.embedded.shape.inputs import look_at
 from gscomplete.priors.embedded.shape.model import ShapeOutput
 from gscomplete.priors.embedded.shape.predict import Guess
 from gscomplete.priors.embedded.shape.surface import SurfaceSettings, surface_splats
-from gscomplete.priors.embedded.shape.symmetries import SOURCES
-from gscomplete.priors.embedded.shape.whole import WholeSettings, whole_splats
+from gscomplete.priors.embedded.shape.symmetries import SOURCES, no_symmetries
+from gscomplete.priors.embedded.shape.whole import WholeSettings, mirror_note, whole_splats
 from gscomplete.render import render
 from gscomplete.splats import concatenate
 from gscomplete.views import ViewDistribution
@@ -82,3 +82,14 @@ def test_what_the_network_leaves_empty_is_not_mirrored():
         guess.output, occupancy=torch.full_like(guess.output.occupancy, -8.0)
     )
     assert len(put_together(dataclasses.replace(guess, output=empty))) == 0
+
+
+def test_the_note_tells_the_plane_as_users_ask_for_it():
+    settings = WholeSettings()
+    assert mirror_note(guessed(0.9), settings) == (
+        "mirrored by P's own splats through the upright plane 0.0,0.000 (--mirror)"
+    )
+    assert "as a hint" in mirror_note(guessed(0.1), settings)
+    guess = guessed(0.0)
+    alone = guess.look.with_copies(no_symmetries())
+    assert mirror_note(dataclasses.replace(guess, seen=alone), settings) == "not mirrored"
