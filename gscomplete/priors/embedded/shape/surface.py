@@ -58,6 +58,8 @@ class SurfaceSettings:
     gap_spacings: float | None = None
     """Points with no splat within so many spacings of splats across the surface lie in a gap: they
     are new however near splats are; None = gaps are left as they are."""
+    least_spacing: float = 0.002
+    """Splats are at least this far apart, however few there are to place."""
     filled_logit: float = -1.0
     """Cells with at least this logit count as filled. Of -2 to -0.5, -1 gives the best silhouettes
     on 23 cuts of 15 real objects that no benchmark uses: thin walls, of which the network is never
@@ -89,7 +91,7 @@ def surface_splats(
     normals = normals[on_surface]
     there = anchor.means if mirrored is None else torch.cat([anchor.means, mirrored.means])
     is_new = is_missing(points, normals, there, settings)
-    points, normals, spacing = _spread(points[is_new], normals[is_new], settings.count, generator)
+    points, normals, spacing = _spread(points[is_new], normals[is_new], settings, generator)
     points = on_copies(points, normals, anchor.means, inputs)
     colors = source_colors(output, inputs, partial, points, generator)
     scales = torch.full((len(points), 3), _OVERLAP * spacing)
@@ -160,16 +162,16 @@ def _project(logits: Tensor, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _spread(
-    points: Tensor, normals: Tensor, count: int, generator: torch.Generator
+    points: Tensor, normals: Tensor, settings: SurfaceSettings, generator: torch.Generator
 ) -> tuple[Tensor, Tensor, float]:
-    """Keep at most ``count`` evenly spread points; return their spacing too.
+    """Keep at most ``settings.count`` evenly spread points; return their spacing too.
 
     One point is kept per cell of a grid whose side is searched for; points that face opposite ways
     are kept apart, so that thin walls stay double.
     """
     order = torch.randperm(len(points), generator=generator)
     points, normals = points[order], normals[order]
-    side_low, side_high = 0.002, 0.2
+    count, side_low, side_high = settings.count, settings.least_spacing, 0.2
     kept = torch.arange(min(count, len(points)))
     for _ in range(12):
         side = (side_low * side_high) ** 0.5

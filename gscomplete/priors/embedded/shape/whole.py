@@ -7,14 +7,20 @@ Conventions
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+from scipy import ndimage
+from scipy.spatial import cKDTree
+from torch import Tensor
 
 from gscomplete.priors.base import MirrorPlane
-from gscomplete.priors.embedded.shape.grid import CELL_SIDE
+from gscomplete.priors.embedded.shape.grid import CELL_SIDE, CELLS, HALF_SIDE
 from gscomplete.priors.embedded.shape.mirrored import borne_out, mirror_image
+from gscomplete.priors.embedded.shape.model import ShapeOutput
 from gscomplete.priors.embedded.shape.predict import Guess
 from gscomplete.priors.embedded.shape.surface import (
     SurfaceSettings,
@@ -26,6 +32,9 @@ from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.filters import thinned
 from gscomplete.splats.rotations import rotation_matrices
 
+_LEAST_SPACING = 0.002
+_MOST_SPACING = 0.03
+"""Of the surface beside mirrored splats, which is that of the mirrored splats between the two."""
 _MOST_MIRRORED = 60_000
 """Splats of P, chosen at random where it has more."""
 _MOST_LOOKED_AT = 20_000
@@ -43,9 +52,12 @@ class WholeSettings:
     below it the network's surface is all there is."""
     mirrored_share: float = 0.7
     """Most of the new splats that are mirrored ones."""
-    led_logit: float = 0.5
-    """Beside a mirror image that is believed, cells need this logit to count as filled: what the
-    network is less sure of is, beside it, more often wrong than right."""
+    led_penalty: float = 1.5
+    """Beside a mirror image that is believed, cells of the network's own need logits higher by this
+    to count as filled: what it is less sure of is more often wrong than right there ..."""
+    penalty_cells: tuple[float, float] = (3.0, 5.0)
+    """... from nothing at the first distance from P and from its mirrored splats, whichever is
+    farther, to all of it at the second: so that the gap between them is closed."""
     gap_spacings: float = 3.0
     """Where P and mirrored splats leave gaps wider than so many spacings of splats, the network's
     surface closes them."""
@@ -70,14 +82,42 @@ def whole_splats(
         )
     most = int(settings.mirrored_share * settings.count)
     copies = _new_copies(guess, partial, most, generator)
+    output = _less_sure(guess.output, partial, copies, settings)
     beside = SurfaceSettings(
         settings.count - len(copies),
         near_partial=settings.reach,
-        filled_logit=settings.led_logit,
         gap_spacings=settings.gap_spacings,
+        least_spacing=_spacing(copies),
     )
-    surface = surface_splats(guess.output, guess.seen, partial, beside, generator, copies)
+    surface = surface_splats(output, guess.seen, partial, beside, generator, copies)
     return concatenate([copies, surface])
+
+
+def _less_sure(
+    output: ShapeOutput, partial: Splats, copies: Splats, settings: WholeSettings
+) -> ShapeOutput:
+    """Lower the logits of cells but for those between P and mirrored splats."""
+    away = torch.maximum(_cells_to(partial.means), _cells_to(copies.means))
+    low, high = settings.penalty_cells
+    share = ((away - low) / (high - low)).clamp(0, 1)
+    return dataclasses.replace(output, occupancy=output.occupancy - settings.led_penalty * share)
+
+
+def _cells_to(points: Tensor) -> Tensor:  # [N, 3] -> [C, C, C]
+    """Return every cell's distance to the nearest cell with a point, in cells."""
+    cells = ((points + HALF_SIDE) / CELL_SIDE).floor().long()
+    inside = cells[((cells >= 0) & (cells < CELLS)).all(dim=1)]
+    empty = torch.ones(CELLS, CELLS, CELLS)
+    empty[tuple(inside.T)] = 0
+    return torch.from_numpy(ndimage.distance_transform_edt(empty.numpy())).float()
+
+
+def _spacing(splats: Splats) -> float:
+    """Return the median distance of splats from their nearest neighbours."""
+    if len(splats) < 2:
+        return _LEAST_SPACING
+    distance, _ = cKDTree(splats.means.numpy()).query(splats.means.numpy(), k=2)
+    return float(np.median(distance[:, 1]).clip(_LEAST_SPACING, _MOST_SPACING))
 
 
 def mirror_note(guess: Guess, settings: WholeSettings) -> str:
