@@ -159,6 +159,7 @@ def _request(options: CompleteOptions, prior: Prior) -> Request:
     from gscomplete.completion.presets import preset
     from gscomplete.completion.run import Request
     from gscomplete.completion.settings import HardPreservationSettings, SeamColorSettings
+    from gscomplete.priors.base import ShapePrior
 
     if not options.prompt.strip():
         raise UserError("--prompt: expected what the whole object is, found an empty text")
@@ -182,7 +183,7 @@ def _request(options: CompleteOptions, prior: Prior) -> Request:
         settings = dataclasses.replace(settings, seam_colors=SeamColorSettings())
     if options.mirror != "guess":
         settings = dataclasses.replace(settings, mirror=_mirror(options.mirror))
-        if settings.start != "guess":
+        if settings.start != "guess" or not isinstance(prior, ShapePrior):
             raise UserError(
                 f"--mirror: preset {options.preset} with prior {prior.name} starts without a guess "
                 "of the whole; --preset default, fast or reconstruct of the embedded prior have one"

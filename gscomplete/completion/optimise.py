@@ -207,8 +207,8 @@ class Completion:
                 settings.mirror,
             )
             if guess is not None:
-                count = f"start: {len(guess.splats):,} splats that the prior guesses"
-                return guess.splats, "; ".join([count, *guess.notes])
+                how_many = f"start: {len(guess.splats):,} splats that the prior guesses"
+                return guess.splats, "; ".join([how_many, *guess.notes])
         scattered = initial_splats(
             self.partial,
             settings.new_splats,

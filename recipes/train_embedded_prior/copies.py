@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from gscomplete.priors.embedded.shape.choice import WRONG_WEIGHT
 from gscomplete.priors.embedded.shape.grid import (
@@ -21,6 +20,7 @@ from gscomplete.priors.embedded.shape.grid import (
     CELLS,
     HALF_SIDE,
     FloatArray,
+    cells_away,
     fill_colored,
     splat_arrays,
 )
@@ -91,9 +91,7 @@ def _cells_to(
 ) -> FloatArray:  # [C, C, C]
     """Return distances to a surface in cells."""
     filled = fill_colored(positions, tangents, opacities, colors, CELLS)[0] > 0
-    if not filled.any():
-        return np.full(filled.shape, CELLS, np.float32)
-    return ndimage.distance_transform_edt(~filled).astype(np.float32)
+    return cells_away(filled)
 
 
 def _at(volume: FloatArray, points: FloatArray) -> FloatArray:

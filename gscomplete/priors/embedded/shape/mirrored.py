@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import dataclasses
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -50,5 +49,5 @@ def borne_out(
 ) -> Splats:
     """Return the copies that neither the network nor the views speak against."""
     logit = sample_volume(occupancy, copies.means)[:, 0]
-    in_front = torch.from_numpy(evidence.classify(np.asarray(copies.means))[:, 0])
+    in_front = torch.from_numpy(evidence.classify(copies.means.numpy())[:, 0])
     return copies.select((logit > _LEAST_LOGIT) & (in_front <= _MOST_IN_FRONT))

@@ -36,7 +36,7 @@ class Guess:
     output: ShapeOutput
     """Its answer, for a batch of one."""
     worth: float
-    """Of the first mirror image by the network's answer; 0 where none is shown."""
+    """Of the first mirror image; see ``choice.Choice``."""
 
 
 def predict(

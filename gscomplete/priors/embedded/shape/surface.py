@@ -205,17 +205,23 @@ def is_missing(
     Beyond the rim the nearest splats all lie to one side, within the surface all around.
     """
     nearest = range(1, min(_RIM_NEIGHBOURS, len(others)) + 1)
-    tree = cKDTree(others.numpy())
-    distance, index = tree.query(points.numpy(), k=nearest)
+    distance, index = cKDTree(others.numpy()).query(points.numpy(), k=nearest)
     offsets = others[torch.from_numpy(index)] - points[:, None]
     along = (offsets * normals[:, None]).sum(dim=2, keepdim=True)
     offsets = offsets - along * normals[:, None]
     in_gap = torch.zeros(len(points), dtype=torch.bool)
-    if settings.gap_spacings is not None and len(others) > 1:
-        spacing, _ = tree.query(others.numpy(), k=2)
-        widest = settings.gap_spacings * float(np.median(spacing[:, 1]))
+    if settings.gap_spacings is not None:
+        widest = settings.gap_spacings * median_spacing(others)
         in_gap = offsets.norm(dim=2).amin(dim=1) > max(widest, _LEAST_GAP)
     middle = offsets.mean(dim=1).norm(dim=1)
     one_sided = middle > _ONE_SIDED * offsets.norm(dim=2).mean(dim=1)
     near = torch.from_numpy(distance[:, 0])
     return (near > settings.near_partial) | (one_sided & (near > settings.near_rim)) | in_gap
+
+
+def median_spacing(points: Tensor) -> float:  # [N, 3]
+    """Return the median distance of points from their nearest neighbours; 0 for less than two."""
+    if len(points) < 2:
+        return 0.0
+    distance, _ = cKDTree(points.numpy()).query(points.numpy(), k=2)
+    return float(np.median(distance[:, 1]))

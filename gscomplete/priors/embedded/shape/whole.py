@@ -11,20 +11,18 @@ import dataclasses
 import math
 from dataclasses import dataclass
 
-import numpy as np
 import torch
-from scipy import ndimage
-from scipy.spatial import cKDTree
 from torch import Tensor
 
 from gscomplete.priors.base import MirrorPlane
-from gscomplete.priors.embedded.shape.grid import CELL_SIDE, CELLS, HALF_SIDE
+from gscomplete.priors.embedded.shape.grid import CELL_SIDE, CELLS, HALF_SIDE, cells_away
 from gscomplete.priors.embedded.shape.mirrored import borne_out, mirror_image
 from gscomplete.priors.embedded.shape.model import ShapeOutput
 from gscomplete.priors.embedded.shape.predict import Guess
 from gscomplete.priors.embedded.shape.surface import (
     SurfaceSettings,
     is_missing,
+    median_spacing,
     surface_splats,
 )
 from gscomplete.priors.embedded.shape.symmetries import plane_of
@@ -76,18 +74,19 @@ def whole_splats(
         settings: knobs.
         generator: chooses where splats sit.
     """
-    if guess.worth < settings.least_worth:
-        return surface_splats(
-            guess.output, guess.seen, partial, SurfaceSettings(settings.count), generator
-        )
+    copies = None
     most = int(settings.mirrored_share * settings.count)
-    copies = _new_copies(guess, partial, most, generator)
+    if most and guess.worth >= settings.least_worth:
+        copies = _new_copies(guess, partial, most, generator)
+    if copies is None or not len(copies):
+        plain = SurfaceSettings(settings.count)
+        return surface_splats(guess.output, guess.seen, partial, plain, generator)
     output = _less_sure(guess.output, partial, copies, settings)
     beside = SurfaceSettings(
         settings.count - len(copies),
         near_partial=settings.reach,
         gap_spacings=settings.gap_spacings,
-        least_spacing=_spacing(copies),
+        least_spacing=min(max(median_spacing(copies.means), _LEAST_SPACING), _MOST_SPACING),
     )
     surface = surface_splats(output, guess.seen, partial, beside, generator, copies)
     return concatenate([copies, surface])
@@ -107,17 +106,9 @@ def _cells_to(points: Tensor) -> Tensor:  # [N, 3] -> [C, C, C]
     """Return every cell's distance to the nearest cell with a point, in cells."""
     cells = ((points + HALF_SIDE) / CELL_SIDE).floor().long()
     inside = cells[((cells >= 0) & (cells < CELLS)).all(dim=1)]
-    empty = torch.ones(CELLS, CELLS, CELLS)
-    empty[tuple(inside.T)] = 0
-    return torch.from_numpy(ndimage.distance_transform_edt(empty.numpy())).float()
-
-
-def _spacing(splats: Splats) -> float:
-    """Return the median distance of splats from their nearest neighbours."""
-    if len(splats) < 2:
-        return _LEAST_SPACING
-    distance, _ = cKDTree(splats.means.numpy()).query(splats.means.numpy(), k=2)
-    return float(np.median(distance[:, 1]).clip(_LEAST_SPACING, _MOST_SPACING))
+    filled = torch.zeros(CELLS, CELLS, CELLS, dtype=torch.bool)
+    filled[tuple(inside.T)] = True
+    return torch.from_numpy(cells_away(filled.numpy()))
 
 
 def mirror_note(guess: Guess, settings: WholeSettings) -> str:

@@ -68,7 +68,7 @@ def test_the_mirrored_whole_is_that_of_the_truth():
     assert float(iou) > 0.98
 
 
-@pytest.mark.parametrize("count", [2, 100, 3000])
+@pytest.mark.parametrize("count", [1, 2, 100, 3000])
 def test_no_more_splats_than_asked_for(count):
     new = put_together(guessed(0.9), count=count)
     assert 0 < len(new) <= count
@@ -93,3 +93,20 @@ def test_the_note_tells_the_plane_as_users_ask_for_it():
     guess = guessed(0.0)
     alone = guess.look.with_copies(no_symmetries())
     assert mirror_note(dataclasses.replace(guess, seen=alone), settings) == "not mirrored"
+
+
+def test_where_no_mirrored_splat_is_left_the_networks_surface_is_all():
+    guess = guessed(0.9)
+    across, along, turn = mirrors()
+    far = dataclasses.replace(across, shift=np.array([5.0, 0.0, 0.0], np.float32))
+    # A box away from the border, whose logits would bear out copies beyond it.
+    occupancy = torch.full_like(guess.output.occupancy, -8.0)
+    occupancy[:, 16:32, 16:32, 16:32] = 8.0
+    nowhere = dataclasses.replace(
+        guess,
+        seen=guess.look.with_copies((far, along, turn)),
+        output=dataclasses.replace(guess.output, occupancy=occupancy),
+    )
+    found = put_together(nowhere)
+    assert len(found) > 0
+    assert torch.equal(found.means, put_together(dataclasses.replace(nowhere, worth=0.0)).means)
