@@ -45,6 +45,7 @@ from gscomplete.evaluate.pictures import contact_sheet, render_images, save_imag
 from gscomplete.priors import Prior, load_prior
 from gscomplete.priors.embedded.shape.choice import CANDIDATES
 from gscomplete.priors.embedded.shape.inputs import look_at
+from gscomplete.priors.embedded.shape.mirrored import mirror_image
 from gscomplete.priors.embedded.shape.proposals import candidate_planes
 from gscomplete.splats import Splats, concatenate, read_splats, write_splats
 from gscomplete.splats.transform import Similarity, transform_splats
@@ -135,16 +136,9 @@ def settings_of(way: Way, prior: Prior, seed: int) -> CompletionSettings:
 
 def mirror_images(posed: Posed) -> list[Splats]:
     """Return P's copies by the likeliest planes, the likeliest first; see ``mirror`` above."""
-    partial = posed.partial.with_sh_degree(0)
-    # Only silhouettes and colours are compared: widths are made round rather than turned.
-    scales = partial.scales.amax(dim=1, keepdim=True).expand(-1, 3).contiguous()
-    look = look_at(partial, posed.views)
-    return [
-        dataclasses.replace(
-            partial, means=torch.from_numpy(s.apply(partial.means.numpy())), scales=scales
-        )
-        for s in look.shown_first(candidate_planes(look, CANDIDATES), 0)
-    ]
+    look = look_at(posed.partial.with_sh_degree(0), posed.views)
+    shown = look.shown_first(candidate_planes(look, CANDIDATES), 0)
+    return [mirror_image(posed.partial, symmetry) for symmetry in shown]
 
 
 def best_by_truth(copies: list[Splats], posed: Posed) -> Splats | None:
