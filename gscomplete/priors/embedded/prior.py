@@ -139,7 +139,7 @@ class EmbeddedPrior:
         if self._shape is None:
             return None
         assert isinstance(conditioning, EmbeddedConditioning)
-        guess = predict(
+        prediction = predict(
             self._shape,
             partial,
             distribution,
@@ -148,8 +148,8 @@ class EmbeddedPrior:
             mirror_plane=mirror,
         )
         settings = WholeSettings(count=count)
-        splats = whole_splats(guess, partial, settings, generator)
-        return FirstGuess(splats, (mirror_note(guess, settings),)) if len(splats) else None
+        splats = whole_splats(prediction, partial, settings, generator)
+        return FirstGuess(splats, (mirror_note(prediction, settings),)) if len(splats) else None
 
     def distill(
         self,

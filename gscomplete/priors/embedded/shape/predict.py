@@ -27,7 +27,7 @@ ORIENTATIONS = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Guess:
+class Prediction:
     """The network's answer about one object."""
 
     look: PartLook
@@ -47,7 +47,7 @@ def predict(
     *,
     bfloat16: bool = False,
     mirror_plane: Mirror = "guess",
-) -> Guess:
+) -> Prediction:
     """Look at P, choose its mirror images, and ask the network.
 
     Args:
@@ -62,7 +62,7 @@ def predict(
     choice = choose_symmetries(model, look, tokens, bfloat16=bfloat16, mirror_plane=mirror_plane)
     seen = look.with_copies(choice.symmetries)
     output = predict_whole(model, seen, tokens, bfloat16=bfloat16)
-    return Guess(look, seen, output, choice.worth)
+    return Prediction(look, seen, output, choice.worth)
 
 
 @torch.no_grad()

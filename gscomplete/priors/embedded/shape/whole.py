@@ -18,7 +18,7 @@ from gscomplete.priors.base import MirrorPlane
 from gscomplete.priors.embedded.shape.grid import CELL_SIDE, CELLS, HALF_SIDE, cells_away
 from gscomplete.priors.embedded.shape.mirrored import borne_out, mirror_image
 from gscomplete.priors.embedded.shape.model import ShapeOutput
-from gscomplete.priors.embedded.shape.predict import Guess
+from gscomplete.priors.embedded.shape.predict import Prediction
 from gscomplete.priors.embedded.shape.surface import (
     SurfaceSettings,
     is_missing,
@@ -64,31 +64,31 @@ class WholeSettings:
 
 
 def whole_splats(
-    guess: Guess, partial: Splats, settings: WholeSettings, generator: torch.Generator
+    prediction: Prediction, partial: Splats, settings: WholeSettings, generator: torch.Generator
 ) -> Splats:
     """Return the new splats of one object.
 
     Args:
-        guess: the network's answer and what it was shown.
+        prediction: the network's answer and what it was shown.
         partial: P in the object frame.
         settings: knobs.
         generator: chooses where splats sit.
     """
     copies = None
     most = int(settings.mirrored_share * settings.count)
-    if most and guess.worth >= settings.least_worth:
-        copies = _new_copies(guess, partial, most, generator)
+    if most and prediction.worth >= settings.least_worth:
+        copies = _new_copies(prediction, partial, most, generator)
     if copies is None or not len(copies):
         plain = SurfaceSettings(settings.count)
-        return surface_splats(guess.output, guess.seen, partial, plain, generator)
-    output = _less_sure(guess.output, partial, copies, settings)
+        return surface_splats(prediction.output, prediction.seen, partial, plain, generator)
+    output = _less_sure(prediction.output, partial, copies, settings)
     beside = SurfaceSettings(
         settings.count - len(copies),
         near_partial=settings.reach,
         gap_spacings=settings.gap_spacings,
         least_spacing=min(max(median_spacing(copies.means), _LEAST_SPACING), _MOST_SPACING),
     )
-    surface = surface_splats(output, guess.seen, partial, beside, generator, copies)
+    surface = surface_splats(output, prediction.seen, partial, beside, generator, copies)
     return concatenate([copies, surface])
 
 
@@ -111,22 +111,24 @@ def _cells_to(points: Tensor) -> Tensor:  # [N, 3] -> [C, C, C]
     return torch.from_numpy(cells_away(filled.numpy()))
 
 
-def mirror_note(guess: Guess, settings: WholeSettings) -> str:
+def mirror_note(prediction: Prediction, settings: WholeSettings) -> str:
     """Tell users through which plane P was mirrored, as they would ask for it."""
-    first = guess.seen.symmetries[0]
+    first = prediction.seen.symmetries[0]
     if first.score == 0:
         return "not mirrored"
     angle, offset = plane_of(first)
     plane = MirrorPlane(math.degrees(angle), offset)
-    how = "by P's own splats" if guess.worth >= settings.least_worth else "as a hint"
+    how = "by P's own splats" if prediction.worth >= settings.least_worth else "as a hint"
     return f"mirrored {how} through the upright plane {plane} (--mirror)"
 
 
-def _new_copies(guess: Guess, partial: Splats, limit: int, generator: torch.Generator) -> Splats:
+def _new_copies(
+    prediction: Prediction, partial: Splats, limit: int, generator: torch.Generator
+) -> Splats:
     """Return P's splats through the first mirror image, where P has none and nothing is against."""
     source = thinned(partial, _MOST_MIRRORED, generator)
-    copies = mirror_image(source, guess.seen.symmetries[0])
-    copies = borne_out(copies, guess.output.occupancy.float(), guess.look.evidence)
+    copies = mirror_image(source, prediction.seen.symmetries[0])
+    copies = borne_out(copies, prediction.output.occupancy.float(), prediction.look.evidence)
     if not len(copies):
         return copies
     axes = rotation_matrices(copies.quaternions)

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from gscomplete.priors.embedded.shape.grid import CELLS, COARSE_CELLS, cell_centers
 from gscomplete.priors.embedded.shape.inputs import look_at
 from gscomplete.priors.embedded.shape.model import ShapeOutput
-from gscomplete.priors.embedded.shape.predict import Guess
+from gscomplete.priors.embedded.shape.predict import Prediction
 from gscomplete.priors.embedded.shape.surface import SurfaceSettings, surface_splats
 from gscomplete.priors.embedded.shape.symmetries import SOURCES, no_symmetries
 from gscomplete.priors.embedded.shape.whole import WholeSettings, mirror_note, whole_splats
@@ -20,23 +20,23 @@ from tests.priors.embedded.shape.shapes import half, mirrors, sphere
 VIEWS = ViewDistribution(0.0, 10.0)
 
 
-def guessed(worth: float, *, confidence: float = 200.0) -> Guess:
+def predicted(worth: float, *, confidence: float = 200.0) -> Prediction:
     """Half a ball and its mirror image, of which the network thinks a ball (blurred inwards)."""
     partial = half(sphere())
     look = look_at(partial, VIEWS)
     distance = torch.from_numpy(np.linalg.norm(cell_centers(CELLS), axis=-1))
     nothing = torch.zeros(1, SOURCES + 1, *(COARSE_CELLS,) * 3)
     output = ShapeOutput((confidence * (0.42 - distance))[None], nothing[:, :3], nothing)
-    return Guess(look, look.with_copies(mirrors()), output, worth)
+    return Prediction(look, look.with_copies(mirrors()), output, worth)
 
 
-def put_together(guess: Guess, **changes: object):
+def put_together(prediction: Prediction, **changes: object):
     settings = dataclasses.replace(WholeSettings(count=8000), **changes)
-    return whole_splats(guess, half(sphere()), settings, torch.Generator().manual_seed(0))
+    return whole_splats(prediction, half(sphere()), settings, torch.Generator().manual_seed(0))
 
 
 def test_a_believed_mirror_image_is_shown_by_ps_own_splats():
-    partial, new = half(sphere()), put_together(guessed(0.9))
+    partial, new = half(sphere()), put_together(predicted(0.9))
     image = partial.means * torch.tensor([-1.0, 1.0, 1.0])
     away, index = cKDTree(image.numpy()).query(new.means.numpy())
     mirrored = away < 1e-6
@@ -51,14 +51,16 @@ def test_a_believed_mirror_image_is_shown_by_ps_own_splats():
 
 
 def test_without_belief_the_networks_surface_is_all():
-    guess, partial = guessed(0.1), half(sphere())
+    prediction, partial = predicted(0.1), half(sphere())
     generator = torch.Generator().manual_seed(0)
-    alone = surface_splats(guess.output, guess.seen, partial, SurfaceSettings(8000), generator)
-    assert torch.equal(put_together(guess).means, alone.means)
+    alone = surface_splats(
+        prediction.output, prediction.seen, partial, SurfaceSettings(8000), generator
+    )
+    assert torch.equal(put_together(prediction).means, alone.means)
 
 
 def test_the_mirrored_whole_is_that_of_the_truth():
-    whole = concatenate([half(sphere()), put_together(guessed(0.9))])
+    whole = concatenate([half(sphere()), put_together(predicted(0.9))])
     cameras = VIEWS.ring(8, 96)
     with torch.no_grad():
         ours, truth = render(whole, cameras), render(sphere(), cameras)
@@ -70,42 +72,42 @@ def test_the_mirrored_whole_is_that_of_the_truth():
 
 @pytest.mark.parametrize("count", [1, 2, 100, 3000])
 def test_no_more_splats_than_asked_for(count):
-    new = put_together(guessed(0.9), count=count)
+    new = put_together(predicted(0.9), count=count)
     assert 0 < len(new) <= count
     for _, value in new.fields():
         assert torch.isfinite(value).all()
 
 
 def test_what_the_network_leaves_empty_is_not_mirrored():
-    guess = guessed(0.9)
+    prediction = predicted(0.9)
     empty = dataclasses.replace(
-        guess.output, occupancy=torch.full_like(guess.output.occupancy, -8.0)
+        prediction.output, occupancy=torch.full_like(prediction.output.occupancy, -8.0)
     )
-    assert len(put_together(dataclasses.replace(guess, output=empty))) == 0
+    assert len(put_together(dataclasses.replace(prediction, output=empty))) == 0
 
 
 def test_the_note_tells_the_plane_as_users_ask_for_it():
     settings = WholeSettings()
-    assert mirror_note(guessed(0.9), settings) == (
+    assert mirror_note(predicted(0.9), settings) == (
         "mirrored by P's own splats through the upright plane 0.0,0.000 (--mirror)"
     )
-    assert "as a hint" in mirror_note(guessed(0.1), settings)
-    guess = guessed(0.0)
-    alone = guess.look.with_copies(no_symmetries())
-    assert mirror_note(dataclasses.replace(guess, seen=alone), settings) == "not mirrored"
+    assert "as a hint" in mirror_note(predicted(0.1), settings)
+    prediction = predicted(0.0)
+    alone = prediction.look.with_copies(no_symmetries())
+    assert mirror_note(dataclasses.replace(prediction, seen=alone), settings) == "not mirrored"
 
 
 def test_where_no_mirrored_splat_is_left_the_networks_surface_is_all():
-    guess = guessed(0.9)
+    prediction = predicted(0.9)
     across, along, turn = mirrors()
     far = dataclasses.replace(across, shift=np.array([5.0, 0.0, 0.0], np.float32))
     # A box away from the border, whose logits would bear out copies beyond it.
-    occupancy = torch.full_like(guess.output.occupancy, -8.0)
+    occupancy = torch.full_like(prediction.output.occupancy, -8.0)
     occupancy[:, 16:32, 16:32, 16:32] = 8.0
     nowhere = dataclasses.replace(
-        guess,
-        seen=guess.look.with_copies((far, along, turn)),
-        output=dataclasses.replace(guess.output, occupancy=occupancy),
+        prediction,
+        seen=prediction.look.with_copies((far, along, turn)),
+        output=dataclasses.replace(prediction.output, occupancy=occupancy),
     )
     found = put_together(nowhere)
     assert len(found) > 0
