@@ -32,7 +32,9 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from gscomplete.atomic import atomic_path
-from gscomplete.jsonio import write_json
+from gscomplete.command_line import run_guarded
+from gscomplete.completion.long_run import require_same_identity
+from gscomplete.jsonio import to_json, write_json
 from gscomplete.priors.embedded.prior import packaged_weights
 from gscomplete.priors.embedded.shape.plane_judge import (
     JUDGE_FILE,
@@ -41,6 +43,7 @@ from gscomplete.priors.embedded.shape.plane_judge import (
     colored_cells,
     folded_volumes,
 )
+from gscomplete.priors.embedded.shape.plane_ranker import packaged_ranker
 from gscomplete.priors.embedded.shape.planes import plane_places
 from gscomplete.priors.embedded.shape.precision import cpu_precision
 from gscomplete.priors.embedded.shape.proposals import JUDGED
@@ -54,6 +57,9 @@ from recipes.train_embedded_prior.shape_dataset import unpack_cells
 
 _LOG = logging.getLogger(__name__)
 _CHECKPOINT = "judge_checkpoint.safetensors"
+_RUN = "judge.json"
+_WITHOUT_EFFECT = {"run", "out", "checkpoint_every", "workers"}
+"""Options that leave the weights as they are."""
 
 
 @dataclass(frozen=True)
@@ -233,6 +239,20 @@ class JudgeTraining:
         self.step = int(tensors["step"])
 
 
+def open_run(config: JudgeConfig) -> None:
+    """Create the run folder, or check that a checkpoint there is of the same run.
+
+    Raises:
+        UserError: it is of another run.
+    """
+    options = {k: v for k, v in to_json(config).items() if k not in _WITHOUT_EFFECT}
+    identity = {"options": options, "ranker": packaged_ranker().digest()}
+    if (config.run / _CHECKPOINT).is_file():
+        require_same_identity(config.run / _RUN, identity)
+    config.run.mkdir(parents=True, exist_ok=True)
+    write_json(config.run / _RUN, {"identity": identity, "config": config})
+
+
 @torch.no_grad()
 def worth_of_choice(judge: PlaneJudge, sets: PlaneSets) -> tuple[float, float, float]:
     """Return the mean worths of the judge's first planes, the ranker's, and the best judged."""
@@ -246,12 +266,10 @@ def worth_of_choice(judge: PlaneJudge, sets: PlaneSets) -> tuple[float, float, f
     return first, ranked, best
 
 
-def main() -> int:
-    """Run from the command line."""
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
-    config = tyro.cli(JudgeConfig, description=__doc__)
+def train(config: JudgeConfig) -> int:
+    """Train, from the last checkpoint if there is one, and write the judge."""
+    open_run(config)
     sets = plane_sets(config.run / "objects", config.seed, config.objects, config.workers)
-    write_json(config.run / "judge.json", config)
     training = JudgeTraining(config, torch.from_numpy(sets.features))
     training.resume()
     started, smoothed = time.monotonic(), math.nan
@@ -270,6 +288,13 @@ def main() -> int:
     judge.save(config.out)
     _LOG.info("%s", config.out)
     return 0
+
+
+def main() -> int:
+    """Run from the command line."""
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    config = tyro.cli(JudgeConfig, description=__doc__)
+    return run_guarded("plane_judge", lambda: train(config), "the same command goes on")
 
 
 if __name__ == "__main__":

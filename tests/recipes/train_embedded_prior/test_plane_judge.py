@@ -1,8 +1,10 @@
 import dataclasses
 
 import numpy as np
+import pytest
 import torch
 
+from gscomplete.errors import UserError
 from gscomplete.priors.embedded.shape.grid import COARSE_CELLS
 from gscomplete.priors.embedded.shape.planes import ANGLES, FEATURES, OFFSETS
 from gscomplete.priors.embedded.shape.proposals import JUDGED
@@ -11,6 +13,7 @@ from recipes.train_embedded_prior.plane_judge import (
     JudgeTraining,
     batch_of,
     learning_rate,
+    open_run,
     worth_of_choice,
 )
 from recipes.train_embedded_prior.plane_sets import (
@@ -65,6 +68,16 @@ def test_training_goes_on_as_if_it_had_not_stopped(tmp_path):
         whole.average.state_dict().items(), second.average.state_dict().values(), strict=True
     ):
         assert torch.equal(a, b), name
+
+
+def test_another_run_is_not_gone_on_with(tmp_path):
+    config = JudgeConfig(run=tmp_path, steps=4)
+    open_run(config)
+    open_run(dataclasses.replace(config, steps=5))  # nothing is trained yet
+    JudgeTraining(config, torch.from_numpy(simple_sets(4).features)).save()
+    open_run(dataclasses.replace(config, steps=5, workers=1, out=tmp_path / "elsewhere"))
+    with pytest.raises(UserError, match=r"judge\.json: cannot resume .* steps: the run has 5"):
+        open_run(config)
 
 
 def test_a_judge_learns_where_planes_should_be(tmp_path):
