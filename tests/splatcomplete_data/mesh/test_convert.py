@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from gscomplete.errors import UserError
 from gscomplete.splats.rotations import rotation_matrices
-from splatcomplete_data.mesh.allot import allot_by_count, allot_by_spacing
-from splatcomplete_data.mesh.convert import ConvertSettings, convert_mesh, shade_cells
+from splatcomplete_data.mesh.allot import allot_by_spacing
+from splatcomplete_data.mesh.convert import ConvertSettings, convert_mesh
 from splatcomplete_data.mesh.edges import marked_edges
 from splatcomplete_data.mesh.load import Mesh, MeshPart, load_mesh
 
@@ -147,37 +147,6 @@ def test_grid_counts_what_it_would_have_missed() -> None:
     ).splats.scales
     np.testing.assert_allclose(scales[:, 0], np.sqrt(2), rtol=1e-5)  # stretched along the slope
     np.testing.assert_allclose(scales[:, 1], 1.0, rtol=1e-5)
-
-
-def test_colours_are_the_slow_twins(tmp_path: Path) -> None:
-    rng = np.random.default_rng(3)
-    vertices = rng.normal(size=(5, 3, 3)).astype(np.float32)
-    part = MeshPart(
-        vertices,
-        rng.random((5, 3, 3)).astype(np.float32),
-        rng.uniform(-2, 3, (5, 3, 2)).astype(np.float32),
-        rng.random((7, 5, 4)).astype(np.float32),
-    )
-    from splatcomplete_data.mesh import convert
-
-    allotment = allot_by_count(vertices, areas_of(vertices.astype(float)), 300)
-    normals = np.cross(vertices[:, 1] - vertices[:, 0], vertices[:, 2] - vertices[:, 0])
-    cells, _ = convert._even_cells(
-        vertices,
-        areas_of(vertices.astype(float)),
-        normals.astype(float),
-        allotment,
-        ConvertSettings(),
-    )
-    found = shade_cells((part,), cells)
-    expected = np.zeros_like(found)
-    for sx in (-1, 1):
-        for sy in (-1, 1):
-            weights = cells.weights + sx * cells.steps[:, 0] + sy * cells.steps[:, 1]
-            plain = MeshPart(vertices, np.ones_like(part.colors), part.uv, part.texture)
-            expected += 0.25 * plain.colors_at(cells.triangle, weights)
-    expected[:, :3] *= np.einsum("nk,nkc->nc", cells.weights, part.colors[cells.triangle])
-    np.testing.assert_allclose(found, np.clip(expected, 0, 1), atol=2e-5)
 
 
 def test_blended_surfaces_keep_their_alpha_and_cut_outs_go() -> None:
