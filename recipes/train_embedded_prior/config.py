@@ -52,10 +52,9 @@ class ShapeDataConfig:
     no_copy_share: float = 0.08
     """Share of sets without mirror images, whatever they are worth."""
     best_copy_share: float = 0.5
-    """Share of the others whose first mirror image is the best by the truth of the candidates."""
-    asked_share: float = 0.0
-    """Share whose first is any of the candidates, shown as if it were the likeliest: so runs ask
-    before they choose. In the rest it is the likeliest."""
+    """Share of the others whose first mirror image is the best by the truth of the candidates; in
+    the rest it is the likeliest. (Showing any of them, as runs ask before they choose, was tried in
+    30 % of the sets: the network's answers then told right planes from wrong ones less well.)"""
     least_worth: float = 0.05
     """Where the best by the truth is worth less, no mirror images are shown either."""
     frame_jitter: float = 0.04

@@ -22,7 +22,7 @@ from torch import Tensor
 
 from gscomplete.completion.framing import FramingSettings, guess_framing
 from gscomplete.jsonio import dumps
-from gscomplete.priors.embedded.shape.choice import CANDIDATES, asked_about
+from gscomplete.priors.embedded.shape.choice import CANDIDATES
 from gscomplete.priors.embedded.shape.grid import (
     CELLS,
     COARSE_CELLS,
@@ -135,7 +135,7 @@ class ShapeSetMaker:
         return stored
 
     def _shown(self, posed: PosedObject, rng: np.random.Generator) -> ShapeInputs:
-        """Show P with the likeliest mirror image first, or the best by the truth, or any, or none.
+        """Show P with the likeliest mirror image first, or the best by the truth, or none.
 
         Runs choose among the same candidates by the network's answers, better than the likeliest.
         """
@@ -144,10 +144,7 @@ class ShapeSetMaker:
             return look.with_copies(no_symmetries())
         planes = candidate_planes(look, CANDIDATES, bfloat16=True)
         first = 0
-        drawn = rng.random()
-        if drawn >= 1 - self.data.asked_share:
-            return look.with_copies(asked_about(look, planes, int(rng.integers(len(planes)))))
-        if drawn < self.data.best_copy_share:
+        if rng.random() < self.data.best_copy_share:
             truth = Truth.of(posed.partial, posed.whole)
             worths = [truth.map_worth(plane) for plane in planes]
             first = int(np.argmax(worths))

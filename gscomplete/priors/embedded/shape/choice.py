@@ -27,7 +27,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from gscomplete.priors.base import Mirror, MirrorPlane
-from gscomplete.priors.embedded.shape.inputs import PartLook
+from gscomplete.priors.embedded.shape.inputs import PartLook, ShapeInputs
 from gscomplete.priors.embedded.shape.model import ShapeCompleter
 from gscomplete.priors.embedded.shape.precision import cpu_precision
 from gscomplete.priors.embedded.shape.proposals import candidate_planes
@@ -78,7 +78,7 @@ def choose_symmetries(
         angle = math.radians(mirror_plane.azimuth_deg)
         given = mirror(angle, mirror_plane.offset, planes[0].score)
         return Choice(look.shown_first([given, *planes], 0), 1.0)
-    asked = [look.with_copies(asked_about(look, planes, k)) for k in range(len(planes))]
+    asked = [_inputs_with_first(look, planes, k) for k in range(len(planes))]
     asked.append(look.with_copies(no_symmetries()))
     volumes = torch.from_numpy(np.stack([a.volumes for a in asked]))
     with cpu_precision(bfloat16=bfloat16):
@@ -116,14 +116,12 @@ def answered_worths(
     return covered / wanted.clamp_min(float(wanted.mean()) + 1e-3) - WRONG_WEIGHT * left_empty
 
 
-def asked_about(
-    look: PartLook, planes: list[SymmetryMap], index: int
-) -> tuple[SymmetryMap, ...]:  # COPIES
-    """Return what the network is shown when asked about a plane: it first, as if the likeliest."""
-    as_likely = list(planes)
-    as_likely[index] = dataclasses.replace(planes[index], score=planes[0].score)
-    return look.shown_first(as_likely, index)
-
-
 def _grown(volumes: Tensor) -> Tensor:  # [K, C, C, C] -> [K, C, C, C]
     return F.max_pool3d(volumes, 3, 1, 1)
+
+
+def _inputs_with_first(look: PartLook, planes: list[SymmetryMap], index: int) -> ShapeInputs:
+    """Show one plane first, as if it were the likeliest."""
+    as_likely = list(planes)
+    as_likely[index] = dataclasses.replace(planes[index], score=planes[0].score)
+    return look.with_copies(look.shown_first(as_likely, index))
