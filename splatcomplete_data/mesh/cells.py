@@ -17,6 +17,7 @@ Conventions
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numba
 import numpy as np
@@ -27,6 +28,17 @@ IntArray = NDArray[np.int64]
 
 WIDTH, HEIGHT = 0, 1
 """Columns of ``sizes``."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cells:
+    """N cells, each of which becomes one splat."""
+
+    triangle: NDArray[np.int64]  # [N] index into all parts' triangles
+    weights: FloatArray  # [N, 3] barycentric weights of the middle
+    steps: FloatArray  # [N, 2, 3] change of the weights over a quarter cell along x and y
+    axes: FloatArray  # [N, 2, 3] unit x and y
+    sizes: FloatArray  # [N, 2] width and height
 
 
 @numba.njit(cache=True)

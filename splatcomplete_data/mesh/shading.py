@@ -10,26 +10,15 @@ Conventions
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from splatcomplete_data.mesh.cells import Cells
 from splatcomplete_data.mesh.load import MeshPart
 
 FloatArray = NDArray[np.float32]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Cells:
-    """N cells, each of which becomes one splat."""
-
-    triangle: NDArray[np.int64]  # [N] index into all parts' triangles
-    weights: FloatArray  # [N, 3] barycentric weights of the middle
-    steps: FloatArray  # [N, 2, 3] change of the weights over a quarter cell along x and y
-    axes: FloatArray  # [N, 2, 3] unit x and y
-    sizes: FloatArray  # [N, 2] width and height
 
 
 def shade_cells(parts: tuple[MeshPart, ...], cells: Cells) -> FloatArray:  # [N, 4]

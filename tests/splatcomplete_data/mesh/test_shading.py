@@ -1,7 +1,8 @@
 import numpy as np
 
+from splatcomplete_data.mesh.cells import Cells
 from splatcomplete_data.mesh.load import MeshPart
-from splatcomplete_data.mesh.shading import Cells, shade_cells
+from splatcomplete_data.mesh.shading import shade_cells
 
 
 def test_colours_are_the_slow_twins() -> None:
