@@ -17,14 +17,7 @@ LOOK = look_at(half(sphere()), ViewDistribution(0.0, 10.0))
 
 
 class Believer(torch.nn.Module):
-    """Fills P and, of the copies shown first, those that reach far behind P.
-
-    Shown no copy it fills what lies across x = 0, or nothing if it has no idea of its own.
-    """
-
-    def __init__(self, has_ideas: bool = True) -> None:
-        super().__init__()
-        self.has_ideas = has_ideas
+    """Fills P and, of the copies shown first, those that reach far behind P."""
 
     def forward(self, volumes, evidence, scores, tokens):
         assert volumes.shape[0] == evidence.shape[0] == scores.shape[0] == tokens.shape[0]
@@ -32,9 +25,6 @@ class Believer(torch.nn.Module):
         copy = volumes[:, 1, 0] > 0
         trusted = copy[:, : CELLS // 4].any(dim=(1, 2, 3))[:, None, None, None]
         filled = partial | (copy & trusted)
-        none_shown = (copy == partial).all(dim=3).all(dim=2).all(dim=1)
-        if self.has_ideas:
-            filled[none_shown] |= partial[none_shown].flip(1)
         n = COARSE_CELLS
         nothing = torch.zeros(len(volumes), SOURCES + 1, n, n, n)
         return ShapeOutput(16.0 * filled.float() - 8.0, nothing[:, :3], nothing)
@@ -79,15 +69,6 @@ def test_the_copies_that_answers_bear_out_are_shown():
     assert farthest < -0.36
     again = choose_symmetries(Believer(), LOOK, tokens).symmetries
     assert [c.score for c in chosen] == [c.score for c in again]
-
-
-def test_no_copy_is_shown_if_the_answer_without_one_speaks_against_it():
-    chosen = choose_symmetries(Believer(has_ideas=False), LOOK, torch.zeros(4, dtype=torch.long))
-    points = LOOK.positions
-    assert chosen.worth == 0
-    for symmetry in chosen.symmetries:
-        assert symmetry.score == 0.0
-        assert (symmetry.apply(points) == points).all()
 
 
 def test_users_may_choose_the_plane_or_none():

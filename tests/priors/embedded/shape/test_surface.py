@@ -20,6 +20,7 @@ from gscomplete.priors.embedded.shape.surface import (
 from gscomplete.priors.embedded.shape.symmetries import SOURCES
 from gscomplete.render import render
 from gscomplete.splats import concatenate
+from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.views import ViewDistribution
 from tests.priors.embedded.shape.shapes import half, likeliest_inputs, mirrors, sphere
 
@@ -58,7 +59,7 @@ def test_interpolation_reads_cell_centres():
 def test_discs_lie_on_the_surface_and_not_on_p():
     splats = guess()
     distance = splats.means.norm(dim=1)
-    # Set inside by less than half a cell (0.03), and smoothed.
+    # The level lies 0.025 outside; set inside by a cell (0.03), and smoothed.
     assert float((distance - 0.4).abs().max()) < 0.035
     # All but a few in the random gaps between P's own splats.
     assert float((splats.means[:, 0] < 0.05).float().mean()) > 0.99
@@ -74,6 +75,20 @@ def test_whole_is_closed_and_of_the_right_size():
         truth = render(sphere(), cameras).alpha > 0.5
     iou = (ours & truth).sum(dim=(1, 2)) / (ours | truth).sum(dim=(1, 2))
     assert float(iou.min()) > 0.93
+
+
+def test_discs_of_a_thin_rod_hardly_pass_its_axis():
+    away = torch.from_numpy(cell_centers(CELLS)) / CELL_SIDE
+    output = ball_output()
+    output.occupancy[0] = 1.0 - 2.0 * away[..., :2].norm(dim=-1)
+    output.occupancy[0][away[..., 2].abs() > 12] = -8.0
+    splats = guess(output=output)
+    beside = splats.means[:, 2].abs() < 0.2  # of the rod's ends
+    normals = rotation_matrices(splats.quaternions)[:, :, 2]
+    outside = (splats.means * normals).sum(dim=1)[beside] / CELL_SIDE
+    assert len(outside) > 100
+    assert float(outside.min()) > -0.25  # one of the steps inward; all of them: -0.5
+    assert float(outside.max()) < 0.05
 
 
 @pytest.mark.parametrize("count", [1, 50, 3000])
