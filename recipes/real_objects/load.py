@@ -81,8 +81,12 @@ def load_real_object(name: str, data_dir: Path) -> RealObject:
     Raises:
         UserError: the name is unknown, a file is missing or broken, or the cut keeps nothing.
     """
-    entry = find(name)
-    path = data_dir / entry.path
+    return load_entry(find(name), data_dir)
+
+
+def load_entry(entry: Entry, data_dir: Path) -> RealObject:
+    """Make the partial object of an entry, which need not be in the table; raises as above."""
+    name, path = entry.name, data_dir / entry.path
     if not path.is_file():
         raise UserError(f"{path}: real object {name}: no such file")
     prompt = entry.prompt or manifest_captions(data_dir)[entry.path]

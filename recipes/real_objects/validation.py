@@ -1,0 +1,127 @@
+"""Objects to choose settings on: ``python -m recipes.real_objects.validation --out DIR``.
+
+The real objects of known truth that ``compare`` leaves alone, each cut in three ways, completed and
+compared with the truth as there. Whoever tunes what a run does should look here, never at the
+benchmark. The cuts are many on purpose: a rule that was tuned on 45 others of the same objects
+gained there and lost on these.
+
+Conventions
+-----------
+* The first part of an object is the table's; the other two are an upright plane elsewhere and what
+  a scanner sees from one or two sides. All are fixed.
+* A turned object is turned about its up axis, as captures are, after it was cut.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+import tyro
+from rich.console import Console
+from rich.progress import track
+
+from gscomplete.atomic import atomic_path
+from gscomplete.priors import load_prior
+from gscomplete.splats.transform import Similarity, transform_splats
+from gscomplete.views import up_rotation
+from recipes.real_objects.catalogue import ENTRIES, BoxCut, Cut, Entry, PlaneCut, ScanCut
+from recipes.real_objects.compare import OBJECTS, completed, measure, pose, settings_of
+from recipes.real_objects.complete import DATA
+from recipes.real_objects.load import RealObject, load_entry
+from recipes.train_embedded_prior.procedural.primitives import turn_about
+
+_OFFSETS = (-0.04, 0.0, 0.05)
+_TURN_DEG = (15.0, 75.0)
+
+
+@dataclass(frozen=True)
+class Options:
+    """Complete parts of real objects that no benchmark uses and measure the results."""
+
+    out: Path
+    """Folder for ``PRESET.json`` or ``PRESET-turned.json``; an interrupted run goes on from it."""
+    preset: Literal["fast", "default", "reconstruct"] = "fast"
+    """Settings of the completion."""
+    turned: bool = False
+    """Turn every object about its up axis by 15 to 75 degrees."""
+    data: Path = DATA
+    """Folder of the real data."""
+
+
+def parts() -> list[Entry]:
+    """Return the parts, three of each object."""
+    chosen = [e for e in ENTRIES if e.source != "scan" and e.name not in OBJECTS]
+    return [
+        dataclasses.replace(entry, name=f"{entry.name}-{n}", cut=cut)
+        for k, entry in enumerate(chosen)
+        for n, cut in enumerate(cuts_of(entry, k))
+    ]
+
+
+def cuts_of(entry: Entry, number: int) -> tuple[Cut, Cut, Cut]:
+    """Return the cuts of object ``number``."""
+    assert entry.cut is not None
+    away_deg = side_taken_away_deg(entry.cut)
+    plane = PlaneCut(away_deg + 70.0 + 13.0 * number, _OFFSETS[number % 3])
+    first = away_deg + 40.0 + 29.0 * number
+    scan = ScanCut((first,) if number % 2 else (first, first + 45.0))
+    return entry.cut, plane, scan
+
+
+def side_taken_away_deg(cut: Cut) -> float:
+    """Return the azimuth of the side that a cut takes away."""
+    if isinstance(cut, PlaneCut):
+        return cut.toward_deg
+    return 180.0 if isinstance(cut, BoxCut) else cut.from_deg[0] + 180.0
+
+
+def turned_object(item: RealObject, index: int) -> RealObject:
+    """Turn an object and its part about the up axis, by an angle that the index determines."""
+    assert item.complete is not None
+    angle_deg = float(np.random.default_rng((index, 77)).uniform(*_TURN_DEG))
+    up = up_rotation(item.up).double()
+    turn = torch.from_numpy(turn_about("z", angle_deg)).double()
+    similarity = Similarity(1.0, up.T @ turn @ up, torch.zeros(3).double())
+    return dataclasses.replace(
+        item,
+        partial=transform_splats(item.partial, similarity),
+        complete=transform_splats(item.complete, similarity),
+    )
+
+
+def main(options: Options) -> None:
+    """Complete and measure."""
+    prior = load_prior("embedded", "cpu")
+    settings = settings_of(options.preset, prior, 0)
+    options.out.mkdir(parents=True, exist_ok=True)
+    path = options.out / f"{options.preset}{'-turned' if options.turned else ''}.json"
+    rows: dict[str, dict[str, Any]] = json.loads(path.read_text()) if path.exists() else {}
+    for index, entry in enumerate(track(parts(), "parts", console=Console(file=sys.stderr))):
+        if entry.name in rows:
+            continue
+        item = load_entry(entry, options.data)
+        posed = pose(turned_object(item, index) if options.turned else item)
+        rows[entry.name] = measure(posed, *completed(posed, prior, settings))
+        with atomic_path(path) as temporary:
+            temporary.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    sys.stdout.write(table(rows))
+
+
+def table(rows: dict[str, dict[str, Any]]) -> str:
+    """Show every part's silhouettes, then the means."""
+    keys = ("silhouette_iou", "hidden_iou", "hidden_color_psnr_db", "seconds")
+    lines = [f"{name:18}{row['silhouette_iou']:8.3f}" for name, row in rows.items()]
+    for key in keys:
+        lines.append(f"mean {key:22}{np.mean([row[key] or 0.0 for row in rows.values()]):9.4f}")
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))
