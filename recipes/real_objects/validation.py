@@ -119,7 +119,9 @@ def table(rows: dict[str, dict[str, Any]]) -> str:
     keys = ("silhouette_iou", "hidden_iou", "hidden_color_psnr_db", "seconds")
     lines = [f"{name:18}{row['silhouette_iou']:8.3f}" for name, row in rows.items()]
     for key in keys:
-        lines.append(f"mean {key:22}{np.mean([row[key] or 0.0 for row in rows.values()]):9.4f}")
+        known = [row[key] for row in rows.values() if row[key] is not None]
+        mean = f"{np.mean(known):9.4f}" if known else "unavailable"
+        lines.append(f"mean {key:22}{mean} over {len(known)}")
     return "\n".join(lines) + "\n"
 
 

@@ -44,4 +44,7 @@ def test_the_table_shows_parts_and_means() -> None:
     row = {"silhouette_iou": 0.5, "hidden_iou": 0.25, "hidden_color_psnr_db": None, "seconds": 2.0}
     text = table({"a-0": row, "a-1": {**row, "silhouette_iou": 1.0}})
     assert "a-1" in text
-    assert "0.7500" in text.splitlines()[2]
+    assert "0.7500 over 2" in text.splitlines()[2]
+    assert "hidden_color_psnr_db  unavailable over 0" in text
+    again = table({"a-0": row, "a-1": {**row, "hidden_color_psnr_db": 16.0}})
+    assert "16.0000 over 1" in again  # what is unknown is left out, not counted as nothing
