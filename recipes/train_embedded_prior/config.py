@@ -73,6 +73,9 @@ class RunConfig:
     """Folder of checkpoints, data shards, log and sample sheets."""
     resume: bool = False
     """Go on from the checkpoint in ``out``; without it ``out`` must hold none."""
+    start_from: Path | None = None
+    """Folder of exported weights to start a new run from, such as the package's own; None = random
+    numbers. Their words keep their places, new ones follow."""
     minutes: float | None = 95.0
     """Length of training in minutes of its own running time; None = set by ``steps``."""
     steps: int | None = None

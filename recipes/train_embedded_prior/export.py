@@ -24,10 +24,11 @@ from torch import Tensor
 
 from gscomplete.errors import UserError
 from gscomplete.jsonio import from_json, read_json
-from gscomplete.priors.embedded.model import FourViewDenoiser, count_parameters
+from gscomplete.priors.base import PriorViews
+from gscomplete.priors.embedded.model import FourViewDenoiser, ModelConfig, count_parameters
 from gscomplete.priors.embedded.prior import packaged_weights
 from gscomplete.priors.embedded.shape.grid import CELL_SIDE, CELLS
-from gscomplete.priors.embedded.shape.model import ShapeCompleter
+from gscomplete.priors.embedded.shape.model import ShapeCompleter, ShapeModelConfig
 from gscomplete.priors.embedded.shape.plane_judge import JUDGE_FILE
 from gscomplete.priors.embedded.shape.plane_ranker import RANKER_FILE
 from gscomplete.priors.embedded.text import FIRST_WORD_TOKEN, STOP_WORDS, split_words
@@ -55,8 +56,8 @@ _LOG = logging.getLogger(__name__)
 class ExportConfig:
     """What to export, and where to."""
 
-    run: Path
-    """Folder of the denoiser's training run."""
+    run: Path | None = None
+    """Folder of the denoiser's training run; None = keep the denoiser that ``out`` holds."""
     shape_run: Path | None = None
     """Folder of the shape network's training run; None = export no shape network."""
     out: Path = dataclasses.field(default_factory=packaged_weights)
@@ -77,12 +78,40 @@ def words_seen(words: tuple[str, ...], captions: Iterable[str]) -> tuple[str, ..
 
 
 @dataclass(frozen=True, slots=True)
+class Exportable:
+    """Averaged weights of one network, and what goes with them."""
+
+    model: ModelConfig | ShapeModelConfig
+    state: dict[str, Tensor]
+    words: tuple[str, ...]
+    training: TrainingRecord
+
+    def weights(self, kept: tuple[str, ...]) -> dict[str, Tensor]:
+        """Return the weights with the embeddings of the kept words, in their order."""
+        name = "words.weight" if isinstance(self.model, ShapeModelConfig) else "text.words.weight"
+        places = (FIRST_WORD_TOKEN + self.words.index(word) for word in kept)
+        rows = torch.tensor([*range(FIRST_WORD_TOKEN), *places])
+        return self.state | {name: self.state[name][rows]}
+
+
+def kept_denoiser(folder: Path) -> Exportable:
+    """Take the denoiser of exported weights as it is.
+
+    Raises:
+        UserError: they cannot be read.
+    """
+    model, _, config = load_weights(folder)
+    return Exportable(config.model, model.state_dict(), config.words, config.training)
+
+
+@dataclass(frozen=True, slots=True)
 class TrainedRun:
     """A training run as it stands."""
 
     config: TrainConfig | ShapeTrainConfig
     state: TrainState
     words: tuple[str, ...]
+    before: TrainingRecord | None
 
     @classmethod
     def load(cls, folder: Path) -> TrainedRun:
@@ -100,55 +129,68 @@ class TrainedRun:
         )
         state = TrainState.start(config, task.make_model)
         state.load(folder)
-        return cls(config, state, record.words)
+        return cls(config, state, record.words, record.before)
 
-    def weights(self, kept: tuple[str, ...]) -> dict[str, Tensor]:
-        """Return the averaged weights with the embeddings of the kept words, in their order."""
+    def exportable(self) -> Exportable:
+        """Return what the run has made so far."""
         state = self.state.ema.state_dict()
-        name = "words.weight" if isinstance(self.config, ShapeTrainConfig) else "text.words.weight"
-        places = (FIRST_WORD_TOKEN + self.words.index(word) for word in kept)
-        rows = torch.tensor([*range(FIRST_WORD_TOKEN), *places])
-        return state | {name: state[name][rows]}
+        return Exportable(self.config.model, state, self.words, self.record())
 
     def record(self) -> TrainingRecord:
-        """Say how the weights came to be."""
+        """Say how the weights came to be, those that the run started from included."""
         config = self.config
         per_step = config.fresh_sets if isinstance(config, ShapeTrainConfig) else config.batch_sets
+        steps, sets, hours = 0, 0, 0.0
+        if self.before is not None:
+            steps, sets, hours = self.before.steps, self.before.sets, self.before.hours
         return TrainingRecord(
-            steps=self.state.step,
-            sets=self.state.step * per_step,
-            hours=round(self.state.elapsed_s / 3600, 3),
+            steps=steps + self.state.step,
+            sets=sets + self.state.step * per_step,
+            hours=round(hours + self.state.elapsed_s / 3600, 3),
             machine=f"{config.replicas} {config.device} replicas, {platform.machine()}",
             seed=config.seed,
         )
 
 
 def export(
-    views: TrainedRun, shape: TrainedRun | None, kept: tuple[str, ...], out: Path, storage: Storage
+    denoiser: Exportable,
+    views: PriorViews,
+    shape: Exportable | None,
+    kept: tuple[str, ...],
+    out: Path,
+    storage: Storage,
 ) -> PriorConfig:
     """Write weights and configuration.
+
+    Args:
+        denoiser: the four-view denoiser.
+        views: the framing that it was trained with.
+        shape: the shape network; None = there is none.
+        kept: words.
+        out: folder to write to.
+        storage: precision.
 
     Returns:
         The configuration that was written.
     """
-    train = views.config
-    assert isinstance(train, TrainConfig)
     size = FIRST_WORD_TOKEN + len(kept)
+    assert isinstance(denoiser.model, ModelConfig)
     shape_record = None
     if shape is not None:
-        assert isinstance(shape.config, ShapeTrainConfig)
-        shape_model = dataclasses.replace(shape.config.model, vocabulary_size=size)
-        shape_record = ShapeRecord(shape_model, shape.record())
+        assert isinstance(shape.model, ShapeModelConfig)
+        shape_model = dataclasses.replace(shape.model, vocabulary_size=size)
+        shape_record = ShapeRecord(shape_model, shape.training)
     config = PriorConfig(
         format_version=FORMAT_VERSION,
-        model=dataclasses.replace(train.model, vocabulary_size=size),
-        views=train.data.views(train.model.resolution_px),
+        model=dataclasses.replace(denoiser.model, vocabulary_size=size),
+        views=views,
         words=kept,
         storage=storage,
-        training=views.record(),
+        training=denoiser.training,
         shape=shape_record,
     )
-    save_weights(out, views.weights(kept), config, None if shape is None else shape.weights(kept))
+    tensors = None if shape is None else shape.weights(kept)
+    save_weights(out, denoiser.weights(kept), config, tensors)
     return config
 
 
@@ -221,24 +263,26 @@ def card(
 
 
 def measure_export(
-    views: TrainedRun, options: ExportConfig
+    run: TrainedRun | None, options: ExportConfig
 ) -> tuple[dict[str, dict[str, float]], dict[str, float]]:
     """Measure the stored weights on held-out sets, the denoiser's beside the trained ones."""
     model, shape, config = load_weights(options.out)
-    count, train = options.evaluation_sets, views.config
-    assert isinstance(train, TrainConfig)
+    count = options.evaluation_sets
     if not count:
         return {}, {}
-    task = ViewsTask(train, procedural_source, config.words)
-    batch = held_out_sets(task.spec, count)
-    trained = FourViewDenoiser(config.model)
-    trained.load_state_dict(views.weights(config.words))
+    train = TrainConfig(out=options.out, model=config.model)
+    losses = {}
+    if run is not None:
+        assert isinstance(run.config, TrainConfig)
+        train = run.config
+    batch = held_out_sets(ViewsTask(train, procedural_source, config.words).spec, count)
+    if run is not None:
+        trained = FourViewDenoiser(config.model)
+        trained.load_state_dict(run.exportable().weights(config.words))
+        losses["trained, float32"] = measure_losses(trained, batch, "float32")
     name = f"shipped, {options.storage}"
-    losses = {
-        "trained, float32": measure_losses(trained, batch, "float32"),
-        name: measure_losses(model, batch, "float32"),
-        f"{name}, run in bfloat16": measure_losses(model, batch, "bfloat16"),
-    }
+    losses[name] = measure_losses(model, batch, "float32")
+    losses[f"{name}, run in bfloat16"] = measure_losses(model, batch, "bfloat16")
     if shape is None:
         return losses, {}
     shape_train = ShapeTrainConfig(out=options.out, seed=train.seed, evaluation_sets=count)
@@ -246,20 +290,41 @@ def measure_export(
     return losses, shape_task.measure(shape)
 
 
+def export_runs(options: ExportConfig) -> tuple[TrainedRun | None, set[str]]:
+    """Read the runs and write the weights.
+
+    Returns:
+        The denoiser's run, if there is one, and the words left out.
+
+    Raises:
+        UserError: a run or the weights to keep cannot be read, or the weights cannot be written.
+    """
+    run = None if options.run is None else TrainedRun.load(options.run)
+    shape_run = None if options.shape_run is None else TrainedRun.load(options.shape_run)
+    if run is None:
+        denoiser = kept_denoiser(options.out)
+        views = load_weights(options.out)[2].views
+    else:
+        assert isinstance(run.config, TrainConfig)
+        denoiser = run.exportable()
+        views = run.config.data.views(run.config.model.resolution_px)
+    shape = None if shape_run is None else shape_run.exportable()
+    seed = 0 if run is None else run.config.seed
+    captions = [make_object(seed, index).caption for index in range(options.words_from)]
+    kept = words_seen(denoiser.words, captions)
+    if shape is not None:
+        kept = tuple(word for word in kept if word in shape.words)
+    export(denoiser, views, shape, kept, options.out, options.storage)
+    return run, set(denoiser.words) - set(kept) - STOP_WORDS
+
+
 def main() -> int:
     """Run from the command line."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     options = tyro.cli(ExportConfig, description=__doc__)
     try:
-        views = TrainedRun.load(options.run)
-        shape = None if options.shape_run is None else TrainedRun.load(options.shape_run)
-        seed = views.config.seed
-        captions = [make_object(seed, index).caption for index in range(options.words_from)]
-        kept = words_seen(views.words, captions)
-        if shape is not None:
-            kept = tuple(word for word in kept if word in shape.words)
-        export(views, shape, kept, options.out, options.storage)
-        losses, shape_losses = measure_export(views, options)
+        run, left_out = export_runs(options)
+        losses, shape_losses = measure_export(run, options)
         model, shape_model, config = load_weights(options.out)
     except UserError as error:
         _LOG.error("%s", error)
@@ -267,9 +332,8 @@ def main() -> int:
     text = card(config, model, shape_model, losses, shape_losses, options.history)
     (options.out / "CARD.md").write_text(text, encoding="utf-8")
     size = sum(path.stat().st_size for path in options.out.iterdir())
-    left_out = sorted(set(views.words) - set(kept) - STOP_WORDS)
-    _LOG.info("%s: %.1f MB, %d words", options.out, size / 1e6, len(kept))
-    _LOG.info("left out, in no caption: %s", " ".join(left_out) or "none")
+    _LOG.info("%s: %.1f MB, %d words", options.out, size / 1e6, len(config.words))
+    _LOG.info("left out, in no caption: %s", " ".join(sorted(left_out)) or "none")
     return 0
 
 

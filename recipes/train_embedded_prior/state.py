@@ -23,7 +23,9 @@ from gscomplete.atomic import atomic_path
 from gscomplete.errors import UserError
 from gscomplete.jsonio import from_json, read_json, write_json
 from gscomplete.priors.embedded.text import FIRST_WORD_TOKEN
+from gscomplete.priors.embedded.weights import TrainingRecord
 from recipes.train_embedded_prior.config import RunConfig, ShapeTrainConfig, TrainConfig
+from recipes.train_embedded_prior.warm_start import fill, start_weights
 
 CHECKPOINT = "checkpoint.safetensors"
 RUN = "run.json"
@@ -35,6 +37,8 @@ class RunRecord:
 
     config: TrainConfig | ShapeTrainConfig
     words: tuple[str, ...]
+    before: TrainingRecord | None = None
+    """How the weights came to be that the run started from; None = it started from nothing."""
 
 
 @dataclass(slots=True)
@@ -49,11 +53,18 @@ class TrainState:
 
     @classmethod
     def start(cls, config: RunConfig, make_model: Callable[[], nn.Module]) -> TrainState:
-        """Initialise a run; the weights are a function of the seed."""
+        """Initialise a run: the weights are a function of the seed, or those to start from.
+
+        Raises:
+            UserError: the weights to start from cannot be read or do not fit.
+        """
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
             model = make_model().to(config.device)
             ema = make_model().to(config.device).requires_grad_(False)
+        start = None if config.resume else start_weights(config)
+        if start is not None:
+            fill(model, start)
         ema.load_state_dict(model.state_dict())
         return cls(model, ema, make_optimizer(model, config))
 
@@ -142,6 +153,7 @@ def open_run(config: TrainConfig | ShapeTrainConfig, words: tuple[str, ...]) -> 
             are more words than the model has room for.
     """
     path = config.out / RUN
+    before = None
     if config.resume:
         record = from_json(RunRecord, read_json(path), str(path))
         for name in ("seed", "batch_sets", "data", "model", "shard_sets"):
@@ -151,13 +163,19 @@ def open_run(config: TrainConfig | ShapeTrainConfig, words: tuple[str, ...]) -> 
                     f"started, found {getattr(config, name)}"
                 )
         words = (*record.words, *(word for word in words if word not in record.words))
+        before = record.before
     elif (config.out / CHECKPOINT).exists():
         raise UserError(f"{config.out}: holds a checkpoint; resume it or choose another --out")
+    else:
+        start = start_weights(config)
+        if start is not None:
+            words = (*start.words, *(word for word in words if word not in start.words))
+            before = start.training
     room = config.model.vocabulary_size - FIRST_WORD_TOKEN
     if len(words) > room:
         raise UserError(f"model.vocabulary_size: room for {room} words, found {len(words)}")
     config.out.mkdir(parents=True, exist_ok=True)
-    write_json(path, RunRecord(config, words))
+    write_json(path, RunRecord(config, words, before))
     return words
 
 

@@ -1,8 +1,17 @@
+from types import SimpleNamespace
+
 import torch
 
 from gscomplete.priors import load_prior
 from gscomplete.priors.embedded.weights import load_weights
-from recipes.train_embedded_prior.export import TrainedRun, card, export, words_seen
+from recipes.train_embedded_prior.export import (
+    ExportConfig,
+    TrainedRun,
+    card,
+    export,
+    export_runs,
+    words_seen,
+)
 from recipes.train_embedded_prior.shape_task import ShapeTask
 from recipes.train_embedded_prior.state import TrainState, open_run
 from recipes.train_embedded_prior.views_task import ViewsTask
@@ -18,6 +27,12 @@ def trained(task, steps=0):
     return TrainedRun.load(task.config.out)
 
 
+def exported(views, shape, kept, out, storage):
+    framing = views.config.data.views(views.config.model.resolution_px)
+    part = None if shape is None else shape.exportable()
+    return export(views.exportable(), framing, part, kept, out, storage)
+
+
 def test_only_words_seen_in_captions_are_kept():
     assert words_seen(WORDS, ["a red ball", "the red thing"]) == ("ball", "red")
 
@@ -28,13 +43,13 @@ def test_kept_words_keep_their_embeddings(tmp_path):
     rows = [0, 1, 2 + WORDS.index("red")]
     for run, name in ((views, "text.words.weight"), (shape, "words.weight")):
         everything = run.state.ema.state_dict()
-        assert torch.equal(run.weights(("red",))[name], everything[name][rows])
+        assert torch.equal(run.exportable().weights(("red",))[name], everything[name][rows])
 
 
 def test_exported_weights_make_a_prior(tmp_path):
     views = trained(ViewsTask(tiny_run(tmp_path / "a"), stub_source, WORDS), steps=7)
     shape = trained(ShapeTask(tiny_shape_run(tmp_path / "b"), stub_source, WORDS), steps=5)
-    written = export(views, shape, ("ball", "red"), tmp_path / "out", "int8")
+    written = exported(views, shape, ("ball", "red"), tmp_path / "out", "int8")
     model, shape_model, read = load_weights(tmp_path / "out")
     assert read == written
     assert shape_model is not None
@@ -52,5 +67,30 @@ def test_exported_weights_make_a_prior(tmp_path):
 
 def test_weights_without_a_shape_network_make_a_prior_that_does_not_guess(tmp_path):
     views = trained(ViewsTask(tiny_run(tmp_path / "a"), stub_source, WORDS))
-    export(views, None, WORDS, tmp_path / "out", "float16")
+    exported(views, None, WORDS, tmp_path / "out", "float16")
     assert load_weights(tmp_path / "out")[1] is None
+
+
+def test_the_denoiser_can_be_kept_while_the_shape_network_is_trained_on(tmp_path, monkeypatch):
+    """Nothing of the denoiser changes; the record counts the steps before and after."""
+    views = trained(ViewsTask(tiny_run(tmp_path / "a"), stub_source, WORDS), steps=7)
+    shape = trained(ShapeTask(tiny_shape_run(tmp_path / "b"), stub_source, WORDS), steps=5)
+    out = tmp_path / "out"
+    exported(views, shape, WORDS, out, "int8")
+    before = load_weights(out)[0].state_dict()
+    going_on = tiny_shape_run(tmp_path / "c", start_from=out)
+    trained(ShapeTask(going_on, stub_source, WORDS), steps=3)
+    monkeypatch.setattr(
+        "recipes.train_embedded_prior.export.make_object",
+        lambda seed, index: SimpleNamespace(caption=" ".join(WORDS)),
+    )
+    options = ExportConfig(shape_run=tmp_path / "c", out=out, words_from=1)
+    run, left_out = export_runs(options)
+    model, _, config = load_weights(out)
+    assert run is None
+    assert not left_out
+    assert all(torch.equal(value, before[name]) for name, value in model.state_dict().items())
+    assert config.training.steps == 7
+    assert config.shape is not None
+    assert config.shape.training.steps == 8
+    assert config.shape.training.sets == 16
