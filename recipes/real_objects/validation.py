@@ -35,7 +35,7 @@ from recipes.real_objects.catalogue import ENTRIES, BoxCut, Cut, Entry, PlaneCut
 from recipes.real_objects.compare import OBJECTS, completed, measure, pose, settings_of
 from recipes.real_objects.complete import DATA
 from recipes.real_objects.load import RealObject, load_entry
-from recipes.train_embedded_prior.procedural.primitives import turn_about
+from recipes.train_embedded_prior.procedural.quads import turn_about
 
 _OFFSETS = (-0.04, 0.0, 0.05)
 _TURN_DEG = (15.0, 75.0)

@@ -25,7 +25,7 @@ from recipes.train_embedded_prior.procedural.palette import (
     pick_color,
     sample_color,
 )
-from recipes.train_embedded_prior.procedural.primitives import Quads, turn_about
+from recipes.train_embedded_prior.procedural.quads import Quads, turn_about
 
 T = TypeVar("T")
 

@@ -13,18 +13,19 @@ from recipes.train_embedded_prior.procedural.assembly import (
     Look,
 )
 from recipes.train_embedded_prior.procedural.primitives import (
-    Quads,
     box,
     cylinder,
     ellipsoid,
     prism,
     regular_polygon,
+)
+from recipes.train_embedded_prior.procedural.quads import Quads, turn_about
+from recipes.train_embedded_prior.procedural.sweeps import (
     revolve,
     shell_profile,
     smooth_profile,
     torus,
     tube,
-    turn_about,
 )
 
 SUBSTANCES_OF_SHAPES = ("plastic", "stone", "wooden", "metal", "ceramic", "plain", "plain")

@@ -15,15 +15,9 @@ from recipes.train_embedded_prior.procedural.assembly import (
     Look,
 )
 from recipes.train_embedded_prior.procedural.families_abstract import any_look, any_part
-from recipes.train_embedded_prior.procedural.primitives import (
-    FloatArray,
-    box,
-    cylinder,
-    ellipsoid,
-    rod,
-    smooth_profile,
-    tube,
-)
+from recipes.train_embedded_prior.procedural.primitives import box, cylinder, ellipsoid
+from recipes.train_embedded_prior.procedural.quads import FloatArray
+from recipes.train_embedded_prior.procedural.sweeps import rod, smooth_profile, tube
 
 _SPINE_POINTS = 11
 

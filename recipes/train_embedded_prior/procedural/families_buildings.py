@@ -6,17 +6,9 @@ import numpy as np
 
 from recipes.train_embedded_prior.procedural.assembly import Assembly, Description, Look
 from recipes.train_embedded_prior.procedural.captions import detail
-from recipes.train_embedded_prior.procedural.primitives import (
-    Quads,
-    box,
-    cylinder,
-    ellipsoid,
-    join,
-    prism,
-    revolve,
-    rod,
-    turn_about,
-)
+from recipes.train_embedded_prior.procedural.primitives import box, cylinder, ellipsoid, prism
+from recipes.train_embedded_prior.procedural.quads import Quads, join, turn_about
+from recipes.train_embedded_prior.procedural.sweeps import revolve, rod
 
 ROOF_COLORS = (
     "red",

@@ -13,11 +13,9 @@ from recipes.train_embedded_prior.procedural.assembly import (
 )
 from recipes.train_embedded_prior.procedural.captions import detail
 from recipes.train_embedded_prior.procedural.families_kitchen import side_label
-from recipes.train_embedded_prior.procedural.primitives import (
+from recipes.train_embedded_prior.procedural.primitives import cylinder, disc, ellipsoid
+from recipes.train_embedded_prior.procedural.sweeps import (
     arc,
-    cylinder,
-    disc,
-    ellipsoid,
     revolve,
     rod,
     shell_profile,

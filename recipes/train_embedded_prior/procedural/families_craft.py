@@ -16,19 +16,9 @@ from recipes.train_embedded_prior.procedural.families_vehicles import (
     wheels,
     wing,
 )
-from recipes.train_embedded_prior.procedural.primitives import (
-    box,
-    cylinder,
-    ellipsoid,
-    join,
-    loft,
-    prism,
-    revolve,
-    rod,
-    smooth_profile,
-    torus,
-    turn_about,
-)
+from recipes.train_embedded_prior.procedural.primitives import box, cylinder, ellipsoid, prism
+from recipes.train_embedded_prior.procedural.quads import join, turn_about
+from recipes.train_embedded_prior.procedural.sweeps import loft, revolve, rod, smooth_profile, torus
 
 
 def plane(a: Assembly) -> Description:

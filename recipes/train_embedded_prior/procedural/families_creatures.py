@@ -14,17 +14,9 @@ from recipes.train_embedded_prior.procedural.assembly import (
 from recipes.train_embedded_prior.procedural.captions import detail
 from recipes.train_embedded_prior.procedural.materials import Material
 from recipes.train_embedded_prior.procedural.palette import sample_color
-from recipes.train_embedded_prior.procedural.primitives import (
-    Quads,
-    cylinder,
-    ellipsoid,
-    prism,
-    revolve,
-    rod,
-    smooth_profile,
-    tube,
-    turn_about,
-)
+from recipes.train_embedded_prior.procedural.primitives import cylinder, ellipsoid, prism
+from recipes.train_embedded_prior.procedural.quads import Quads, turn_about
+from recipes.train_embedded_prior.procedural.sweeps import revolve, rod, smooth_profile, tube
 
 FUR = ("brown", "light brown", "dark brown", "white", "black", "grey", "beige", "orange", "cream")
 SKIN = ("beige", "light brown", "brown", "cream", "dark brown")

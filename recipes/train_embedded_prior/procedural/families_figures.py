@@ -11,16 +11,9 @@ from recipes.train_embedded_prior.procedural.assembly import (
 )
 from recipes.train_embedded_prior.procedural.captions import detail
 from recipes.train_embedded_prior.procedural.families_creatures import SKIN, ball, eyes
-from recipes.train_embedded_prior.procedural.primitives import (
-    box,
-    cylinder,
-    ellipsoid,
-    revolve,
-    rod,
-    smooth_profile,
-    tube,
-    turn_about,
-)
+from recipes.train_embedded_prior.procedural.primitives import box, cylinder, ellipsoid
+from recipes.train_embedded_prior.procedural.quads import turn_about
+from recipes.train_embedded_prior.procedural.sweeps import revolve, rod, smooth_profile, tube
 
 
 def person(a: Assembly) -> Description:

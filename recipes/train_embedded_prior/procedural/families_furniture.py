@@ -11,15 +11,9 @@ from recipes.train_embedded_prior.procedural.assembly import (
     Look,
 )
 from recipes.train_embedded_prior.procedural.captions import detail
-from recipes.train_embedded_prior.procedural.primitives import (
-    Quads,
-    box,
-    cylinder,
-    ellipsoid,
-    rod,
-    torus,
-    tube,
-)
+from recipes.train_embedded_prior.procedural.primitives import box, cylinder, ellipsoid
+from recipes.train_embedded_prior.procedural.quads import Quads
+from recipes.train_embedded_prior.procedural.sweeps import rod, torus, tube
 
 
 def cushion(x: float, y: float, z: float) -> Quads:

@@ -6,20 +6,16 @@ import numpy as np
 
 from recipes.train_embedded_prior.procedural.assembly import DECORATIONS, Assembly, Description
 from recipes.train_embedded_prior.procedural.captions import detail
-from recipes.train_embedded_prior.procedural.primitives import (
+from recipes.train_embedded_prior.procedural.primitives import box, cylinder, disc, ellipsoid, prism
+from recipes.train_embedded_prior.procedural.quads import turn_about
+from recipes.train_embedded_prior.procedural.sweeps import (
     arc,
-    box,
-    cylinder,
-    disc,
-    ellipsoid,
-    prism,
     revolve,
     rod,
     shell_profile,
     smooth_profile,
     torus,
     tube,
-    turn_about,
 )
 
 FACE_X = turn_about("y", 90)

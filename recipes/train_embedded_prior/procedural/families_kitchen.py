@@ -15,16 +15,15 @@ from recipes.train_embedded_prior.procedural.assembly import (
 )
 from recipes.train_embedded_prior.procedural.captions import detail
 from recipes.train_embedded_prior.procedural.materials import Mark
-from recipes.train_embedded_prior.procedural.primitives import (
+from recipes.train_embedded_prior.procedural.primitives import cylinder, ellipsoid
+from recipes.train_embedded_prior.procedural.quads import turn_about
+from recipes.train_embedded_prior.procedural.sweeps import (
     arc,
-    cylinder,
-    ellipsoid,
     revolve,
     rod,
     shell_profile,
     smooth_profile,
     tube,
-    turn_about,
 )
 
 

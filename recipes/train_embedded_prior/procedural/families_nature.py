@@ -10,20 +10,20 @@ from recipes.train_embedded_prior.procedural.assembly import Assembly, Descripti
 from recipes.train_embedded_prior.procedural.captions import detail
 from recipes.train_embedded_prior.procedural.materials import Mark
 from recipes.train_embedded_prior.procedural.primitives import (
-    Quads,
     box,
     cylinder,
     ellipsoid,
-    grid,
     prism,
     regular_polygon,
+)
+from recipes.train_embedded_prior.procedural.quads import Quads, grid, turn_about
+from recipes.train_embedded_prior.procedural.sweeps import (
     revolve,
     rod,
     shell_profile,
     smooth_profile,
     torus,
     tube,
-    turn_about,
 )
 
 PETALS = ("red", "pink", "yellow", "white", "purple", "orange", "magenta", "light blue", "blue")

@@ -15,18 +15,15 @@ from recipes.train_embedded_prior.procedural.assembly import (
 from recipes.train_embedded_prior.procedural.captions import detail
 from recipes.train_embedded_prior.procedural.materials import Mark, MarkShape, Material
 from recipes.train_embedded_prior.procedural.palette import sample_color
-from recipes.train_embedded_prior.procedural.primitives import (
+from recipes.train_embedded_prior.procedural.primitives import box, cylinder, disc, ellipsoid
+from recipes.train_embedded_prior.procedural.quads import turn_about
+from recipes.train_embedded_prior.procedural.sweeps import (
     arc,
-    box,
-    cylinder,
-    disc,
-    ellipsoid,
     revolve,
     rod,
     smooth_profile,
     torus,
     tube,
-    turn_about,
 )
 
 GOLDEN = (1 + math.sqrt(5)) / 2

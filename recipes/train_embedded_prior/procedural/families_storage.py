@@ -12,13 +12,8 @@ from recipes.train_embedded_prior.procedural.assembly import (
 from recipes.train_embedded_prior.procedural.captions import detail
 from recipes.train_embedded_prior.procedural.families_furniture import cushion, drawers, four_legs
 from recipes.train_embedded_prior.procedural.materials import Mark
-from recipes.train_embedded_prior.procedural.primitives import (
-    box,
-    ellipsoid,
-    prism,
-    torus,
-    tray,
-)
+from recipes.train_embedded_prior.procedural.primitives import box, ellipsoid, prism, tray
+from recipes.train_embedded_prior.procedural.sweeps import torus
 
 
 def shelf(a: Assembly) -> Description:

@@ -10,7 +10,6 @@ import itertools
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from recipes.train_embedded_prior.procedural.assembly import (
     DECORATIONS,
@@ -27,38 +26,21 @@ from recipes.train_embedded_prior.procedural.families_furniture import (
     pedestal,
 )
 from recipes.train_embedded_prior.procedural.primitives import (
-    Quads,
-    arc,
     box,
     cylinder,
     ellipsoid,
-    loft,
     prism,
     regular_polygon,
+    tray,
+)
+from recipes.train_embedded_prior.procedural.quads import Quads, turn_about
+from recipes.train_embedded_prior.procedural.sweeps import (
+    arc,
+    ribbon,
     rod,
     smooth_profile,
-    tray,
     tube,
-    turn_about,
 )
-
-
-def ribbon(
-    path: ArrayLike,  # [P, 3]
-    across: tuple[float, float, float],
-    width: float,
-    thickness: float,
-) -> Quads:
-    """Sweep a board along a path; its width lies along the unit vector ``across``."""
-    line = np.asarray(path, np.float32)
-    tangent = np.gradient(line, axis=0)
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True).clip(1e-9)
-    side = np.asarray(across, np.float32)
-    normal = np.cross(tangent, side)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True).clip(1e-9)
-    signs = ((1, 1), (-1, 1), (-1, -1), (1, -1))
-    corners = [line + 0.5 * (s * width * side + t * thickness * normal) for s, t in signs]
-    return loft(np.stack(corners, axis=1), feature=0.5 * thickness)
 
 
 def sled(a: Assembly, look: Look, x: float, y: float, z: float) -> None:

@@ -8,19 +8,9 @@ from recipes.train_embedded_prior.procedural.assembly import Assembly, Descripti
 from recipes.train_embedded_prior.procedural.captions import detail
 from recipes.train_embedded_prior.procedural.families_household import FACE_X
 from recipes.train_embedded_prior.procedural.materials import Mark
-from recipes.train_embedded_prior.procedural.primitives import (
-    arc,
-    box,
-    cylinder,
-    disc,
-    ellipsoid,
-    prism,
-    revolve,
-    rod,
-    torus,
-    tube,
-    turn_about,
-)
+from recipes.train_embedded_prior.procedural.primitives import box, cylinder, disc, ellipsoid, prism
+from recipes.train_embedded_prior.procedural.quads import turn_about
+from recipes.train_embedded_prior.procedural.sweeps import arc, revolve, rod, torus, tube
 
 
 def carton(a: Assembly) -> Description:

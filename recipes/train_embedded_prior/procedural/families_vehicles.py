@@ -13,17 +13,9 @@ from recipes.train_embedded_prior.procedural.assembly import (
     Look,
 )
 from recipes.train_embedded_prior.procedural.captions import detail
-from recipes.train_embedded_prior.procedural.primitives import (
-    FloatArray,
-    Quads,
-    box,
-    cylinder,
-    ellipsoid,
-    prism,
-    revolve,
-    torus,
-    turn_about,
-)
+from recipes.train_embedded_prior.procedural.primitives import box, cylinder, ellipsoid, prism
+from recipes.train_embedded_prior.procedural.quads import FloatArray, Quads, turn_about
+from recipes.train_embedded_prior.procedural.sweeps import revolve, torus
 
 SIDEWAYS = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]], np.float32)
 """Turns a prism drawn in (x, y) into one whose outline is (x, z), extruded along -y."""

@@ -8,20 +8,16 @@ import numpy as np
 
 from recipes.train_embedded_prior.procedural.assembly import DECORATIONS, Assembly, Description
 from recipes.train_embedded_prior.procedural.captions import detail
-from recipes.train_embedded_prior.procedural.primitives import (
-    Quads,
+from recipes.train_embedded_prior.procedural.primitives import box, cylinder, ellipsoid
+from recipes.train_embedded_prior.procedural.quads import Quads, grid, turn_about
+from recipes.train_embedded_prior.procedural.sweeps import (
     arc,
-    box,
-    cylinder,
-    ellipsoid,
-    grid,
     loft,
     revolve,
     rod,
     smooth_profile,
     torus,
     tube,
-    turn_about,
 )
 
 

@@ -38,7 +38,7 @@ from recipes.train_embedded_prior.procedural import (
 from recipes.train_embedded_prior.procedural.assembly import Assembly, Description
 from recipes.train_embedded_prior.procedural.captions import caption
 from recipes.train_embedded_prior.procedural.materials import bake, paint, sample_light
-from recipes.train_embedded_prior.procedural.primitives import FloatArray, turn_about
+from recipes.train_embedded_prior.procedural.quads import FloatArray, turn_about
 from recipes.train_embedded_prior.procedural.sampling import SurfaceSamples, sample_quads
 from recipes.train_embedded_prior.procedural.warps import draw_warp, warped
 from splatcomplete_data.mesh.discs import DiscSettings, discs_at

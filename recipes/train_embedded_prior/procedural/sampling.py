@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from recipes.train_embedded_prior.procedural.primitives import FloatArray, Quads
+from recipes.train_embedded_prior.procedural.quads import FloatArray, Quads
 
 IntArray = NDArray[np.int64]
 

@@ -17,7 +17,7 @@ from typing import Literal
 
 import numpy as np
 
-from recipes.train_embedded_prior.procedural.primitives import FloatArray
+from recipes.train_embedded_prior.procedural.quads import FloatArray
 from recipes.train_embedded_prior.procedural.sampling import SurfaceSamples
 
 _STEP = 1e-3

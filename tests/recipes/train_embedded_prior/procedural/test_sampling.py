@@ -1,19 +1,14 @@
 import numpy as np
 import pytest
 
-from recipes.train_embedded_prior.procedural.primitives import (
-    Quads,
-    box,
-    cylinder,
-    disc,
-    ellipsoid,
-    rod,
-)
+from recipes.train_embedded_prior.procedural.primitives import box, cylinder, disc, ellipsoid
+from recipes.train_embedded_prior.procedural.quads import Quads
 from recipes.train_embedded_prior.procedural.sampling import (
     FINEST,
     sample_quads,
     spacing_per_part,
 )
+from recipes.train_embedded_prior.procedural.sweeps import rod
 
 
 def areas_of(quads: Quads) -> np.ndarray:
