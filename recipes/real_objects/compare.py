@@ -22,6 +22,7 @@ import dataclasses
 import json
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -223,13 +224,19 @@ def table(results: dict[str, dict[str, Any]], ways: tuple[Way, ...]) -> str:
         ("e_depth_v", "E_depth over V"),
         ("seconds", "seconds"),
     ):
+        form = ".5f" if key.startswith("e_") else ".3f"
         means = [
-            np.mean([results[name][way].get(key) or 0.0 for name in known or results])
+            mean_of_known([results[name][way].get(key) for name in known or results], form)
             for way in ways
         ]
-        form = "12.5f" if key.startswith("e_") else "12.3f"
-        lines.append(f"{label:18}" + "".join(f"{mean:{form}}" for mean in means))
+        lines.append(f"{label:18}" + "".join(f"{mean:>12}" for mean in means))
     return "\n".join(lines) + "\n"
+
+
+def mean_of_known(values: Sequence[float | None], form: str) -> str:
+    """Write the mean of the values that are known, "unavailable" where none is."""
+    known = [value for value in values if value is not None]
+    return f"{np.mean(known):{form}}" if known else "unavailable"
 
 
 if __name__ == "__main__":

@@ -32,7 +32,14 @@ from gscomplete.priors import load_prior
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.views import up_rotation
 from recipes.real_objects.catalogue import ENTRIES, BoxCut, Cut, Entry, PlaneCut, ScanCut
-from recipes.real_objects.compare import OBJECTS, completed, measure, pose, settings_of
+from recipes.real_objects.compare import (
+    OBJECTS,
+    completed,
+    mean_of_known,
+    measure,
+    pose,
+    settings_of,
+)
 from recipes.real_objects.complete import DATA
 from recipes.real_objects.load import RealObject, load_entry
 from recipes.train_embedded_prior.procedural.quads import turn_about
@@ -119,9 +126,9 @@ def table(rows: dict[str, dict[str, Any]]) -> str:
     keys = ("silhouette_iou", "hidden_iou", "hidden_color_psnr_db", "seconds")
     lines = [f"{name:18}{row['silhouette_iou']:8.3f}" for name, row in rows.items()]
     for key in keys:
-        known = [row[key] for row in rows.values() if row[key] is not None]
-        mean = f"{np.mean(known):9.4f}" if known else "unavailable"
-        lines.append(f"mean {key:22}{mean} over {len(known)}")
+        values = [row[key] for row in rows.values()]
+        known = sum(value is not None for value in values)
+        lines.append(f"mean {key:22}{mean_of_known(values, '9.4f')} over {known}")
     return "\n".join(lines) + "\n"
 
 
