@@ -10,12 +10,13 @@ import tyro
 
 import gscomplete
 from gscomplete.command_line import let_threads_sleep, run_guarded
-from gscomplete.commands import complete, render, validate, weights
+from gscomplete.commands import complete, render, validate, view, weights
 
 _RUNNERS: dict[type, Callable[[Any], int]] = {
     complete.CompleteOptions: complete.run,
     render.RenderOptions: render.run,
     validate.ValidateOptions: validate.run,
+    view.ViewOptions: view.run,
     weights.WeightsOptions: weights.run,
 }
 
@@ -23,6 +24,7 @@ Command = (
     Annotated[complete.CompleteOptions, tyro.conf.subcommand("complete")]
     | Annotated[render.RenderOptions, tyro.conf.subcommand("render")]
     | Annotated[validate.ValidateOptions, tyro.conf.subcommand("validate")]
+    | Annotated[view.ViewOptions, tyro.conf.subcommand("view")]
     | Annotated[weights.WeightsOptions, tyro.conf.subcommand("weights")]
 )
 

@@ -1,0 +1,57 @@
+"""``gscomplete view``: look at a run or at splat files in a browser."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from gscomplete.errors import UserError
+
+
+@dataclass(frozen=True)
+class ViewOptions:
+    """Look at a run (P and what was added, each shown or hidden) or at splat files in a browser.
+
+    Example: gscomplete view runs/mug. On another machine, forward the port first:
+    ssh -L 8080:localhost:8080 MACHINE. Ctrl-C ends it.
+    """
+
+    paths: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """A run folder; or splat files and folders of them, each file a layer."""
+    up: Literal["X", "Y", "Z", "-X", "-Y", "-Z"] = "Z"
+    """Axis of the files that points up; a run knows its own."""
+    host: str = "127.0.0.1"
+    """Address to listen at; 0.0.0.0 lets other machines look."""
+    port: int = 8080
+    """Port to listen at; the next free one if it is taken."""
+    most_splats: int = 500_000
+    """Of a layer with more, an even choice is shown, widened to match."""
+
+
+def run(options: ViewOptions) -> int:
+    """Serve the page until interrupted; return the exit code."""
+    from gscomplete.viewer.layers import read_scene
+    from gscomplete.viewer.server import serve
+
+    if not options.paths:
+        raise UserError("view: expected a run folder or splat files, found none")
+    if options.most_splats < 1:
+        raise UserError(f"--most-splats: expected at least 1, found {options.most_splats}")
+    if not 1 <= options.port <= 65535:
+        raise UserError(f"--port: expected 1 to 65535, found {options.port}")
+    scene = read_scene(options.paths, options.up, options.most_splats)
+    server = serve(scene, options.host, options.port).server
+    try:
+        for layer in scene.layers:
+            print(f"{layer.name}: {layer.note}")
+        print(f"http://{server.get_host()}:{server.get_port()} (Ctrl-C ends it)", flush=True)
+        threading.Event().wait()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        server.stop()
+    return 0

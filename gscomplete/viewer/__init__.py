@@ -1,0 +1,1 @@
+"""Looking at splats in a browser."""

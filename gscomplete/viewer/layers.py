@@ -1,0 +1,143 @@
+"""What is looked at: sets of splats with names, in one object frame.
+
+Conventions
+-----------
+* Layers are in the object frame: of the run where there is one, else about the first layer's box.
+* A run folder gives two layers, ``P`` and ``new``; any other folder one per splat file in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+
+from gscomplete.completion.run import OUTPUT_FILE, RUN_FILE
+from gscomplete.errors import UserError
+from gscomplete.jsonio import read_json
+from gscomplete.splats import Splats, read_splats
+from gscomplete.splats.filters import thinned, usable_rows
+from gscomplete.splats.transform import transform_splats
+from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """Splats that are shown or hidden together."""
+
+    name: str
+    splats: Splats
+    note: str
+    """How many there are, and how many of them are shown."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """Everything that is looked at."""
+
+    layers: tuple[Layer, ...]
+    views: ViewDistribution | None
+    """V, where a run tells it."""
+
+
+def read_scene(paths: Sequence[Path], up: UpAxis, most_splats: int) -> Scene:
+    """Read a run folder, or splat files and folders of them.
+
+    Args:
+        paths: what to read; a run folder comes alone.
+        up: axis of the files that points up; a run knows its own.
+        most_splats: of each layer; of larger ones an even choice is shown.
+
+    Raises:
+        UserError: a path holds nothing to show, or a file is broken.
+    """
+    if len(paths) == 1 and (paths[0] / RUN_FILE).is_file():
+        return _read_run(paths[0], most_splats)
+    named = [(path, splats) for path in _splat_files(paths) for splats in [_usable(path)]]
+    low, high = (corner.double() for corner in named[0][1].bounds())
+    x, y, z = ((low + high) / 2).tolist()
+    size = max(float((high - low).max()), float(named[0][1].scales.max()))
+    to_frame = ObjectFrame(up, (x, y, z), size).object_from_file
+    return Scene(
+        tuple(
+            _layer(name, transform_splats(splats, to_frame), most_splats)
+            for name, (_, splats) in zip(_names([p for p, _ in named]), named, strict=True)
+        ),
+        None,
+    )
+
+
+def _read_run(folder: Path, most_splats: int) -> Scene:
+    """Read P, what was added to it, and V.
+
+    Raises:
+        UserError: the run has not finished, or its files do not fit each other.
+    """
+    path = folder / RUN_FILE
+    record = read_json(path)
+    try:
+        count, identity = int(record["input"]["splats"]), record["identity"]
+        frame = ObjectFrame.from_json(identity["frame"], str(path))
+        views = ViewDistribution.from_json(identity["views"], str(path))
+    except (KeyError, TypeError, ValueError) as error:
+        raise UserError(f"{path}: expected the record of a run, found none ({error!r})") from error
+    output = folder / OUTPUT_FILE
+    if not output.is_file():
+        raise UserError(f"{output}: no such file; the run is {record.get('status', 'unfinished')}")
+    splats = read_splats(output).splats
+    if len(splats) < count:
+        raise UserError(f"{output}: expected at least P's {count} splats, found {len(splats)}")
+    usable, _ = usable_rows(splats)
+    row = torch.arange(len(splats))
+    layers = []
+    for name, mask in (("P", row < count), ("new", row >= count)):
+        chosen = splats.select(mask & usable)
+        if len(chosen):
+            moved = transform_splats(chosen, frame.object_from_file)
+            layers.append(_layer(name, moved, most_splats))
+    return Scene(tuple(layers), views)
+
+
+def _splat_files(paths: Sequence[Path]) -> list[Path]:
+    """List the splat files that paths stand for.
+
+    Raises:
+        UserError: a folder holds none.
+    """
+    files: list[Path] = []
+    for path in paths:
+        if not path.is_dir():
+            files.append(path)
+            continue
+        found = sorted(path.glob("*.ply"))
+        if not found:
+            raise UserError(f"{path}: expected a run folder or splat files (*.ply), found none")
+        files += found
+    return files
+
+
+def _usable(path: Path) -> Splats:
+    splats = read_splats(path).splats
+    usable, _ = usable_rows(splats)
+    if not bool(usable.any()):
+        raise UserError(f"{path}: expected splats that can be drawn, found none")
+    return splats.select(usable)
+
+
+def _layer(name: str, splats: Splats, most: int) -> Layer:
+    shown = thinned(splats, most, torch.Generator().manual_seed(0))
+    note = f"{len(splats):,} splats"
+    if len(shown) < len(splats):
+        note += f", {len(shown):,} of them shown, widened to match"
+    return Layer(name, shown, note)
+
+
+def _names(files: Sequence[Path]) -> list[str]:
+    """Name files by their stems, by their folders too where stems repeat."""
+    stems = [file.stem for file in files]
+    return [
+        stem if stems.count(stem) == 1 else f"{file.parent.name}/{stem}"
+        for file, stem in zip(files, stems, strict=True)
+    ]

@@ -1,0 +1,87 @@
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from gscomplete.errors import UserError
+from gscomplete.splats import append_splats, read_splats, write_splats
+from gscomplete.viewer.layers import read_scene
+from gscomplete.views import ObjectFrame, ViewDistribution
+from tests.splats.ply_files import make_ply, make_splats, random_table
+
+
+def write_run(folder, p=5, new=7, **changes):
+    folder.mkdir()
+    write_splats(folder / "partial.ply", make_splats(p))
+    append_splats(
+        folder / "completed.ply", read_splats(folder / "partial.ply"), make_splats(new, seed=1)
+    )
+    record = {
+        "status": "finished",
+        "input": {"splats": p},
+        "identity": {
+            "frame": ObjectFrame("Y", (1.0, 2.0, 3.0), 2.0).to_json(),
+            "views": ViewDistribution(30.0, 10.0).to_json(),
+        },
+    }
+    (folder / "run.json").write_text(json.dumps(record | changes))
+    return folder
+
+
+def test_a_run_gives_p_and_what_was_added_in_its_frame(tmp_path):
+    scene = read_scene([write_run(tmp_path / "run")], "Z", 100)
+    assert [(layer.name, len(layer.splats)) for layer in scene.layers] == [("P", 5), ("new", 7)]
+    assert scene.views == ViewDistribution(30.0, 10.0)
+    frame = ObjectFrame("Y", (1.0, 2.0, 3.0), 2.0).object_from_file
+    expected = frame.apply(make_splats(5).means.double()).float()
+    assert torch.allclose(scene.layers[0].splats.means, expected, atol=1e-6)
+
+
+def test_an_unfinished_run_is_named(tmp_path):
+    folder = write_run(tmp_path / "run", status="running")
+    (folder / "completed.ply").unlink()
+    with pytest.raises(UserError, match=r"completed\.ply: no such file; the run is running"):
+        read_scene([folder], "Z", 100)
+
+
+@pytest.mark.parametrize("record", ["{}", '{"input": 3, "identity": {}}', "[]"])
+def test_a_record_of_something_else_is_refused(tmp_path, record):
+    folder = write_run(tmp_path / "run")
+    (folder / "run.json").write_text(record)
+    with pytest.raises(UserError, match=r"run\.json: expected the record of a run"):
+        read_scene([folder], "Z", 100)
+
+
+def test_a_run_with_fewer_splats_than_p_is_refused(tmp_path):
+    folder = write_run(tmp_path / "run", input={"splats": 13})
+    with pytest.raises(UserError, match="at least P's 13 splats, found 12"):
+        read_scene([folder], "Z", 100)
+
+
+def test_folders_give_a_layer_per_file_in_one_frame(tmp_path):
+    """The first file's box is the frame; equal names are told apart by their folders."""
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        write_splats(tmp_path / name / "partial.ply", make_splats(40, seed=ord(name)))
+    write_splats(tmp_path / "b" / "complete.ply", make_splats(50))
+    scene = read_scene([tmp_path / "a", tmp_path / "b"], "Z", 30)
+    assert [layer.name for layer in scene.layers] == ["a/partial", "complete", "b/partial"]
+    assert scene.layers[0].note == "40 splats, 30 of them shown, widened to match"
+    assert scene.views is None
+    whole = read_scene([tmp_path / "a"], "Z", 100).layers[0].splats
+    low, high = whole.bounds()
+    assert torch.allclose(low + high, torch.zeros(3), atol=1e-5)
+    assert float((high - low).max()) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_a_folder_without_splats_is_refused(tmp_path):
+    with pytest.raises(UserError, match="expected a run folder or splat files"):
+        read_scene([tmp_path], "Z", 100)
+
+
+def test_splats_that_cannot_be_drawn_are_left_out(tmp_path):
+    table = random_table(6, 0)
+    table["x"][2] = np.nan
+    (tmp_path / "a.ply").write_bytes(make_ply(table))
+    assert len(read_scene([tmp_path / "a.ply"], "Z", 100).layers[0].splats) == 5

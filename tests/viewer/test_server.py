@@ -1,0 +1,92 @@
+import urllib.request
+
+import numpy as np
+import pytest
+import torch
+
+from gscomplete.errors import UserError
+from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.splats.rotations import rotation_matrices
+from gscomplete.viewer.layers import Layer, Scene
+from gscomplete.viewer.server import TINTS, camera_fov, covariances, layer_colors, look_from, serve
+from gscomplete.views import ViewDistribution
+from tests.splats.ply_files import make_splats
+
+
+class Page:
+    """What a page's camera is told."""
+
+    def __init__(self):
+        self.camera = type("Camera", (), {})()
+
+
+@pytest.fixture
+def viewer():
+    pytest.importorskip("viser")
+    layers = (Layer("P", make_splats(30), ""), Layer("new", make_splats(20, seed=1), ""))
+    started = serve(Scene(layers, ViewDistribution(30.0, 15.0)), "127.0.0.1", 18080)
+    yield started
+    started.server.stop()
+
+
+def test_the_page_is_served(viewer):
+    address = f"http://127.0.0.1:{viewer.server.get_port()}"
+    with urllib.request.urlopen(address, timeout=20) as page:
+        assert page.status == 200
+        assert b"<html" in page.read().lower()
+
+
+def test_boxes_hide_layers_and_the_list_colours_them(viewer):
+    drawn, boxes = viewer.drawn, viewer.boxes
+    assert set(drawn) == set(boxes) == {"P", "new", "c"}
+    assert drawn["new"].visible
+    boxes["new"].value = False
+    assert not drawn["new"].visible
+    assert drawn["P"].visible
+    own = drawn["P"].rgbs.copy()
+    viewer.coloring.value = "tints"
+    assert not np.array_equal(drawn["P"].rgbs, own)
+    viewer.coloring.value = "own"
+    assert np.array_equal(drawn["P"].rgbs, own)
+    assert not drawn["c"].visible
+    boxes["c"].value = True
+    assert drawn["c"].visible
+
+
+def test_covariances_are_the_splats_second_moments():
+    splats = make_splats(20)
+    axes = rotation_matrices(splats.quaternions.double())
+    expected = axes @ torch.diag_embed(splats.scales.double() ** 2) @ axes.transpose(1, 2)
+    assert np.allclose(covariances(splats), expected.numpy(), rtol=1e-5, atol=1e-7)
+
+
+def test_tints_keep_the_order_of_lightness_and_tell_layers_apart():
+    grey = torch.linspace(0.1, 0.9, 5)[:, None].expand(5, 3).contiguous()
+    splats = Splats(
+        torch.zeros(5, 3),
+        torch.tensor([[1.0, 0, 0, 0]]).repeat(5, 1),
+        torch.full((5, 3), 0.1),
+        torch.full((5,), 0.9),
+        colors_to_sh(grey),
+    )
+    assert np.allclose(layer_colors(splats, "own", 0), grey.numpy(), atol=1e-5)
+    tinted = [layer_colors(splats, "tints", place) for place in range(len(TINTS))]
+    for colors in tinted:
+        assert (np.diff(colors.mean(axis=1)) > 0).all()
+        assert colors.min() >= 0
+        assert colors.max() <= 1
+    assert len({colors[2].round(2).tobytes() for colors in tinted}) == len(TINTS)
+
+
+def test_pages_look_from_a_camera_at_the_object():
+    camera = ViewDistribution(90.0, 0.0, radius=2.0, fov_deg=40.0).input_camera(64)
+    page = Page()
+    look_from(page, camera)
+    assert page.camera.position == pytest.approx((0.0, 2.0, 0.0), abs=1e-6)
+    assert np.rad2deg(camera_fov(camera)) == pytest.approx(40.0, abs=1e-3)
+
+
+def test_without_viser_the_user_is_told_what_to_install(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "viser", None)
+    with pytest.raises(UserError, match=r"pip install"):
+        serve(Scene((), None), "127.0.0.1", 18080)
