@@ -17,6 +17,7 @@ from gscomplete.priors.mvdream.settings import LatentPriorSettings
 if TYPE_CHECKING:
     from gscomplete.completion.optimise import StepReport
     from gscomplete.completion.run import Request, Run
+    from gscomplete.completion.settings import CompletionSettings
     from gscomplete.priors.base import Mirror, Prior
 
 
@@ -70,6 +71,9 @@ class CompleteOptions:
     mirror: str = "guess"
     """Upright plane that P is mirrored through: guess, none, or AZIMUTH,OFFSET (of its normal in
     degrees as in --view; from the frame's centre in object sizes). A run prints the one it took."""
+    alternatives: int = 0
+    """Also guess the whole through this many likely planes (at most 8) and through none, and draw
+    these guesses into alternatives.png, each with the --mirror that makes a run take it."""
     text_only: bool = False
     """Withhold P's renders from priors that can see them."""
     seed: int = 0
@@ -135,7 +139,8 @@ def _complete(options: CompleteOptions) -> int:
         + _memory_note(result["peak_gpu_bytes"]),
         f"E_color {c['color']:.6f} from c, {views['color']:.6f} over V; "
         f"E_depth {c['depth']:.6f} from c, {views['depth']:.6f} over V",
-        f"written: {job.request.out}/completed.ply, preview.png, turntable.webp, run.json",
+        f"written: {job.request.out}/completed.ply, preview.png, turntable.webp, run.json"
+        + (", alternatives.png" if options.alternatives else ""),
     )
     return 0
 
@@ -159,7 +164,6 @@ def _request(options: CompleteOptions, prior: Prior) -> Request:
     from gscomplete.completion.presets import preset
     from gscomplete.completion.run import Request
     from gscomplete.completion.settings import HardPreservationSettings, SeamColorSettings
-    from gscomplete.priors.base import ShapePrior
 
     if not options.prompt.strip():
         raise UserError("--prompt: expected what the whole object is, found an empty text")
@@ -183,11 +187,11 @@ def _request(options: CompleteOptions, prior: Prior) -> Request:
         settings = dataclasses.replace(settings, seam_colors=SeamColorSettings())
     if options.mirror != "guess":
         settings = dataclasses.replace(settings, mirror=_mirror(options.mirror))
-        if settings.start != "guess" or not isinstance(prior, ShapePrior):
-            raise UserError(
-                f"--mirror: preset {options.preset} with prior {prior.name} starts without a guess "
-                "of the whole; --preset default, fast or reconstruct of the embedded prior have one"
-            )
+        _require_guess("--mirror", options, settings, prior)
+    if not 0 <= options.alternatives <= 8:
+        raise UserError(f"--alternatives: expected 0 to 8, found {options.alternatives}")
+    if options.alternatives:
+        _require_guess("--alternatives", options, settings, prior)
     view = parse_numbers(options.view, 2, "--view", "AZIMUTH,ELEVATION")
     center = parse_numbers(options.center, 3, "--center", "X,Y,Z")
     if view is not None and not -90 <= view[1] <= 90:
@@ -204,7 +208,25 @@ def _request(options: CompleteOptions, prior: Prior) -> Request:
         center_file=None if center is None else (center[0], center[1], center[2]),
         size_file=options.size,
         resume=options.resume,
+        alternatives=options.alternatives,
     )
+
+
+def _require_guess(
+    name: str, options: CompleteOptions, settings: CompletionSettings, prior: Prior
+) -> None:
+    """Refuse an option about guesses where there is none.
+
+    Raises:
+        UserError: the run starts without a guess of the whole.
+    """
+    from gscomplete.priors.base import ShapePrior
+
+    if settings.start != "guess" or not isinstance(prior, ShapePrior):
+        raise UserError(
+            f"{name}: preset {options.preset} with prior {prior.name} starts without a guess "
+            "of the whole; --preset default, fast or reconstruct of the embedded prior have one"
+        )
 
 
 def _mirror(text: str) -> Mirror:

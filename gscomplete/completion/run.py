@@ -22,6 +22,7 @@ import torch
 import gscomplete
 from gscomplete import jsonio
 from gscomplete.atomic import atomic_path
+from gscomplete.completion.alternatives import alternatives_sheet, guess_alternatives
 from gscomplete.completion.checkpoint import FILE_NAME, load_checkpoint
 from gscomplete.completion.finish import finish_splats
 from gscomplete.completion.framing import guess_framing
@@ -33,7 +34,7 @@ from gscomplete.device import peak_gpu_bytes
 from gscomplete.errors import UserError
 from gscomplete.evaluate.pictures import preview_sheet, save_image, save_turntable
 from gscomplete.evaluate.report import evaluate
-from gscomplete.priors.base import Prior, prior_identity
+from gscomplete.priors.base import Conditioning, Prior, prior_identity
 from gscomplete.render import render
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.ply import SplatFile, append_splats, read_splats
@@ -42,6 +43,7 @@ from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution, radius_to_fi
 
 RUN_FILE = "run.json"
 OUTPUT_FILE = "completed.ply"
+ALTERNATIVES_FILE = "alternatives.png"
 VISIBILITY_PX = 128
 """Side of the picture in which P must be seen."""
 COARSE = 1e-3
@@ -64,6 +66,7 @@ class Request:
     center_file: tuple[float, float, float] | None = None
     size_file: float | None = None
     resume: bool = False
+    alternatives: int = 0  # planes of symmetry whose guesses are drawn beside the result
 
 
 @dataclass(slots=True)
@@ -75,6 +78,8 @@ class Run:
     working: WorkingSet
     frame: ObjectFrame
     distribution: ViewDistribution
+    prior: Prior
+    conditioning: Conditioning
     notes: tuple[str, ...]
     completion: Completion
     identity: dict[str, Any]
@@ -123,7 +128,18 @@ def prepare(request: Request, prior: Prior, device: torch.device | str = "cpu") 
     }
     del identity["settings"]["checkpoint_every"]  # decides nothing about the result
     notes = (*notes, chosen.summary(), completion.start_note, *conditioning.report)
-    run = Run(request, source, chosen, frame, distribution, notes, completion, identity)
+    run = Run(
+        request,
+        source,
+        chosen,
+        frame,
+        distribution,
+        prior,
+        conditioning,
+        notes,
+        completion,
+        identity,
+    )
     if request.resume:
         require_same_identity(request.out / RUN_FILE, identity)
         state = load_checkpoint(request.out / CHECKPOINTS)
@@ -195,14 +211,36 @@ def _finish(run: Run) -> dict[str, Any]:
     save_image(sheet, out / "preview.png")
     save_turntable(whole, run.distribution, out / "turntable.webp")
     run.timings["pictures_s"] = time.perf_counter() - started
+    started = time.perf_counter()
+    alternatives = _draw_alternatives(run, partial)
+    run.timings["alternatives_s"] = time.perf_counter() - started
     result = {
         "metrics": metrics,
         "new_splats": len(new),
         "peak_gpu_bytes": peak_gpu_bytes(),
         "seam_colors": jsonio.to_json(finished.seam_colors),
         "hard_preservation": jsonio.to_json(finished.hard_preservation),
+        "alternatives": alternatives,
     }
     return _write_run_file(run, "finished", result)
+
+
+def _draw_alternatives(run: Run, partial: Splats) -> list[str]:
+    """Draw the guesses that the user asked for; return the options that give them."""
+    request = run.request
+    if not request.alternatives:
+        return []
+    found = guess_alternatives(
+        run.prior,
+        partial,
+        run.distribution,
+        run.conditioning,
+        request.settings,
+        request.alternatives,
+    )
+    sheet = alternatives_sheet(found, partial, run.distribution, request.prompt)
+    save_image(sheet, request.out / ALTERNATIVES_FILE)
+    return [alternative.option for alternative in found]
 
 
 def _decide_frame(

@@ -232,6 +232,10 @@ Mirror = Literal["guess", "none"] | MirrorPlane
 """Which plane P is mirrored through: the prior's guess, none, or this one."""
 
 
+ChosenMirror = Literal["none"] | MirrorPlane
+"""What users may choose instead of the guess."""
+
+
 @dataclass(frozen=True, slots=True)
 class FirstGuess:
     """What a prior guesses to be missing."""
@@ -267,5 +271,20 @@ class ShapePrior(Protocol):
 
         Returns:
             None if nothing seems to be missing, or these weights cannot guess.
+        """
+        ...
+
+    def likely_mirrors(
+        self, partial: Splats, distribution: ViewDistribution, conditioning: Conditioning
+    ) -> tuple[ChosenMirror, ...]:
+        """Return planes of symmetry that differ, the likeliest first, and none at last.
+
+        Args:
+            partial: P in the object frame.
+            distribution: V.
+            conditioning: from ``condition`` of the same prior.
+
+        Returns:
+            Nothing at all if these weights cannot guess.
         """
         ...

@@ -1,6 +1,6 @@
 """Compare ways to complete real objects: ``python -m recipes.real_objects.compare --out DIR``.
 
-Every object is completed (or not) in seven ways and compared with the truth from eight views:
+Every object is completed (or not) in eight ways and compared with the truth from eight views:
 
 * ``input``: P alone.
 * ``likeliest``: P and its mirror image through the plane that is proposed first.
@@ -11,6 +11,9 @@ Every object is completed (or not) in seven ways and compared with the truth fro
 * ``reconstruct``: the first guess, then rounds of denoised views that splats are fitted to.
 * ``fast``: the fast preset.
 * ``default``: the default preset.
+* ``alternatives``: the best of up to nine first guesses, through the likely planes of symmetry and
+  through none, *chosen with the truth*: the most that someone who looks at what ``--alternatives``
+  draws could get.
 
 Scans have no truth: their pictures are drawn and their preservation errors measured. Results go to
 ``comparison.json`` and ``comparison.png``; an interrupted comparison goes on where it stopped.
@@ -25,7 +28,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
@@ -36,6 +39,7 @@ from rich.progress import track
 
 from gscomplete import jsonio
 from gscomplete.atomic import atomic_path
+from gscomplete.completion.alternatives import guess_alternatives
 from gscomplete.completion.finish import finish_splats
 from gscomplete.completion.framing import FramingGuess, guess_framing
 from gscomplete.completion.optimise import Completion
@@ -54,8 +58,10 @@ from gscomplete.views import ObjectFrame, ViewDistribution, up_rotation
 from recipes.real_objects.complete import DATA
 from recipes.real_objects.load import RealObject, load_real_object
 
-Way = Literal["input", "likeliest", "mirror", "text", "reconstruct", "fast", "default"]
-WAYS: tuple[Way, ...] = ("input", "likeliest", "mirror", "text", "reconstruct", "fast", "default")
+Way = Literal[
+    "input", "likeliest", "mirror", "text", "reconstruct", "fast", "default", "alternatives"
+]
+WAYS: tuple[Way, ...] = get_args(Way)
 OBJECTS = (
     "blue_mug", "bowl", "apple", "stapler", "armchair", "refrigerator", "lantern", "sofa",
     "soccer_ball", "duck", "knight", "chair", "donut", "frying_pan", "statue", "cow", "bottle",
@@ -114,6 +120,9 @@ def new_splats(posed: Posed, way: Way, prior: Prior, seed: int) -> tuple[Splats 
         copies = mirror_images(posed)
         chosen = copies[0] if way == "likeliest" else best_by_truth(copies, posed)
         return chosen, time.perf_counter() - started
+    if way == "alternatives":
+        guesses = alternatives(posed, prior, seed)
+        return best_by_truth(guesses, posed), time.perf_counter() - started
     return completed(posed, prior, settings_of(way, prior, seed))
 
 
@@ -140,6 +149,16 @@ def mirror_images(posed: Posed) -> list[Splats]:
     look = look_at(posed.partial.with_sh_degree(0), posed.views)
     shown = look.shown_first(candidate_planes(look, CANDIDATES), 0)
     return [mirror_image(posed.partial, symmetry) for symmetry in shown]
+
+
+def alternatives(posed: Posed, prior: Prior, seed: int) -> list[Splats]:
+    """Return the new splats of all that ``--alternatives 8`` draws."""
+    conditioning = prior.condition(posed.item.prompt)
+    settings = settings_of("fast", prior, seed)
+    found = guess_alternatives(
+        prior, posed.partial, posed.views, conditioning, settings, CANDIDATES
+    )
+    return [alternative.splats for alternative in found]
 
 
 def best_by_truth(copies: list[Splats], posed: Posed) -> Splats | None:

@@ -156,6 +156,9 @@ def test_a_start_with_nan_is_refused():
         def first_guess(self, partial, *arguments):
             return FirstGuess(dataclasses.replace(partial, means=partial.means * torch.nan), ())
 
+        def likely_mirrors(self, *arguments):
+            return ()
+
     with pytest.raises(NonFiniteError, match="step 0: means at the start"):
         completion(RECONSTRUCT, NanGuess(TRUTH))
 

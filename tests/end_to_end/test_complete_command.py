@@ -229,7 +229,13 @@ def test_the_plane_of_symmetry_can_be_chosen(tmp_path):
         assert result.returncode == 0, result.stderr
         return json.loads((out / "run.json").read_text())
 
-    guessed = mirrored("guessed")
+    guessed = mirrored("guessed", "--alternatives", "2")
+    *planes, last = guessed["result"]["alternatives"]
+    assert len(planes) == 2
+    assert last == "--mirror=none"
+    assert (tmp_path / "guessed" / "alternatives.png").stat().st_size > 10_000
+    other = mirrored("other", planes[1])
+    assert any(planes[1].removeprefix("--mirror=") in note for note in other["notes"])
     assert any("(--mirror)" in note for note in guessed["notes"])
     chosen = mirrored("chosen", "--mirror", "45,0.05")
     assert chosen["identity"]["settings"]["mirror"] == {"azimuth_deg": 45.0, "offset": 0.05}
@@ -246,6 +252,8 @@ def test_the_plane_of_symmetry_can_be_chosen(tmp_path):
         (("--mirror", "left"), "--mirror: expected guess, none or AZIMUTH,OFFSET"),
         (("--mirror", "0,3"), "offset: expected -1 to 1"),
         (("--mirror", "none", "--preset", "paper"), "preset paper with prior embedded starts"),
+        (("--alternatives", "9"), "--alternatives: expected 0 to 8"),
+        (("--alternatives", "2", "--text-only"), "starts without a guess of the whole"),
     ],
 )
 def test_planes_that_make_no_sense_are_refused(tmp_path, options, message):

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from gscomplete.errors import UserError
 from gscomplete.priors.base import (
+    ChosenMirror,
     Conditioning,
     FirstGuess,
     FourViews,
@@ -39,9 +40,16 @@ from gscomplete.priors.embedded.diffusion import (
 from gscomplete.priors.embedded.inputs import images_to_color_alpha, input_map, network_images
 from gscomplete.priors.embedded.model import INPUT_CHANNELS, VIEWS, FourViewDenoiser
 from gscomplete.priors.embedded.rays import ring_numbers
+from gscomplete.priors.embedded.shape.choice import ask_planes
+from gscomplete.priors.embedded.shape.inputs import look_at
 from gscomplete.priors.embedded.shape.model import ShapeCompleter
 from gscomplete.priors.embedded.shape.predict import predict
-from gscomplete.priors.embedded.shape.whole import WholeSettings, mirror_note, whole_splats
+from gscomplete.priors.embedded.shape.whole import (
+    WholeSettings,
+    mirror_note,
+    mirror_plane_of,
+    whole_splats,
+)
 from gscomplete.priors.embedded.text import Tokenizer
 from gscomplete.priors.embedded.weights import PriorConfig, load_weights
 from gscomplete.splats import Splats
@@ -150,6 +158,17 @@ class EmbeddedPrior:
         settings = WholeSettings(count=count)
         splats = whole_splats(prediction, partial, settings, generator)
         return FirstGuess(splats, (mirror_note(prediction, settings),)) if len(splats) else None
+
+    def likely_mirrors(
+        self, partial: Splats, distribution: ViewDistribution, conditioning: Conditioning
+    ) -> tuple[ChosenMirror, ...]:
+        """Return what P may be mirrored through; see :class:`base.ShapePrior`."""
+        if self._shape is None:
+            return ()
+        assert isinstance(conditioning, EmbeddedConditioning)
+        look = look_at(partial, distribution)
+        asked = ask_planes(self._shape, look, conditioning.tokens, bfloat16=self._bfloat16)
+        return (*(mirror_plane_of(plane) for plane in asked.unlike(look.positions)), "none")
 
     def distill(
         self,

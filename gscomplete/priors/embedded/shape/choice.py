@@ -28,6 +28,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from gscomplete.priors.base import Mirror, MirrorPlane
+from gscomplete.priors.embedded.shape.grid import FloatArray
 from gscomplete.priors.embedded.shape.inputs import PartLook, ShapeInputs
 from gscomplete.priors.embedded.shape.model import ShapeCompleter
 from gscomplete.priors.embedded.shape.precision import cpu_precision
@@ -52,7 +53,23 @@ class Choice:
     """Of the first by the network's answer; 0 where none is shown, 1 where users chose it."""
 
 
-@torch.no_grad()
+@dataclass(frozen=True, slots=True)
+class AskedPlanes:
+    """Likely planes, by what the network's answers make of them, the best first."""
+
+    planes: tuple[SymmetryMap, ...]
+    worths: tuple[float, ...]
+    """Of each by the answer to it."""
+
+    def unlike(self, points: FloatArray) -> tuple[SymmetryMap, ...]:  # points [N, 3] of P
+        """Return the planes that show something else than those before them."""
+        found: list[SymmetryMap] = []
+        for plane in self.planes:
+            if not any(plane.is_like(other, points) for other in found):
+                found.append(plane)
+        return tuple(found)
+
+
 def choose_symmetries(
     model: ShapeCompleter,
     look: PartLook,
@@ -72,11 +89,25 @@ def choose_symmetries(
     """
     if mirror_plane == "none":
         return Choice(no_symmetries(), 0.0)
-    planes = candidate_planes(look, CANDIDATES, bfloat16=bfloat16)
     if isinstance(mirror_plane, MirrorPlane):
+        planes = candidate_planes(look, CANDIDATES, bfloat16=bfloat16)
         angle = math.radians(mirror_plane.azimuth_deg)
         given = mirror(angle, mirror_plane.offset, planes[0].score)
         return Choice(look.shown_first([given, *planes], 0), 1.0)
+    asked = ask_planes(model, look, tokens, bfloat16=bfloat16)
+    return Choice(look.shown_first(asked.planes, 0), asked.worths[0])
+
+
+@torch.no_grad()
+def ask_planes(
+    model: ShapeCompleter,
+    look: PartLook,
+    tokens: Tensor,  # [L]
+    *,
+    bfloat16: bool = False,
+) -> AskedPlanes:
+    """Ask the network about every likely plane; arguments as of :func:`choose_symmetries`."""
+    planes = candidate_planes(look, CANDIDATES, bfloat16=bfloat16)
     asked = [_inputs_with_first(look, planes, k) for k in range(len(planes))]
     volumes = torch.from_numpy(np.stack([a.volumes for a in asked]))
     with cpu_precision(bfloat16=bfloat16):
@@ -90,8 +121,8 @@ def choose_symmetries(
     answered = answered_worths(filled, copies, volumes[0, 0, 0])
     belief = torch.tensor([plane.score for plane in planes])
     best = (answered + _BELIEF_WEIGHT * (belief + 1e-4).log()).argsort(descending=True, stable=True)
-    shown = look.shown_first([planes[int(k)] for k in best], 0)
-    return Choice(shown, float(answered[best[0]]))
+    order = best.tolist()
+    return AskedPlanes(tuple(planes[k] for k in order), tuple(float(answered[k]) for k in order))
 
 
 def answered_worths(

@@ -40,6 +40,11 @@ class SymmetryMap:
         """Map points."""
         return np.ascontiguousarray(points @ self.matrix.T + self.shift, dtype=np.float32)
 
+    def is_like(self, other: SymmetryMap, points: FloatArray) -> bool:  # points [N, 3] of P
+        """Tell whether two maps carry P to nearly the same place."""
+        apart = np.linalg.norm(self.apply(points) - other.apply(points), axis=1)
+        return bool(apart.mean() <= _ALIKE)
+
     def undo(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
         """Map points back."""
         return np.ascontiguousarray((points - self.shift) @ self.matrix, dtype=np.float32)
@@ -50,9 +55,8 @@ def companion(
 ) -> SymmetryMap:  # points [N, 3] of P
     """Return the first of the other planes that shows something else, or else the first other."""
     others = [plane for index, plane in enumerate(planes) if index != first]
-    there = planes[first].apply(points)
     for other in others:
-        if np.linalg.norm(other.apply(points) - there, axis=1).mean() > _ALIKE:
+        if not other.is_like(planes[first], points):
             return other
     return others[0]
 

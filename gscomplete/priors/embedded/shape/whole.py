@@ -25,7 +25,7 @@ from gscomplete.priors.embedded.shape.surface import (
     median_spacing,
     surface_splats,
 )
-from gscomplete.priors.embedded.shape.symmetries import plane_of
+from gscomplete.priors.embedded.shape.symmetries import SymmetryMap, plane_of
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.filters import thinned
 from gscomplete.splats.rotations import rotation_matrices
@@ -111,13 +111,18 @@ def _cells_to(points: Tensor) -> Tensor:  # [N, 3] -> [C, C, C]
     return torch.from_numpy(cells_away(filled.numpy()))
 
 
+def mirror_plane_of(symmetry: SymmetryMap) -> MirrorPlane:
+    """Return a mirror image's plane as users write it, to the digits that they see."""
+    angle, offset = plane_of(symmetry)
+    return MirrorPlane(round(math.degrees(angle), 1), round(offset, 3))
+
+
 def mirror_note(prediction: Prediction, settings: WholeSettings) -> str:
     """Tell users through which plane P was mirrored, as they would ask for it."""
     first = prediction.seen.symmetries[0]
     if first.score == 0:
         return "not mirrored"
-    angle, offset = plane_of(first)
-    plane = MirrorPlane(math.degrees(angle), offset)
+    plane = mirror_plane_of(first)
     how = "by P's own splats" if prediction.worth >= settings.least_worth else "as a hint"
     return f"mirrored {how} through the upright plane {plane} (--mirror)"
 

@@ -4,7 +4,13 @@ import pytest
 import torch
 
 from gscomplete.priors.base import MirrorPlane
-from gscomplete.priors.embedded.shape.choice import CANDIDATES, answered_worths, choose_symmetries
+from gscomplete.priors.embedded.shape.choice import (
+    CANDIDATES,
+    AskedPlanes,
+    answered_worths,
+    ask_planes,
+    choose_symmetries,
+)
 from gscomplete.priors.embedded.shape.grid import CELLS, COARSE_CELLS
 from gscomplete.priors.embedded.shape.inputs import look_at
 from gscomplete.priors.embedded.shape.model import ShapeOutput
@@ -69,6 +75,22 @@ def test_the_copies_that_answers_bear_out_are_shown():
     assert farthest < -0.36
     again = choose_symmetries(Believer(), LOOK, tokens).symmetries
     assert [c.score for c in chosen] == [c.score for c in again]
+
+
+def test_all_likely_planes_are_asked_about_and_the_best_is_the_one_shown():
+    tokens = torch.zeros(4, dtype=torch.long)
+    asked = ask_planes(Believer(), LOOK, tokens)
+    shown = choose_symmetries(Believer(), LOOK, tokens)
+    planes = candidate_planes(LOOK, CANDIDATES)
+    assert {p.shift.tobytes() for p in asked.planes} == {p.shift.tobytes() for p in planes}
+    assert asked.planes[0] is not asked.planes[1]
+    assert (asked.planes[0].shift == shown.symmetries[0].shift).all()
+    assert asked.worths[0] == shown.worth
+    unlike = asked.unlike(LOOK.positions)
+    assert unlike[0] is asked.planes[0]
+    twice = AskedPlanes(asked.planes[:1] * 2 + asked.planes, (0.0,) * (len(asked.planes) + 2))
+    assert twice.unlike(LOOK.positions) == unlike
+    assert not any(a.is_like(b, LOOK.positions) for k, a in enumerate(unlike) for b in unlike[:k])
 
 
 def test_users_may_choose_the_plane_or_none():

@@ -1,0 +1,86 @@
+"""Other wholes that the same part may be of, for users to choose from.
+
+Which plane P is mirrored through decides most of a completion that starts from a guess, and a look
+tells people what no measure of ours does. So every likely plane's guess is drawn, with the option
+that makes a run take it.
+
+Conventions
+-----------
+* Object frame. Guesses are those of step 0: nothing is optimised or held to bounds.
+* A function of (P, V, prompt, settings): the guess by a plane is what a run with it starts from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from PIL import Image
+
+from gscomplete.completion.randomness import generator_for
+from gscomplete.completion.settings import CompletionSettings
+from gscomplete.evaluate.pictures import contact_sheet, render_images
+from gscomplete.priors.base import ChosenMirror, Conditioning, Prior, ShapePrior
+from gscomplete.splats import Splats, concatenate
+from gscomplete.views import ViewDistribution
+
+_SIZE_PX = 192
+
+
+@dataclass(frozen=True, slots=True)
+class Alternative:
+    """One guess of the whole."""
+
+    mirror: ChosenMirror
+    splats: Splats
+    """New splats."""
+
+    @property
+    def option(self) -> str:
+        """What makes a run start from this guess."""
+        return f"--mirror={self.mirror}"
+
+
+def guess_alternatives(
+    prior: Prior,
+    partial: Splats,
+    distribution: ViewDistribution,
+    conditioning: Conditioning,
+    settings: CompletionSettings,
+    count: int,
+) -> list[Alternative]:
+    """Guess the whole through each of the likeliest planes of symmetry, and through none.
+
+    Args:
+        prior: of the run.
+        partial: P in the object frame.
+        distribution: V.
+        conditioning: of the prompt.
+        settings: of the run.
+        count: most planes.
+
+    Returns:
+        The likeliest first, none at last; nothing if the prior guesses no wholes.
+    """
+    if settings.start != "guess" or not isinstance(prior, ShapePrior):
+        return []
+    *planes, none = prior.likely_mirrors(partial, distribution, conditioning) or ("none",)
+    found = []
+    for mirror in (*planes[:count], none):
+        generator = generator_for(settings.seed, 0, "first guess")
+        guess = prior.first_guess(
+            partial, distribution, conditioning, generator, settings.new_splats, mirror
+        )
+        if guess is not None:
+            found.append(Alternative(mirror, guess.splats))
+    return found
+
+
+def alternatives_sheet(
+    alternatives: list[Alternative], partial: Splats, views: ViewDistribution, title: str
+) -> Image.Image:
+    """Draw P and the guesses from the six views of a run's preview, a row each."""
+    cameras = views.preview_cameras(_SIZE_PX)
+    plain = partial.with_sh_degree(0)
+    rows = [render_images(plain, cameras)]
+    rows += [render_images(concatenate([plain, a.splats]), cameras) for a in alternatives]
+    return contact_sheet(rows, row_labels=["input", *(a.option for a in alternatives)], title=title)
