@@ -67,10 +67,7 @@ def run(options: RenderOptions) -> int:
     for reason, count in left_out.items():
         print(f"{count:,} splats not drawn: {reason.replace('_', ' ')}", file=sys.stderr)
     splats = splats.select(usable)
-    low, high = (corner.double() for corner in splats.bounds())
-    size = max(float((high - low).max()), float(splats.scales.max()))
-    x, y, z = ((low + high) / 2).tolist()
-    frame = ObjectFrame(options.up, (x, y, z), size)
+    frame = ObjectFrame.about(splats, options.up)
     cameras = orbit_cameras(
         torch.tensor([view[0] for view in angles if view]),
         torch.tensor([view[1] for view in angles if view]),

@@ -55,11 +55,8 @@ def read_scene(paths: Sequence[Path], up: UpAxis, most_splats: int) -> Scene:
     """
     if len(paths) == 1 and (paths[0] / RUN_FILE).is_file():
         return _read_run(paths[0], most_splats)
-    named = [(path, splats) for path in _splat_files(paths) for splats in [_usable(path)]]
-    low, high = (corner.double() for corner in named[0][1].bounds())
-    x, y, z = ((low + high) / 2).tolist()
-    size = max(float((high - low).max()), float(named[0][1].scales.max()))
-    to_frame = ObjectFrame(up, (x, y, z), size).object_from_file
+    named = [(path, _usable(path)) for path in _splat_files(paths)]
+    to_frame = ObjectFrame.about(named[0][1], up).object_from_file
     return Scene(
         tuple(
             _layer(name, transform_splats(splats, to_frame), most_splats)

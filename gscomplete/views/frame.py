@@ -29,6 +29,7 @@ import torch
 from torch import Tensor
 
 from gscomplete import jsonio
+from gscomplete.splats.record import Splats
 from gscomplete.splats.transform import Similarity
 
 UpAxis = Literal["X", "Y", "Z", "-X", "-Y", "-Z"]
@@ -89,6 +90,17 @@ class ObjectFrame:
         center = up_rotation(up).T @ torch.tensor(center_z_up, dtype=torch.float64)
         x, y, z = center.tolist()
         return cls(up, (x, y, z), float(size_file))
+
+    @classmethod
+    def about(cls, splats: Splats, up: UpAxis) -> ObjectFrame:
+        """Build the frame of splats taken as the whole object: the box of their centres.
+
+        Its size is at least that of the largest splat, so that a single one has a frame too.
+        """
+        low, high = (corner.double() for corner in splats.bounds())
+        size = max(float((high - low).max()), float(splats.scales.max()))
+        x, y, z = ((low + high) / 2).tolist()
+        return cls(up, (x, y, z), size)
 
     @property
     def object_from_file(self) -> Similarity:

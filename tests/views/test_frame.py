@@ -8,7 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gscomplete.errors import UserError
+from gscomplete.splats.transform import transform_splats
 from gscomplete.views import ObjectFrame, up_rotation
+from tests.splats.ply_files import make_splats
 
 AXES = ["X", "Y", "Z", "-X", "-Y", "-Z"]
 far = st.floats(-1e6, 1e6)
@@ -79,3 +81,13 @@ def test_bad_values_are_named() -> None:
         ObjectFrame("W", (0.0, 0.0, 0.0), 1.0)
     with pytest.raises(UserError, match=r"run\.json: up: expected one of"):
         ObjectFrame.from_json({"up": "z", "center_file": [0, 0, 0], "size_file": 1}, "run.json")
+
+
+def test_the_frame_of_splats_holds_their_centres() -> None:
+    splats = make_splats(30)
+    moved = transform_splats(splats, ObjectFrame.about(splats, "Y").object_from_file)
+    low, high = moved.bounds()
+    assert torch.allclose(low + high, torch.zeros(3), atol=1e-5)
+    assert float((high - low).max()) == pytest.approx(1.0, abs=1e-5)
+    single = splats.select(torch.arange(30) == 4)
+    assert ObjectFrame.about(single, "Z").size_file == pytest.approx(float(single.scales.max()))
