@@ -17,7 +17,6 @@ import numpy as np
 from gscomplete.splats.record import Splats
 from recipes.train_embedded_prior.procedural import (
     families_abstract,
-    families_bodies,
     families_buildings,
     families_cooking,
     families_craft,
@@ -30,7 +29,6 @@ from recipes.train_embedded_prior.procedural import (
     families_play,
     families_prizes,
     families_storage,
-    families_structures,
     families_things,
     families_vehicles,
     families_wear,
@@ -54,11 +52,8 @@ class GeneratorSettings:
     """Fewest splats of an object."""
     most_splats: int = 11000
     """Most splats of an object."""
-    abstract_share: float = 0.2
+    abstract_share: float = 0.3
     """Share of abstract shapes in the stream, which teach surfaces rather than templates."""
-    free_share: float = 0.3
-    """Share of structures and bodies put together at random, which teach how parts continue each
-    other."""
     tilted_share: float = 0.08
     """Share of objects that are tilted a little."""
     lying_share: float = 0.03
@@ -101,21 +96,14 @@ CONCRETE = _named(
     families_wear.FAMILIES,
 )
 ABSTRACT = _named(families_abstract.FAMILIES)
-FREE = _named(families_structures.FAMILIES, families_bodies.FAMILIES)
-FAMILIES = {**CONCRETE, **ABSTRACT, **FREE}
+FAMILIES = {**CONCRETE, **ABSTRACT}
 
 
 def family_of(seed: int, index: int, settings: GeneratorSettings | None = None) -> str:
     """Return the family that ``make_object`` draws."""
     chosen = settings or GeneratorSettings()
     rng = np.random.default_rng((seed, index, 1))
-    kind = rng.random()
-    group = CONCRETE
-    if kind < chosen.abstract_share:
-        group = ABSTRACT
-    elif kind < chosen.abstract_share + chosen.free_share:
-        group = FREE
-    names = list(group)
+    names = list(ABSTRACT if rng.random() < chosen.abstract_share else CONCRETE)
     return names[int(rng.integers(len(names)))]
 
 

@@ -1,4 +1,4 @@
-"""Shapes that follow a line: surfaces of revolution, tubes, rods, boards and skins.
+"""Shapes that follow a line: surfaces of revolution, tubes, rods and skins.
 
 Conventions
 -----------
@@ -191,21 +191,3 @@ def arc(
     points[:, first] = radius * np.cos(angle)
     points[:, second] = radius * np.sin(angle)
     return points
-
-
-def ribbon(
-    path: ArrayLike,  # [P, 3]
-    across: tuple[float, float, float],
-    width: float,
-    thickness: float,
-) -> Quads:
-    """Sweep a board along a path; its width lies along the unit vector ``across``."""
-    line = np.asarray(path, np.float32)
-    tangent = np.gradient(line, axis=0)
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True).clip(1e-9)
-    side = np.asarray(across, np.float32)
-    normal = np.cross(tangent, side)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True).clip(1e-9)
-    signs = ((1, 1), (-1, 1), (-1, -1), (1, -1))
-    corners = [line + 0.5 * (s * width * side + t * thickness * normal) for s, t in signs]
-    return loft(np.stack(corners, axis=1), feature=0.5 * thickness)

@@ -7,7 +7,6 @@ from recipes.train_embedded_prior.procedural.sweeps import (
     arc,
     loft,
     revolve,
-    ribbon,
     rod,
     shell_profile,
     smooth_profile,
@@ -30,11 +29,6 @@ SOLIDS = {
     "arch": (
         lambda: tube(arc(10, 170, 1, 41, plane="yz"), 0.1, sides=32),
         160 / 180 * math.pi**2 * 0.01,
-    ),
-    "board": (lambda: ribbon([(0, 0, 0), (1, 0, 0), (2, 0, 0)], (0, 1, 0), 0.5, 0.1), 0.1),
-    "bent board": (
-        lambda: ribbon(arc(0, 90, 2, 61, plane="xy"), (0, 0, 1), 0.5, 0.1),
-        math.pi * 0.05,
     ),
 }
 
