@@ -73,7 +73,8 @@ class CompleteOptions:
     degrees as in --view; from the frame's centre in object sizes). A run prints the one it took."""
     alternatives: int = 0
     """Also guess the whole through this many likely planes (at most 8) and through none, and draw
-    these guesses into alternatives.png, each with the --mirror that makes a run take it."""
+    these guesses below the result into alternatives.png, each with the --mirror that makes a run
+    take it."""
     text_only: bool = False
     """Withhold P's renders from priors that can see them."""
     seed: int = 0

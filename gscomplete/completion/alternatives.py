@@ -76,11 +76,16 @@ def guess_alternatives(
 
 
 def alternatives_sheet(
-    alternatives: list[Alternative], partial: Splats, views: ViewDistribution, title: str
+    alternatives: list[Alternative],
+    partial: Splats,
+    completed: Splats,
+    views: ViewDistribution,
+    title: str,
 ) -> Image.Image:
-    """Draw P and the guesses from the six views of a run's preview, a row each."""
+    """Draw P, the run's result and the guesses from the preview's six views, a row each."""
     cameras = views.preview_cameras(_SIZE_PX)
     plain = partial.with_sh_degree(0)
-    rows = [render_images(plain, cameras)]
-    rows += [render_images(concatenate([plain, a.splats]), cameras) for a in alternatives]
-    return contact_sheet(rows, row_labels=["input", *(a.option for a in alternatives)], title=title)
+    wholes = [concatenate([plain, alternative.splats]) for alternative in alternatives]
+    rows = [render_images(splats, cameras) for splats in (partial, completed, *wholes)]
+    labels = ["input", "this run", *(alternative.option for alternative in alternatives)]
+    return contact_sheet(rows, row_labels=labels, title=title)

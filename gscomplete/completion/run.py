@@ -212,7 +212,7 @@ def _finish(run: Run) -> dict[str, Any]:
     save_turntable(whole, run.distribution, out / "turntable.webp")
     run.timings["pictures_s"] = time.perf_counter() - started
     started = time.perf_counter()
-    alternatives = _draw_alternatives(run, partial)
+    alternatives = _draw_alternatives(run, partial, whole)
     run.timings["alternatives_s"] = time.perf_counter() - started
     result = {
         "metrics": metrics,
@@ -225,7 +225,7 @@ def _finish(run: Run) -> dict[str, Any]:
     return _write_run_file(run, "finished", result)
 
 
-def _draw_alternatives(run: Run, partial: Splats) -> list[str]:
+def _draw_alternatives(run: Run, partial: Splats, whole: Splats) -> list[str]:
     """Draw the guesses that the user asked for; return the options that give them."""
     request = run.request
     if not request.alternatives:
@@ -238,7 +238,7 @@ def _draw_alternatives(run: Run, partial: Splats) -> list[str]:
         request.settings,
         request.alternatives,
     )
-    sheet = alternatives_sheet(found, partial, run.distribution, request.prompt)
+    sheet = alternatives_sheet(found, partial, whole, run.distribution, request.prompt)
     save_image(sheet, request.out / ALTERNATIVES_FILE)
     return [alternative.option for alternative in found]
 

@@ -63,6 +63,6 @@ def test_priors_without_guesses_have_no_alternatives(prior):
 
 
 def test_the_sheet_has_a_row_each(found):
-    one = alternatives_sheet(found[:1], PARTIAL, VIEWS, "a ball")
-    three = alternatives_sheet(found, PARTIAL, VIEWS, "a ball")
+    one = alternatives_sheet(found[:1], PARTIAL, PARTIAL, VIEWS, "a ball")
+    three = alternatives_sheet(found, PARTIAL, PARTIAL, VIEWS, "a ball")
     assert three.height - one.height == 2 * (192 + 4)
