@@ -63,9 +63,9 @@ def guess_alternatives(
     """
     if settings.start != "guess" or not isinstance(prior, ShapePrior):
         return []
-    *planes, none = prior.likely_mirrors(partial, distribution, conditioning) or ("none",)
+    mirrors = prior.likely_mirrors(partial, distribution, conditioning)
     found = []
-    for mirror in (*planes[:count], none):
+    for mirror in (*mirrors[:-1][:count], *mirrors[-1:]):
         generator = generator_for(settings.seed, 0, "first guess")
         guess = prior.first_guess(
             partial, distribution, conditioning, generator, settings.new_splats, mirror

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from gscomplete.completion.run import OUTPUT_FILE, RUN_FILE
 from gscomplete.errors import UserError
@@ -30,7 +31,7 @@ class Layer:
     name: str
     splats: Splats
     note: str
-    """How many there are, and how many of them are shown."""
+    """How many there are, how many of them cannot be drawn, and how many are shown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,15 +56,17 @@ def read_scene(paths: Sequence[Path], up: UpAxis, most_splats: int) -> Scene:
     """
     if len(paths) == 1 and (paths[0] / RUN_FILE).is_file():
         return _read_run(paths[0], most_splats)
-    named = [(path, _usable(path)) for path in _splat_files(paths)]
-    to_frame = ObjectFrame.about(named[0][1], up).object_from_file
-    return Scene(
-        tuple(
-            _layer(name, transform_splats(splats, to_frame), most_splats)
-            for name, (_, splats) in zip(_names([p for p, _ in named]), named, strict=True)
-        ),
-        None,
-    )
+    files = _splat_files(paths)
+    layers = []
+    frame: ObjectFrame | None = None
+    for name, path in zip(_names(files), files, strict=True):
+        splats = read_splats(path).splats
+        usable, _ = usable_rows(splats)
+        if not bool(usable.any()):
+            raise UserError(f"{path}: expected splats that can be drawn, found none")
+        frame = frame or ObjectFrame.about(splats.select(usable), up)
+        layers.append(_layer(name, splats, usable, frame, most_splats))
+    return Scene(tuple(layers), None)
 
 
 def _read_run(folder: Path, most_splats: int) -> Scene:
@@ -88,12 +91,11 @@ def _read_run(folder: Path, most_splats: int) -> Scene:
         raise UserError(f"{output}: expected at least P's {count} splats, found {len(splats)}")
     usable, _ = usable_rows(splats)
     row = torch.arange(len(splats))
-    layers = []
-    for name, mask in (("P", row < count), ("new", row >= count)):
-        chosen = splats.select(mask & usable)
-        if len(chosen):
-            moved = transform_splats(chosen, frame.object_from_file)
-            layers.append(_layer(name, moved, most_splats))
+    layers = [
+        _layer(name, splats.select(part), usable[part], frame, most_splats)
+        for name, part in (("P", row < count), ("new", row >= count))
+        if bool(usable[part].any())
+    ]
     return Scene(tuple(layers), views)
 
 
@@ -115,20 +117,22 @@ def _splat_files(paths: Sequence[Path]) -> list[Path]:
     return files
 
 
-def _usable(path: Path) -> Splats:
-    splats = read_splats(path).splats
-    usable, _ = usable_rows(splats)
-    if not bool(usable.any()):
-        raise UserError(f"{path}: expected splats that can be drawn, found none")
-    return splats.select(usable)
-
-
-def _layer(name: str, splats: Splats, most: int) -> Layer:
-    shown = thinned(splats, most, torch.Generator().manual_seed(0))
+def _layer(
+    name: str,
+    splats: Splats,
+    usable: Tensor,  # [N] bool
+    frame: ObjectFrame,
+    most: int,
+) -> Layer:
+    """Carry what can be drawn into the frame, and tell what is left out."""
+    drawn = splats.select(usable)
+    shown = thinned(drawn, most, torch.Generator().manual_seed(0))
     note = f"{len(splats):,} splats"
-    if len(shown) < len(splats):
+    if len(drawn) < len(splats):
+        note += f", {len(splats) - len(drawn):,} of them not finite or too large to draw"
+    if len(shown) < len(drawn):
         note += f", {len(shown):,} of them shown, widened to match"
-    return Layer(name, shown, note)
+    return Layer(name, transform_splats(shown, frame.object_from_file), note)
 
 
 def _names(files: Sequence[Path]) -> list[str]:

@@ -36,7 +36,6 @@ TINTS = ((0.25, 0.5, 0.95), (0.98, 0.55, 0.15), (0.3, 0.75, 0.35), (0.85, 0.3, 0
 _TINT_SHARE = 0.6
 _FRUSTUM_SCALE = 0.08
 _PICTURE_PX = 512
-_DISTANCE = 2.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,5 +176,5 @@ def _add_box(viewer: Viewer, name: str, handle: Any, *, hint: str, initial: bool
 
 
 def _start_camera(views: ViewDistribution | None) -> Cameras:
-    chosen = views or ViewDistribution(30.0, 15.0, radius=_DISTANCE)
+    chosen = views or ViewDistribution(30.0, 15.0)
     return chosen.input_camera(_PICTURE_PX)

@@ -94,16 +94,6 @@ class Exportable:
         return self.state | {name: self.state[name][rows]}
 
 
-def kept_denoiser(folder: Path) -> Exportable:
-    """Take the denoiser of exported weights as it is.
-
-    Raises:
-        UserError: they cannot be read.
-    """
-    model, _, config = load_weights(folder)
-    return Exportable(config.model, model.state_dict(), config.words, config.training)
-
-
 @dataclass(frozen=True, slots=True)
 class TrainedRun:
     """A training run as it stands."""
@@ -121,7 +111,8 @@ class TrainedRun:
             UserError: the folder holds no run.
         """
         record = from_json(RunRecord, read_json(folder / RUN), str(folder / RUN))
-        config = dataclasses.replace(record.config, out=folder)
+        # The weights come from the checkpoint; those that the run started from may be gone.
+        config = dataclasses.replace(record.config, out=folder, start_from=None)
         task = (
             ShapeTask(config, procedural_source, record.words)
             if isinstance(config, ShapeTrainConfig)
@@ -297,13 +288,17 @@ def export_runs(options: ExportConfig) -> tuple[TrainedRun | None, set[str]]:
         The denoiser's run, if there is one, and the words left out.
 
     Raises:
-        UserError: a run or the weights to keep cannot be read, or the weights cannot be written.
+        UserError: there is no run, or a run or the weights to keep cannot be read, or the weights
+            cannot be written.
     """
+    if options.run is None and options.shape_run is None:
+        raise UserError("export: expected --run, --shape-run or both, found neither")
     run = None if options.run is None else TrainedRun.load(options.run)
     shape_run = None if options.shape_run is None else TrainedRun.load(options.shape_run)
     if run is None:
-        denoiser = kept_denoiser(options.out)
-        views = load_weights(options.out)[2].views
+        model, _, held = load_weights(options.out)
+        denoiser = Exportable(held.model, model.state_dict(), held.words, held.training)
+        views = held.views
     else:
         assert isinstance(run.config, TrainConfig)
         denoiser = run.exportable()

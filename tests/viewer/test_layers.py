@@ -80,8 +80,10 @@ def test_a_folder_without_splats_is_refused(tmp_path):
         read_scene([tmp_path], "Z", 100)
 
 
-def test_splats_that_cannot_be_drawn_are_left_out(tmp_path):
+def test_splats_that_cannot_be_drawn_are_left_out_and_counted(tmp_path):
     table = random_table(6, 0)
     table["x"][2] = np.nan
     (tmp_path / "a.ply").write_bytes(make_ply(table))
-    assert len(read_scene([tmp_path / "a.ply"], "Z", 100).layers[0].splats) == 5
+    layer = read_scene([tmp_path / "a.ply"], "Z", 100).layers[0]
+    assert len(layer.splats) == 5
+    assert layer.note == "6 splats, 1 of them not finite or too large to draw"

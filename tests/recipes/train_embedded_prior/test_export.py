@@ -1,7 +1,9 @@
 from types import SimpleNamespace
 
+import pytest
 import torch
 
+from gscomplete.errors import UserError
 from gscomplete.priors import load_prior
 from gscomplete.priors.embedded.weights import load_weights
 from recipes.train_embedded_prior.export import (
@@ -94,3 +96,9 @@ def test_the_denoiser_can_be_kept_while_the_shape_network_is_trained_on(tmp_path
     assert config.shape is not None
     assert config.shape.training.steps == 8
     assert config.shape.training.sets == 16
+
+
+def test_an_export_of_nothing_is_refused_before_anything_is_written(tmp_path):
+    with pytest.raises(UserError, match="expected --run, --shape-run or both"):
+        export_runs(ExportConfig(out=tmp_path))
+    assert not list(tmp_path.iterdir())

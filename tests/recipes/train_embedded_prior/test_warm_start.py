@@ -63,12 +63,15 @@ def test_new_words_follow_those_of_the_weights(tmp_path, weights):
 
 
 def test_a_resumed_run_goes_on_from_its_checkpoint(tmp_path, weights):
-    """It neither starts anew nor forgets where it came from."""
+    """It neither starts anew nor forgets where it came from, nor needs what it started from."""
     config = tiny_shape_run(tmp_path, start_from=weights, steps=2)
     train(ShapeTask(config, stub_source, open_run(config, WORDS)))
     again = dataclasses.replace(config, resume=True, steps=3)
     words = open_run(again, WORDS)
     assert train(ShapeTask(again, stub_source, words)).step == 3
+    (tmp_path / "run.json").write_text(
+        (tmp_path / "run.json").read_text().replace(str(weights), str(tmp_path / "gone"))
+    )
     record = TrainedRun.load(tmp_path).record()
     assert (record.steps, record.sets) == (3, 6)
 
