@@ -1,18 +1,15 @@
-"""Cut complete objects into partial ones, and give them the flaws of real captures.
+"""Cut complete objects into partial ones.
 
 Conventions
 -----------
 * A cut never changes splats: it returns a mask of what is kept, its kind, and its parameters.
-* Random cuts and flaws are pure functions of (seed, index) and of the splats. They expect the
-  object frame (centred, largest side 1), as do defaults given in units of length.
 * Cameras that "see" are points in the frame of the splats; nothing is rendered.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -22,9 +19,9 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from gscomplete.splats.record import SH_C0, Splats, concatenate
+from gscomplete.splats.record import Splats
 
-CutKind = Literal["plane", "box", "visibility", "crop", "plane+box", "plane+visibility"]
+CutKind = Literal["plane", "box", "visibility", "crop", "plane+box", "plane+visibility", "nothing"]
 FloatArray = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
 
@@ -47,44 +44,6 @@ class PartialCut:
         """One line for logs: kind, counts and parameters."""
         numbers = ", ".join(f"{name} {value}" for name, value in self.details.items())
         return f"{self.kind}: kept {self.kept} of {len(self.mask)} splats ({numbers})"
-
-
-@dataclass(frozen=True, slots=True)
-class CutSettings:
-    """Knobs of ``random_partial``."""
-
-    keep_share: tuple[float, float] = (0.35, 0.75)
-    """Share of splats that plane cuts keep."""
-    fewest_share: float = 0.12
-    """A cut that keeps less is replaced by a plane cut."""
-    most_share: float = 0.92
-    """A cut that keeps more is replaced by a plane cut."""
-    scan_elevation_deg: tuple[float, float] = (-10.0, 45.0)
-    """Elevations of the scanner's views."""
-    weights: tuple[float, float, float, float, float] = (0.42, 0.18, 0.25, 0.08, 0.07)
-    """Shares of plane, box, visibility, plane+box and plane+visibility."""
-
-
-@dataclass(frozen=True, slots=True)
-class FlawSettings:
-    """Knobs of ``corrupt``; each flaw's strength is drawn between none and its largest value."""
-
-    clean_share: float = 0.35
-    """Share of partials left as they are."""
-    position_noise: float = 0.006
-    """Largest standard deviation of positions, object frame."""
-    color_noise: float = 0.06
-    """Largest standard deviation of colours, sRGB."""
-    color_shift: float = 0.06
-    """Largest shift of all colours together, sRGB."""
-    size_noise: float = 0.3
-    """Largest standard deviation of log scales."""
-    most_holes: int = 4
-    """Most round patches dropped."""
-    hole_radius: tuple[float, float] = (0.03, 0.12)
-    """Radius of dropped patches, object frame."""
-    flying_share: float = 0.01
-    """Largest share of flying splats added."""
 
 
 def _points(splats: Splats) -> FloatArray:
@@ -230,149 +189,3 @@ def _first_surface(
         if 0 <= row < grid_px and 0 <= column < grid_px:
             seen[n] = z <= depth[row, column] + slack
     return seen
-
-
-def _random_direction(rng: np.random.Generator) -> FloatArray:  # [3]
-    """Draw a unit vector; half of the time along an axis or level, as people cut."""
-    kind = rng.random()
-    angle = rng.uniform(0, 2 * math.pi)
-    if kind < 0.5:
-        return np.array([math.cos(angle), math.sin(angle), 0.0], np.float32)
-    if kind < 0.65:
-        return np.array([0.0, 0.0, 1.0 if kind < 0.58 else -1.0], np.float32)
-    direction = rng.normal(size=3)
-    return (direction / np.linalg.norm(direction)).astype(np.float32)
-
-
-def _random_plane(splats: Splats, rng: np.random.Generator, share: float) -> PartialCut:
-    """Cut by a random plane that keeps about ``share`` of the splats."""
-    normal = _random_direction(rng)
-    along = _points(splats) @ normal
-    return by_plane(splats, normal, float(np.quantile(along, 1.0 - share)))
-
-
-def _random_box(splats: Splats, rng: np.random.Generator) -> PartialCut:
-    """Take away a corner or a hole, or keep a slab."""
-    angle = rng.uniform(0, 2 * math.pi)
-    cos, sin = math.cos(angle), math.sin(angle)
-    turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]], np.float32)
-    points = _points(splats)
-    anchor = points[int(rng.integers(len(points)))]
-    kind = rng.integers(3)
-    if kind == 0:
-        size, keep = rng.uniform(0.35, 0.8, 3), "outside"
-    elif kind == 1:
-        size, keep = rng.uniform(0.3, 0.7, 3) * np.array([1, 9, 9]), "inside"
-        size[0] = rng.uniform(0.3, 0.6)
-    else:
-        size, keep = rng.uniform(0.25, 0.45, 3) * np.array([1, 1, 9]), "outside"
-    return by_box(splats, anchor, size, turn=turn, keep=keep)  # type: ignore[arg-type]
-
-
-def _random_scan(splats: Splats, rng: np.random.Generator, bounds: Sequence[float]) -> PartialCut:
-    """See the object from one to three views within a sector, as a hand-held scanner does."""
-    count = int(rng.choice([1, 2, 3], p=[0.5, 0.3, 0.2]))
-    azimuth = rng.uniform(0, 2 * math.pi) + np.cumsum(rng.uniform(0.3, 1.0, count))
-    elevation = np.radians(rng.uniform(bounds[0], bounds[1], count))
-    eyes = np.stack(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-        ],
-        axis=1,
-    )
-    return by_visibility(splats, eyes * rng.uniform(1.6, 2.6), fov_deg=30.0)
-
-
-def random_partial(
-    splats: Splats, seed: int, index: int, settings: CutSettings | None = None
-) -> PartialCut:
-    """Cut an object at random: planes, boxes, scanner views, or two of them.
-
-    Args:
-        splats: a complete object in the object frame.
-        seed: seed of the stream.
-        index: which cut of the stream.
-        settings: None = defaults.
-
-    Raises:
-        ValueError: there are no splats.
-    """
-    if len(splats) == 0:
-        raise ValueError("random_partial: no splats to cut")
-    chosen = settings or CutSettings()
-    rng = np.random.default_rng((seed, index, 11))
-    kind = int(np.searchsorted(np.cumsum(chosen.weights), rng.random(), side="right"))
-    low, high = chosen.keep_share
-    share = float(rng.uniform(low, high))
-    cuts: list[PartialCut]
-    if kind == 0:
-        cuts = [_random_plane(splats, rng, share)]
-    elif kind == 1:
-        cuts = [_random_box(splats, rng)]
-    elif kind == 2:
-        cuts = [_random_scan(splats, rng, chosen.scan_elevation_deg)]
-    elif kind == 3:
-        cuts = [_random_plane(splats, rng, 0.5 + 0.5 * share), _random_box(splats, rng)]
-    else:
-        scan = _random_scan(splats, rng, chosen.scan_elevation_deg)
-        cuts = [_random_plane(splats, rng, 0.5 + 0.5 * share), scan]
-    mask = torch.stack([cut.mask for cut in cuts]).all(dim=0)
-    kept = float(mask.float().mean())
-    if not chosen.fewest_share <= kept <= chosen.most_share:
-        return _random_plane(splats, rng, share)
-    if len(cuts) == 1:
-        return cuts[0]
-    details = {name: value for cut in cuts for name, value in cut.details.items()}
-    return PartialCut(mask, "plane+box" if kind == 3 else "plane+visibility", details)
-
-
-def corrupt(
-    splats: Splats, mask: Tensor, seed: int, index: int, settings: FlawSettings | None = None
-) -> Splats:
-    """Return the kept splats with flaws of real captures.
-
-    Flaws: noise of positions, colours and sizes, a shift of all colours, round holes, and a few
-    flying splats. A share of all results is left clean.
-
-    Args:
-        splats: the complete object, object frame.
-        mask: [N] bool, what the partial keeps.
-        seed: seed of the stream.
-        index: which one of the stream.
-        settings: None = defaults.
-    """
-    chosen = settings or FlawSettings()
-    rng = np.random.default_rng((seed, index, 12))
-    kept = splats.select(mask)
-    if len(kept) == 0 or rng.random() < chosen.clean_share:
-        return kept
-    strength = rng.random(6) ** 2
-    points = _points(kept)
-    whole = np.ones(len(points), np.bool_)
-    for _ in range(int(rng.integers(chosen.most_holes + 1))):
-        middle = points[int(rng.integers(len(points)))]
-        radius = rng.uniform(*chosen.hole_radius)
-        whole &= np.square(points - middle).sum(axis=1) > radius * radius
-    if whole.mean() > 0.5:
-        kept = kept.select(torch.from_numpy(whole).to(mask.device))
-    shape = (len(kept), 3)
-
-    def noise(deviation: float, size: tuple[int, ...] = shape) -> Tensor:
-        draw = rng.standard_normal(size, dtype=np.float32) * np.float32(deviation)
-        return torch.from_numpy(draw).to(kept.means)
-
-    sh = kept.sh.clone()
-    shift = torch.from_numpy(rng.uniform(-1, 1, 3).astype(np.float32)).to(sh)
-    sh[:, 0] += shift * float(strength[0] * chosen.color_shift / SH_C0)
-    sh[:, 0] += noise(strength[1] * chosen.color_noise / SH_C0)
-    sizes = kept.scales * noise(strength[2] * chosen.size_noise, (len(kept), 1)).exp()
-    means = kept.means + noise(strength[3] * chosen.position_noise)
-    flawed = dataclasses.replace(kept, means=means, scales=sizes, sh=sh)
-    flying = int(strength[4] * chosen.flying_share * len(kept))
-    if flying == 0:
-        return flawed
-    strays = flawed.select(torch.from_numpy(rng.integers(len(kept), size=flying)).to(mask.device))
-    away = noise(0.15, (flying, 3))
-    return concatenate([flawed, dataclasses.replace(strays, means=strays.means + away)])

@@ -9,6 +9,8 @@ Conventions
 -----------
 * The first part of an object is the table's; the other two are an upright plane elsewhere and what
   a scanner sees from one or two sides. All are fixed.
+* Slight parts lack little: what a scanner misses from four sides, what it misses from three sides
+  above, and nothing. A completion should add as little.
 * A turned object is turned about its up axis, as captures are, after it was cut.
 """
 
@@ -46,6 +48,8 @@ from recipes.train_embedded_prior.procedural.quads import turn_about
 
 _OFFSETS = (-0.04, 0.0, 0.05)
 _TURN_DEG = (15.0, 75.0)
+_NOTHING = 2.0
+"""Offset of a plane farther out than any object reaches."""
 
 
 @dataclass(frozen=True)
@@ -53,22 +57,26 @@ class Options:
     """Complete parts of real objects that no benchmark uses and measure the results."""
 
     out: Path
-    """Folder for ``PRESET.json`` or ``PRESET-turned.json``; an interrupted run goes on from it."""
+    """Folder for ``PRESET.json`` (``PRESET-slight-turned.json`` and so on); an interrupted run goes
+    on from it."""
     preset: Literal["fast", "default", "reconstruct"] = "fast"
     """Settings of the completion."""
+    slight: bool = False
+    """Complete parts that lack little or nothing instead."""
     turned: bool = False
     """Turn every object about its up axis by 15 to 75 degrees."""
     data: Path = DATA
     """Folder of the real data."""
 
 
-def parts() -> list[Entry]:
-    """Return the parts, three of each object."""
+def parts(*, slight: bool = False) -> list[Entry]:
+    """Return the parts, three of each object; slight ones lack little."""
+    cuts = slight_cuts_of if slight else cuts_of
     chosen = [e for e in ENTRIES if e.source != "scan" and e.name not in OBJECTS]
     return [
         dataclasses.replace(entry, name=f"{entry.name}-{n}", cut=cut)
         for k, entry in enumerate(chosen)
-        for n, cut in enumerate(cuts_of(entry, k))
+        for n, cut in enumerate(cuts(entry, k))
     ]
 
 
@@ -80,6 +88,15 @@ def cuts_of(entry: Entry, number: int) -> tuple[Cut, Cut, Cut]:
     first = away_deg + 40.0 + 29.0 * number
     scan = ScanCut((first,) if number % 2 else (first, first + 45.0))
     return entry.cut, plane, scan
+
+
+def slight_cuts_of(entry: Entry, number: int) -> tuple[Cut, Cut, Cut]:
+    """Return the cuts of object ``number`` that leave nearly all of it."""
+    assert entry.cut is not None
+    away_deg = side_taken_away_deg(entry.cut) + 29.0 * number
+    four = ScanCut(tuple(away_deg + turn for turn in (0.0, 90.0, 180.0, 270.0)))
+    three = ScanCut(tuple(away_deg + turn for turn in (0.0, 120.0, 240.0)), elevation_deg=50.0)
+    return four, three, PlaneCut(away_deg, _NOTHING)
 
 
 def side_taken_away_deg(cut: Cut) -> float:
@@ -108,9 +125,11 @@ def main(options: Options) -> None:
     prior = load_prior("embedded", "cpu")
     settings = settings_of(options.preset, prior, 0)
     options.out.mkdir(parents=True, exist_ok=True)
-    path = options.out / f"{options.preset}{'-turned' if options.turned else ''}.json"
+    kinds = ("-slight" * options.slight, "-turned" * options.turned)
+    path = options.out / f"{options.preset}{''.join(kinds)}.json"
     rows: dict[str, dict[str, Any]] = json.loads(path.read_text()) if path.exists() else {}
-    for index, entry in enumerate(track(parts(), "parts", console=Console(file=sys.stderr))):
+    entries = parts(slight=options.slight)
+    for index, entry in enumerate(track(entries, "parts", console=Console(file=sys.stderr))):
         if entry.name in rows:
             continue
         item = load_entry(entry, options.data)

@@ -35,7 +35,7 @@ class TrainingObject:
 
     splats: Splats
     caption: str
-    partial: Callable[[bool], Splats]  # (disturb it?) -> P
+    partial: Callable[[bool, bool], Splats]  # (disturb it?, little missing?) -> P
 
 
 Source = Callable[[int, int], TrainingObject]
@@ -89,7 +89,7 @@ class SetMaker:
         rng = np.random.default_rng((self._seed, index, 1))
         cameras, ring = sample_ring(self._data, rng)
         disturb = bool(rng.random() < self._data.corrupt_share)
-        partial = item.partial(disturb)
+        partial = item.partial(disturb, False)
         stored = np.zeros((), self.dtype)
         stored["images"] = self._render_images(item.splats, cameras)
         stored["input_map"] = self._render_input(partial, cameras, float(ring[1]))

@@ -155,7 +155,9 @@ class ShapeSetMaker:
     def posed(self, index: int, rng: np.random.Generator) -> PosedObject:
         """Return object ``index`` and a part of it in a frame as a run would guess it."""
         item = self.source(self.seed, index)
-        partial = item.partial(bool(rng.random() < self.data.corrupt_share))
+        disturb = bool(rng.random() < self.data.corrupt_share)
+        slight = np.random.default_rng((self.seed, index, 3)).random() < self.data.slight_share
+        partial = item.partial(disturb, bool(slight))
         frame, distribution = self._frame(partial, rng)
         to_frame = frame.object_from_file
         return PosedObject(

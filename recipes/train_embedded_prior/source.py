@@ -7,7 +7,8 @@ from gscomplete.splats import Splats
 from recipes.train_embedded_prior.dataset import TrainingObject
 from recipes.train_embedded_prior.procedural.captions import vocabulary
 from recipes.train_embedded_prior.procedural.objects import FAMILIES, make_object
-from splatcomplete_data.partial import corrupt, random_partial
+from splatcomplete_data.flaws import corrupt
+from splatcomplete_data.random_cuts import random_partial, slight_partial
 
 _CAPTIONS_READ = 1000
 
@@ -16,8 +17,9 @@ def procedural_source(seed: int, index: int) -> TrainingObject:
     """Make object ``index`` of a seed, with the means to take parts of it."""
     made = make_object(seed, index)
 
-    def partial(disturb: bool) -> Splats:
-        mask = random_partial(made.splats, seed, index).mask
+    def partial(disturb: bool, slight: bool) -> Splats:
+        cut = slight_partial if slight else random_partial
+        mask = cut(made.splats, seed, index).mask
         if disturb:
             return corrupt(made.splats, mask, seed, index)
         return made.splats.select(mask)

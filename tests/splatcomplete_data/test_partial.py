@@ -6,32 +6,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gscomplete.splats.record import Splats, colors_to_sh
-from splatcomplete_data.mesh.discs import discs_at
-from splatcomplete_data.partial import (
-    CutSettings,
-    FlawSettings,
-    by_box,
-    by_plane,
-    by_visibility,
-    corrupt,
-    crop,
-    random_partial,
-)
-
-
-def ball(count: int = 4000, radius: float = 0.5) -> Splats:
-    """Return discs on a sphere (Fibonacci points)."""
-    k = np.arange(count) + 0.5
-    z = 1 - 2 * k / count
-    angle = np.pi * (1 + math.sqrt(5)) * k
-    ring = np.sqrt(1 - z * z)
-    normals = np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1).astype(np.float32)
-    spacing = math.sqrt(4 * math.pi * radius**2 / count)
-    return discs_at(normals * np.float32(radius), normals, np.abs(normals), spacing)
-
-
-BALL = ball()
+from gscomplete.splats.record import Splats
+from splatcomplete_data.partial import by_box, by_plane, by_visibility, crop
+from tests.splatcomplete_data.balls import BALL, ball
 
 
 @settings(max_examples=40, deadline=None)
@@ -117,57 +94,3 @@ def test_visibility_of_nothing_and_wrong_positions():
     )
     near = by_visibility(BALL, [[1.6, 0, 0]]).mask
     assert (by_visibility(far, [[1.6e6, 0, 0]]).mask == near).float().mean() > 0.999
-
-
-def test_random_partials_are_repeatable_and_within_their_bounds():
-    kinds = set()
-    chosen = CutSettings()
-    for index in range(60):
-        cut = random_partial(BALL, 3, index)
-        again = random_partial(BALL, 3, index)
-        assert torch.equal(cut.mask, again.mask)
-        kept = cut.mask.float().mean().item()
-        assert chosen.fewest_share - 1e-3 <= kept <= chosen.most_share + 1e-3
-        kinds.add(cut.kind)
-    assert {"plane", "box", "visibility"} <= kinds
-    assert not torch.equal(random_partial(BALL, 3, 0).mask, random_partial(BALL, 4, 0).mask)
-
-
-def test_random_partials_of_degenerate_objects():
-    one = BALL.select(torch.tensor([0]))
-    for index in range(20):
-        assert random_partial(one, 0, index).mask.shape == (1,)
-    with pytest.raises(ValueError, match="no splats"):
-        random_partial(one.select(torch.zeros(1, dtype=torch.bool)), 0, 0)
-
-
-def test_flaws_stay_small_and_repeatable():
-    mask = random_partial(BALL, 1, 1).mask
-    clean, touched = 0, 0
-    for index in range(40):
-        flawed = corrupt(BALL, mask, 2, index)
-        again = corrupt(BALL, mask, 2, index)
-        for (name, a), (_, b) in zip(flawed.fields(), again.fields(), strict=True):
-            assert torch.equal(a, b), name
-            assert torch.isfinite(a).all(), name
-        assert 0.45 * int(mask.sum()) <= len(flawed) <= 1.01 * int(mask.sum()) + 1
-        same = len(flawed) == int(mask.sum()) and torch.equal(flawed.means, BALL.means[mask])
-        clean, touched = clean + same, touched + (not same)
-    assert clean >= 5
-    assert touched >= 15
-
-
-def test_no_flaws_when_asked_for_none():
-    mask = torch.ones(len(BALL), dtype=torch.bool)
-    flawed = corrupt(BALL, mask, 0, 0, FlawSettings(clean_share=1.0))
-    assert torch.equal(flawed.means, BALL.means)
-    nothing = corrupt(BALL, ~mask, 0, 0)
-    assert len(nothing) == 0
-
-
-def test_higher_bands_of_color_are_left_alone():
-    sh = torch.cat([colors_to_sh(torch.rand(len(BALL), 3)), torch.rand(len(BALL), 3, 3)], dim=1)
-    splats = Splats(BALL.means, BALL.quaternions, BALL.scales, BALL.opacities, sh)
-    mask = torch.ones(len(BALL), dtype=torch.bool)
-    settings = FlawSettings(clean_share=0.0, most_holes=0, flying_share=0.0)
-    assert torch.equal(corrupt(splats, mask, 0, 3, settings).sh[:, 1:], sh[:, 1:])

@@ -20,7 +20,8 @@ from gscomplete.splats.record import Splats
 from gscomplete.views import orbit_cameras
 from gscomplete.views.cameras import radius_to_fit
 from recipes.train_embedded_prior.procedural.objects import FAMILIES, make_object_of
-from splatcomplete_data.partial import corrupt, random_partial
+from splatcomplete_data.flaws import corrupt
+from splatcomplete_data.random_cuts import random_partial
 
 LOG = logging.getLogger(__name__)
 

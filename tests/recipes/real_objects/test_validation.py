@@ -1,11 +1,14 @@
 """Parts to choose settings on are not those of the benchmark, and turning keeps objects whole."""
 
+import dataclasses
+from itertools import pairwise
+
 import torch
 
 from gscomplete.views import up_rotation
 from recipes.real_objects.catalogue import BoxCut, PlaneCut, ScanCut
 from recipes.real_objects.compare import OBJECTS
-from recipes.real_objects.load import RealObject
+from recipes.real_objects.load import RealObject, cut_object
 from recipes.real_objects.validation import parts, side_taken_away_deg, table, turned_object
 from tests.recipes.real_objects.test_real_objects import box_splats
 
@@ -16,6 +19,19 @@ def test_parts_are_three_of_every_object_that_the_benchmark_leaves_alone() -> No
     assert len({part.name for part in found}) == len(found) == 3 * len(set(of)) == 45
     assert not set(of) & set(OBJECTS)
     assert len({repr(part.cut) for part in found}) > 40
+
+
+def test_slight_parts_lack_little_the_last_of_each_nothing() -> None:
+    found = parts(slight=True)
+    assert [part.name for part in found] == [part.name for part in parts()]
+    whole = box_splats("Y")
+    for part in found[2::3]:
+        assert cut_object(whole, dataclasses.replace(part, up="Y")).kept == len(whole)
+    for part, sides in zip(found, [4, 3, 0] * 15, strict=True):
+        if isinstance(part.cut, ScanCut):
+            gaps = {round((b - a) % 360, 3) for a, b in pairwise(part.cut.from_deg)}
+            assert gaps == {360 / sides}
+            assert len(part.cut.from_deg) == sides
 
 
 def test_scans_and_boxes_take_the_far_side_away() -> None:

@@ -32,7 +32,8 @@ def stub_source(seed: int, index: int) -> TrainingObject:
     )
     side = float(rng.uniform(-0.2, 0.1))
     caption = f"a {'red' if red else 'blue'} ball"
-    return TrainingObject(splats, caption, lambda disturb: splats.select(points[:, 0] > side))
+    kept = splats.select(points[:, 0] > side)
+    return TrainingObject(splats, caption, lambda disturb, slight: splats if slight else kept)
 
 
 def tiny_run(out: Path, **changes: object) -> TrainConfig:

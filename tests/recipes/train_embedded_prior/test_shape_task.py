@@ -63,6 +63,20 @@ def test_what_is_shown_follows_the_shares(tmp_path):
     assert (volumes[1] != volumes[0]).any()
 
 
+def test_little_is_missing_in_the_share_asked_for(tmp_path):
+    spec = ShapeTask(tiny_shape_run(tmp_path), stub_source, WORDS).spec
+
+    def posed(share, index):
+        data = dataclasses.replace(spec.data, slight_share=share)
+        maker = dataclasses.replace(spec, data=data).maker()
+        return maker.posed(index, np.random.default_rng(index))
+
+    assert all(len(posed(1.0, k).partial) == len(posed(1.0, k).whole) for k in range(4))
+    assert all(len(posed(0.0, k).partial) < len(posed(0.0, k).whole) for k in range(4))
+    kept = [len(posed(0.5, k).partial) == len(posed(0.5, k).whole) for k in range(12)]
+    assert 0 < sum(kept) < 12
+
+
 def interrupting_source(seed, index):
     """Ask the trainer to stop while the sets of its second step are made."""
     if index == 2:

@@ -1,0 +1,89 @@
+"""Flaws of real captures: noise, holes, shifted colours, flying splats.
+
+Conventions
+-----------
+* A pure function of (seed, index) and of the splats, which are expected in the object frame.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gscomplete.splats.record import SH_C0, Splats, concatenate
+
+
+@dataclass(frozen=True, slots=True)
+class FlawSettings:
+    """Knobs of ``corrupt``; each flaw's strength is drawn between none and its largest value."""
+
+    clean_share: float = 0.35
+    """Share of partials left as they are."""
+    position_noise: float = 0.006
+    """Largest standard deviation of positions, object frame."""
+    color_noise: float = 0.06
+    """Largest standard deviation of colours, sRGB."""
+    color_shift: float = 0.06
+    """Largest shift of all colours together, sRGB."""
+    size_noise: float = 0.3
+    """Largest standard deviation of log scales."""
+    most_holes: int = 4
+    """Most round patches dropped."""
+    hole_radius: tuple[float, float] = (0.03, 0.12)
+    """Radius of dropped patches, object frame."""
+    flying_share: float = 0.01
+    """Largest share of flying splats added."""
+
+
+def corrupt(
+    splats: Splats, mask: Tensor, seed: int, index: int, settings: FlawSettings | None = None
+) -> Splats:
+    """Return the kept splats with flaws of real captures.
+
+    Flaws: noise of positions, colours and sizes, a shift of all colours, round holes, and a few
+    flying splats. A share of all results is left clean.
+
+    Args:
+        splats: the complete object, object frame.
+        mask: [N] bool, what the partial keeps.
+        seed: seed of the stream.
+        index: which one of the stream.
+        settings: None = defaults.
+    """
+    chosen = settings or FlawSettings()
+    rng = np.random.default_rng((seed, index, 12))
+    kept = splats.select(mask)
+    if len(kept) == 0 or rng.random() < chosen.clean_share:
+        return kept
+    strength = rng.random(6) ** 2
+    points = kept.means.detach().cpu().float().numpy()
+    whole = np.ones(len(points), np.bool_)
+    for _ in range(int(rng.integers(chosen.most_holes + 1))):
+        middle = points[int(rng.integers(len(points)))]
+        radius = rng.uniform(*chosen.hole_radius)
+        whole &= np.square(points - middle).sum(axis=1) > radius * radius
+    if whole.mean() > 0.5:
+        kept = kept.select(torch.from_numpy(whole).to(mask.device))
+    shape = (len(kept), 3)
+
+    def noise(deviation: float, size: tuple[int, ...] = shape) -> Tensor:
+        draw = rng.standard_normal(size, dtype=np.float32) * np.float32(deviation)
+        return torch.from_numpy(draw).to(kept.means)
+
+    sh = kept.sh.clone()
+    shift = torch.from_numpy(rng.uniform(-1, 1, 3).astype(np.float32)).to(sh)
+    sh[:, 0] += shift * float(strength[0] * chosen.color_shift / SH_C0)
+    sh[:, 0] += noise(strength[1] * chosen.color_noise / SH_C0)
+    sizes = kept.scales * noise(strength[2] * chosen.size_noise, (len(kept), 1)).exp()
+    means = kept.means + noise(strength[3] * chosen.position_noise)
+    flawed = dataclasses.replace(kept, means=means, scales=sizes, sh=sh)
+    flying = int(strength[4] * chosen.flying_share * len(kept))
+    if flying == 0:
+        return flawed
+    strays = flawed.select(torch.from_numpy(rng.integers(len(kept), size=flying)).to(mask.device))
+    away = noise(0.15, (flying, 3))
+    return concatenate([flawed, dataclasses.replace(strays, means=strays.means + away)])
