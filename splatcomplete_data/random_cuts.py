@@ -103,7 +103,7 @@ def _random_scan(splats: Splats, rng: np.random.Generator, bounds: Sequence[floa
 def _scan_from(
     splats: Splats,
     rng: np.random.Generator,
-    azimuth: NDArray[np.float64],  # [V] radians
+    azimuth: NDArray[np.floating],  # [V] radians
     bounds: Sequence[float],
 ) -> PartialCut:
     """See the object from views at random elevations (degrees) and one random distance."""
