@@ -59,7 +59,13 @@ def test_corrupt_share_is_respected():
 
     def source(seed, index):
         item = stub_source(seed, index)
-        return type(item)(item.splats, item.caption, lambda d: flags.append(d) or item.splats)
+
+        def partial(disturb, slight):
+            assert not slight
+            flags.append(disturb)
+            return item.splats
+
+        return type(item)(item.splats, item.caption, partial)
 
     make = SetMaker(source, DATA, Tokenizer(WORDS, 6), 16, 0)
     for k in range(40):
