@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from gscomplete.splats.record import SH_C0, Splats, concatenate
+from splatcomplete_data.partial import splat_points
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +61,7 @@ def corrupt(
     if len(kept) == 0 or rng.random() < chosen.clean_share:
         return kept
     strength = rng.random(6) ** 2
-    points = kept.means.detach().cpu().float().numpy()
+    points = splat_points(kept)
     whole = np.ones(len(points), np.bool_)
     for _ in range(int(rng.integers(chosen.most_holes + 1))):
         middle = points[int(rng.integers(len(points)))]

@@ -46,7 +46,7 @@ class PartialCut:
         return f"{self.kind}: kept {self.kept} of {len(self.mask)} splats ({numbers})"
 
 
-def _points(splats: Splats) -> FloatArray:
+def splat_points(splats: Splats) -> FloatArray:
     """Return the means as numpy [N, 3]."""
     return splats.means.detach().cpu().float().numpy()
 
@@ -68,7 +68,7 @@ def by_plane(splats: Splats, normal: ArrayLike, offset: float) -> PartialCut:
     if not (math.isfinite(length) and length > 0):
         raise ValueError(f"by_plane: expected a finite, non-zero normal, found {direction}")
     direction = direction / length
-    mask = _points(splats) @ direction.astype(np.float32) >= offset
+    mask = splat_points(splats) @ direction.astype(np.float32) >= offset
     return _cut(splats, mask, "plane", normal=direction.round(4).tolist(), offset=round(offset, 4))
 
 
@@ -81,7 +81,7 @@ def by_box(
     keep: Literal["inside", "outside"] = "inside",
 ) -> PartialCut:
     """Keep the splats inside or outside an oriented box."""
-    offset = _points(splats) - np.asarray(center, np.float32)
+    offset = splat_points(splats) - np.asarray(center, np.float32)
     if turn is not None:
         offset = offset @ np.asarray(turn, np.float32)
     inside: BoolArray = np.all(np.abs(offset) <= 0.5 * np.asarray(size, np.float32), axis=1)
@@ -93,7 +93,7 @@ def by_box(
 
 def crop(splats: Splats, low: ArrayLike, high: ArrayLike) -> PartialCut:
     """Keep the splats inside an axis-aligned box given by its corners [3] and [3]."""
-    points = _points(splats)
+    points = splat_points(splats)
     mask: BoolArray = np.all((points >= np.asarray(low)) & (points <= np.asarray(high)), axis=1)
     low_list = np.asarray(low, np.float64).round(4).tolist()
     high_list = np.asarray(high, np.float64).round(4).tolist()
@@ -127,7 +127,7 @@ def by_visibility(
     eyes = np.atleast_2d(np.asarray(positions, np.float64))
     if eyes.ndim != 2 or eyes.shape[1] != 3:
         raise ValueError(f"by_visibility: expected positions (V, 3), found {eyes.shape}")
-    points = _points(splats)
+    points = splat_points(splats)
     if len(points) == 0:
         return _cut(splats, np.zeros(0, np.bool_), "visibility", views=len(eyes))
     sizes = splats.scales.detach().amax(dim=1).cpu().float().numpy()

@@ -17,7 +17,14 @@ import torch
 from numpy.typing import NDArray
 
 from gscomplete.splats.record import Splats
-from splatcomplete_data.partial import FloatArray, PartialCut, by_box, by_plane, by_visibility
+from splatcomplete_data.partial import (
+    FloatArray,
+    PartialCut,
+    by_box,
+    by_plane,
+    by_visibility,
+    splat_points,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +78,7 @@ def _random_direction(rng: np.random.Generator) -> FloatArray:  # [3]
 def _random_plane(splats: Splats, rng: np.random.Generator, share: float) -> PartialCut:
     """Cut by a random plane that keeps about ``share`` of the splats."""
     normal = _random_direction(rng)
-    along = splats.means.detach().cpu().float().numpy() @ normal
+    along = splat_points(splats) @ normal
     return by_plane(splats, normal, float(np.quantile(along, 1.0 - share)))
 
 
@@ -80,7 +87,7 @@ def _random_box(splats: Splats, rng: np.random.Generator) -> PartialCut:
     angle = rng.uniform(0, 2 * math.pi)
     cos, sin = math.cos(angle), math.sin(angle)
     turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]], np.float32)
-    points = splats.means.detach().cpu().float().numpy()
+    points = splat_points(splats)
     anchor = points[int(rng.integers(len(points)))]
     kind = rng.integers(3)
     if kind == 0:
@@ -119,6 +126,11 @@ def _scan_from(
     return by_visibility(splats, eyes * rng.uniform(1.6, 2.6), fov_deg=30.0)
 
 
+def _drawn_kind(weights: Sequence[float], rng: np.random.Generator) -> int:
+    """Draw the number of a kind of cut by the kinds' shares."""
+    return int(np.searchsorted(np.cumsum(weights), rng.random(), side="right"))
+
+
 def random_partial(
     splats: Splats, seed: int, index: int, settings: CutSettings | None = None
 ) -> PartialCut:
@@ -137,7 +149,7 @@ def random_partial(
         raise ValueError("random_partial: no splats to cut")
     chosen = settings or CutSettings()
     rng = np.random.default_rng((seed, index, 11))
-    kind = int(np.searchsorted(np.cumsum(chosen.weights), rng.random(), side="right"))
+    kind = _drawn_kind(chosen.weights, rng)
     low, high = chosen.keep_share
     share = float(rng.uniform(low, high))
     cuts: list[PartialCut]
@@ -180,7 +192,7 @@ def slight_partial(
         raise ValueError("slight_partial: no splats to cut")
     chosen = settings or SlightCutSettings()
     rng = np.random.default_rng((seed, index, 13))
-    kind = int(np.searchsorted(np.cumsum(chosen.weights), rng.random(), side="right"))
+    kind = _drawn_kind(chosen.weights, rng)
     found: PartialCut | None = None
     if kind == 1:
         count = int(rng.integers(chosen.views[0], chosen.views[1] + 1))
@@ -190,7 +202,7 @@ def slight_partial(
     elif kind == 2:
         found = _random_plane(splats, rng, float(rng.uniform(*chosen.plane_share)))
     elif kind == 3:
-        anchor = splats.means[int(rng.integers(len(splats)))].cpu().numpy()
+        anchor = splat_points(splats)[int(rng.integers(len(splats)))]
         found = by_box(splats, anchor, rng.uniform(*chosen.box_size, 3), keep="outside")
     if found is None or found.kept < chosen.fewest_share * len(splats):
         return PartialCut(torch.ones_like(splats.opacities, dtype=torch.bool), "nothing")

@@ -92,7 +92,7 @@ def variants() -> dict[str, CompletionSettings]:
 def held_out(index: int) -> Held:
     """Make a held-out object."""
     item = procedural_source(_SEED, index)
-    partial = item.partial(index % 2 == 0, False)
+    partial = item.partial(disturb=index % 2 == 0, slight=False)
     guess = guess_framing(partial)
     to_frame = ObjectFrame("Z", guess.center, guess.size).object_from_file
     return Held(

@@ -91,7 +91,7 @@ def cuts_of(entry: Entry, number: int) -> tuple[Cut, Cut, Cut]:
 
 
 def slight_cuts_of(entry: Entry, number: int) -> tuple[Cut, Cut, Cut]:
-    """Return the cuts of object ``number`` that leave nearly all of it."""
+    """Return the cuts of object ``number`` that leave nearly all of its outside."""
     assert entry.cut is not None
     away_deg = side_taken_away_deg(entry.cut) + 29.0 * number
     four = ScanCut(tuple(away_deg + turn for turn in (0.0, 90.0, 180.0, 270.0)))
@@ -125,8 +125,8 @@ def main(options: Options) -> None:
     prior = load_prior("embedded", "cpu")
     settings = settings_of(options.preset, prior, 0)
     options.out.mkdir(parents=True, exist_ok=True)
-    kinds = ("-slight" * options.slight, "-turned" * options.turned)
-    path = options.out / f"{options.preset}{''.join(kinds)}.json"
+    kind = ("-slight" if options.slight else "") + ("-turned" if options.turned else "")
+    path = options.out / f"{options.preset}{kind}.json"
     rows: dict[str, dict[str, Any]] = json.loads(path.read_text()) if path.exists() else {}
     entries = parts(slight=options.slight)
     for index, entry in enumerate(track(entries, "parts", console=Console(file=sys.stderr))):

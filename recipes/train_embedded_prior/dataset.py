@@ -13,6 +13,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -29,13 +30,21 @@ HELD_OUT_SEED_OFFSET = 1_000_003
 """Added to the seed for sets that training never sees."""
 
 
+class TakesPart(Protocol):
+    """Takes the object's part."""
+
+    def __call__(self, *, disturb: bool, slight: bool) -> Splats:
+        """Return P, with flaws if disturbed, lacking little if slight."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class TrainingObject:
     """What a source of objects gives: an object and a way to take parts of it."""
 
     splats: Splats
     caption: str
-    partial: Callable[[bool, bool], Splats]  # (disturb it?, little missing?) -> P
+    partial: TakesPart
 
 
 Source = Callable[[int, int], TrainingObject]
@@ -89,7 +98,7 @@ class SetMaker:
         rng = np.random.default_rng((self._seed, index, 1))
         cameras, ring = sample_ring(self._data, rng)
         disturb = bool(rng.random() < self._data.corrupt_share)
-        partial = item.partial(disturb, False)
+        partial = item.partial(disturb=disturb, slight=False)
         stored = np.zeros((), self.dtype)
         stored["images"] = self._render_images(item.splats, cameras)
         stored["input_map"] = self._render_input(partial, cameras, float(ring[1]))

@@ -157,7 +157,7 @@ class ShapeSetMaker:
         item = self.source(self.seed, index)
         disturb = bool(rng.random() < self.data.corrupt_share)
         slight = np.random.default_rng((self.seed, index, 3)).random() < self.data.slight_share
-        partial = item.partial(disturb, bool(slight))
+        partial = item.partial(disturb=disturb, slight=bool(slight))
         frame, distribution = self._frame(partial, rng)
         to_frame = frame.object_from_file
         return PosedObject(

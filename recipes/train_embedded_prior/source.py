@@ -17,7 +17,7 @@ def procedural_source(seed: int, index: int) -> TrainingObject:
     """Make object ``index`` of a seed, with the means to take parts of it."""
     made = make_object(seed, index)
 
-    def partial(disturb: bool, slight: bool) -> Splats:
+    def partial(*, disturb: bool, slight: bool) -> Splats:
         cut = slight_partial if slight else random_partial
         mask = cut(made.splats, seed, index).mask
         if disturb:

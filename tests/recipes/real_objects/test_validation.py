@@ -28,6 +28,7 @@ def test_slight_parts_lack_little_the_last_of_each_nothing() -> None:
     for part in found[2::3]:
         assert cut_object(whole, dataclasses.replace(part, up="Y")).kept == len(whole)
     for part, sides in zip(found, [4, 3, 0] * 15, strict=True):
+        assert isinstance(part.cut, ScanCut) == (sides > 0)
         if isinstance(part.cut, ScanCut):
             gaps = {round((b - a) % 360, 3) for a, b in pairwise(part.cut.from_deg)}
             assert gaps == {360 / sides}

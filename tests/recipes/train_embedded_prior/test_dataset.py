@@ -60,7 +60,7 @@ def test_corrupt_share_is_respected():
     def source(seed, index):
         item = stub_source(seed, index)
 
-        def partial(disturb, slight):
+        def partial(*, disturb, slight):
             assert not slight
             flags.append(disturb)
             return item.splats
