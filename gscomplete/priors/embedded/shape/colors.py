@@ -1,5 +1,7 @@
 """Colours of new splats: taken from P and its mirror images, where the network points.
 
+Where mirrored splats are used as they are, gaps beside them take the nearest colours instead.
+
 The network also has a colour of its own to mix in, which training needs (without it, colours that
 P does not show would push the pointing astray); mixed into a picture it looks like dirt beside P's
 colours, and so does a mean of two patterns. So new splats take the colour of one source.
@@ -13,7 +15,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
@@ -41,6 +45,9 @@ class ColorSettings:
     """A colour is a mean over this many splats of a source: scans are noisy."""
     max_splats: int = 40_000
     """Most splats of P looked at."""
+    outward: float = 2.0 * CELL_SIDE
+    """So far outside new splats the nearest colours are looked for: icing, not the dough under
+    it."""
 
 
 _FAR_PENALTY = 3.0
@@ -66,20 +73,54 @@ def source_colors(
         settings: knobs; None = defaults.
     """
     chosen = settings or ColorSettings()
-    looked_at = thinned(partial, chosen.max_splats, generator)
-    base = looked_at.base_colors.float().clamp(0, 1)
-    tree = cKDTree(looked_at.means.float().numpy())
-    nearest = range(1, min(chosen.neighbours, len(base)) + 1)
+    known = _Known(partial, generator, chosen)
     places = [points.numpy(), *(s.undo(points.numpy()) for s in inputs.symmetries)]
     pointing = sample_volume(output.sources[0, :SOURCES].float(), points)
     found, logits = [], []
     for source, place in enumerate(places):
-        distance, index = tree.query(place, k=nearest)
-        weight = torch.from_numpy(1.0 / (distance + 0.2 * CELL_SIDE) ** 2).float()
-        weight /= weight.sum(dim=1, keepdim=True)
-        found.append((weight[:, :, None] * base[torch.from_numpy(index)]).sum(dim=1))
-        beyond = torch.from_numpy(distance[:, 0]).float() / chosen.reach - 1.0
+        color, distance = known.near(place)
+        found.append(color)
+        beyond = distance / chosen.reach - 1.0
         behind = chosen.preference * max(source - 1, 0)
         logits.append(pointing[:, source] - _FAR_PENALTY * beyond.clamp_min(0) - behind)
     shares = (chosen.sharpness * torch.stack(logits, dim=1)).softmax(dim=1)
     return (shares[:, :, None] * torch.stack(found, dim=1)).sum(dim=1)
+
+
+def nearest_colors(
+    shown: Splats,
+    points: Tensor,  # [N, 3]
+    normals: Tensor,  # [N, 3] outward
+    generator: torch.Generator,
+    settings: ColorSettings | None = None,
+) -> Tensor:  # [N, 3]
+    """Return the colours of what lies about ``points``, outer layers before inner ones.
+
+    Args:
+        shown: splats to take colours from, object frame.
+        points: where the new splats are.
+        normals: of the surface there.
+        generator: chooses the splats looked at, if there are too many.
+        settings: knobs; None = defaults.
+    """
+    chosen = settings or ColorSettings()
+    outside = points + chosen.outward * normals
+    return _Known(shown, generator, chosen).near(outside.numpy())[0]
+
+
+class _Known:
+    """Splats that colours are taken from."""
+
+    def __init__(self, splats: Splats, generator: torch.Generator, settings: ColorSettings) -> None:
+        looked_at = thinned(splats, settings.max_splats, generator)
+        self._base = looked_at.base_colors.float().clamp(0, 1)
+        self._tree = cKDTree(looked_at.means.float().numpy())
+        self._nearest = range(1, min(settings.neighbours, len(looked_at)) + 1)
+
+    def near(self, places: NDArray[np.float32]) -> tuple[Tensor, Tensor]:  # [N, 3] -> [N, 3], [N]
+        """Return the mean colour of the nearest splats, near ones first, and the least distance."""
+        distance, index = self._tree.query(places, k=self._nearest)
+        weight = torch.from_numpy(1.0 / (distance + 0.2 * CELL_SIDE) ** 2).float()
+        weight /= weight.sum(dim=1, keepdim=True)
+        color = (weight[:, :, None] * self._base[torch.from_numpy(index)]).sum(dim=1)
+        return color, torch.from_numpy(distance[:, 0]).float()

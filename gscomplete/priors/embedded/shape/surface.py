@@ -18,11 +18,11 @@ import torch.nn.functional as F
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from gscomplete.priors.embedded.shape.colors import source_colors
+from gscomplete.priors.embedded.shape.colors import nearest_colors, source_colors
 from gscomplete.priors.embedded.shape.grid import CELL_SIDE, HALF_SIDE, sample_volume
 from gscomplete.priors.embedded.shape.inputs import ShapeInputs
 from gscomplete.priors.embedded.shape.model import ShapeOutput
-from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.splats import Splats, colors_to_sh, concatenate
 from gscomplete.splats.filters import thinned
 from gscomplete.splats.rotations import quaternions_facing
 
@@ -86,7 +86,7 @@ def surface_splats(
         partial: P in the object frame, for colours and to know what is there already.
         settings: knobs.
         generator: chooses where splats sit.
-        mirrored: other splats that are there already; None = none.
+        mirrored: other splats that are there already, which then lend colours too; None = none.
     """
     logits = (output.occupancy[0].float() - settings.filled_logit).clamp(-8, 8)
     anchor = thinned(partial, 20_000, generator)
@@ -98,7 +98,11 @@ def surface_splats(
     is_new = is_missing(points, normals, there, settings)
     points, normals, spacing = _spread(points[is_new], normals[is_new], settings, generator)
     points = on_copies(points, normals, anchor.means, inputs)
-    colors = source_colors(output, inputs, partial, points, generator)
+    if mirrored is None:
+        colors = source_colors(output, inputs, partial, points, generator)
+    else:
+        shown = concatenate([partial.with_sh_degree(0), mirrored])
+        colors = nearest_colors(shown, points, normals, generator)
     scales = torch.full((len(points), 3), _OVERLAP * spacing)
     scales[:, 2] *= _FLATNESS
     return Splats(

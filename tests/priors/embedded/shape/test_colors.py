@@ -3,12 +3,12 @@ import dataclasses
 import pytest
 import torch
 
-from gscomplete.priors.embedded.shape.colors import ColorSettings, source_colors
+from gscomplete.priors.embedded.shape.colors import ColorSettings, nearest_colors, source_colors
 from gscomplete.priors.embedded.shape.grid import CELLS, COARSE_CELLS
 from gscomplete.priors.embedded.shape.inputs import look_at
 from gscomplete.priors.embedded.shape.model import ShapeOutput
 from gscomplete.priors.embedded.shape.symmetries import SOURCES
-from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.splats import Splats, colors_to_sh, concatenate
 from gscomplete.views import ViewDistribution
 from tests.priors.embedded.shape.shapes import half, mirrors, sphere
 
@@ -85,3 +85,30 @@ def test_a_few_splats_are_enough(count):
     )
     taken, _ = colors_at(hidden_points(5), pointing_at(0), partial)
     torch.testing.assert_close(taken, torch.full((5, 3), 0.7), atol=1e-4, rtol=0)
+
+
+def test_of_two_layers_the_outer_one_gives_its_colour_to_what_lies_between_them():
+    inner = sphere()
+    normals = torch.nn.functional.normalize(inner.means, dim=1)
+    outer = dataclasses.replace(
+        inner, means=inner.means * 1.1, sh=colors_to_sh(torch.zeros_like(inner.means))
+    )
+    white = dataclasses.replace(inner, sh=colors_to_sh(torch.ones_like(inner.means)))
+    shown, points = concatenate([white, outer]), inner.means * 1.02
+    generator = torch.Generator().manual_seed(0)
+    assert float(nearest_colors(shown, points, normals, generator).mean()) < 0.1
+    straight = ColorSettings(outward=0.0)
+    assert float(nearest_colors(shown, points, normals, generator, straight).mean()) > 0.6
+
+
+def test_a_gap_takes_the_colours_of_its_two_sides():
+    whole = sphere()
+    sides = whole.select(whole.means[:, 0].abs() > 0.03)
+    left = (sides.means[:, :1] < 0).float().expand(-1, 3)
+    sides = dataclasses.replace(sides, sh=colors_to_sh(left))
+    gap = whole.means[whole.means[:, 0].abs() < 0.02]
+    normals = torch.nn.functional.normalize(gap, dim=1)
+    taken = nearest_colors(sides, gap, normals, torch.Generator().manual_seed(0))
+    is_left = gap[:, 0] < -0.01
+    assert float(taken[is_left].mean()) > 0.7
+    assert float(taken[gap[:, 0] > 0.01].mean()) < 0.3
