@@ -18,6 +18,9 @@ from gscomplete.errors import UserError
 DEBUG_VARIABLE = "GSCOMPLETE_DEBUG"
 """Set to anything, an unexpected error ends in its traceback."""
 
+_ALLOCATOR = "DefaultCPUAllocator: can't allocate memory"
+"""What PyTorch's RuntimeError says where Python would raise a MemoryError."""
+
 
 def let_threads_sleep() -> None:
     """Keep waiting threads from spinning; call before anything loads the OpenMP runtime.
@@ -58,6 +61,9 @@ def run_guarded(program: str, command: Callable[[], int], interrupted: str) -> i
         say("error: out of memory")
         return 4
     except Exception as error:
+        if _ALLOCATOR in str(error):
+            say("error: out of memory")
+            return 4
         if os.environ.get(DEBUG_VARIABLE):
             raise
         say(

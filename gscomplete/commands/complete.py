@@ -139,7 +139,8 @@ def _complete(options: CompleteOptions) -> int:
         f"{result['new_splats']:,} new splats in {_seconds(content['timings']):.1f} s"
         + _memory_note(result["peak_gpu_bytes"]),
         f"E_color {c['color']:.6f} from c, {views['color']:.6f} over V; "
-        f"E_depth {c['depth']:.6f} from c, {views['depth']:.6f} over V",
+        f"E_depth {c['depth']:.6f} from c, {views['depth']:.6f} over V"
+        + ("" if result["measured_with"] == "P" else f" (of {result['measured_with']})"),
         f"written: {job.request.out}/completed.ply, preview.png, turntable.webp, run.json"
         + (", alternatives.png" if options.alternatives else ""),
     )
@@ -195,6 +196,8 @@ def _request(options: CompleteOptions, prior: Prior) -> Request:
         _require_guess("--alternatives", options, settings, prior)
     view = parse_numbers(options.view, 2, "--view", "AZIMUTH,ELEVATION")
     center = parse_numbers(options.center, 3, "--center", "X,Y,Z")
+    if view is not None and not abs(view[0]) <= 360:
+        raise UserError(f"--view: expected an azimuth of -360 to 360 degrees, found {view[0]:g}")
     if view is not None and not -90 <= view[1] <= 90:
         raise UserError(f"--view: expected an elevation of -90 to 90 degrees, found {view[1]:g}")
     return Request(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -75,16 +76,21 @@ def run(options: RenderOptions) -> int:
         fov_deg=options.fov,
         size_px=options.size_px,
     )
-    with torch.no_grad():
-        drawn = render(
-            transform_splats(splats, frame.object_from_file), cameras, torch.tensor(background)
-        )
-    pictures = {"color": drawn.color, "alpha": drawn.alpha, "depth": _near_is_white(drawn.depth)}
+    placed = transform_splats(splats, frame.object_from_file)
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"{options.out}: cannot create the folder: {error.strerror}") from error
-    for view, picture in zip(options.views, pictures[options.channel], strict=True):
+
+    def drawn() -> Iterator[Tensor]:
+        """Draw one view at a time: large ones fill the memory."""
+        for index in range(len(cameras)):
+            with torch.no_grad():
+                view = render(placed, cameras[[index]], torch.tensor(background))
+            yield getattr(view, options.channel)[0]
+
+    pictures = _near_is_white(torch.stack([*drawn()])) if options.channel == "depth" else drawn()
+    for view, picture in zip(options.views, pictures, strict=True):
         path = options.out / f"view_{view.replace(',', '_')}.png"
         values = (picture.clamp(0, 1) * 255).round().numpy().astype(np.uint8)
         with atomic_path(path) as temporary:

@@ -18,6 +18,7 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 
+from gscomplete.errors import UserError
 from gscomplete.splats.validation import ValidationReport, validate_file
 
 _STYLES = {"error": "bold red", "warning": "yellow", "info": "dim"}
@@ -39,7 +40,12 @@ def run(options: ValidateOptions) -> int:
 
     Returns:
         0 when no file has an error, else 1.
+
+    Raises:
+        UserError: no file was given.
     """
+    if not options.files:
+        raise UserError("expected at least one FILE to check, found none")
     reports = [validate_file(path) for path in options.files]
     ok = all(report.ok for report in reports)
     if options.json:

@@ -127,7 +127,7 @@ def guess_framing(partial: Splats, settings: FramingSettings | None = None) -> F
     low, high = (corner.double().numpy() for corner in kept.bounds())
     size = float((high - low).max())
     if not size > 0:
-        raise UserError("framing: all splats are at one place; give --center and --size")
+        raise UserError("framing: all splats are at one place; give --center, --size and --view")
     centered = _centered(kept, (low + high) / 2, size)
     scores = score_views(centered, chosen)
     row, column = np.unravel_index(int(np.argmax(scores.score)), scores.score.shape)

@@ -33,6 +33,9 @@ from gscomplete.splats import Splats
 from gscomplete.splats.filters import MAX_MAGNITUDE
 from gscomplete.views import Cameras, ViewDistribution
 
+_CORNER_RADIUS = 0.9
+"""A little more than a unit cube's corners are from its centre: boxes keep them."""
+
 
 @dataclass(frozen=True, slots=True)
 class StepReport:
@@ -82,6 +85,9 @@ class Completion:
             initial_diameter: of the sphere of new splats, object-frame units; the paper takes the
                 largest side of P's box.
             device: where splats are rendered and moved; the prior may run on another.
+
+        Raises:
+            UserError: no steps are to be taken and the prior cannot guess the whole.
         """
         self.partial = partial.detach().to("cpu")  # step 0 is set up there, whatever the device
         self._device = torch.device(device)
@@ -90,7 +96,7 @@ class Completion:
         self._prior, self._conditioning, self._distribution = prior, conditioning, distribution
         self._size_px = settings.resolution_px or prior.views.resolution_px
         extent = sum(prior.views.extent_range) / 2
-        self._max_radius = settings.max_radius or extent / 2
+        self._max_radius = settings.max_radius or max(extent / 2, _CORNER_RADIUS)
         bounds = Bounds(settings.min_scale_px * extent / self._size_px, settings.max_scale)
         start, self.start_note = self._start(bounds, initial_diameter)
         _require_finite(0, **{f"{name} at the start": value for name, value in start.fields()})
@@ -195,7 +201,11 @@ class Completion:
         self._rings.restore(state)
 
     def _start(self, bounds: Bounds, diameter: float) -> tuple[Splats, str]:
-        """Return the new splats of step 0, and a line that says where they are."""
+        """Return the new splats of step 0, and a line that says where they are.
+
+        Raises:
+            UserError: there are no steps to take and no guess that could be the result.
+        """
         settings = self.settings
         if settings.start == "guess" and isinstance(self._prior, ShapePrior):
             guess = self._prior.first_guess(
@@ -206,9 +216,14 @@ class Completion:
                 settings.new_splats,
                 settings.mirror,
             )
-            if guess is not None:
+            if guess is not None and (len(guess.splats) or not settings.steps):
                 how_many = f"start: {len(guess.splats):,} splats that the prior guesses"
                 return guess.splats, "; ".join([how_many, *guess.notes])
+        if settings.start == "guess" and not settings.steps:
+            raise UserError(
+                "0 steps: expected a prior that guesses the whole, found one that cannot; "
+                "choose another --preset (distill) or give --steps"
+            )
         scattered = initial_splats(
             self.partial,
             settings.new_splats,

@@ -37,7 +37,7 @@ from gscomplete.evaluate.report import evaluate
 from gscomplete.priors.base import Conditioning, Prior, prior_identity
 from gscomplete.render import render
 from gscomplete.splats import Splats, concatenate
-from gscomplete.splats.ply import SplatFile, append_splats, read_splats
+from gscomplete.splats.ply import SplatFile, append_splats, read_splats, require_appendable
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution, radius_to_fit, up_rotation
 
@@ -101,6 +101,7 @@ def prepare(request: Request, prior: Prior, device: torch.device | str = "cpu") 
     if request.resume and not (request.out / RUN_FILE).exists():
         raise UserError(f"{request.out}: nothing to resume: there is no {RUN_FILE}")
     source = read_splats(request.partial_path)
+    require_appendable(source)
     chosen = working_set(
         source.splats, request.settings.max_working_splats, str(request.partial_path)
     )
@@ -118,7 +119,7 @@ def prepare(request: Request, prior: Prior, device: torch.device | str = "cpu") 
         device,
     )
     identity = {
-        "input_sha256": hashlib.sha256(request.partial_path.read_bytes()).hexdigest(),
+        "input_sha256": _sha256(request.partial_path),
         "prompt": request.prompt,
         "negative_prompt": request.negative_prompt,
         "prior": prior_identity(prior),
@@ -127,10 +128,11 @@ def prepare(request: Request, prior: Prior, device: torch.device | str = "cpu") 
         "settings": jsonio.to_json(request.settings),
     }
     del identity["settings"]["checkpoint_every"]  # decides nothing about the result
-    notes = (*notes, chosen.summary(), completion.start_note, *conditioning.report)
+    oddities = (f"{request.partial_path}: {warning}" for warning in source.warnings)
+    notes = (*oddities, *notes, chosen.summary(), completion.start_note, *conditioning.report)
     run = Run(
         request,
-        source,
+        source.released(),
         chosen,
         frame,
         distribution,
@@ -216,6 +218,7 @@ def _finish(run: Run) -> dict[str, Any]:
     run.timings["alternatives_s"] = time.perf_counter() - started
     result = {
         "metrics": metrics,
+        "measured_with": run.working.stands_for,
         "new_splats": len(new),
         "peak_gpu_bytes": peak_gpu_bytes(),
         "seam_colors": jsonio.to_json(finished.seam_colors),
@@ -300,10 +303,19 @@ def _require_visible(partial: Splats, distribution: ViewDistribution, path: Path
 
 
 def _largest_side(splats: Splats) -> float:
-    """Return the largest side of the splats' box, without the farthest 0.1 % on each side."""
+    """Return the largest side of the splats' box, without the farthest 0.1 % on each side.
+
+    Where splats are larger than their box, their median size: one alone may be of any size.
+    """
     points = splats.means.double().numpy()
     low, high = np.quantile(points, [0.001, 0.999], axis=0)
-    return max(float((high - low).max()), float(splats.scales.max()))
+    return max(float((high - low).max()), float(splats.scales.amax(dim=1).median()))
+
+
+def _sha256(path: Path) -> str:
+    """Return a file's hash."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _make_folder(out: Path) -> None:

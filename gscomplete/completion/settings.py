@@ -270,7 +270,8 @@ class CompletionSettings:
     max_scale: float = 0.4
     """Largest scale of a new splat."""
     max_radius: float | None = None
-    """New splats farther than this from the origin are removed; None = the visible extent."""
+    """New splats farther than this from the origin, in object sizes, are removed; None = what the
+    prior's views show, and at least the corners of the object's box."""
     max_working_splats: int | None = 250_000
     """Most splats of P that are drawn while optimising (all are in the output); None = all."""
     checkpoint_every: int = 500

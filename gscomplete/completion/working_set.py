@@ -27,6 +27,13 @@ class WorkingSet:
     thinned: int
     """Splats left out because there were more than the limit."""
 
+    @property
+    def stands_for(self) -> str:
+        """Whose looks are measured and drawn where these splats are."""
+        if not self.thinned:
+            return "P"
+        return f"{len(self.splats):,} splats that stand for P's {self.total:,}"
+
     def summary(self) -> str:
         """Describe the choice in one line."""
         parts = [f"{len(self.splats):,} of {self.total:,} splats of P take part"]

@@ -78,7 +78,8 @@ def clip_similarity(
         )
         pixels = [(255.0 * view.clamp(0, 1)).to(torch.uint8).cpu().numpy() for view in views]
         inputs = processor(images=pixels, return_tensors="pt")
-        embedding = network.get_image_features(**inputs)
+        found = network.get_image_features(**inputs)
+    embedding = getattr(found, "pooler_output", found)  # a tensor before transformers 5
     unit = torch.nn.functional.normalize(embedding, dim=-1)
     return 100.0 * float((unit[1:] @ unit[0]).mean())
 

@@ -270,7 +270,7 @@ class ShapePrior(Protocol):
             mirror: the plane of symmetry.
 
         Returns:
-            None if nothing seems to be missing, or these weights cannot guess.
+            None if these weights cannot guess; no splats if nothing seems to be missing.
         """
         ...
 

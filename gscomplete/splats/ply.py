@@ -14,9 +14,12 @@ Conventions
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+
+import torch
 
 from gscomplete.atomic import atomic_path
 from gscomplete.errors import UserError
@@ -47,7 +50,11 @@ class SplatFile:
     @property
     def n_rows(self) -> int:
         """Number of vertex records."""
-        return len(self.splats)
+        return splat_element(self.header, self.path).count
+
+    def released(self) -> SplatFile:
+        """Return the file without what was decoded: its bytes are enough to append to."""
+        return dataclasses.replace(self, splats=self.splats.select(torch.arange(0)))
 
     @property
     def comments(self) -> tuple[str, ...]:
@@ -185,11 +192,9 @@ def append_splats(
             types), or the file cannot be written.
         ValueError: a new value is not finite or out of range (``Encoder``).
     """
+    require_appendable(source)
     element = splat_element(source.header, source.path)
     layout = find_layout(element, source.path)
-    if layout.integer:
-        fields = ", ".join(layout.integer)
-        raise UserError(f"{source.path}: cannot append splats to integer-typed properties {fields}")
     if new.sh.shape[1] > layout.coefficients:
         raise UserError(
             f"{source.path}: has {layout.coefficients} SH coefficients per channel, cannot append "
@@ -211,6 +216,21 @@ def append_splats(
         else:
             write_rows(stream, len(new), dtype.itemsize, encoder.records)
         stream.write(payload.after)
+
+
+def require_appendable(source: SplatFile) -> None:
+    """Refuse a file whose records cannot hold new splats, before anything is computed for it.
+
+    Raises:
+        UserError: properties of splats are integers.
+    """
+    layout = find_layout(splat_element(source.header, source.path), source.path)
+    if layout.integer:
+        fields = ", ".join(layout.integer)
+        raise UserError(
+            f"{source.path}: expected float properties, found integer-typed {fields}: new splats "
+            "cannot be appended to them"
+        )
 
 
 def _comment_lines(comments: Sequence[str]) -> list[str]:

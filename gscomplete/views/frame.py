@@ -95,10 +95,11 @@ class ObjectFrame:
     def about(cls, splats: Splats, up: UpAxis) -> ObjectFrame:
         """Build the frame of splats taken as the whole object: the box of their centres.
 
-        Its size is at least that of the largest splat, so that a single one has a frame too.
+        Its size is at least the median of the splats' own, so that a single one has a frame too and
+        one that is far too large does not shrink the others to a dot.
         """
         low, high = (corner.double() for corner in splats.bounds())
-        size = max(float((high - low).max()), float(splats.scales.max()))
+        size = max(float((high - low).max()), float(splats.scales.amax(dim=1).median()))
         x, y, z = ((low + high) / 2).tolist()
         return cls(up, (x, y, z), size)
 

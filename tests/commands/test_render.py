@@ -5,8 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
+from gscomplete.command_line import run_guarded
 from gscomplete.commands.render import RenderOptions, run
 from gscomplete.errors import UserError
 from gscomplete.splats import read_splats, write_splats
@@ -64,3 +66,12 @@ def test_bad_options_are_named(tmp_path, change, named):
     with pytest.raises(UserError, match=named):
         run(options)
     assert not (tmp_path / "out").exists()
+
+
+def test_an_out_of_memory_error_of_torch_is_told_as_one(capsys):
+    def allocate() -> int:
+        torch.empty(1 << 50)
+        return 0
+
+    assert run_guarded("gscomplete", allocate, "") == 4
+    assert "out of memory" in capsys.readouterr().err

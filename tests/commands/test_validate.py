@@ -3,9 +3,11 @@
 import json
 from pathlib import Path
 
+import pytest
 import torch
 
 from gscomplete.commands.validate import ValidateOptions, run
+from gscomplete.errors import UserError
 from gscomplete.splats import Splats, write_splats
 
 
@@ -35,3 +37,8 @@ def test_json_is_one_object(tmp_path, capsys):
     assert [file["ok"] for file in data["files"]] == [True, False]
     assert data["files"][0]["n_splats"] == 1
     assert data["files"][1]["findings"][0]["name"] == "unreadable_file"
+
+
+def test_no_file_is_an_error():
+    with pytest.raises(UserError, match="at least one FILE"):
+        run(ValidateOptions([]))

@@ -8,8 +8,9 @@ import pytest
 import torch
 
 from gscomplete.completion import schedules
+from gscomplete.completion.finish import finish_splats
 from gscomplete.completion.optimise import Completion, NonFiniteError
-from gscomplete.completion.presets import RECONSTRUCT, SMALL_PRIOR
+from gscomplete.completion.presets import GUESS, RECONSTRUCT, SMALL_PRIOR
 from gscomplete.completion.settings import LearningRates
 from gscomplete.errors import UserError
 from gscomplete.evaluate.metrics import against_truth, preservation
@@ -161,6 +162,48 @@ def test_a_start_with_nan_is_refused():
 
     with pytest.raises(NonFiniteError, match="step 0: means at the start"):
         completion(RECONSTRUCT, NanGuess(TRUTH))
+
+
+class Guessing(OraclePrior):
+    """A prior that guesses what it was given, if anything."""
+
+    guess: FirstGuess | None = None
+
+    def first_guess(self, partial, *arguments):
+        return self.guess
+
+    def likely_mirrors(self, *arguments):
+        return ()
+
+
+def test_where_nothing_is_missing_nothing_is_added():
+    prior = Guessing(TRUTH)
+    prior.guess = FirstGuess(TRUTH.select(torch.arange(0)), ("not mirrored",))
+    job = completion(GUESS, prior)
+    assert job.finished
+    assert len(job.new_splats()) == 0
+    assert job.start_note == "start: 0 splats that the prior guesses; not mirrored"
+    finished = finish_splats(job.new_splats(), PARTIAL, VIEWS, GUESS)
+    assert len(finished.splats) == 0
+    assert finished.hard_preservation.met
+    assert len(completion(RECONSTRUCT, prior).new_splats()) == RECONSTRUCT.new_splats
+
+
+def test_no_steps_and_no_guess_are_refused():
+    with pytest.raises(UserError, match="0 steps: expected a prior that guesses"):
+        completion(GUESS, Guessing(TRUTH))
+
+
+def test_a_box_keeps_its_corners():
+    """Views of MVDream show 1.45 object sizes: less than half of it is 0.725, a corner at 0.866."""
+    corners = torch.tensor([[0.49, 0.49, 0.49], [0.9, 0.9, 0.9]])
+    guess = dataclasses.replace(TRUTH.select(torch.tensor([0, 1])), means=corners)
+    prior = Guessing(TRUTH)
+    prior.guess = FirstGuess(guess, ())
+    settings = dataclasses.replace(RECONSTRUCT, **(QUICK | {"steps": 30}), rounds=3)
+    job = completion(settings, prior)
+    kept = finish(job)
+    assert float(kept.means.norm(dim=1).max()) == pytest.approx(0.85, abs=0.05)
 
 
 @pytest.mark.parametrize("base", [SMALL_PRIOR, RECONSTRUCT], ids=["distill", "reconstruct"])

@@ -13,6 +13,7 @@ import pytest
 import torch
 
 from gscomplete.splats import Splats, colors_to_sh, read_splats, write_splats
+from tests.splats.ply_files import make_ply, random_table
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SAMPLE = REPOSITORY / "recipes/demo/partial.ply"
@@ -165,7 +166,7 @@ def test_single_splat_needs_a_frame_and_then_completes(tmp_path):
     write_splats(path, shell(1))
     alone = complete(path, tmp_path / "a")
     assert alone.returncode == 2
-    assert "--center and --size" in alone.stderr
+    assert "--center, --size and --view" in alone.stderr
     framed = complete(path, tmp_path / "b", "--center", "0,0,0", "--size", "1", "--view", "0,10")
     assert framed.returncode == 0, framed.stderr
 
@@ -175,6 +176,7 @@ def test_single_splat_needs_a_frame_and_then_completes(tmp_path):
     [
         (("--prior", "nonsense"), "nonsense"),
         (("--view", "north"), "--view"),
+        (("--view", "2000000,0"), "--view"),
         (("--size", "-1"), "--size"),
         (("--device", "tpu9"), "--device"),
         (("--steps", "-1"), "steps"),
@@ -187,6 +189,25 @@ def test_bad_options_are_named(tmp_path, arguments, message):
     assert result.returncode == 2
     assert message in result.stderr + result.stdout
     assert "Traceback" not in result.stderr
+
+
+def test_records_that_cannot_hold_new_splats_are_refused_before_the_run(tmp_path):
+    path = tmp_path / "integers.ply"
+    path.write_bytes(make_ply(random_table(200, 0), types={"opacity": "uchar"}))
+    result = complete(path, tmp_path / "out")
+    assert result.returncode == 2
+    assert "integer-typed opacity" in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_is_odd_about_the_file_is_told(tmp_path):
+    data = SAMPLE.read_bytes()
+    (tmp_path / "longer.ply").write_bytes(data + b"rest")
+    assert read_splats(tmp_path / "longer.ply").warnings
+    result = complete(tmp_path / "longer.ply", tmp_path / "out", "--preset", "fast")
+    assert result.returncode == 0, result.stderr
+    (warning,) = read_splats(tmp_path / "longer.ply").warnings
+    assert f"longer.ply: {warning}" in result.stdout
 
 
 def test_prompts_without_sense(tmp_path):

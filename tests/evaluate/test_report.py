@@ -99,6 +99,28 @@ def test_missing_weights_are_named(monkeypatch: pytest.MonkeyPatch, tmp_path: An
     assert "CLIP weights" in clip.reason
 
 
+def test_clip_of_the_installed_transformers(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
+    """A tiny model with random weights: what stands still keeps its embedding."""
+    monkeypatch.undo()  # the packages are there again
+    transformers = pytest.importorskip("transformers")
+    size = {"hidden_size": 16, "intermediate_size": 16, "num_attention_heads": 2}
+    layers = size | {"num_hidden_layers": 1}
+    torch.manual_seed(0)
+    config = transformers.CLIPConfig(
+        text_config=layers | {"vocab_size": 9, "bos_token_id": 0, "eos_token_id": 1},
+        vision_config=layers | {"image_size": 32, "patch_size": 16},
+        projection_dim=8,
+    )
+    transformers.CLIPModel(config).save_pretrained(tmp_path)
+    transformers.CLIPImageProcessor(size=32, crop_size=32).save_pretrained(tmp_path)
+    camera, here = VIEWS.input_camera(32), blob(0.0)
+    sides = VIEWS.cameras(VIEWS.low_discrepancy(1), 32)  # c itself
+    assert clip_similarity(here, here, camera, sides, str(tmp_path)) == pytest.approx(100, abs=1e-3)
+    other = clip_similarity(blob(0.3), here, camera, sides, str(tmp_path))
+    assert isinstance(other, float)
+    assert other < 100
+
+
 def test_lpips_map_is_weighted_by_the_mask(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
     """With squared differences in the network's place, E_LPIPS is four times E_color."""
 

@@ -175,6 +175,17 @@ def test_no_rows(tmp_path):
     assert read_splats(tmp_path / "c.ply").n_rows == 0
 
 
+def test_a_released_file_is_appended_to_as_before(tmp_path):
+    write_splats(tmp_path / "a.ply", make_splats(5, 1))
+    file, new = read_splats(tmp_path / "a.ply"), make_splats(2, 1)
+    released = file.released()
+    assert len(released.splats) == 0
+    assert released.n_rows == 5
+    append_splats(tmp_path / "b.ply", file, new)
+    append_splats(tmp_path / "c.ply", released, new)
+    assert (tmp_path / "b.ply").read_bytes() == (tmp_path / "c.ply").read_bytes()
+
+
 def test_append_refusals(tmp_path):
     write_splats(tmp_path / "a.ply", make_splats(2, 1))
     file = read_splats(tmp_path / "a.ply")

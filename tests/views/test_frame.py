@@ -1,5 +1,6 @@
 """The object frame is exact for any up axis, place and size."""
 
+import dataclasses
 import math
 
 import pytest
@@ -91,3 +92,11 @@ def test_the_frame_of_splats_holds_their_centres() -> None:
     assert float((high - low).max()) == pytest.approx(1.0, abs=1e-5)
     single = splats.select(torch.arange(30) == 4)
     assert ObjectFrame.about(single, "Z").size_file == pytest.approx(float(single.scales.max()))
+
+
+def test_one_splat_that_is_far_too_large_does_not_shrink_the_object() -> None:
+    splats = make_splats(30)
+    expected = ObjectFrame.about(splats, "Z")
+    scales = splats.scales.clone()
+    scales[3] = 1000.0
+    assert ObjectFrame.about(dataclasses.replace(splats, scales=scales), "Z") == expected

@@ -157,7 +157,7 @@ class EmbeddedPrior:
         )
         settings = WholeSettings(count=count)
         splats = whole_splats(prediction, partial, settings, generator)
-        return FirstGuess(splats, (mirror_note(prediction, settings),)) if len(splats) else None
+        return FirstGuess(splats, (mirror_note(prediction, settings),))
 
     def likely_mirrors(
         self, partial: Splats, distribution: ViewDistribution, conditioning: Conditioning
