@@ -4,8 +4,11 @@ Conventions
 -----------
 * The files go into a temporary folder next to the destination, named ``.NAME.XXXX``, and are
   flushed to the disk; one rename then makes it the destination.
-* A destination that exists is replaced only when asked for, by exchanging the two names in one
-  step where the system can (Linux); elsewhere the old folder is moved aside first.
+* A destination that holds something is replaced only when asked for, and only if the caller's
+  marker, a file that each of its folders holds, is in it, or nothing but files that may be lost:
+  no other folder is ever removed.
+* It is replaced by exchanging the two names in one step where the system can (Linux); elsewhere
+  the old folder is moved aside first.
 * ``forget_leftovers`` removes the temporary folders that killed processes left behind.
 """
 
@@ -16,7 +19,7 @@ import ctypes
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from gscomplete.errors import UserError
@@ -26,19 +29,24 @@ _RENAME_EXCHANGE = 2
 
 
 @contextlib.contextmanager
-def atomic_folder(folder: Path, *, overwrite: bool = False) -> Iterator[Path]:
+def atomic_folder(
+    folder: Path, *, marker: str, spare: Collection[str] = (), overwrite: bool = False
+) -> Iterator[Path]:
     """Yield an empty temporary folder that becomes ``folder`` when the block succeeds.
 
     When the block raises, the temporary folder is removed and the destination is untouched.
 
     Args:
         folder: the folder to create; its parents are created too.
-        overwrite: replace a folder that exists and holds something.
+        marker: name of a file that tells the caller's folders from others.
+        spare: names of files that may be lost; a folder of nothing else needs no marker.
+        overwrite: replace a folder that exists and holds something, if it is the caller's.
 
     Raises:
-        UserError: the folder exists without ``overwrite``, is a file, or cannot be written.
+        UserError: the folder exists without ``overwrite`` or is not the caller's, is a file, or
+            cannot be written.
     """
-    check_destination(folder, overwrite=overwrite)
+    check_destination(folder, marker=marker, spare=spare, overwrite=overwrite)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name[:32]}."))
@@ -59,15 +67,28 @@ def atomic_folder(folder: Path, *, overwrite: bool = False) -> Iterator[Path]:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def check_destination(folder: Path, *, overwrite: bool) -> None:
+def check_destination(
+    folder: Path, *, marker: str, spare: Collection[str] = (), overwrite: bool
+) -> None:
     """Refuse a destination that holds something, before any work is done for it.
 
+    Arguments are those of ``atomic_folder``.
+
     Raises:
-        UserError: it exists without ``overwrite``, or is a file.
+        UserError: it exists without ``overwrite`` or is not the caller's, or is a file.
     """
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         raise UserError(f"{folder}: expected a folder or nothing, found a file or link")
-    if not overwrite and folder.is_dir() and any(folder.iterdir()):
+    held = sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
+    if not held:
+        return
+    if not (folder / marker).is_file() and not set(held) <= set(spare):
+        raise UserError(
+            f"{folder}: expected nothing, an empty folder, or one with {marker} to be replaced; "
+            f"found other things (such as {next(name for name in held if name not in spare)}); "
+            "choose another --out"
+        )
+    if not overwrite:
         raise UserError(
             f"{folder}: the folder exists and is not empty; choose another --out, or replace it "
             "with --overwrite"

@@ -45,6 +45,9 @@ RECORD_FILE = "object.json"
 PARTIAL_FILE = "partial.ply"
 COMPLETE_FILE = "complete.ply"
 PREVIEW_FILE = "preview.png"
+BOXES_FILE = "boxes.png"
+"""Picture of crop boxes: part of a cropped object, or all that a folder holds that they were only
+proposed in."""
 
 Subset = Literal["multiview", "singleview", "lidar", "mesh"]
 """Kinds of source, as in the paper's section "Dataset"."""
@@ -118,7 +121,7 @@ class ObjectRecord:
     file_from_source: dict[str, Any] | None = None
     """Similarity from the source's frame to the file frame (JSON form); None = identity."""
     boxes: tuple[CropBox, ...] = ()
-    """Crop boxes, in the frame in which they were applied (the file frame)."""
+    """Crop boxes, in the source's frame."""
     splat_size: float | None = None
     """Standard deviation of fixed-size splats in file units; None = sizes differ."""
     steps: tuple[StepRecord, ...] = ()
@@ -207,7 +210,7 @@ def write_object(
         partial: the part, finite, in the file frame. None = only the whole is known, and
             ``complete`` must be given.
         complete: the whole, in the same frame; None = not known.
-        overwrite: replace a folder that exists.
+        overwrite: replace an object folder that exists.
         preview: picture for ``preview.png``; None = drawn here, part above whole from six views.
         partial_file: a splat PLY with exactly the part, copied instead of writing ``partial``
             anew (for crops that pass records on byte for byte).
@@ -217,7 +220,8 @@ def write_object(
         The record as written.
 
     Raises:
-        UserError: there is no splat to write, or the folder cannot be written.
+        UserError: there is no splat to write, the folder cannot be written, or it holds something
+            and is not an object folder to be replaced.
     """
     if partial is None and complete is None:
         raise UserError(f"{folder}: expected a part or a whole, found neither")
@@ -228,7 +232,8 @@ def write_object(
     assert shown is not None
     counts = {"sh_degree": shown.sh_degree}
     comments = (f"splatcomplete-data {record.tool_version}", f"object {record.id}")
-    with atomic_folder(folder, overwrite=overwrite) as temporary:
+    place = atomic_folder(folder, marker=RECORD_FILE, spare=(BOXES_FILE,), overwrite=overwrite)
+    with place as temporary:
         for name, splats in ((PARTIAL_FILE, partial), (COMPLETE_FILE, complete)):
             if splats is None:
                 continue

@@ -217,11 +217,17 @@ def check_out(options: ObjectOptions, source_file: Path) -> None:
     """Check the destination before the work starts.
 
     Raises:
-        UserError: it exists and ``--overwrite`` is not given.
+        UserError: it holds something, and ``--overwrite`` is not given or it is no object folder.
     """
     from splatcomplete_data.atomic_folder import check_destination
+    from splatcomplete_data.objects import BOXES_FILE, RECORD_FILE
 
-    check_destination(options.out or default_folder(source_file), overwrite=options.overwrite)
+    check_destination(
+        options.out or default_folder(source_file),
+        marker=RECORD_FILE,
+        spare=(BOXES_FILE,),
+        overwrite=options.overwrite,
+    )
 
 
 def default_folder(source_file: Path) -> Path:

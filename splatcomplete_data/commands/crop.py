@@ -22,8 +22,6 @@ from splatcomplete_data.commands.common import (
 if TYPE_CHECKING:
     from splatcomplete_data.multiview.scene import Scene
 
-BOXES_FILE = "boxes.png"
-
 
 @dataclass(frozen=True, kw_only=True)
 class CropOptions(ObjectOptions):
@@ -78,7 +76,7 @@ def make(
 
     from splatcomplete_data.multiview.box_picture import box_sheet
     from splatcomplete_data.multiview.crop import kept_rows, write_rows
-    from splatcomplete_data.objects import StepRecord
+    from splatcomplete_data.objects import BOXES_FILE, StepRecord
 
     mask, reasons = kept_rows(scene.file, boxes)
     part = scene.file.splats.select(torch.from_numpy(mask))
@@ -128,6 +126,7 @@ def _propose(options: CropOptions, scene: Scene, boxes: list[Any], notes: list[s
     from gscomplete.evaluate.pictures import save_image
     from splatcomplete_data.multiview.box_picture import box_sheet
     from splatcomplete_data.multiview.crop import kept_rows
+    from splatcomplete_data.objects import BOXES_FILE
 
     if not boxes:
         raise UserError("--propose: expected --box auto or a box as numbers, found none")

@@ -83,7 +83,7 @@ class ImagesOptions:
     resume: bool = False
     """Continue in --out from what is there; all other options must be the same."""
     overwrite: bool = False
-    """Clear an older capture out of --out first."""
+    """Replace an older capture in --out; it stays until the new run is set up."""
     json: bool = False
     """Print the content of capture.json on standard output and nothing else there."""
 

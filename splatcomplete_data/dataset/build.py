@@ -9,6 +9,8 @@ Conventions
   fingerprint fits and whose files are whole is left alone; so a second build does nothing, and one
   that was killed goes on where it stopped. A killed object leaves nothing but a temporary folder,
   which the next build removes.
+* ``.build/ID.json`` also says that ``OUT/ID`` is this build's to replace; it is there before the
+  object is. A folder that stands there without it was made by someone else and is left alone.
 * Captures (training from photos) go to ``OUT/.build/captures``. Their fingerprint is written before
   they start: one that was killed resumes from its checkpoint, one that has changed starts again.
 """
@@ -38,7 +40,9 @@ from gscomplete.errors import UserError
 from splatcomplete_data.atomic_folder import forget_leftovers
 from splatcomplete_data.dataset.recipe import Entry, Recipe
 from splatcomplete_data.mesh.side_files import side_files
+from splatcomplete_data.multiview.capture_folder import clear_capture
 from splatcomplete_data.objects import RECORD_FILE, read_record, sha256_of
+from splatcomplete_data.pictures import allow_large_pictures
 
 STATE_FOLDER = ".build"
 CAPTURE_FOLDER = "captures"
@@ -242,6 +246,7 @@ def _run_all(
 def _enter(data: str) -> None:
     """Prepare a worker: stand in the data folder, and end when the build is killed."""
     os.chdir(data)
+    allow_large_pictures()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     logging.getLogger().setLevel(logging.ERROR)
 
@@ -257,19 +262,21 @@ def _end_with_parent() -> None:
 def _make(entry: Entry, out_text: str) -> Outcome:
     """Make one entry in a worker; never raises."""
     out = Path(out_text)
-    folder = _folder(entry, out)
+    folder, state_file = _folder(entry, out), out / STATE_FOLDER / f"{entry.id}.json"
     said = io.StringIO()
+    claimed = False
     try:
         print_ = fingerprint(entry, Path(), out)
         options = entry.options(folder, out / STATE_FOLDER / CAPTURE_FOLDER)
         if entry.is_capture:
-            options = _begin_capture(out / STATE_FOLDER / f"{entry.id}.json", print_, options)
+            options = _begin_capture(state_file, print_, options)
         else:
+            claimed = _claim(state_file, folder)
             options = dataclasses.replace(options, overwrite=True)
         _run_command(entry, options, said)
         result = "splats.ply" if entry.is_capture else RECORD_FILE
         state: dict[str, Any] = {"fingerprint": print_, "result": sha256_of(folder / result)}
-        jsonio.write_json(out / STATE_FOLDER / f"{entry.id}.json", state)
+        jsonio.write_json(state_file, state)
     except UserError as error:
         return Outcome(entry.id, "failed", str(error))
     except OSError as error:
@@ -277,15 +284,44 @@ def _make(entry: Entry, out_text: str) -> Outcome:
     except Exception as error:
         _logger.debug("%s", traceback.format_exc())
         return Outcome(entry.id, "failed", f"internal error: {type(error).__name__}: {error}")
+    finally:
+        if claimed and not (folder / RECORD_FILE).is_file():
+            state_file.unlink(missing_ok=True)
     return Outcome(entry.id, "built", said.getvalue())
 
 
+def _claim(state: Path, folder: Path) -> bool:
+    """Note that a folder is this build's, before it is made; tell whether that was new.
+
+    Raises:
+        UserError: the folder holds something that this build did not make.
+    """
+    if state.is_file():
+        return False
+    if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
+        raise UserError(
+            f"{folder}: expected nothing or a folder that this build made, found one that it did "
+            "not make; move it away or give the entry another id"
+        )
+    jsonio.write_json(state, {"fingerprint": None, "result": None})
+    return True
+
+
 def _begin_capture(state: Path, print_: str, options: Any) -> Any:
-    """Note what a capture is made from, and have it resume what was made from the same things."""
+    """Note what a capture is made from, and have it resume what was made from the same things.
+
+    What was made from others goes at once: were it kept until the new capture is set up, a run that
+    fails before that would leave the old one where the next build resumes.
+
+    Raises:
+        UserError: the capture's folder holds what ``images`` did not write.
+    """
     begun = None
     with contextlib.suppress(UserError, KeyError, TypeError):
         begun = jsonio.read_json(state)["fingerprint"]
     goes_on = begun == print_ and options.out.is_dir() and any(options.out.iterdir())
+    if not goes_on:
+        clear_capture(options.out)
     jsonio.write_json(state, {"fingerprint": print_, "result": None})
     return dataclasses.replace(options, resume=goes_on, overwrite=not goes_on)
 

@@ -3,7 +3,8 @@
 Conventions
 -----------
 * ``--poses auto`` takes the first of: a ``transforms.json`` or a COLMAP model (``sparse/0``) in
-  the folder; else structure from motion. Photos stand in the folder itself or in its ``images``.
+  the folder; else structure from motion. Photos stand in the folder itself or in its ``images``;
+  with given poses also in folders below these, as the poses name them.
 * Given poses keep their world frame. COLMAP's own frame has no meaning, so after structure from
   motion the capture is levelled: z up, the origin where the cameras look, their mean distance
   from it 1, the first photo (by name) taken from azimuth 0. So two runs have one frame up to
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Similarity
-from splatcomplete_data.multiview.colmap_model import find_model, read_colmap
+from splatcomplete_data.multiview.colmap_model import find_model, image_names, read_colmap
 from splatcomplete_data.multiview.images import PHOTO_SUFFIXES, shown_axes
 from splatcomplete_data.multiview.posed import PosedPhotos
 from splatcomplete_data.multiview.structure_from_motion import Progress, SfmSettings, find_poses
@@ -47,6 +48,8 @@ def open_capture(
     work: Path,
     sfm: SfmSettings | None = None,
     progress: Progress | None = None,
+    *,
+    anew: bool = True,
 ) -> Capture:
     """Open a capture.
 
@@ -56,6 +59,7 @@ def open_capture(
         work: folder that structure from motion may use.
         sfm: knobs of structure from motion; None = defaults.
         progress: told about its stages.
+        anew: as in ``find_poses``.
 
     Raises:
         UserError: there are no photos, no such poses, or they do not fit together.
@@ -67,10 +71,10 @@ def open_capture(
             return Capture(read_transforms(folder / TRANSFORMS_FILE), None)
         model = find_model(folder)
         if model is not None:
-            return Capture(read_colmap(model, photo_folder(folder)), None)
+            return Capture(read_colmap(model, _folder_of(model, folder)), None)
     elif poses != "sfm":
         return Capture(_read_given(folder, Path(poses)), None)
-    return levelled(find_poses(photo_folder(folder), work, sfm, progress))
+    return levelled(find_poses(photo_folder(folder), work, sfm, progress, anew=anew))
 
 
 def _read_given(folder: Path, poses: Path) -> PosedPhotos:
@@ -80,27 +84,47 @@ def _read_given(folder: Path, poses: Path) -> PosedPhotos:
         UserError: they are neither a transforms.json nor a COLMAP model.
     """
     if poses.is_file() and poses.suffix.lower() == ".json":
-        return read_transforms(poses, None if poses.parent == folder else photo_folder(folder))
+        beside = poses.parent == folder
+        return read_transforms(poses, None if beside else photo_folder(folder, below=True))
     model = find_model(poses) if poses.is_dir() else None
     if model is None:
         raise UserError(
             f"--poses: expected auto, sfm, a transforms.json or a folder with a COLMAP model, "
             f"found {str(poses)!r}"
         )
-    return read_colmap(model, photo_folder(folder))
+    return read_colmap(model, _folder_of(model, folder))
 
 
-def photo_folder(folder: Path) -> Path:
-    """Return the folder that holds the photos: this one, or ``images`` in it.
+def _folder_of(model: Path, folder: Path) -> Path:
+    """Return the folder that the names in a COLMAP model start from: this one, or its ``images``.
 
     Raises:
         UserError: neither holds a photo.
     """
-    for candidate in (folder, folder / "images"):
-        if candidate.is_dir() and any(
-            path.suffix.lower() in PHOTO_SUFFIXES for path in candidate.iterdir()
-        ):
-            return candidate
+    names = image_names(model)
+    found = {
+        candidate: sum((candidate / name).is_file() for name in names)
+        for candidate in (folder, folder / "images")
+    }
+    best = max(found, key=lambda candidate: found[candidate])
+    return best if found[best] else photo_folder(folder, below=True)
+
+
+def photo_folder(folder: Path, *, below: bool = False) -> Path:
+    """Return the folder that holds the photos: this one, or ``images`` in it.
+
+    Args:
+        folder: where to look.
+        below: where neither holds a photo itself, take one that has photos in folders below.
+
+    Raises:
+        UserError: there is no photo.
+    """
+    inner = folder / "images"
+    places = [(folder, "*"), (inner, "*"), *([(inner, "**/*"), (folder, "**/*")] if below else [])]
+    for place, pattern in places:
+        if any(path.suffix.lower() in PHOTO_SUFFIXES for path in place.glob(pattern)):
+            return place
     raise UserError(
         f"{folder}: expected photos ({', '.join(PHOTO_SUFFIXES)}) in it or in its folder 'images', "
         "found none"

@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
 
 from gscomplete.errors import UserError
+from splatcomplete_data.multiview.images import photo_size
 from splatcomplete_data.multiview.lens import Lens
 from splatcomplete_data.multiview.posed import PosedPhoto, PosedPhotos
 from splatcomplete_data.scan import PointCloud
@@ -124,17 +124,10 @@ def read_colmap(model: Path, images: Path) -> PosedPhotos:
         UserError: a file is missing, truncated or of an unknown camera model, a photo has another
             shape than its camera, or fewer than three photos exist.
     """
-    suffix = ".bin" if (model / "images.bin").is_file() else ".txt"
-    for name in ("cameras", "images"):
-        if not (model / (name + suffix)).is_file():
-            raise UserError(f"{model}: expected a COLMAP model with {name}{suffix}, found none")
-    cameras_path = model / ("cameras" + suffix)
-    binary = suffix == ".bin"
+    images_path, cameras_path = _part(model, "images"), _part(model, "cameras")
+    binary = cameras_path.suffix == ".bin"
     lenses = dict(_cameras_bin(cameras_path) if binary else _cameras_txt(cameras_path))
-    images_path = model / ("images" + suffix)
-    stored = sorted(
-        _images_bin(images_path) if binary else _images_txt(images_path), key=lambda i: i.name
-    )
+    stored = _stored_images(images_path)
     photos, missing = [], []
     for image in stored:
         path = images / image.name
@@ -154,6 +147,33 @@ def read_colmap(model: Path, images: Path) -> PosedPhotos:
             f"(first: {missing[0]})",
         )
     return PosedPhotos(tuple(photos), read_points(model), str(model), notes)
+
+
+def image_names(model: Path) -> list[str]:
+    """Return the names of a model's registered images, sorted.
+
+    Raises:
+        UserError: the model has no images file, or it is truncated or malformed.
+    """
+    return [image.name for image in _stored_images(_part(model, "images"))]
+
+
+def _part(model: Path, name: str) -> Path:
+    """Return the file of a part of a model, binary where its images are.
+
+    Raises:
+        UserError: it is missing.
+    """
+    path = model / (name + (".bin" if (model / "images.bin").is_file() else ".txt"))
+    if not path.is_file():
+        raise UserError(f"{model}: expected a COLMAP model with {path.name}, found none")
+    return path
+
+
+def _stored_images(path: Path) -> list[_Image]:
+    """Return the registered images by name."""
+    images = _images_bin(path) if path.suffix == ".bin" else _images_txt(path)
+    return sorted(images, key=lambda image: image.name)
 
 
 def lens_from_colmap(name: str, width: int, height: int, numbers: tuple[float, ...]) -> Lens:
@@ -341,11 +361,7 @@ def _fit_to_photo(lens: Lens, path: Path) -> Lens:
     Raises:
         UserError: the photo is not a picture, or has another shape.
     """
-    try:
-        with Image.open(path) as image:
-            width, height = image.size
-    except (OSError, UnidentifiedImageError) as error:
-        raise UserError(f"{path}: cannot read it as a picture ({error})") from error
+    width, height = photo_size(path)
     if abs(width * lens.height / lens.width - height) > 1.0:
         raise UserError(
             f"{path}: expected the shape of its camera, {lens.width} x {lens.height}, found "

@@ -6,7 +6,8 @@ Conventions
   pixel counts (0 where the undistorted image shows nothing), and ``alpha``, whether it shows the
   object. Without masks ``alpha`` is None: everything is to be reconstructed.
 * Masks: the photo's own alpha channel, a mask named by the capture, or ``masks/NAME.png`` (also
-  ``masks/NAME.jpg.png``) beside the photos' folder. White is the object, or what counts.
+  ``masks/NAME.jpg.png``) beside the photos' folder, where NAME is the photo's in the capture
+  (``PosedPhotos.names``), with its folders. White is the object, or what counts.
 * Pixels are taken as stored: an EXIF orientation turns nothing, it only tells which way is up.
 * Scaling averages areas, in 8-bit sRGB as everyone does; intrinsics are scaled with it.
 """
@@ -14,9 +15,9 @@ Conventions
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Literal
 
 import numpy as np
@@ -28,6 +29,7 @@ from gscomplete.errors import UserError
 from gscomplete.views import Cameras
 from splatcomplete_data.multiview.lens import Lens, undistort
 from splatcomplete_data.multiview.posed import PosedPhoto, PosedPhotos
+from splatcomplete_data.pictures import read_mask
 
 MaskMeaning = Literal["object", "ignore"]
 """``object``: outside the mask nothing is to be reconstructed. ``ignore``: pixels outside the mask
@@ -51,7 +53,7 @@ PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
 class View:
     """One photo as training sees it."""
 
-    name: str
+    name: str  # as in ``PosedPhotos.names``
     camera: Cameras  # one pinhole camera, float32
     colors: NDArray[np.uint8]  # [H, W, 3] sRGB
     weight: NDArray[np.uint8]  # [H, W], 255 counts fully
@@ -82,10 +84,31 @@ def read_photo(path: Path) -> NDArray[np.uint8]:  # [H, W, 3 or 4]
     Raises:
         UserError: the file is not a picture, or is damaged.
     """
+    with _opened(path) as image:
+        has_alpha = "A" in image.getbands() or "transparency" in image.info
+        return np.asarray(image.convert("RGBA" if has_alpha else "RGB"))
+
+
+def photo_size(path: Path) -> tuple[int, int]:
+    """Return a photo's width and height as its pixels are stored.
+
+    Raises:
+        UserError: the file is not a picture.
+    """
+    with _opened(path) as image:
+        return image.size
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[Image.Image]:
+    """Open a picture; what goes wrong with it in the block is the user's error.
+
+    Raises:
+        UserError: the file is not a picture, or is damaged.
+    """
     try:
         with Image.open(path) as image:
-            has_alpha = "A" in image.getbands() or "transparency" in image.info
-            return np.asarray(image.convert("RGBA" if has_alpha else "RGB"))
+            yield image
     except (OSError, UnidentifiedImageError, ValueError, SyntaxError) as error:
         raise UserError(f"{path}: cannot read it as a picture ({error})") from error
     except Image.DecompressionBombError as error:
@@ -98,7 +121,7 @@ def shown_axes(path: Path) -> tuple[tuple[int, int], tuple[int, int]]:
     A photo that cannot be read counts as upright: loading its pixels is what reports it.
     """
     tag = UPRIGHT
-    with contextlib.suppress(OSError, ValueError, SyntaxError), Image.open(path) as image:
+    with contextlib.suppress(UserError), _opened(path) as image:
         tag = image.getexif().get(ExifTags.Base.Orientation, UPRIGHT)
     return _SHOWN_AXES.get(tag, _SHOWN_AXES[UPRIGHT])
 
@@ -115,21 +138,20 @@ def orientation_note(photos: Sequence[Path]) -> str | None:
     )
 
 
-def find_mask(photo: PosedPhoto, masks: Path | None) -> Path | None:
-    """Return a photo's mask file: its own, or the one in the folder of masks.
+def find_mask(photo: PosedPhoto, name: str, masks: Path | None) -> Path | None:
+    """Return the mask file of a photo of that name: its own, or the one in the folder of masks.
 
     Raises:
         UserError: there is a folder of masks, and this photo has none in it.
     """
     if photo.mask_path is not None or masks is None:
         return photo.mask_path
-    names = [f"{photo.path.stem}{suffix}" for suffix in PHOTO_SUFFIXES]
-    for name in [f"{photo.path.name}.png", *names]:
-        if (masks / name).is_file():
-            return masks / name
+    stem = str(PurePosixPath(name).with_suffix(""))
+    for candidate in (f"{name}.png", *(f"{stem}{suffix}" for suffix in PHOTO_SUFFIXES)):
+        if (masks / candidate).is_file():
+            return masks / candidate
     raise UserError(
-        f"{masks}: expected a mask for every photo, found none for {photo.path.name} "
-        f"(such as {photo.path.stem}.png)"
+        f"{masks}: expected a mask for every photo, found none for {name} (such as {stem}.png)"
     )
 
 
@@ -152,7 +174,10 @@ def load_views(
         UserError: a photo or mask cannot be read or has the wrong size, or only some photos have
             a mask.
     """
-    views = [_load(photo, max_side_px, masks, mask_means) for photo in capture.photos]
+    views = [
+        _load(photo, name, max_side_px, masks, mask_means)
+        for photo, name in zip(capture.photos, capture.names, strict=True)
+    ]
     masked = sum(view.alpha is not None for view in views)
     if 0 < masked < len(views):
         without = next(view.name for view in views if view.alpha is None)
@@ -163,7 +188,9 @@ def load_views(
     return views
 
 
-def _load(photo: PosedPhoto, max_side_px: int, masks: Path | None, mask_means: MaskMeaning) -> View:
+def _load(
+    photo: PosedPhoto, name: str, max_side_px: int, masks: Path | None, mask_means: MaskMeaning
+) -> View:
     """Load, undistort and scale one photo."""
     pixels = read_photo(photo.path)
     height, width = pixels.shape[:2]
@@ -172,7 +199,7 @@ def _load(photo: PosedPhoto, max_side_px: int, masks: Path | None, mask_means: M
             f"{photo.path}: expected {photo.lens.width} x {photo.lens.height} pixels as its camera "
             f"has, found {width} x {height}"
         )
-    mask_path = find_mask(photo, masks)
+    mask_path = find_mask(photo, name, masks)
     shown: NDArray[np.uint8] | None = pixels[:, :, 3] if pixels.shape[2] == 4 else None
     if mask_path is not None:
         shown = _read_mask(mask_path, width, height)
@@ -190,7 +217,7 @@ def _load(photo: PosedPhoto, max_side_px: int, masks: Path | None, mask_means: M
         weight, alpha = np.minimum(weight, alpha), None
     camera = pinhole_camera(photo.lens, photo.camera_from_world)
     return View(
-        photo.path.name,
+        name,
         camera.resized(small_width, small_height),
         np.ascontiguousarray(image[:, :, :3]),
         weight,
@@ -199,20 +226,18 @@ def _load(photo: PosedPhoto, max_side_px: int, masks: Path | None, mask_means: M
 
 
 def _read_mask(path: Path, width: int, height: int) -> NDArray[np.uint8]:  # [H, W]
-    """Read a mask: its alpha channel where that says something, else its brightness.
+    """Read a photo's mask.
 
     Raises:
         UserError: it cannot be read, or has another size than its photo.
     """
-    pixels = read_photo(path)
-    if pixels.shape[:2] != (height, width):
+    mask = read_mask(path)
+    if mask.shape != (height, width):
         raise UserError(
             f"{path}: expected a mask of its photo's size, {width} x {height}, found "
-            f"{pixels.shape[1]} x {pixels.shape[0]}"
+            f"{mask.shape[1]} x {mask.shape[0]}"
         )
-    if pixels.shape[2] == 4 and pixels[:, :, 3].min() < 255:
-        return pixels[:, :, 3]
-    return pixels[:, :, :3].max(axis=2)
+    return mask
 
 
 def scaled_size(width: int, height: int, max_side_px: int) -> tuple[int, int]:

@@ -4,11 +4,14 @@ Conventions
 -----------
 * ``camera_from_world`` is float64 with OpenCV axes (x right, y down, z forward). The world frame
   is the source's own; nothing is turned, centred or scaled.
+* A photo's name is its path within the folder that holds all photos: the plain file name where
+  they lie in one folder, ``left/0001.png`` where they do not. No two files share one.
 * Photos are sorted by name, so that an order means the same in every source.
 """
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -54,14 +57,27 @@ class PosedPhotos:
                 f"{self.source}: expected at least {FEWEST_PHOTOS} photos with cameras, found "
                 f"{len(self.photos)}{left_out}"
             )
-        for photo in self.photos:
+        for photo, name in zip(self.photos, self.names, strict=True):
             rotation = photo.camera_from_world[:3, :3]
             error = np.abs(rotation @ rotation.T - np.eye(3)).max()
             if not (error < 1e-3 and np.linalg.det(rotation) > 0):
                 raise UserError(
-                    f"{self.source}: pose of {photo.path.name}: expected a rotation and a "
+                    f"{self.source}: pose of {name}: expected a rotation and a "
                     f"translation, found a matrix that stretches or mirrors (by {error:.2g})"
                 )
+
+    @property
+    def folder(self) -> Path:
+        """The deepest folder that holds all photos; symbolic links are not followed."""
+        parents = {os.path.abspath(photo.path.parent) for photo in self.photos}
+        return Path(os.path.commonpath(sorted(parents)))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the photos are called: their paths within ``folder``, with slashes."""
+        folder = self.folder
+        paths = [Path(os.path.abspath(photo.path)) for photo in self.photos]
+        return tuple(path.relative_to(folder).as_posix() for path in paths)
 
     @property
     def positions(self) -> NDArray[np.float64]:  # [V, 3]

@@ -3,14 +3,14 @@
 A capture folder holds ``splats.ply`` (in the world frame of the poses), ``capture.json`` (all that
 decided the result, the cameras, and what came of it), ``preview.png`` (photos above renders),
 ``log.jsonl`` (one line per step), ``checkpoints/`` and, after structure from motion, ``sfm/``. All
-but the log are written atomically.
+but the log are written atomically, and an old capture stays until a new run is set up
+(``capture_folder``).
 """
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
-import shutil
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -24,18 +24,20 @@ from PIL import Image
 import gscomplete
 from gscomplete import jsonio
 from gscomplete.completion.checkpoint import load_checkpoint
-from gscomplete.completion.long_run import (
-    CHECKPOINTS,
-    LOG_FILE,
-    require_same_identity,
-    take_steps,
-)
+from gscomplete.completion.long_run import CHECKPOINTS, require_same_identity, take_steps
 from gscomplete.errors import UserError
 from gscomplete.evaluate.pictures import contact_sheet, save_image, to_image
 from gscomplete.render import render
 from gscomplete.render.settings import RenderSettings
 from gscomplete.splats import Splats, write_splats
 from splatcomplete_data.multiview.capture import Capture, find_masks, open_capture, up_direction
+from splatcomplete_data.multiview.capture_folder import (
+    CAPTURE_FILE,
+    PREVIEW_FILE,
+    SFM_FOLDER,
+    SPLATS_FILE,
+    capture_folder,
+)
 from splatcomplete_data.multiview.images import (
     MaskMeaning,
     View,
@@ -48,6 +50,7 @@ from splatcomplete_data.multiview.initial import (
     random_points,
     splats_from_points,
 )
+from splatcomplete_data.multiview.posed import PosedPhotos
 from splatcomplete_data.multiview.settings import TrainingSettings
 from splatcomplete_data.multiview.structure_from_motion import (
     Progress,
@@ -58,12 +61,9 @@ from splatcomplete_data.multiview.structure_from_motion import (
 from splatcomplete_data.multiview.train import StepReport, Training, evaluate_views
 from splatcomplete_data.scan import PointCloud
 
-CAPTURE_FILE = "capture.json"
-SPLATS_FILE = "splats.ply"
-PREVIEW_FILE = "preview.png"
-SFM_FOLDER = "sfm"
 SCHEMA = "splatcomplete.capture"
-_OURS = (CAPTURE_FILE, SPLATS_FILE, PREVIEW_FILE, LOG_FILE, CHECKPOINTS, SFM_FOLDER)
+TRIANGULATED = "triangulated with the given poses"
+"""Origin of initial points that structure from motion finds for poses that are not its own."""
 
 Start = Literal["auto", "points", "random"]
 """``points``: the capture's sparse cloud, triangulated with pycolmap if it has none. ``random``:
@@ -113,10 +113,24 @@ def prepare(
     Raises:
         UserError: the photos, an option or the output folder is wrong.
     """
+    with capture_folder(request.out, resume=request.resume, overwrite=request.overwrite):
+        run = _set_up(request, device, progress)
+        _write_capture_file(run, "running", None)
+    return run
+
+
+def _set_up(
+    request: Request, device: torch.device, progress: Progress | None = None
+) -> Reconstruction:
+    """Do what ``prepare`` does, in an output folder that is ready for it."""
     started = time.perf_counter()
-    _make_folder(request)
+    begun = request.resume and (request.out / CAPTURE_FILE).is_file()
+    if begun:
+        _require_same_options(request)
+    work = request.out / SFM_FOLDER
+    # Training that has begun goes on from its own poses and points only.
     capture = open_capture(
-        request.images, request.poses, request.out / SFM_FOLDER, request.sfm, progress
+        request.images, request.poses, work, request.sfm, progress, anew=not begun
     )
     timings = {"poses_s": time.perf_counter() - started}
     started = time.perf_counter()
@@ -130,7 +144,7 @@ def prepare(
     train, held_out = _divide(views, request.hold_out)
     timings["photos_s"] = time.perf_counter() - started
     started = time.perf_counter()
-    points, note = _initial_points(request, capture, train, progress)
+    points, origin, points_notes = _initial_points(request, capture, train, progress, begun)
     points = masked_points(near_points(points, capture.posed), train)
     initial = splats_from_points(points)
     timings["points_s"] = time.perf_counter() - started
@@ -140,7 +154,7 @@ def prepare(
         *([turned] if turned else []),
         f"{len(train)} photos to train on, {len(held_out)} held out, "
         f"{views[0].camera.width} x {views[0].camera.height} pixels",
-        note,
+        *points_notes,
     )
     if len(initial) > request.training.growth.max_splats:
         raise UserError(
@@ -148,15 +162,14 @@ def prepare(
             f"{request.training.growth.max_splats}"
         )
     training = Training(train, initial, capture.posed.extent(), request.training, device)
-    identity = _identity(request, capture, initial)
-    run = Reconstruction(request, capture, training, train, held_out, identity, notes, timings)
-    if request.resume and (request.out / CAPTURE_FILE).is_file():
+    uses_sfm = capture.world_from_source is not None or origin == TRIANGULATED
+    identity = _identity(request, views, initial, uses_sfm)
+    if begun:
         require_same_identity(request.out / CAPTURE_FILE, identity)
         state = load_checkpoint(request.out / CHECKPOINTS)
         if state is not None:
             training.restore(state)
-    _write_capture_file(run, "running", None)
-    return run
+    return Reconstruction(request, capture, training, train, held_out, identity, notes, timings)
 
 
 def execute(run: Reconstruction, on_step: Callable[[StepReport], None]) -> dict[str, Any]:
@@ -212,31 +225,47 @@ def _preview(
 
 
 def _initial_points(
-    request: Request, capture: Capture, views: list[View], progress: Progress | None
-) -> tuple[PointCloud, str]:
-    """Return the points to start from, and a note that says which.
+    request: Request, capture: Capture, views: list[View], progress: Progress | None, begun: bool
+) -> tuple[PointCloud, str, tuple[str, ...]]:
+    """Return the points to start from, where they come from, and notes.
 
     Raises:
         UserError: points are asked for and cannot be had.
     """
     posed = capture.posed
+    notes: tuple[str, ...] = ()
     if request.start != "random":
-        points, source = posed.points, "the capture's own"
-        if points is None and (request.start == "points" or has_pycolmap()):
-            trained = {view.name for view in views}
-            known = tuple(photo for photo in posed.photos if photo.path.name in trained)
-            known_posed = dataclasses.replace(posed, photos=known)
-            points = triangulate(known_posed, request.out / SFM_FOLDER, request.sfm, progress)
-            source = "triangulated with the given poses"
+        points, origin = posed.points, "the capture's own"
+        # Where COLMAP found the poses, it has given all the points that it can find.
+        is_given = capture.world_from_source is None
+        if points is None and is_given and (request.start == "points" or has_pycolmap()):
+            points, notes = _triangulated(request, posed, views, progress, begun)
+            origin = TRIANGULATED
         if points is not None and len(points) >= 100:
-            return points, f"{len(points):,} initial points, {source}"
+            return points, origin, (*notes, f"{len(points):,} initial points, {origin}")
         if request.start == "points":
             raise UserError(
                 f"{request.images}: expected at least 100 matched points to start from, found "
                 f"{0 if points is None else len(points)}; --start random does without"
             )
     cloud = random_points(posed, views, request.random_points, request.training.seed)
-    return cloud, f"{len(cloud):,} initial points, random"
+    return cloud, "random", (*notes, f"{len(cloud):,} initial points, random")
+
+
+def _triangulated(
+    request: Request,
+    posed: PosedPhotos,
+    views: list[View],
+    progress: Progress | None,
+    begun: bool,
+) -> tuple[PointCloud | None, tuple[str, ...]]:
+    """Return the points that the photos trained on show, None without any, and notes."""
+    trained = {view.name for view in views}
+    named = zip(posed.names, posed.photos, strict=True)
+    known = dataclasses.replace(
+        posed, photos=tuple(photo for name, photo in named if name in trained)
+    )
+    return triangulate(known, request.out / SFM_FOLDER, request.sfm, progress, anew=not begun)
 
 
 def _divide(views: list[View], hold_out: int) -> tuple[list[View], list[View]]:
@@ -248,17 +277,31 @@ def _divide(views: list[View], hold_out: int) -> tuple[list[View], list[View]]:
     return [v for i, v in enumerate(views) if i % hold_out], views[::hold_out]
 
 
-def _identity(request: Request, capture: Capture, initial: Splats) -> dict[str, Any]:
-    """Return what a resumed run must have in common with the first."""
+def _identity(
+    request: Request, views: list[View], initial: Splats, uses_sfm: bool
+) -> dict[str, Any]:
+    """Return what a resumed run must have in common with the first: all that training sees."""
     digest = hashlib.sha256()
-    for photo in capture.posed.photos:
-        digest.update(photo.path.name.encode() + photo.path.read_bytes())
-        digest.update(photo.camera_from_world.tobytes())
-        if photo.mask_path is not None:
-            digest.update(photo.mask_path.read_bytes())
-    digest.update(initial.means.numpy().tobytes())
+    for view in views:
+        camera = view.camera
+        shown = "everything" if view.alpha is None else "an object"
+        digest.update(f"{view.name}\n{camera.width} {camera.height} {shown}\n".encode())
+        for values in (camera.camera_from_world, camera.focal_px, camera.center_px):
+            digest.update(values.numpy().tobytes())
+        for pixels in (view.colors, view.weight, view.alpha):
+            digest.update(b"" if pixels is None else pixels.tobytes())
+    for values in (initial.means, initial.sh):
+        digest.update(values.numpy().tobytes())
     return {
-        "photos_poses_points_sha256": digest.hexdigest(),
+        **_option_identity(request),
+        "sfm": jsonio.to_json(request.sfm) if uses_sfm else None,
+        "views_points_sha256": digest.hexdigest(),
+    }
+
+
+def _option_identity(request: Request) -> dict[str, Any]:
+    """Return the part of the identity that is known before anything is read."""
+    return {
         "max_side_px": request.max_side_px,
         "hold_out": request.hold_out,
         "mask_means": request.mask_means,
@@ -266,38 +309,19 @@ def _identity(request: Request, capture: Capture, initial: Splats) -> dict[str, 
     }
 
 
-def _make_folder(request: Request) -> None:
-    """Create the output folder, or clear the old results out of it.
+def _require_same_options(request: Request) -> None:
+    """Refuse other options than those that a run began with, before any work is done.
 
     Raises:
-        UserError: it holds something and neither --resume nor --overwrite is given, or it holds
-            files that are not ours.
+        UserError: they differ.
     """
-    out = request.out
-    if request.resume:
-        if not any((out / name).exists() for name in (CAPTURE_FILE, SFM_FOLDER)):
-            raise UserError(f"{out}: nothing to resume: there is no {CAPTURE_FILE}")
-        return
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        if not request.overwrite or not out.is_dir():
-            raise UserError(
-                f"{out}: the output folder exists and is not empty; choose another --out, continue "
-                "with --resume, or start again with --overwrite"
-            )
-        foreign = sorted(path.name for path in out.iterdir() if path.name not in _OURS)
-        if foreign:
-            raise UserError(
-                f"{out}: --overwrite: holds {foreign[0]}, which this command did not write"
-            )
-        for path in out.iterdir():
-            if path.is_dir():
-                shutil.rmtree(path)
-            else:
-                path.unlink()
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"{out}: cannot create the output folder: {error.strerror}") from error
+    path = request.out / CAPTURE_FILE
+    data = jsonio.read_json(path)
+    stored = data.get("identity") if isinstance(data, dict) else None
+    identity = _option_identity(request)
+    if isinstance(stored, dict) and stored.get("sfm") is not None:
+        identity["sfm"] = jsonio.to_json(request.sfm)
+    require_same_identity(path, identity)
 
 
 def _write_capture_file(

@@ -24,8 +24,9 @@ from gscomplete.splats.ply import SplatFile
 from gscomplete.splats.transform import Similarity
 from gscomplete.views import Cameras, UpAxis, orbit_cameras, radius_to_fit, up_rotation
 from splatcomplete_data.boxes import CropBox
+from splatcomplete_data.multiview.capture_folder import CAPTURE_FILE, SPLATS_FILE
 from splatcomplete_data.multiview.propose_box import Focus, focus_of_cameras, focus_of_splats
-from splatcomplete_data.multiview.reconstruct import CAPTURE_FILE, SCHEMA, SPLATS_FILE
+from splatcomplete_data.multiview.reconstruct import SCHEMA
 
 PICTURES = 4
 _PICTURE_PX = 360

@@ -3,7 +3,8 @@
 Conventions
 -----------
 * The result is an ordinary COLMAP model (``sparse/0``, or ``triangulated`` for known poses) in the
-  work folder, read back by ``colmap_model``; what is finished there is not computed again.
+  work folder, read back by ``colmap_model``; what is finished there is not computed again if it
+  was made from the same photos, settings and cameras (``sfm_folder``).
 * COLMAP's world frame has no meaning: its scale is arbitrary and its up axis is not known.
 * COLMAP runs in a process of its own (``colmap_process``), because its native code ends the whole
   process on errors of its own and can only be stopped with it, and because its SQLite and Python's
@@ -25,11 +26,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from PIL import Image, UnidentifiedImageError
-
+from gscomplete import jsonio
 from gscomplete.errors import UserError
-from splatcomplete_data.multiview.colmap_model import read_colmap, read_points
-from splatcomplete_data.multiview.images import list_photos
+from splatcomplete_data.multiview import sfm_folder
+from splatcomplete_data.multiview.colmap_model import image_names, read_colmap, read_points
+from splatcomplete_data.multiview.images import list_photos, photo_size
 from splatcomplete_data.multiview.lens import Lens
 from splatcomplete_data.multiview.posed import FEWEST_PHOTOS, PosedPhotos
 from splatcomplete_data.scan import PointCloud
@@ -42,8 +43,6 @@ Matching = Literal["auto", "exhaustive", "sequential"]
 LensModel = Literal["SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE"]
 
 MOST_EXHAUSTIVE = 250
-DATABASE_FILE = "database.db"
-LOG_FILE = "colmap.log"
 _POLL_S = 0.5
 _ADVICE = (
     "Try more overlap between neighbouring photos (60 % and more), sharper photos, more texture "
@@ -79,6 +78,8 @@ def find_poses(
     work: Path,
     settings: SfmSettings | None = None,
     progress: Progress | None = None,
+    *,
+    anew: bool = True,
 ) -> PosedPhotos:
     """Find the cameras of a folder of photos.
 
@@ -87,32 +88,37 @@ def find_poses(
         work: folder for the database and the model; created. A finished model in it is read.
         settings: knobs; None = defaults.
         progress: told about every stage.
+        anew: clear the work folder and start anew where it was made from something else; else
+            that is an error.
 
     Raises:
-        UserError: pycolmap is missing, a photo cannot be read, or too few photos register; the
-            message says how many did and what to try.
+        UserError: pycolmap is missing, a photo cannot be read, too few photos register (the
+            message says how many did and what to try), or the work folder does not fit.
     """
     settings = settings or SfmSettings()
-    names = [path.name for path in list_photos(images)]
-    model = work / "sparse" / "0"
-    if not (model / "images.bin").is_file():
-        shared = not settings.lens_per_photo and _one_size(images, names)
+    photos = {path.name: path for path in list_photos(images)}
+    names = list(photos)
+    shared = not settings.lens_per_photo and len({photo_size(p) for p in photos.values()}) == 1
+    model = work / sfm_folder.POSES_MODEL
+    registry = model / "images.bin"
+    notes = _begin(work, registry, sfm_folder.made_from(photos, settings), anew)
+    if not registry.is_file():
         groups = [{"names": names, "model": settings.lens, "params": "", "shared": shared}]
         request = _request(images, work, settings, groups, len(names))
-        answer = _run_colmap({**request, "model": str(model), "poses": None}, progress)
-        registered = int(answer["registered"])
-        fewest = max(FEWEST_PHOTOS, round(settings.fewest_registered * len(names)))
-        if registered < fewest:
-            raise UserError(
-                f"{images}: {registered} of {len(names)} photos registered, expected at least "
-                f"{fewest}. {_ADVICE}"
-            )
+        _run_colmap({**request, "model": str(model), "poses": None}, progress)
+    registered = len(image_names(model)) if registry.is_file() else 0
+    fewest = max(FEWEST_PHOTOS, round(settings.fewest_registered * len(names)))
+    if registered < fewest:
+        raise UserError(
+            f"{images}: {registered} of {len(names)} photos registered, expected at least "
+            f"{fewest}. {_ADVICE}"
+        )
     capture = read_colmap(model, images)
     note = f"structure from motion: {len(capture.photos)} of {len(names)} photos registered"
     lost = sorted(set(names) - {photo.path.name for photo in capture.photos})
     if lost:
         note += f" (not: {', '.join(lost)})"
-    return PosedPhotos(capture.photos, capture.points, "structure from motion", (note,))
+    return PosedPhotos(capture.photos, capture.points, "structure from motion", (*notes, note))
 
 
 def triangulate(
@@ -120,36 +126,43 @@ def triangulate(
     work: Path,
     settings: SfmSettings | None = None,
     progress: Progress | None = None,
-) -> PointCloud | None:
+    *,
+    anew: bool = True,
+) -> tuple[PointCloud | None, tuple[str, ...]]:
     """Find the sparse cloud of a capture whose poses are known.
 
     Args:
-        capture: photos of one folder, with cameras.
+        capture: photos with cameras.
         work: folder for the database and the model; a finished one in it is read.
         settings: knobs; None = defaults.
         progress: told about every stage.
+        anew: as in ``find_poses``.
 
     Returns:
-        The points; None when no features match.
+        The points, None when no features match; and notes.
 
     Raises:
-        UserError: pycolmap is missing or fails.
+        UserError: pycolmap is missing or fails, or the work folder does not fit.
     """
     settings = settings or SfmSettings()
-    model = work / "triangulated"
+    named = dict(zip(capture.names, capture.photos, strict=True))
+    poses = {name: photo.camera_from_world.tolist() for name, photo in named.items()}
+    cameras = {name: [jsonio.to_json(named[name].lens), pose] for name, pose in poses.items()}
+    files = {name: photo.path for name, photo in named.items()}
+    model = work / sfm_folder.POINTS_MODEL
+    wanted = sfm_folder.made_from(files, settings, cameras)
+    notes = _begin(work, model / "points3D.bin", wanted, anew)
     if not (model / "points3D.bin").is_file():
         lenses: dict[Lens, list[str]] = {}
-        for photo in capture.photos:
-            lenses.setdefault(photo.lens, []).append(photo.path.name)
+        for name, photo in named.items():
+            lenses.setdefault(photo.lens, []).append(name)
         groups = []
         for lens, names in lenses.items():
-            name, params = _colmap_lens(lens)
-            groups.append({"names": names, "model": name, "params": params, "shared": True})
-        poses = {photo.path.name: photo.camera_from_world.tolist() for photo in capture.photos}
-        folder = capture.photos[0].path.parent
-        request = _request(folder, work, settings, groups, len(capture.photos))
+            kind, params = _colmap_lens(lens)
+            groups.append({"names": names, "model": kind, "params": params, "shared": True})
+        request = _request(capture.folder, work, settings, groups, len(named))
         _run_colmap({**request, "model": str(model), "poses": poses}, progress)
-    return read_points(model)
+    return read_points(model), notes
 
 
 def has_pycolmap() -> bool:
@@ -157,19 +170,31 @@ def has_pycolmap() -> bool:
     return importlib.util.find_spec("pycolmap") is not None
 
 
-def _request(
-    images: Path, work: Path, settings: SfmSettings, groups: list[dict[str, Any]], total: int
-) -> dict[str, Any]:
-    """Return what ``colmap_process`` is asked for, and create the work folder."""
-    if not has_pycolmap():
+def _begin(work: Path, result: Path, wanted: dict[str, Any], anew: bool) -> tuple[str, ...]:
+    """Make the work folder ready; return a note if it starts anew.
+
+    Raises:
+        UserError: there is something to compute and no pycolmap, the folder was made from
+            something else and may not start anew, or it cannot be written.
+    """
+    others = ", ".join(sfm_folder.differences(work, wanted))
+    if others and not anew:
+        raise UserError(f"{work}: cannot resume: it was made from other {others}")
+    if not has_pycolmap() and (others or not result.is_file()):
         raise UserError(
             "structure from motion needs pycolmap, which is not installed here; install the extra "
             "gscomplete[data], or give --poses with a COLMAP model or a transforms.json"
         )
-    try:
-        work.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"{work}: cannot create the folder: {error.strerror}") from error
+    sfm_folder.begin(work, wanted)
+    if not others:
+        return ()
+    return (f"structure from motion started anew: {work} was made from other {others}",)
+
+
+def _request(
+    images: Path, work: Path, settings: SfmSettings, groups: list[dict[str, Any]], total: int
+) -> dict[str, Any]:
+    """Return what ``colmap_process`` is asked for."""
     matching = settings.matching
     if matching == "auto":
         matching = "exhaustive" if total <= MOST_EXHAUSTIVE else "sequential"
@@ -178,7 +203,7 @@ def _request(
         "matching": matching,
         "images": str(images),
         "work": str(work),
-        "database": str(work / DATABASE_FILE),
+        "database": str(work / sfm_folder.DATABASE_FILE),
         "groups": groups,
         "total": total,
     }
@@ -193,29 +218,13 @@ def _colmap_lens(lens: Lens) -> tuple[str, str]:
     return "FULL_OPENCV", ",".join(map(repr, numbers))
 
 
-def _one_size(images: Path, names: list[str]) -> bool:
-    """Whether all photos have one size.
-
-    Raises:
-        UserError: a photo cannot be read.
-    """
-    sizes = set()
-    for name in names:
-        try:
-            with Image.open(images / name) as image:
-                sizes.add(image.size)
-        except (OSError, UnidentifiedImageError) as error:
-            raise UserError(f"{images / name}: cannot read it as a picture ({error})") from error
-    return len(sizes) == 1
-
-
 def _run_colmap(request: dict[str, Any], progress: Progress | None) -> dict[str, Any]:
     """Run ``colmap_process`` to its end and return its last answer.
 
     Raises:
         UserError: it failed; the message quotes the end of its log.
     """
-    log = Path(request["work"]) / LOG_FILE
+    log = Path(request["work"]) / sfm_folder.LOG_FILE
     command = [sys.executable, "-m", "splatcomplete_data.multiview.colmap_process"]
     with (
         log.open("wb") as errors,

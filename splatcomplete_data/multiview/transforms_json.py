@@ -6,6 +6,8 @@ Conventions
   the camera axes are turned into OpenCV's here, the world frame is left as it is.
 * Intrinsics stand at the top level or in a frame, which wins. Without ``fl_x`` they come from
   ``camera_angle_x``. The size comes from the file (``w``, ``h``) or else from the photo.
+* In a folder of photos that is named apart, a photo is found by as much of the end of its
+  ``file_path`` as fits there: ``left/0001.png`` before ``0001.png``.
 * Frames whose photo is missing are left out and counted, never silently: instant-ngp's own fox
   lists more frames than it ships.
 """
@@ -13,16 +15,17 @@ Conventions
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
 
 from gscomplete import jsonio
 from gscomplete.errors import UserError
+from splatcomplete_data.multiview.images import photo_size
 from splatcomplete_data.multiview.lens import Lens
 from splatcomplete_data.multiview.posed import PosedPhoto, PosedPhotos
 
@@ -36,7 +39,7 @@ def read_transforms(path: Path, images: Path | None = None) -> PosedPhotos:
 
     Args:
         path: the JSON file.
-        images: folder of the photos; None = as ``file_path`` says, relative to the JSON file.
+        images: folder of the photos; None = where ``file_path`` says, relative to the JSON file.
 
     Raises:
         UserError: the file is not a transforms.json, a field is wrong, or fewer than three
@@ -65,16 +68,23 @@ def read_transforms(path: Path, images: Path | None = None) -> PosedPhotos:
             f"{len(missing)} of {len(data['frames'])} frames left out: their photo does not exist "
             f"(first: {missing[0]})",
         )
-    photos.sort(key=lambda photo: photo.path.name)
+    photos.sort(key=lambda photo: os.path.abspath(photo.path))
     return PosedPhotos(tuple(photos), None, str(path), notes)
 
 
 def _find_photo(folder: Path, file_path: str, images: Path | None) -> Path | None:
     """Return the photo of a frame; synthetic data sets leave the suffix out."""
-    base = folder / file_path if images is None else images / Path(file_path).name
-    for candidate in (base, *(base.with_name(base.name + suffix) for suffix in _SUFFIXES)):
-        if candidate.is_file():
-            return candidate
+    if images is None:
+        bases = [folder / file_path]
+    else:
+        parts = [
+            part for part in Path(file_path).parts if part not in ("..", Path(file_path).anchor)
+        ]
+        bases = [images.joinpath(*parts[start:]) for start in range(len(parts))]
+    for base in bases:
+        for candidate in (base, *(base.with_name(base.name + suffix) for suffix in _SUFFIXES)):
+            if candidate.is_file():
+                return candidate
     return None
 
 
@@ -110,11 +120,7 @@ def _lens(values: Mapping[str, Any], photo: Path, where: str) -> Lens:
     Raises:
         UserError: a field is missing or wrong, or the photo cannot be read.
     """
-    try:
-        with Image.open(photo) as image:
-            photo_width, photo_height = image.size
-    except (OSError, UnidentifiedImageError) as error:
-        raise UserError(f"{photo}: cannot read it as a picture ({error})") from error
+    photo_width, photo_height = photo_size(photo)
     width = _number(values, "w", photo_width, where)
     height = _number(values, "h", photo_height, where)
     if (round(width), round(height)) != (photo_width, photo_height):

@@ -16,6 +16,7 @@ from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.views import ObjectFrame, ViewDistribution
 from splatcomplete_data.atomic_folder import atomic_folder, forget_leftovers
 from splatcomplete_data.boxes import CropBox, inside_boxes, parse_box
+from splatcomplete_data.commands.common import ObjectOptions, check_out
 from splatcomplete_data.objects import (
     ObjectRecord,
     SourceRecord,
@@ -89,6 +90,30 @@ def test_nothing_is_replaced_without_overwrite(tmp_path: Path) -> None:
     assert sorted(os.listdir(tmp_path)) == ["ball"]
 
 
+def test_overwrite_replaces_nothing_but_object_folders(tmp_path: Path) -> None:
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    (photos / "a.jpg").write_text("mine")
+    said = r"photos: expected .*object\.json.*found other things \(such as a\.jpg\)"
+    with pytest.raises(UserError, match=said):
+        write_object(photos, record(), ball(), None, overwrite=True)
+    options = ObjectOptions(out=photos, overwrite=True)
+    with pytest.raises(UserError, match=said):
+        check_out(options, tmp_path / "ball.ply")
+    assert [path.read_text() for path in photos.iterdir()] == ["mine"]
+    assert os.listdir(tmp_path) == ["photos"]
+
+
+def test_a_folder_of_proposed_boxes_becomes_an_object(tmp_path: Path) -> None:
+    (tmp_path / "ball").mkdir()
+    (tmp_path / "ball/boxes.png").write_text("drawn by crop --propose")
+    with pytest.raises(UserError, match="--overwrite"):
+        write_object(tmp_path / "ball", record(), ball(), None)
+    write_object(tmp_path / "ball", record(), ball(), None, overwrite=True)
+    assert not (tmp_path / "ball/boxes.png").exists()
+    assert read_record(tmp_path / "ball").id == "ball"
+
+
 def test_a_failing_writer_leaves_the_old_folder(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     (tmp_path / "a/old").write_text("old")
@@ -97,7 +122,10 @@ def test_a_failing_writer_leaves_the_old_folder(tmp_path: Path) -> None:
         (temporary / "new").write_text("new")
         raise RuntimeError
 
-    with pytest.raises(RuntimeError), atomic_folder(tmp_path / "a", overwrite=True) as temporary:
+    with (
+        pytest.raises(RuntimeError),
+        atomic_folder(tmp_path / "a", marker="old", overwrite=True) as temporary,
+    ):
         fail(temporary)
     assert [p.name for p in tmp_path.iterdir()] == ["a"]
     assert (tmp_path / "a/old").read_text() == "old"

@@ -3,6 +3,7 @@
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 import trimesh
@@ -10,7 +11,7 @@ import trimesh
 from gscomplete.errors import UserError
 from splatcomplete_data.cli import main
 from splatcomplete_data.commands.images import ImagesOptions
-from splatcomplete_data.dataset.build import _begin_capture, build, fingerprint
+from splatcomplete_data.dataset.build import _begin_capture, _make, build, fingerprint
 from splatcomplete_data.dataset.recipe import read_recipe
 from splatcomplete_data.dataset.stats import table
 from splatcomplete_data.dataset.validate import validate_dataset
@@ -158,7 +159,51 @@ def test_captures_resume_only_what_was_made_from_the_same_things(tmp_path: Path)
     (folder / "sfm").mkdir()
     assert begun("one") == (True, False)
     assert begun("two") == (False, True)
+    assert list(folder.iterdir()) == []  # what is resumed next time is made from "two"
+    (folder / "capture.json").write_text("{}")
     assert begun("two") == (True, False)
+    (folder / "letter.txt").write_text("mine")
+    with pytest.raises(UserError, match=r"letter\.txt"):
+        begun("three")
+    assert (folder / "letter.txt").read_text() == "mine"
+
+
+def test_a_folder_that_the_build_did_not_make_is_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(sources(tmp_path))
+    out, state = tmp_path / "out", tmp_path / "out/.build/box.json"
+    (out / ".build").mkdir(parents=True)
+    entry = read_recipe(recipe(tmp_path, TWO)).objects[0]
+    ends: list[type[BaseException]] = []
+
+    def run(entry: object, options: Any, said: object) -> None:
+        if ends and ends[0] is UserError:
+            raise UserError("no")
+        options.out.mkdir(exist_ok=True)
+        (options.out / "object.json").write_text("new")
+        if ends:
+            raise ends[0]
+
+    monkeypatch.setattr("splatcomplete_data.dataset.build._run_command", run)
+    (out / "box").mkdir()
+    (out / "box/object.json").write_text("by hand")
+    outcome = _make(entry, str(out))
+    assert outcome.status == "failed"
+    assert "box: expected nothing or a folder that this build made" in outcome.message
+    assert (out / "box/object.json").read_text() == "by hand"
+    assert not state.exists()
+    shutil.rmtree(out / "box")
+    ends = [UserError]
+    assert _make(entry, str(out)).message == "no"
+    assert not state.exists()
+    ends = [KeyboardInterrupt]  # between the object and its state
+    with pytest.raises(KeyboardInterrupt):
+        _make(entry, str(out))
+    assert (out / "box/object.json").is_file()
+    ends = []
+    assert _make(entry, str(out)).status == "built"
+    assert _make(entry, str(out)).status == "built"
 
 
 @pytest.mark.parametrize(

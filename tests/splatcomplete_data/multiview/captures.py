@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -86,6 +87,31 @@ def transforms_capture(folder: Path, count: int = 8, *, alpha: bool = False) -> 
     names = photos(folder / "images", views, alpha=alpha)
     transforms_file(folder / "transforms.json", views, names)
     return folder
+
+
+def nested_capture(folder: Path) -> Path:
+    """Write a capture whose photos have the same names in two folders; return transforms.json."""
+    path = transforms_capture(folder) / "transforms.json"
+    data = json.loads(path.read_text())
+    for index, frame in enumerate(data["frames"]):
+        photo = folder / "images" / ("left", "right")[index % 2] / f"{index // 2:04}.png"
+        photo.parent.mkdir(exist_ok=True)
+        (folder / frame["file_path"]).rename(photo)
+        frame["file_path"] = photo.relative_to(folder).as_posix()
+    path.write_text(json.dumps(data))
+    return path
+
+
+def huge_picture(path: Path) -> None:
+    """Write the head of a PNG with more pixels than any photo has."""
+    data = b"\x89PNG\r\n\x1a\n"
+    for name, content in (
+        (b"IHDR", struct.pack(">IIBBBBB", 10**6, 10**6, 8, 2, 0, 0, 0)),
+        (b"IDAT", b""),
+    ):
+        data += struct.pack(">I", len(content)) + name + content
+        data += struct.pack(">I", zlib.crc32(name + content))
+    path.write_bytes(data)
 
 
 def quaternion_of(rotation: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ from PIL import ExifTags, Image
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Similarity
+from splatcomplete_data.multiview import sfm_folder
 from splatcomplete_data.multiview import structure_from_motion as sfm
 from splatcomplete_data.multiview.capture import (
     find_masks,
@@ -111,6 +112,34 @@ def test_poses_are_found_where_they_stand(tmp_path):
     assert given.posed.photos[0].path.parent == tmp_path / "b/images"
 
 
+def test_photos_in_folders_are_found_by_the_names_that_poses_give_them(tmp_path):
+    folder = captures.nested_capture(tmp_path / "a").parent
+    names = [f"{side}/{index:04}.png" for side in ("left", "right") for index in range(4)]
+    captures.colmap_model(folder / "sparse/0", captures.cameras(), names, text=True)
+    given = open_capture(folder, "auto", tmp_path / "w").posed
+    assert given.source.endswith("transforms.json")
+    assert given.names == tuple(names)
+    (folder / "transforms.json").rename(tmp_path / "transforms.json")
+    Image.new("RGB", (9, 9)).save(folder / "preview.png")  # not one of the model's photos
+    model = open_capture(folder, "auto", tmp_path / "w").posed
+    assert model.source.endswith("sparse/0")
+    assert model.names == tuple(names)
+    assert model.folder == folder / "images"
+    (folder / "preview.png").unlink()
+    apart = open_capture(folder, str(tmp_path / "transforms.json"), tmp_path / "w").posed
+    assert apart.names == tuple(names)
+    paths = [photo.camera_from_world for photo in apart.photos]
+    np.testing.assert_array_equal(paths, [photo.camera_from_world for photo in given.photos])
+
+
+def test_names_are_plain_where_all_photos_are_in_one_folder(tmp_path):
+    folder = captures.nested_capture(tmp_path).parent
+    names = [f"left/{index:04}.png" for index in range(4)]
+    captures.colmap_model(folder / "sparse/0", captures.cameras(), names, text=False)
+    (folder / "transforms.json").unlink()
+    assert open_capture(folder, "auto", tmp_path / "w").posed.names[0] == "0000.png"
+
+
 def test_what_is_not_there_is_named(tmp_path):
     with pytest.raises(UserError, match="expected a folder of photos"):
         open_capture(tmp_path / "none", "auto", tmp_path / "w")
@@ -154,7 +183,8 @@ def test_a_native_failure_is_a_message(tmp_path):
     (tmp_path / "images").mkdir()
     for index in range(3):
         Image.new("RGB", (32, 32)).save(tmp_path / f"images/{index}.png")
-    (tmp_path / "work").mkdir()
+    photos = {path.name: path for path in (tmp_path / "images").iterdir()}
+    sfm_folder.begin(tmp_path / "work", sfm_folder.made_from(photos, sfm.SfmSettings()))
     (tmp_path / "work/database.db").write_bytes(b"this is no database, " * 400)
     with pytest.raises(UserError, match="COLMAP failed"):
         sfm.find_poses(tmp_path / "images", tmp_path / "work")

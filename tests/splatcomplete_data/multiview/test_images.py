@@ -7,15 +7,18 @@ import pytest
 from PIL import ExifTags, Image, ImageOps
 
 from gscomplete.errors import UserError
+from splatcomplete_data.multiview.colmap_model import read_colmap
 from splatcomplete_data.multiview.images import (
     list_photos,
     load_views,
     orientation_note,
+    photo_size,
     read_photo,
     scaled_size,
     shown_axes,
 )
 from splatcomplete_data.multiview.posed import PosedPhotos
+from splatcomplete_data.multiview.structure_from_motion import find_poses
 from splatcomplete_data.multiview.transforms_json import read_transforms
 from tests.splatcomplete_data.multiview import captures
 
@@ -112,12 +115,57 @@ def test_masks_restrict_to_the_object_or_leave_pixels_out(tmp_path):
     assert (ignore.weight[:, 16:] == 0).all()
 
 
+def test_masks_of_0_and_1_are_black_and_white(tmp_path):
+    capture, folder = posed(tmp_path / "c"), masks(tmp_path / "masks")
+    for path in folder.iterdir():
+        Image.fromarray(np.asarray(Image.open(path)) // 255).save(path)
+    thing = load_views(capture, max_side_px=100, masks=folder)[0]
+    assert thing.alpha is not None
+    assert (thing.alpha[:, :16] == 255).all()
+    assert (thing.alpha[:, 16:] == 0).all()
+
+
 def test_a_missing_mask_and_one_of_another_size_are_named(tmp_path):
     capture = posed(tmp_path / "c")
     with pytest.raises(UserError, match=r"found none for photo_02\.png"):
         load_views(capture, max_side_px=100, masks=masks(tmp_path / "two", 2))
     with pytest.raises(UserError, match="32 x 32, found 20 x 20"):
         load_views(capture, max_side_px=100, masks=masks(tmp_path / "small", 3, 20))
+
+
+def test_masks_of_photos_in_folders_lie_in_folders_too(tmp_path):
+    capture = read_transforms(captures.nested_capture(tmp_path / "c"))
+    for name, shade in zip(capture.names, range(8), strict=True):
+        (tmp_path / "masks" / name).parent.mkdir(parents=True, exist_ok=True)
+        Image.new("L", (32, 32), 10 * shade).save(tmp_path / "masks" / name)
+    views = load_views(capture, max_side_px=100, masks=tmp_path / "masks")
+    assert [view.name for view in views] == list(capture.names)
+    assert [int(view.alpha[0, 0]) for view in views] == [10 * shade for shade in range(8)]
+    (tmp_path / "masks/right/0002.png").unlink()
+    with pytest.raises(UserError, match=r"found none for right/0002\.png"):
+        load_views(capture, max_side_px=100, masks=tmp_path / "masks")
+
+
+def test_more_pixels_than_a_photo_has_are_a_message(tmp_path):
+    posed(tmp_path / "c")
+    photo = tmp_path / "c/images/photo_01.png"
+    captures.colmap_model(
+        tmp_path / "c/sparse/0",
+        captures.cameras(3),
+        [f"photo_{i:02}.png" for i in range(3)],
+        text=True,
+    )
+    captures.huge_picture(photo)
+    for read in (
+        lambda: read_photo(photo),
+        lambda: photo_size(photo),
+        lambda: read_transforms(tmp_path / "c/transforms.json"),
+        lambda: read_colmap(tmp_path / "c/sparse/0", tmp_path / "c/images"),
+        lambda: find_poses(tmp_path / "c/images", tmp_path / "w"),
+    ):
+        with pytest.raises(UserError, match=r"photo_01\.png: more pixels than a photo has"):
+            read()
+    assert shown_axes(photo) == ((1, 0), (0, -1))  # loading its pixels is what reports it
 
 
 def test_some_masks_are_not_enough(tmp_path):

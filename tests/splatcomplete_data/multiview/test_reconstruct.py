@@ -1,14 +1,19 @@
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
+import torch
 from PIL import Image
 
+from gscomplete.errors import UserError
 from gscomplete.splats import read_splats
 from splatcomplete_data.cli import main
-from splatcomplete_data.multiview import reconstruct
+from splatcomplete_data.multiview import reconstruct, structure_from_motion
+from splatcomplete_data.multiview.structure_from_motion import SfmSettings
 from tests.splatcomplete_data.multiview import captures
 
 FLAGS = ["--start", "random", "--steps", "30", "--hold-out", "4", "--max-splats", "500"]
@@ -79,6 +84,115 @@ def test_an_old_capture_is_only_overwritten_when_asked(photos, tmp_path, capsys)
     assert images(photos, out, "--overwrite") == 2
     assert "letter.txt" in capsys.readouterr().err
     assert (out / "letter.txt").read_text() == "mine"
+
+
+def prepared(folder: Path, out: Path, **values: object) -> reconstruct.Reconstruction:
+    request = reconstruct.Request(folder, out, start="random", random_points=300)
+    request = dataclasses.replace(request, **values)  # type: ignore[arg-type]
+    return reconstruct.prepare(request, torch.device("cpu"))
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    paths = [path for path in folder.rglob("*") if path.is_file()]
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+
+
+def test_an_old_capture_stays_when_the_new_one_cannot_begin(photos, tmp_path, monkeypatch):
+    out = tmp_path / "a"
+    assert images(photos, out) == 0
+    before = contents(out)
+    (tmp_path / "empty").mkdir()
+    for folder, flags in ((tmp_path / "empty", []), (photos, ["--hold-out", "1"])):
+        assert images(folder, out, "--overwrite", *flags) == 2
+        assert contents(out) == before
+
+    def interrupted(*arguments: object, **options: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(reconstruct, "Training", interrupted)
+        assert images(photos, out, "--overwrite") == 130
+    assert contents(out) == before
+    prepared(photos, out, overwrite=True)
+    assert set(contents(out)) == {"capture.json"}
+
+
+def change_lens(folder: Path) -> None:
+    path = folder / "transforms.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "fl_x": 30.0, "fl_y": 30.0}))
+
+
+def change_distortion(folder: Path) -> None:
+    path = folder / "transforms.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "k1": 0.05}))
+
+
+def change_mask(folder: Path) -> None:
+    path = folder / "masks/photo_03.png"
+    image = Image.open(path).convert("L")
+    image.putpixel((4, 4), 255 - image.getpixel((4, 4)))
+    image.save(path)
+
+
+def change_photo(folder: Path) -> None:
+    path = folder / "images/photo_03.png"
+    image = Image.open(path).convert("RGB")
+    image.putpixel((4, 4), (255, 0, 255))
+    image.save(path)
+
+
+@pytest.mark.parametrize("change", [change_lens, change_distortion, change_mask, change_photo])
+def test_what_training_sees_must_be_the_same_to_resume(tmp_path, change):
+    folder = captures.transforms_capture(tmp_path / "c")
+    (folder / "masks").mkdir()
+    for name in (f"photo_{index:02}.png" for index in range(8)):
+        Image.open(folder / "images" / name).convert("L").save(folder / "masks" / name)
+    prepared(folder, tmp_path / "a")
+    prepared(folder, tmp_path / "a", resume=True)
+    change(folder)
+    with pytest.raises(UserError, match="cannot resume with another views_points_sha256"):
+        prepared(folder, tmp_path / "a", resume=True)
+
+
+def test_training_that_has_begun_keeps_its_structure_from_motion(tmp_path, monkeypatch):
+    def colmap(request: dict[str, Any], progress: object) -> dict[str, int]:
+        names = request["groups"][0]["names"]
+        captures.colmap_model(Path(request["model"]), captures.cameras(), names, text=False)
+        return {"registered": len(names)}
+
+    monkeypatch.setattr(structure_from_motion, "_run_colmap", colmap)
+    monkeypatch.setattr(structure_from_motion, "has_pycolmap", lambda: True)
+    folder, out = tmp_path / "images", tmp_path / "a"
+    captures.photos(folder, captures.cameras())
+    prepared(folder, out)
+    before = contents(out / "sfm")
+    prepared(folder, out, resume=True)
+    with pytest.raises(UserError, match="another sfm: lens_per_photo: the run has False"):
+        prepared(folder, out, resume=True, sfm=SfmSettings(lens_per_photo=True))
+    (folder / "photo_03.png").write_bytes((folder / "photo_02.png").read_bytes())
+    with pytest.raises(UserError, match="cannot resume: it was made from other photos"):
+        prepared(folder, out, resume=True)
+    assert contents(out / "sfm") == before
+    (out / "capture.json").unlink()  # as after a run that found too few cameras
+    run = prepared(folder, out, resume=True, sfm=SfmSettings(lens_per_photo=True))
+    assert "made from other settings, photos" in run.notes[0]
+
+
+def test_settings_of_structure_from_motion_only_matter_where_it_is_used(photos, tmp_path):
+    prepared(photos, tmp_path / "a")
+    prepared(photos, tmp_path / "a", resume=True, sfm=SfmSettings(lens_per_photo=True))
+
+
+def test_photos_of_one_name_in_two_folders_are_two(tmp_path):
+    folder = captures.nested_capture(tmp_path / "c").parent
+    assert images(folder, tmp_path / "a") == 0
+    content = json.loads((tmp_path / "a/capture.json").read_text())
+    assert {camera["name"] for camera in content["cameras"]} == {
+        f"{side}/{index:04}.png" for side in ("left", "right") for index in range(4)
+    }
+    measured = content["result"]["held_out_psnr_db_per_photo"]
+    assert set(measured) == {"left/0000.png", "right/0000.png"}
+    assert sum(camera["held_out"] for camera in content["cameras"]) == 2
 
 
 @pytest.mark.parametrize(

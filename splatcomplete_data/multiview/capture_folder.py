@@ -1,0 +1,135 @@
+"""The folder that a reconstruction writes: made, resumed, or given to a new run.
+
+Conventions
+-----------
+* A new run that replaces an old capture first puts it into ``.previous``. It is put back when the
+  new run fails before its first step, for whatever reason, and removed once that is set up.
+* Files move one by one, but each of these changes happens by one rename: in ``.previous`` lies a
+  whole old capture, and the rest of the folder is the new run's; in ``.previous.moving`` lies a
+  part of it, and the rest of the folder is its other part; ``.previous.dropped`` is to be removed.
+  So what a killed process leaves is understood, and put back by the next run.
+* A folder with anything else in it is never cleared.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+from gscomplete.completion.long_run import CHECKPOINTS, LOG_FILE
+from gscomplete.errors import UserError
+
+CAPTURE_FILE = "capture.json"
+SPLATS_FILE = "splats.ply"
+PREVIEW_FILE = "preview.png"
+SFM_FOLDER = "sfm"
+PREVIOUS = ".previous"
+_MOVING = f"{PREVIOUS}.moving"
+_DROPPED = f"{PREVIOUS}.dropped"
+_WRITTEN = (CAPTURE_FILE, SPLATS_FILE, PREVIEW_FILE, LOG_FILE, CHECKPOINTS, SFM_FOLDER)
+_OURS = (*_WRITTEN, PREVIOUS, _MOVING, _DROPPED)
+
+
+@contextlib.contextmanager
+def capture_folder(out: Path, *, resume: bool, overwrite: bool) -> Iterator[None]:
+    """Have the folder ready for the block that sets a run up.
+
+    When the block fails, an old capture that was to be replaced is put back.
+
+    Args:
+        out: the folder; created if need be.
+        resume: the block goes on with what is there.
+        overwrite: the block starts anew, whatever is there.
+
+    Raises:
+        UserError: it holds something and neither is asked for, there is nothing to resume, or it
+            holds files that are not ours.
+    """
+    if out.exists() and (not out.is_dir() or (not (resume or overwrite) and any(out.iterdir()))):
+        raise UserError(
+            f"{out}: the output folder exists and is not empty; choose another --out, continue "
+            "with --resume, or start again with --overwrite"
+        )
+    if overwrite and not resume:
+        _require_ours(out)
+    _put_back(out)
+    if resume:
+        if not any((out / name).exists() for name in (CAPTURE_FILE, SFM_FOLDER)):
+            raise UserError(f"{out}: nothing to resume: there is no {CAPTURE_FILE}")
+        yield
+        return
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"{out}: cannot create the output folder: {error.strerror}") from error
+    try:
+        _set_aside(out)
+        yield
+    except BaseException:
+        _put_back(out)
+        raise
+    _drop(out)
+
+
+def clear_capture(out: Path) -> None:
+    """Remove a capture, finished or not; a folder that is not there is clear.
+
+    Raises:
+        UserError: the folder holds files that are not ours.
+    """
+    if out.is_dir():
+        _require_ours(out)
+        for path in out.iterdir():
+            _remove(path)
+
+
+def _require_ours(out: Path) -> None:
+    """Refuse a folder that holds anything that no reconstruction wrote.
+
+    Raises:
+        UserError: it does.
+    """
+    names = [path.name for path in out.iterdir()] if out.is_dir() else []
+    foreign = sorted(set(names) - set(_OURS))
+    if foreign:
+        raise UserError(f"{out}: --overwrite: holds {foreign[0]}, which this command did not write")
+
+
+def _set_aside(out: Path) -> None:
+    """Put an old capture, if there is one, into ``.previous``."""
+    names = [name for name in _WRITTEN if (out / name).exists()]
+    if names:
+        (out / _MOVING).mkdir()
+        for name in names:
+            (out / name).rename(out / _MOVING / name)
+        (out / _MOVING).rename(out / PREVIOUS)
+
+
+def _put_back(out: Path) -> None:
+    """Put an old capture, if one lies aside, in place of what a new run has made."""
+    if (out / PREVIOUS).is_dir():
+        for name in _WRITTEN:
+            _remove(out / name)
+        (out / PREVIOUS).rename(out / _MOVING)
+    if (out / _MOVING).is_dir():
+        for path in list((out / _MOVING).iterdir()):
+            path.rename(out / path.name)
+        (out / _MOVING).rmdir()
+    _remove(out / _DROPPED)
+
+
+def _drop(out: Path) -> None:
+    """Remove the old capture, if one lies aside."""
+    if (out / PREVIOUS).is_dir():
+        (out / PREVIOUS).rename(out / _DROPPED)
+        _remove(out / _DROPPED)
+
+
+def _remove(path: Path) -> None:
+    """Remove a file, link or folder; nothing there is well."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)

@@ -1,0 +1,66 @@
+"""What all readers of pictures share: how large they may be, what a bad one raises, and masks.
+
+Conventions
+-----------
+* Masks are uint8 [H, W]: 255 shows the object, or counts; 0 does not.
+* A mask file speaks through its alpha channel where that says something (somewhere it is not
+  opaque; editors add an opaque one), else through the brightest of its channels.
+* The largest number tells what white is: of a mask that holds nothing above 1 it is 1, of one up
+  to 255 it is 255, beyond that 65535.
+"""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from gscomplete.errors import UserError
+
+UNREADABLE = (OSError, ValueError, SyntaxError, Image.DecompressionBombError)
+"""What Pillow raises for pictures that are missing, damaged, of no known kind, or too large."""
+MAX_PIXELS = 2**29
+"""Pictures with more are refused: photos and textures have up to 2**28, 16384 x 16384."""
+_WIDE_MODES = ("I", "F", "I;16", "I;16B", "I;16L", "I;16N")
+"""Modes of more than 8 bits, which Pillow's conversions cut off at 255."""
+
+
+def allow_large_pictures() -> None:
+    """Have this process open pictures of up to ``MAX_PIXELS``, and no word on those below.
+
+    Pillow stops at a third of that, to guard servers. For applications, not for libraries.
+    """
+    Image.MAX_IMAGE_PIXELS = MAX_PIXELS // 2  # Pillow warns from here on, and refuses from twice
+    warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+
+
+def read_mask(path: Path) -> NDArray[np.uint8]:  # [H, W]
+    """Read a mask (module conventions).
+
+    Raises:
+        UserError: it cannot be read.
+    """
+    try:
+        with Image.open(path) as image:
+            values = _mask_values(image)
+    except UNREADABLE as error:
+        raise UserError(f"{path}: mask: cannot read it as a picture ({error})") from error
+    largest = values.max(initial=0)
+    white = next((top for top in (1, 255) if largest <= top), 65535)
+    if white == 255 and values.dtype == np.uint8:
+        return np.asarray(values)
+    return np.clip(np.rint(values * (255.0 / white)), 0, 255).astype(np.uint8)
+
+
+def _mask_values(image: Image.Image) -> NDArray[Any]:  # [H, W]
+    """Return the numbers that a mask file speaks through."""
+    if image.mode in _WIDE_MODES:
+        return np.nan_to_num(np.asarray(image))
+    if "A" in image.getbands() or "transparency" in image.info:
+        pixels = np.asarray(image.convert("RGBA"))
+        return pixels[:, :, 3] if pixels[:, :, 3].min() < 255 else pixels[:, :, :3].max(axis=2)
+    return np.asarray(image.convert("RGB")).max(axis=2)

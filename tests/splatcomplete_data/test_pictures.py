@@ -1,0 +1,104 @@
+"""Masks are read as they are meant, and large pictures are opened."""
+
+import logging
+import struct
+import warnings
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gscomplete.errors import UserError
+from splatcomplete_data import cli
+from splatcomplete_data.dataset import build
+from splatcomplete_data.mesh.textures import open_image
+from splatcomplete_data.pictures import MAX_PIXELS, allow_large_pictures, read_mask
+
+LEFT = np.zeros((6, 8), bool)
+LEFT[:, :3] = True
+
+
+def layers(*channels: np.ndarray | int) -> np.ndarray:
+    return np.stack([np.broadcast_to(np.uint8(c), LEFT.shape) for c in channels], axis=-1)
+
+
+WHITE = (LEFT * 255).astype(np.uint8)
+KINDS = {
+    "grey": WHITE,
+    "two colours": LEFT,
+    "0 and 1": LEFT.astype(np.uint8),
+    "0 and 1 in 16 bits": LEFT.astype(np.uint16),
+    "0 and 255 in 16 bits": LEFT.astype(np.uint16) * 255,
+    "16 bits": LEFT.astype(np.uint16) * 65535,
+    "RGB of 0 and 1": layers(LEFT, LEFT, LEFT),
+    "one channel": layers(0, WHITE, 0),
+    "alpha": layers(9, 9, 9, WHITE),
+    "alpha of 0 and 1": layers(255, 255, 255, LEFT),
+    "alpha that says nothing": layers(WHITE, WHITE, WHITE, 255),
+    "grey and alpha that says nothing": layers(WHITE, 255),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_masks_of_every_kind(tmp_path: Path, kind: str) -> None:
+    Image.fromarray(KINDS[kind]).save(tmp_path / "mask.png")
+    mask = read_mask(tmp_path / "mask.png")
+    assert mask.dtype == np.uint8
+    np.testing.assert_array_equal(mask, WHITE)
+
+
+def test_soft_and_black_masks_stay(tmp_path: Path) -> None:
+    soft = np.linspace(0, 200, 48).astype(np.uint8).reshape(6, 8)
+    Image.fromarray(soft).save(tmp_path / "soft.png")
+    np.testing.assert_array_equal(read_mask(tmp_path / "soft.png"), soft)
+    Image.fromarray((soft / np.float32(200)).astype(np.float32)).save(tmp_path / "soft.tif")
+    expected = np.rint(soft / 200 * 255)
+    np.testing.assert_allclose(read_mask(tmp_path / "soft.tif"), expected, atol=1)
+    Image.new("L", (8, 6)).save(tmp_path / "black.png")
+    assert not read_mask(tmp_path / "black.png").any()
+
+
+def test_unreadable_masks_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(UserError, match=r"none\.png: mask"):
+        read_mask(tmp_path / "none.png")
+    Image.new("L", (8, 6)).save(tmp_path / "large.png")
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 20)
+    with pytest.raises(UserError, match=r"large\.png: mask"):
+        read_mask(tmp_path / "large.png")
+
+
+def png_head(path: Path, width: int, height: int) -> Path:
+    """The beginning of a picture of any size."""
+    body = b"IHDR" + struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    data = struct.pack(">I", 13) + body + struct.pack(">I", zlib.crc32(body))
+    data += struct.pack(">I", 0) + b"IDAT" + struct.pack(">I", zlib.crc32(b"IDAT"))
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + data)
+    return path
+
+
+@pytest.mark.parametrize("entry", ["directly", "command line", "worker"])
+def test_applications_open_large_pictures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, entry: str
+) -> None:
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", Image.MAX_IMAGE_PIXELS)
+    monkeypatch.setattr(logging.getLogger(), "level", logging.getLogger().level)
+    monkeypatch.chdir(tmp_path)
+    path = png_head(tmp_path / "large.png", 16_384, 16_384)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Image.MAX_IMAGE_PIXELS = 2**20
+        with pytest.raises(UserError, match=r"large\.png"):
+            open_image(path)
+        if entry == "directly":
+            allow_large_pictures()
+        elif entry == "command line":
+            assert cli.main(["--version"]) == 0
+        else:
+            build._enter(str(tmp_path))
+        for width in (2**14, MAX_PIXELS // 2**14):
+            with open_image(png_head(path, width, 2**14)) as image:
+                assert image.size == (width, 2**14)
+        with pytest.raises(UserError, match=r"large\.png: cannot read it as an image"):
+            open_image(png_head(path, MAX_PIXELS // 2**14 + 1, 2**14))
