@@ -15,6 +15,7 @@ import tyro
 import gscomplete
 from gscomplete.command_line import let_threads_sleep, run_guarded
 from splatcomplete_data.commands import convert, crop, dataset, depth, images, mesh, partial, scan
+from splatcomplete_data.pictures import allow_large_pictures
 
 _RUNNERS: dict[type, Callable[[Any], int]] = {
     convert.ConvertOptions: convert.run,
@@ -50,6 +51,7 @@ Command = (
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit code."""
     let_threads_sleep()
+    allow_large_pictures()
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     if arguments == ["--version"]:
         sys.stdout.write(f"splatcomplete-data {gscomplete.__version__}\n")

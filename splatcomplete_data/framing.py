@@ -47,11 +47,14 @@ class Framing:
 
 
 def frame_of_whole(splats: Splats, up: UpAxis) -> ObjectFrame:
-    """Return the object frame of a complete object: centre and largest side of its box."""
+    """Return the object frame of a complete object: centre and largest side of its box.
+
+    Its size is at least the median of the splats' own, so that a single splat has a frame too.
+    """
     rotated = splats.means.double() @ up_rotation(up).T
     low, high = np.quantile(rotated.numpy(), [0.0005, 0.9995], axis=0)
     x, y, z = ((low + high) / 2).tolist()
-    side = max(float((high - low).max()), float(splats.scales.max()))
+    side = max(float((high - low).max()), float(splats.scales.amax(dim=1).median()))
     return ObjectFrame.from_z_up(up, (x, y, z), side)
 
 

@@ -5,10 +5,14 @@ Conventions
 * The paper's authors chose the size by hand from the cloud's density; here it is a multiple of the
   median distance from a point to its nearest neighbour, the cloud's spacing.
 * Splats are round: a point has no orientation.
+* Points are float64, splats float32, which has no digits left for an object far from the origin
+  (georeferenced scans). Coordinates that it cannot tell apart have an ``Offset`` taken away first;
+  whoever takes it records it as the similarity ``without_offset``.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +21,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gscomplete.errors import UserError
-from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.splats import Similarity, Splats, colors_to_sh
+
+Offset = tuple[float, float, float]
+"""What is taken from coordinates before they become float32, in whole units of the file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +60,60 @@ def median_spacing(
     return float(np.median(distances[:, 1]))
 
 
+def sigma_of(
+    points: NDArray[np.floating],  # [N, 3]
+    settings: PointSplatSettings,
+) -> float:
+    """Return the standard deviation that the cloud's spacing asks for.
+
+    Raises:
+        UserError: there are fewer than two distinct points.
+    """
+    return settings.sigma_per_spacing * median_spacing(points, settings.max_points_for_spacing)
+
+
+def offset_for_float32(
+    low: NDArray[np.floating],  # [3]
+    high: NDArray[np.floating],  # [3]
+    finest: float | None = None,
+) -> Offset | None:
+    """Choose what is to be taken from coordinates, if float32 is too coarse for them.
+
+    It is where its steps at the largest coordinate exceed 1/100 of the finest length. What lies no
+    farther out than about ten times its own extent stays: taking an offset would gain no digit.
+
+    Args:
+        low: lower corner of the box of the points.
+        high: upper corner.
+        finest: smallest length that matters, such as the size of a splat; None = 1/1000 of the
+            largest side.
+    """
+    extent = float((high - low).max())
+    with np.errstate(all="ignore"):
+        step = float(np.spacing(np.float32(max(abs(low).max(), abs(high).max()))))
+    if not step > max((extent / 1000 if finest is None else finest) / 100, 1e-6 * extent):
+        return None
+    # of an object smaller than a unit, a whole unit would leave too much
+    unit = 10.0 ** min(0, math.floor(math.log10(extent))) if extent > 0 else 1.0
+    x, y, z = (np.round((low + high) / 2 / unit) * unit + 0.0).tolist()  # + 0.0: no negative zero
+    return None if (x, y, z) == (0.0, 0.0, 0.0) else (x, y, z)
+
+
+def without_offset(offset: Offset) -> Similarity:
+    """Return the similarity that takes an offset away."""
+    away = 0.0 - torch.tensor(offset, dtype=torch.float64)
+    return Similarity(1.0, torch.eye(3, dtype=torch.float64), away)
+
+
+def offset_note(offset: Offset) -> str:
+    """Say for people what was taken from the coordinates."""
+    numbers = ",".join(f"{value:.15g}" for value in offset)
+    return (
+        f"{numbers} was taken from the coordinates, which 32-bit numbers cannot hold so far from "
+        "the origin (file_from_source)"
+    )
+
+
 def points_to_splats(
     points: NDArray[np.floating],  # [N, 3]
     colors: NDArray[np.floating],  # [N, 3] sRGB in [0, 1]
@@ -73,7 +134,7 @@ def points_to_splats(
     """
     chosen = settings or PointSplatSettings()
     if sigma is None:
-        sigma = chosen.sigma_per_spacing * median_spacing(points, chosen.max_points_for_spacing)
+        sigma = sigma_of(points, chosen)
     if not 0 < sigma < float("inf"):
         raise UserError(f"--size: expected a positive standard deviation, found {sigma:g}")
     count = len(points)

@@ -105,6 +105,7 @@ def make(options: MeshOptions, enter: Enter = stay_silent) -> Made:
     from splatcomplete_data.framing import frame_of_whole
     from splatcomplete_data.mesh.convert import ConvertSettings, convert_mesh
     from splatcomplete_data.mesh.load import BakedLight, load_mesh
+    from splatcomplete_data.points import offset_note, without_offset
 
     cuts = [parse_cut(text) for text in options.cut]
     is_gltf = options.file.suffix.lower() in (".glb", ".gltf")
@@ -129,6 +130,16 @@ def make(options: MeshOptions, enter: Enter = stay_silent) -> Made:
         enter("cutting", 0.5)
         frame = frame_of_whole(complete, request.up)
         part, steps = apply_cuts(complete, frame, cuts, (), str(options.file))
-    notes = (*mesh.notes, f"{len(complete):,} splats, spacing {made.spacing:.4g} file units")
-    steps = (*repairs, *made.steps, *steps)
-    return Made("mesh", options.file, part, complete, request.up, steps, notes)
+    moved = None if mesh.offset is None else without_offset(mesh.offset)
+    far = () if mesh.offset is None else (offset_note(mesh.offset),)
+    size = f"{len(complete):,} splats, spacing {made.spacing:.4g} file units"
+    return Made(
+        "mesh",
+        options.file,
+        part,
+        complete,
+        request.up,
+        (*repairs, *made.steps, *steps),
+        (*mesh.notes, *far, size),
+        file_from_source=moved,
+    )

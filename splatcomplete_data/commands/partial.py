@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -17,6 +17,10 @@ from splatcomplete_data.commands.common import (
     finish_object,
     framing_request,
 )
+
+if TYPE_CHECKING:
+    from gscomplete.splats import Splats
+    from splatcomplete_data.objects import StepRecord
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +60,7 @@ def make(options: PartialOptions) -> tuple[PartialOptions, Made]:
     Raises:
         UserError: the file cannot be read, no cut is given, or the cuts keep nothing.
     """
+    from gscomplete.splats import Similarity
     from splatcomplete_data.boxes import parse_box
     from splatcomplete_data.cuts import ScanCut, apply_cuts, parse_cut
     from splatcomplete_data.formats import read_any_splats
@@ -67,6 +72,7 @@ def make(options: PartialOptions) -> tuple[PartialOptions, Made]:
     subset = options.subset
     default_up: Literal["X", "Y", "Z", "-X", "-Y", "-Z"] = "-Y"
     details: dict[str, str] = {}
+    file_from_source: Similarity | None = None
     notes: tuple[str, ...] = ()
     if options.file.is_dir():
         source = read_object(options.file)
@@ -81,9 +87,12 @@ def make(options: PartialOptions) -> tuple[PartialOptions, Made]:
             origin=options.origin or record.source.origin,
         )
         details = {"complete_from": record.id, "source": record.source.file}
+        if record.file_from_source is not None:
+            file_from_source = Similarity.from_json(record.file_from_source)
     else:
         found = read_any_splats(options.file)
         complete, notes = found.splats, found.notes
+    complete, dropped = _drawable(complete, options.file)
     request = framing_request(options, default_up)
     frame = frame_of_whole(complete, request.up)
     if options.seen_from_views > 0:
@@ -97,5 +106,24 @@ def make(options: PartialOptions) -> tuple[PartialOptions, Made]:
     if not cuts and not boxes:
         raise UserError("partial: expected --cut, --box or --seen-from-views, found none of them")
     part, steps = apply_cuts(complete, frame, cuts, boxes, str(options.file))
+    steps = (*dropped, *steps)
     made = Made(subset, options.file, part, complete, request.up, steps, notes, boxes=boxes)
-    return options, dataclasses.replace(made, details=details)
+    return options, dataclasses.replace(made, details=details, file_from_source=file_from_source)
+
+
+def _drawable(splats: Splats, source: Path) -> tuple[Splats, tuple[StepRecord, ...]]:
+    """Leave out splats that cannot be drawn, such as those at a NaN; record it where there are any.
+
+    Raises:
+        UserError: there are no others.
+    """
+    from gscomplete.splats import usable_rows
+    from splatcomplete_data.objects import StepRecord
+
+    usable, reasons = usable_rows(splats)
+    if bool(usable.all()):
+        return splats, ()
+    kept = splats.select(usable)
+    if len(kept) == 0:
+        raise UserError(f"{source}: expected splats that can be drawn, found {dict(reasons)}")
+    return kept, (StepRecord("drawable", len(splats), len(kept), reasons),)

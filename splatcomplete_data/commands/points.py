@@ -37,7 +37,8 @@ class PointOptions(ObjectOptions):
     seed_point: str | None = None
     """Keep the cluster nearest to X,Y,Z (source's frame) instead of the largest."""
     level: bool = False
-    """Turn the object so that the first plane found is horizontal and z is up; recorded."""
+    """Turn the object so that the first plane found is horizontal and z is up; recorded. Up is the
+    side of the scanner or, if that is unknown, of most points that stay."""
     count: int | None = None
     """Thin to at most this many evenly spread points; None = keep all."""
     spacing: float | None = None
@@ -118,16 +119,18 @@ def made_from_points(
 
     from splatcomplete_data.commands.common import framing_request
     from splatcomplete_data.framing import frame_of_whole, view_from_position
+    from splatcomplete_data.points import offset_note
     from splatcomplete_data.scan.make import make_part
     from splatcomplete_data.scan.picture import removed_sheet
 
     settings = part_settings(options)
     enter(f"cleaning {len(cloud):,} points", 0.2)
-    part = make_part(cloud, settings, str(source), viewpoint or (0.0, 0.0, 0.0))
+    part = make_part(cloud, settings, str(source), viewpoint)
+    moved = part.file_from_source
     up: UpAxis = "Z" if options.level else framing_request(options, default_up).up
     eye = viewpoint
-    if viewpoint is not None and part.turn is not None:
-        x, y, z = part.turn.apply(torch.tensor(viewpoint, dtype=torch.float64)).tolist()
+    if viewpoint is not None and moved is not None:
+        x, y, z = moved.apply(torch.tensor(viewpoint, dtype=torch.float64)).tolist()
         eye = (x, y, z)
     view = (30.0, 25.0)
     if eye is not None:
@@ -136,6 +139,7 @@ def made_from_points(
     if (part.reason >= 0).any():
         enter("drawing what was removed", 0.6)
         pictures["removed.png"] = removed_sheet(part, up, view, f"{source.name}: what was removed")
+    far = () if part.offset is None else (offset_note(part.offset),)
     size = f"splat size {part.sigma:.4g} source units ({options.size})"
     return Made(
         subset,
@@ -144,11 +148,11 @@ def made_from_points(
         None,
         up,
         (*steps, *part.steps),
-        (*notes, size),
+        (*notes, *far, size),
         boxes=settings.boxes,
         splat_size=part.sigma,
         camera_position_file=eye,
-        file_from_source=part.turn,
+        file_from_source=moved,
         details=details,
         extra_pictures=pictures,
     )

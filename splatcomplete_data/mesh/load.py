@@ -3,7 +3,8 @@
 Conventions
 -----------
 * Every format trimesh reads; node transforms are applied, so vertices are in the file's frame and
-  units. Degenerate and non-finite triangles are dropped.
+  units. Degenerate and non-finite triangles are dropped. Of a mesh too far from the origin for
+  float32, ``Mesh.offset`` is taken away (``points``).
 * Colours are sRGB in [0, 1]. glTF factors and vertex colours are linear by its specification and
   converted, unless ``GltfColors`` says that the exporter wrote sRGB into them.
 * With a texture, an OBJ's ``Kd`` is ignored (as by most viewers; exporters leave 0.8 or 0.4 there
@@ -12,14 +13,14 @@ Conventions
   larger than ``MAX_TEXTURE_PX`` are box-filtered down: splats are far coarser than texels.
 * Alpha is texture x factor (x vertex alpha) where the material says so. Cut-outs (glTF MASK) are
   kept where it reaches the material's cutoff; blended surfaces (BLEND) keep it as opacity.
-* What trimesh drops almost silently is noticed: textures that are missing, Draco geometry,
-  triangles that are not finite or have no area. ``Mesh.notes`` and ``Mesh.step`` tell.
+* What trimesh drops almost silently is noticed: textures that are missing or unreadable, Draco
+  geometry, triangles that are not finite or have no area. ``Mesh.notes`` and the counts tell.
 """
 
 from __future__ import annotations
 
+import functools
 import logging
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -33,13 +34,15 @@ from trimesh.resolvers import FilePathResolver
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats
+from splatcomplete_data.mesh import file_checks
 from splatcomplete_data.mesh.discs import (
     DiscSettings,
     discs_at,
     sample_triangles,
     triangle_areas_and_normals,
 )
-from splatcomplete_data.mesh.side_files import gltf_text, side_files
+from splatcomplete_data.mesh.gltf_uv import own_coordinates
+from splatcomplete_data.mesh.side_files import side_files, without_options
 from splatcomplete_data.mesh.textures import (
     as_srgb,
     open_image,
@@ -48,6 +51,8 @@ from splatcomplete_data.mesh.textures import (
     unit_colors,
     unit_rgb,
 )
+from splatcomplete_data.pictures import UNREADABLE
+from splatcomplete_data.points import Offset, offset_for_float32
 
 FloatArray = NDArray[np.float32]
 GltfColors = Literal["linear", "srgb"]
@@ -113,6 +118,8 @@ class Mesh:
     """Triangles without area, left out."""
     non_finite: int = 0
     """Triangles with coordinates that are not finite, left out."""
+    offset: Offset | None = None
+    """Taken from the file's coordinates; None = nothing."""
 
     @property
     def triangles(self) -> int:
@@ -150,18 +157,21 @@ def load_mesh(
         )
     if path.stat().st_size == 0:
         raise UserError(f"{path}: expected a mesh file, found an empty file")
-    check_not_splats(path)
-    _refuse_draco(path)
+    file_checks.check_not_splats(path)
+    file_checks.refuse_draco(path)
     try:
-        resolver = FilePathResolver(str(path), allow_anywhere=True)
+        resolver = _NamedFiles(str(path), allow_anywhere=True)
         scene = trimesh.load_scene(str(path), resolver=resolver)
     except Exception as error:  # trimesh raises whatever its format readers happen to raise
         raise UserError(f"{path}: cannot read it as a mesh ({error})") from error
-    is_linear = path.suffix.lower() in (".gltf", ".glb") and gltf_colors == "linear"
-    reader = _PartReader(path, is_linear, max_texture_px)
+    is_gltf = path.suffix.lower() in file_checks.GLTF_SUFFIXES
+    reader = _PartReader(path, is_gltf and gltf_colors == "linear", max_texture_px)
     if texture is not None:
         reader.override = reader.texture_array(open_image(texture), True)
     try:
+        if is_gltf:
+            reader.read_coordinates(scene)
+        reader.offset = _offset(reader.placed(scene))
         parts = tuple(reader.parts(scene))
     except (ValueError, IndexError, TypeError, KeyError, AttributeError) as error:
         # faces, coordinates or colours of a damaged file that trimesh did not check
@@ -171,8 +181,8 @@ def load_mesh(
         raise UserError(
             f"{path}: expected a surface, found no usable triangle ({found}; a point cloud?)"
         )
-    notes = [*_missing_files(path), *dict.fromkeys(reader.notes)]
-    return Mesh(parts, tuple(notes), reader.degenerate, reader.non_finite)
+    notes = [*file_checks.lost_files(path), *dict.fromkeys(reader.notes)]
+    return Mesh(parts, tuple(notes), reader.degenerate, reader.non_finite, reader.offset)
 
 
 def mesh_to_discs(
@@ -217,6 +227,30 @@ def mesh_to_discs(
     return discs_at(points[kept], unit[kept].astype(np.float32), colors[kept], spacing, settings)
 
 
+class _NamedFiles(FilePathResolver):
+    """Finds the files that a mesh file names also where trimesh does not understand the name."""
+
+    @functools.cached_property
+    def named(self) -> dict[str, Path]:
+        """The files by the names in the mesh file."""
+        return side_files(Path(self.file_path))
+
+    def get(self, name: str) -> bytes:
+        """Return a file's bytes.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+        """
+        try:
+            content: bytes = super().get(name)
+        except FileNotFoundError:
+            file = self.named.get(without_options(name))
+            if file is None or not file.is_file():
+                raise
+            content = file.read_bytes()
+        return content
+
+
 @dataclass(slots=True)
 class _PartReader:
     """Turns a loaded scene into parts and notes what is odd on the way."""
@@ -229,16 +263,33 @@ class _PartReader:
     degenerate: int = 0
     non_finite: int = 0
     textures: dict[tuple[int, bool], FloatArray] = field(default_factory=dict)
+    coordinates: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    """Texture coordinates by geometry, where trimesh's are not those that the file means."""
+    offset: Offset | None = None
 
-    def parts(self, scene: Any) -> Iterator[MeshPart]:
-        """Yield the coloured triangles of every mesh that the scene graph places."""
+    def read_coordinates(self, scene: Any) -> None:
+        """Read the texture coordinates that trimesh does not read as the file means them."""
+        own, geometries = own_coordinates(self.path), scene.geometry
+        if len(own) == len(geometries):
+            for (name, geometry), uv in zip(geometries.items(), own, strict=True):
+                if uv is not None and len(uv) == len(geometry.vertices):
+                    self.coordinates[name] = uv
+        if len(self.coordinates) < sum(uv is not None for uv in own):
+            self.note("texture transforms, further or integer coordinates: some are not applied")
+
+    def placed(self, scene: Any) -> Iterator[tuple[str, NDArray[np.float64]]]:
+        """Yield the name and the triangles [T, 3, 3] of every mesh that the scene graph places."""
         for node in scene.graph.nodes_geometry:
             transform, name = scene.graph[node]
             geometry = scene.geometry[name]
-            if not isinstance(geometry, trimesh.Trimesh) or len(geometry.faces) == 0:
-                continue
-            points = geometry.vertices @ transform[:3, :3].T + transform[:3, 3]
-            vertices = points[geometry.faces]
+            if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces) > 0:
+                points = geometry.vertices @ transform[:3, :3].T + transform[:3, 3]
+                yield name, points[geometry.faces]
+
+    def parts(self, scene: Any) -> Iterator[MeshPart]:
+        """Yield the coloured triangles of every mesh that the scene graph places."""
+        for name, corners in self.placed(scene):
+            vertices = corners if self.offset is None else corners - self.offset
             with np.errstate(all="ignore"):
                 areas, _ = triangle_areas_and_normals(vertices.astype(np.float32))
             finite = np.isfinite(areas)
@@ -247,7 +298,7 @@ class _PartReader:
             self.degenerate += int((finite & ~kept).sum())
             if not kept.any():
                 continue
-            part = self.appearance(geometry)
+            part = self.appearance(scene.geometry[name], self.coordinates.get(name))
             yield MeshPart(
                 vertices[kept].astype(np.float32),
                 part.colors[kept],
@@ -257,8 +308,11 @@ class _PartReader:
                 part.blended,
             )
 
-    def appearance(self, geometry: Any) -> MeshPart:
-        """Return colours, texture coordinates and texture of one mesh; its vertices are unused."""
+    def appearance(self, geometry: Any, uv: NDArray[np.float64] | None) -> MeshPart:
+        """Return colours, texture coordinates and texture of one mesh; its vertices are unused.
+
+        ``uv`` are its texture coordinates where those that it holds are not meant.
+        """
         visual, faces = geometry.visual, geometry.faces
         corners = np.ones((len(faces), 3, 3), np.float32)
         if visual.kind == "face":
@@ -268,7 +322,7 @@ class _PartReader:
             return MeshPart(corners, colors[faces])
         if visual.kind != "texture":
             return MeshPart(corners, corners * np.float32(GREY))
-        uv = getattr(visual, "uv", None)
+        uv = getattr(visual, "uv", None) if uv is None else uv
         material = visual.material
         image = self.base_image(material)
         mode = str(getattr(material, "alphaMode", None) or "OPAQUE").upper()
@@ -321,48 +375,18 @@ class _PartReader:
         if key not in self.textures:
             try:
                 self.textures[key] = texture_array(image, has_alpha, self.max_texture_px)
-            except (OSError, ValueError, SyntaxError) as error:
+            except UNREADABLE as error:
                 raise UserError(f"{self.path}: texture: cannot read it ({error})") from error
         return self.textures[key]
 
 
-def check_not_splats(path: Path) -> None:
-    """Refuse a splat PLY where a mesh is expected.
-
-    Raises:
-        UserError: the file holds splats.
-    """
-    if path.suffix.lower() != ".ply":
-        return
-    with path.open("rb") as stream:
-        head = stream.read(4096)
-    if b"property float rot_0" in head or b"packed_position" in head:
-        raise UserError(f"{path}: expected a mesh, found Gaussian splats (use: partial, crop)")
-
-
-def _refuse_draco(path: Path) -> None:
-    """Refuse glTF with Draco or meshopt geometry, of which trimesh reads nothing but zeros.
-
-    Raises:
-        UserError: the file needs a decoder.
-    """
-    if path.suffix.lower() not in (".glb", ".gltf"):
-        return
-    text = gltf_text(path)
-    for name in ("KHR_draco_mesh_compression", "EXT_meshopt_compression"):
-        if name in text:
-            raise UserError(
-                f"{path}: geometry is compressed with {name}, expected plain buffers; decode it "
-                "first: npx @gltf-transform/cli copy in.glb out.glb (Draco), or export without"
-            )
-
-
-def _missing_files(path: Path) -> Iterator[str]:
-    """Yield a note for every file that a mesh file names and that is not there."""
-    if path.suffix.lower() in (".gltf", ".glb") and re.search(
-        r'"baseColorTexture"\s*:\s*\{[^{}]*"texCoord"\s*:\s*[1-9]', gltf_text(path)
-    ):
-        yield "a base colour texture asks for a second UV set; it is drawn with the first"
-    for name, file in side_files(path).items():
-        if not file.exists():
-            yield f"missing file {name}: parts of the mesh are without their texture or material"
+def _offset(placed: Iterator[tuple[str, NDArray[np.float64]]]) -> Offset | None:
+    """Choose what is taken from the coordinates of all meshes of a file."""
+    lows, highs = [], []
+    for _, corners in placed:
+        points = corners.reshape(-1, 3)
+        points = points[np.isfinite(points).all(axis=1)]
+        if len(points) > 0:
+            lows.append(points.min(axis=0))
+            highs.append(points.max(axis=0))
+    return offset_for_float32(np.min(lows, axis=0), np.max(highs, axis=0)) if lows else None

@@ -48,7 +48,7 @@ def side_files(path: Path) -> dict[str, Path]:
     files = _found(path, _MTL_LIBRARIES.findall(read_text(path)))
     for library in list(files.values()):
         if library.is_file():
-            maps = [_without_options(line) for line in _MTL_MAPS.findall(read_text(library))]
+            maps = [without_options(line) for line in _MTL_MAPS.findall(read_text(library))]
             files |= _found(library, maps)
     return files
 
@@ -62,20 +62,30 @@ def gltf_text(path: Path) -> str:
         return stream.read(int.from_bytes(head[12:16], "little")).decode("utf-8", "replace")
 
 
+def gltf_binary(path: Path) -> bytes:
+    """Return the bytes that follow the JSON of a GLB file, less the 8 of their own header."""
+    with path.open("rb") as stream:
+        head = stream.read(20)
+        stream.seek(20 + int.from_bytes(head[12:16], "little") + 8)
+        return stream.read()
+
+
 def read_text(path: Path) -> str:
     """Read a text file, whatever its encoding."""
     return path.read_text(encoding="utf-8", errors="replace")
 
 
-def _without_options(line: str) -> str:
+def without_options(line: str) -> str:
     """Return the file name of an MTL map: options (``-s 1 1 1``) come before it."""
     return line.split()[-1] if line.startswith("-") else line
 
 
+def beside(holder: Path, name: str) -> Path:
+    """Resolve a name, from the folder of the file that holds it."""
+    plain = unquote(name.strip().strip('"').removeprefix("file://")).replace("\\", "/")
+    return holder.parent / plain
+
+
 def _found(holder: Path, names: list[str]) -> dict[str, Path]:
-    """Resolve names, from the folder of the file that holds them."""
-    files = {}
-    for name in names:
-        plain = unquote(name.strip().strip('"').removeprefix("file://")).replace("\\", "/")
-        files[name] = holder.parent / plain
-    return files
+    """Resolve names."""
+    return {name: beside(holder, name) for name in names}

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from gscomplete.errors import UserError
+from splatcomplete_data.pictures import UNREADABLE
 
 FloatArray = NDArray[np.float32]
 
@@ -51,11 +52,11 @@ def open_image(path: Path) -> Image.Image:
     """Open an image file.
 
     Raises:
-        UserError: it is missing or not an image.
+        UserError: it is missing, not an image, or has too many pixels.
     """
     try:
         return Image.open(path)
-    except OSError as error:
+    except UNREADABLE as error:
         raise UserError(f"{path}: cannot read it as an image ({error})") from error
 
 

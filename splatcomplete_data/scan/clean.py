@@ -200,12 +200,18 @@ def _chosen_clusters(
 
 def level_rotation(
     plane: NDArray[np.float64],  # [4]
-    toward: NDArray[np.float64],  # [3] a point on the plane's upper side
+    toward: NDArray[np.float64],  # [3] or [N, 3]
     right: tuple[float, float, float] = (1.0, 0.0, 0.0),
 ) -> NDArray[np.float64]:  # [3, 3]
-    """Return the rotation that makes a plane horizontal: z up, ``right`` as near +x as it can."""
+    """Return the rotation that makes a plane horizontal: z up, ``right`` as near +x as it can.
+
+    Args:
+        plane: a, b, c, d of ax + by + cz + d = 0.
+        toward: a point on the plane's upper side, or points most of which are.
+        right: what is to point along +x.
+    """
     normal = plane[:3] / np.linalg.norm(plane[:3])
-    up = normal if normal @ toward + plane[3] > 0 else -normal
+    up = normal if np.median(toward @ normal + plane[3]) > 0 else -normal
     hint = np.asarray(right, np.float64)
     if abs(hint @ up) > 0.99:
         hint = np.array([0.0, 0.0, 1.0])

@@ -7,6 +7,8 @@ Conventions
 * Boxes and ``seed_point`` are in the source's frame, before levelling.
 * Levelling turns the cloud so that the first plane removed lies horizontally (z up, origin where
   it was); the rotation is returned and recorded, never silent.
+* A cloud too far from the origin for float32 has an offset taken away before it is turned
+  (``points``); that too is returned and recorded.
 """
 
 from __future__ import annotations
@@ -23,10 +25,14 @@ from gscomplete.splats import Similarity, Splats
 from splatcomplete_data.boxes import CropBox, inside_boxes
 from splatcomplete_data.objects import StepRecord
 from splatcomplete_data.points import (
+    Offset,
     PointSplatSettings,
+    offset_for_float32,
     points_to_splats,
+    sigma_of,
     thin_to_count,
     thin_to_spacing,
+    without_offset,
 )
 from splatcomplete_data.scan.clean import CleanSettings, clean, level_rotation
 from splatcomplete_data.scan.cloud import PointCloud
@@ -59,19 +65,29 @@ class Part:
     splats: Splats
     sigma: float
     steps: tuple[StepRecord, ...]
+    offset: Offset | None
+    """Taken from the source's coordinates; None = nothing."""
     turn: Similarity | None
-    """Similarity from the source's frame to the splats'; None = identity."""
+    """Rotation of what is left to the splats' frame; None = identity."""
     cloud: PointCloud
     """All points within the boxes, source frame."""
     reason: NDArray[np.int8]  # [N] of ``cloud``: why a point was removed, -1 = kept
     reasons: tuple[str, ...]
+
+    @property
+    def file_from_source(self) -> Similarity | None:
+        """Similarity from the source's frame to the splats'; None = identity."""
+        if self.offset is None:
+            return self.turn
+        moved = without_offset(self.offset)
+        return moved if self.turn is None else self.turn.compose(moved)
 
 
 def make_part(
     cloud: PointCloud,
     settings: PartSettings,
     source: str,
-    viewpoint: Sequence[float] = (0.0, 0.0, 0.0),
+    viewpoint: Sequence[float] | None = None,
 ) -> Part:
     """Turn points into the splats of one object.
 
@@ -79,7 +95,8 @@ def make_part(
         cloud: finite points.
         settings: the steps.
         source: the file named in errors.
-        viewpoint: where the scanner stood; it tells a plane's upper side from its lower.
+        viewpoint: where the scanner stood; it tells a plane's upper side from its lower. None =
+            unknown: the upper side is where most of the points that stay lie.
 
     Raises:
         UserError: a step keeps nothing, or levelling is asked for and no plane was found.
@@ -110,12 +127,26 @@ def make_part(
     if settings.level:
         if not planes:
             raise UserError(f"{source}: --level: expected a plane to level on, found none")
-        rotation = level_rotation(planes[0], np.asarray(viewpoint, np.float64))
-        turn = Similarity(1.0, torch.from_numpy(rotation), torch.zeros(3))
-    points = kept.points if turn is None else turn.apply(torch.from_numpy(kept.points)).numpy()
+        above = kept.points if viewpoint is None else np.asarray(viewpoint, np.float64)
+        turn = Similarity(1.0, torch.from_numpy(level_rotation(planes[0], above)), torch.zeros(3))
     per_spacing = PointSplatSettings(sigma_per_spacing=settings.sigma_per_spacing)
-    splats = points_to_splats(points, kept.colors, per_spacing, sigma=settings.sigma)
-    return Part(splats, float(splats.scales[0, 0]), tuple(steps), turn, cloud, reason, reasons)
+    points, sigma = _turned(kept.points, turn), settings.sigma
+    if sigma is None:
+        sigma = sigma_of(points, per_spacing)
+    offset = offset_for_float32(kept.points.min(axis=0), kept.points.max(axis=0), sigma)
+    if offset is not None:
+        points = _turned(kept.points - offset, turn)
+    splats = points_to_splats(points, kept.colors, per_spacing, sigma=sigma)
+    size = float(splats.scales[0, 0])
+    return Part(splats, size, tuple(steps), offset, turn, cloud, reason, reasons)
+
+
+def _turned(points: NDArray[np.float64], turn: Similarity | None) -> NDArray[np.float64]:
+    """Turn points in float64."""
+    if turn is None:
+        return points
+    turned: NDArray[np.float64] = turn.apply(torch.from_numpy(points)).numpy()
+    return turned
 
 
 def _thin(cloud: PointCloud, settings: PartSettings) -> tuple[PointCloud, list[StepRecord]]:

@@ -32,7 +32,7 @@ def removed_sheet(
     mask, _ = thin_to_count(part.cloud.points, MAX_POINTS)
     cloud, reason = part.cloud.select(np.flatnonzero(mask)), part.reason[mask]
     turn = part.turn
-    splats = points_to_splats(cloud.points, cloud.colors)
+    splats = points_to_splats(cloud.points - np.array(part.offset or 0.0), cloud.colors)
     if turn is not None:
         splats = transform_splats(splats, turn)
     tinted = splats.base_colors.clone()

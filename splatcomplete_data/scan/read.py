@@ -166,7 +166,10 @@ def _check_las_header(path: Path) -> None:
 
 
 def _read_text(path: Path) -> Scan:
-    """Read rows of ``x y z``, ``x y z r g b``, or ``x y z intensity r g b``."""
+    """Read rows of ``x y z``, ``x y z r g b``, or ``x y z intensity r g b``.
+
+    Three last columns with a negative number are normals, as many programs write them.
+    """
     lines = path.read_text(encoding="utf-8", errors="replace").replace(",", " ").splitlines()
     rows = [line.split() for line in lines if line.strip() and line.lstrip()[0] not in "#/"]
     if rows and len(rows[0]) == 1:  # .pts files start with their number of points
@@ -186,6 +189,9 @@ def _read_text(path: Path) -> Scan:
     if width < 6:
         return _checked(PointCloud(points, grey_colors(len(points))), None, ("no colour: grey",))
     values = table[:, -3:]
+    if (values < 0).any():
+        note = "the last three columns are normals, not colours: grey"
+        return _checked(PointCloud(points, grey_colors(len(points))), None, (note,))
     colors = values / 255.0 if np.nanmax(values) > 1.0 else values
     unit = np.clip(np.nan_to_num(colors), 0, 1).astype(np.float32)
     return _checked(PointCloud(points, unit), None, ())
@@ -198,7 +204,7 @@ def _read_mesh(path: Path) -> Scan:
 
     mesh = load_mesh(path)
     made = convert_mesh(mesh, MESH_POINTS)
-    points = made.splats.means.numpy().astype(np.float64)
+    points = made.splats.means.numpy().astype(np.float64) + np.array(mesh.offset or 0.0)
     colors = made.splats.base_colors.numpy().clip(0, 1).astype(np.float32)
     note = f"a mesh of {mesh.triangles:,} triangles, sampled at a spacing of {made.spacing:.4g}"
     return _checked(PointCloud(points, colors), None, (*mesh.notes, note))

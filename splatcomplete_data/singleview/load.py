@@ -18,6 +18,7 @@ from PIL import Image
 
 from gscomplete.errors import UserError
 from splatcomplete_data.objects import StepRecord
+from splatcomplete_data.pictures import UNREADABLE, read_mask
 from splatcomplete_data.scan.cloud import PointCloud
 from splatcomplete_data.singleview import intrinsics as lens
 from splatcomplete_data.singleview.depth_file import DepthImage, DepthKind, metric_depth, read_depth
@@ -46,7 +47,7 @@ class SingleViewSettings:
     fov_deg: float | None = None
     """Horizontal field of view."""
     mask: Path | None = None
-    """Picture that is not black where the object is."""
+    """Picture that is white where the object is (``pictures``)."""
     crop_px: tuple[int, int, int, int] | None = None
     """Keep columns x0 to x1 and rows y0 to y1 of the depth image."""
     near: float | None = None
@@ -121,7 +122,7 @@ def _open(path: Path | None, depth: DepthImage, depth_path: Path) -> Image.Image
     try:
         picture = Image.open(path)
         picture.load()
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+    except UNREADABLE as error:
         raise UserError(f"{path}: cannot read it as an image ({error})") from error
     return picture
 
@@ -221,18 +222,13 @@ def _mask(path: Path, width: int, height: int) -> NDArray[np.bool_]:
     Raises:
         UserError: it cannot be read, has another aspect ratio, or is black.
     """
-    try:
-        with Image.open(path) as image:
-            image.load()
-            if abs(image.width / image.height / (width / height) - 1.0) > 0.02:
-                raise UserError(
-                    f"{path}: mask: expected the aspect ratio of {width} x {height}, found "
-                    f"{image.width} x {image.height}"
-                )
-            grey = image.getchannel("A") if "A" in image.getbands() else image.convert("L")
-            mask = np.asarray(grey.resize((width, height), Image.Resampling.NEAREST)) > 127
-    except (OSError, ValueError, SyntaxError) as error:
-        raise UserError(f"{path}: mask: cannot read it as an image ({error})") from error
+    shown = Image.fromarray(read_mask(path))
+    if abs(shown.width / shown.height / (width / height) - 1.0) > 0.02:
+        raise UserError(
+            f"{path}: mask: expected the aspect ratio of {width} x {height}, found "
+            f"{shown.width} x {shown.height}"
+        )
+    mask = np.asarray(shown.resize((width, height), Image.Resampling.NEAREST)) > 127
     if not mask.any():
         raise UserError(f"{path}: mask: expected white where the object is, found only black")
     return mask

@@ -2,11 +2,19 @@
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gscomplete.errors import UserError
-from splatcomplete_data.points import PointSplatSettings, median_spacing, points_to_splats
+from splatcomplete_data.points import (
+    PointSplatSettings,
+    median_spacing,
+    offset_for_float32,
+    offset_note,
+    points_to_splats,
+    without_offset,
+)
 
 
 def grid(side: int, spacing: float) -> np.ndarray:
@@ -44,3 +52,37 @@ def test_too_few_distinct_points_are_a_user_error(count: int) -> None:
     points = np.ones((count, 3))
     with pytest.raises(UserError, match="at least 2 distinct points"):
         points_to_splats(points, points)
+
+
+@pytest.mark.parametrize(
+    ("center", "extent", "finest", "expected"),
+    [
+        ((0.0, 0.0, 0.0), 1.0, None, None),
+        ((5.0, -3.0, 40.0), 1.0, None, None),
+        ((500_000.4, 5_300_000.0, 300.2), 1.0, None, (500_000.0, 5_300_000.0, 300.0)),
+        ((0.3, 5_300_000.0, -0.4), 1.0, None, (0.0, 5_300_000.0, 0.0)),
+        ((11.567, 48.137, 0.5), 1e-4, None, (11.567, 48.137, 0.5)),
+        ((9_000.0, 0.0, 0.0), 100.0, None, None),
+        ((9_000.0, 0.0, 0.0), 100.0, 0.005, (9_000.0, 0.0, 0.0)),  # splats of 5 mm
+        ((0.0, 0.0, 0.0), 4_000.0, 1e-6, None),  # nothing is gained about the origin
+        ((500_000.0, 0.0, 0.0), 0.0, 0.1, (500_000.0, 0.0, 0.0)),
+        ((1e300, 0.0, 0.0), 1.0, None, None),
+    ],
+)
+def test_an_offset_is_taken_where_float32_is_too_coarse(
+    center: tuple[float, float, float],
+    extent: float,
+    finest: float | None,
+    expected: tuple[float, float, float] | None,
+) -> None:
+    low, high = np.array(center) - extent / 2, np.array(center) + extent / 2
+    offset = offset_for_float32(low, high, finest)
+    assert (offset is None) == (expected is None)
+    if offset is not None and expected is not None:
+        np.testing.assert_allclose(offset, expected, rtol=1e-12)
+        assert not np.signbit(np.array(offset)[np.array(offset) == 0]).any()
+        left = np.maximum(np.abs(low - offset), np.abs(high - offset)).max()
+        assert left <= 1.01 * max(extent, 0.0)
+        moved = without_offset(offset).apply(torch.tensor(center, dtype=torch.float64))
+        np.testing.assert_allclose(moved.numpy(), np.array(center) - offset)
+        assert "file_from_source" in offset_note(offset)

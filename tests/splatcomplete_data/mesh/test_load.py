@@ -9,6 +9,7 @@ import trimesh
 from PIL import Image
 
 from gscomplete.errors import UserError
+from splatcomplete_data.commands.mesh import MeshOptions, make
 from splatcomplete_data.mesh.load import GREY, BakedLight, load_mesh, mesh_to_discs
 from splatcomplete_data.mesh.textures import srgb_from_linear
 
@@ -54,6 +55,19 @@ def test_override_texture_and_missing_override(tmp_path: Path) -> None:
     np.testing.assert_allclose(splats.base_colors.numpy(), expected, atol=1e-3)
     with pytest.raises(UserError, match=r"none\.png"):
         load_mesh(path, texture=tmp_path / "none.png")
+
+
+def test_textures_are_found_by_the_names_that_exporters_write(tmp_path: Path) -> None:
+    textured_quad(tmp_path)
+    (tmp_path / "lib" / "maps").mkdir(parents=True)
+    (tmp_path / "picture.png").rename(tmp_path / "lib/maps/picture.png")
+    (tmp_path / "quad.mtl").unlink()
+    (tmp_path / "lib/quad.mtl").write_text("newmtl m\nmap_Kd -s 1 1 1 maps\\picture.png\n")
+    text = (tmp_path / "quad.obj").read_text()
+    (tmp_path / "quad.obj").write_text(text.replace("quad.mtl", "lib/quad.mtl"))
+    mesh = load_mesh(tmp_path / "quad.obj")
+    assert mesh.parts[0].texture is not None
+    assert mesh.notes == ()
 
 
 def test_node_transforms_are_applied(tmp_path: Path) -> None:
@@ -143,3 +157,47 @@ def test_real_odd_cases(caplog: pytest.LogCaptureFixture) -> None:
     table = load_mesh(DATA / "aws_house/BalconyTable_01/meshes/aws_BalconyTable_01_visual.DAE")
     colors = mesh_to_discs(table, 500).base_colors
     assert float((colors[:, 0] - colors[:, 2]).max()) > 0.8  # its texture lies in another folder
+
+
+def test_georeferenced_meshes_keep_their_triangles(tmp_path: Path) -> None:
+    east, north = np.meshgrid(0.01 * np.arange(20), 0.01 * np.arange(20), indexing="ij")
+    corners = np.stack([500_000 + east, 5_300_000 + north, np.full_like(east, 300)], -1)
+    lines = ["v {:.3f} {:.3f} {:.3f}".format(*corner) for corner in corners.reshape(-1, 3)]
+    index = 1 + np.arange(400).reshape(20, 20)
+    quads = np.stack([index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]], -1)
+    lines += ["f {} {} {} {}".format(*quad) for quad in quads.reshape(-1, 4)]
+    (tmp_path / "utm.obj").write_text("\n".join(lines))
+    mesh = load_mesh(tmp_path / "utm.obj")
+    assert mesh.triangles == 2 * 19 * 19
+    assert mesh.degenerate == 0
+    assert mesh.offset is not None
+    low, high = mesh.bounds()
+    np.testing.assert_allclose(low + mesh.offset, [500_000, 5_300_000, 300], atol=1e-6)
+    np.testing.assert_allclose(high - low, [0.19, 0.19, 0], atol=1e-6)
+    made = make(MeshOptions(file=tmp_path / "utm.obj", count=200))
+    assert made.file_from_source is not None
+    np.testing.assert_allclose(made.file_from_source.translation.numpy(), -np.array(mesh.offset))
+    assert any("was taken from the coordinates" in note for note in made.notes)
+
+
+def test_meshes_near_the_origin_stay_where_they_are(tmp_path: Path) -> None:
+    trimesh.creation.box(transform=np.diag([1.0, 2.0, 3.0, 1.0])).export(tmp_path / "a.ply")
+    assert load_mesh(tmp_path / "a.ply").offset is None
+    assert make(MeshOptions(file=tmp_path / "a.ply", count=200)).file_from_source is None
+
+
+def test_textures_that_cannot_be_read_are_noted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = textured_quad(tmp_path)
+    assert load_mesh(path).notes == ()
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 7)  # the picture has 16, more than twice that
+    (note,) = load_mesh(path).notes
+    assert note.startswith("texture picture.png: parts of the mesh are without it")
+    assert "exceeds limit" in note
+    with pytest.raises(UserError, match=r"picture\.png: cannot read it as an image.*limit"):
+        load_mesh(path, texture=tmp_path / "picture.png")
+    monkeypatch.undo()
+    (tmp_path / "picture.png").write_bytes(b"no picture")
+    (note,) = load_mesh(path).notes
+    assert note.startswith("texture picture.png: parts of the mesh are without it")

@@ -133,3 +133,42 @@ def test_boxes_thinning_and_their_errors() -> None:
         make_part(cloud, PartSettings(level=True), "scene")
     with pytest.raises(UserError, match="--spacing"):
         make_part(cloud, PartSettings(spacing=-1.0), "scene")
+
+
+@pytest.mark.parametrize("height", [-5.0, 5.0])
+@pytest.mark.parametrize("turned_over", [False, True])
+def test_without_a_viewpoint_up_is_where_the_points_that_stay_lie(
+    height: float, turned_over: bool
+) -> None:
+    rng = np.random.default_rng(1)
+    floor = np.concatenate([rng.uniform(-1, 1, (4000, 2)), np.zeros((4000, 1))], axis=1)
+    post = rng.uniform([-0.1, -0.1, 0.05], [0.1, 0.1, 0.8], (2000, 3))
+    points = np.concatenate([floor, post]) * (-1 if turned_over else 1) + [0, 0, height]
+    cloud = PointCloud(points, np.full(points.shape, 0.5, np.float32))
+    settings = PartSettings(cleaning=CleanSettings(clusters=0), level=True)
+    z = make_part(cloud, settings, "scene").splats.means[:, 2]
+    ground = -height if turned_over else height
+    assert float(z.min()) > ground
+    assert float(z.max()) == pytest.approx(ground + 0.8, abs=0.02)
+
+
+@pytest.mark.parametrize("level", [False, True])
+def test_georeferenced_points_keep_their_digits(level: bool) -> None:
+    points, labels = scene()
+    far = np.array([500_000.0, 5_300_000.0, 300.0])
+    colors = np.full(points.shape, 0.5, np.float32)
+    settings = PartSettings(cleaning=CleanSettings(), level=level)
+    eye = np.array([0.0, -3.0, 3.0])
+    near = make_part(PointCloud(points, colors), settings, "scene", eye)
+    part = make_part(PointCloud(points + far, colors), settings, "scene", eye + far)
+    assert near.offset is None
+    assert near.file_from_source is near.turn
+    np.testing.assert_allclose(part.offset, far, atol=1.0)
+    moved = part.file_from_source
+    assert moved is not None
+    back = moved.inverse().apply(part.splats.means.double()).numpy()
+    kept = (points + far)[labels == 1]
+    assert np.linalg.norm(back[:50, None] - kept[None], axis=2).min(axis=1).max() < 1e-6
+    assert part.sigma == pytest.approx(near.sigma, rel=1e-6)
+    assert len(part.splats) == len(near.splats)
+    assert len(part.splats.means.unique(dim=0)) == len(part.splats)

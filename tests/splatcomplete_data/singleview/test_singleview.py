@@ -167,3 +167,18 @@ def test_odd_depth_files_are_user_errors(tmp_path: Path) -> None:
         write(tmp_path / name)
         with pytest.raises(UserError, match="depth"):
             load_single_view(photo, tmp_path / name, SingleViewSettings(fov_deg=50))
+
+
+def test_masks_of_other_kinds(tmp_path: Path) -> None:
+    depth = write_depth(tmp_path, "npy")
+    inside = np.zeros((HEIGHT, WIDTH), np.uint8)
+    inside[10:20, 10:20] = 1
+    opaque = np.dstack([inside * 255] * 3 + [np.full_like(inside, 255)])
+    for pixels in (inside, opaque):
+        Image.fromarray(pixels).save(tmp_path / "mask.png")
+        settings = SingleViewSettings(fov_deg=60.0, mask=tmp_path / "mask.png", flying_jump=0.0)
+        view = load_single_view(picture(tmp_path), depth, settings)
+        np.testing.assert_array_equal(view.kept, inside > 0)
+    Image.fromarray(inside * 0).save(tmp_path / "mask.png")
+    with pytest.raises(UserError, match="only black"):
+        load_single_view(picture(tmp_path), depth, settings)

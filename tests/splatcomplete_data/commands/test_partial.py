@@ -1,0 +1,69 @@
+"""Parts are cut out of files as training leaves them."""
+
+import json
+
+import numpy as np
+import pytest
+import trimesh
+
+from gscomplete.splats import read_splats, write_splats
+from splatcomplete_data import cli
+from tests.splatcomplete_data.balls import BALL
+
+
+def file_with(path, means, rows):
+    """Write a ball some of whose positions, chosen by their numbers, are not finite."""
+    write_splats(path, BALL)
+    raw = bytearray(path.read_bytes())
+    start = raw.index(b"end_header\n") + len(b"end_header\n")
+    size = (len(raw) - start) // len(BALL)
+    for row in rows:
+        raw[start + row * size : start + row * size + 4] = means
+    path.write_bytes(bytes(raw))
+    return path
+
+
+NAN = b"\x00\x00\xc0\x7f"
+
+
+def test_splats_that_cannot_be_drawn_are_left_out_and_counted(tmp_path):
+    path = file_with(tmp_path / "a.ply", NAN, [3, 5])
+    assert not bool(read_splats(path).splats.means.isfinite().all())
+    out = tmp_path / "part"
+    assert cli.main(["partial", str(path), "--cut", "plane:90", "--out", str(out)]) == 0
+    record = json.loads((out / "object.json").read_text())
+    step = record["steps"][0]
+    assert (step["name"], step["before"], step["after"]) == ("drawable", len(BALL), len(BALL) - 2)
+    assert step["reasons"] == {"non_finite_mean": 2}
+    assert record["counts"]["complete"] == len(BALL) - 2
+    assert record["frame"]["size_file"] == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_file_of_nothing_else_is_a_user_error(tmp_path, capsys):
+    path = file_with(tmp_path / "a.ply", NAN, range(len(BALL)))
+    assert cli.main(["partial", str(path), "--cut", "plane:90", "--out", str(tmp_path / "b")]) == 2
+    assert "a.ply: expected splats that can be drawn" in capsys.readouterr().err
+
+
+def test_whole_files_have_no_such_step(tmp_path):
+    path = file_with(tmp_path / "a.ply", NAN, [])
+    out = tmp_path / "part"
+    assert cli.main(["partial", str(path), "--cut", "plane:90", "--out", str(out)]) == 0
+    names = [step["name"] for step in json.loads((out / "object.json").read_text())["steps"]]
+    assert names == ["cut_plane"]
+
+
+def test_a_part_of_an_object_remembers_where_the_source_lies(tmp_path):
+    box = trimesh.creation.box()
+    box.apply_translation([500_000.0, 5_300_000.0, 300.0])
+    (tmp_path / "far.obj").write_text(trimesh.exchange.obj.export_obj(box, digits=3))
+    whole, part = tmp_path / "whole", tmp_path / "part"
+    arguments = ["mesh", str(tmp_path / "far.obj"), "--count", "500", "--out", str(whole)]
+    assert cli.main(arguments) == 0
+    assert cli.main(["partial", str(whole), "--cut", "plane:90", "--out", str(part)]) == 0
+    moved, kept = (
+        json.loads((folder / "object.json").read_text())["file_from_source"]
+        for folder in (whole, part)
+    )
+    assert kept == moved
+    assert np.allclose(moved["translation"], [-500_000, -5_300_000, -300], atol=1)

@@ -1,0 +1,46 @@
+"""Scans with map coordinates keep their digits, and the record says what was moved."""
+
+import json
+
+import numpy as np
+import pytest
+
+from gscomplete.splats import Similarity, read_splats
+from splatcomplete_data import cli
+
+FAR = np.array([500_000.0, 5_300_000.0, 300.0])
+
+
+@pytest.mark.parametrize("kind", ["xyz", "las"])
+def test_georeferenced_scans(tmp_path, kind):
+    points = np.random.default_rng(0).uniform(0, 1, (5000, 3)).round(3) + FAR
+    path = tmp_path / f"a.{kind}"
+    if kind == "las":
+        laspy = pytest.importorskip("laspy")
+        las = laspy.create(point_format=2, file_version="1.2")
+        las.header.scales, las.header.offsets = np.full(3, 0.001), FAR
+        las.x, las.y, las.z = points.T
+        las.write(str(path))
+    else:
+        np.savetxt(path, points, fmt="%.3f")
+    out, eye = tmp_path / "out", FAR + np.array([0.5, -9.5, 0.5])
+    box = "500000.5,5300000.5,300.5,2,2,2"
+    words = ["scan", str(path), "--box", box, "--no-outliers", "--out", str(out)]
+    assert cli.main([*words, "--viewpoint", ",".join(map(str, eye))]) == 0
+    record = json.loads((out / "object.json").read_text())
+    moved = Similarity.from_json(record["file_from_source"])
+    means = read_splats(out / "partial.ply").splats.means.double()
+    back = moved.inverse().apply(means).numpy()
+    np.testing.assert_allclose(np.sort(back, axis=0), np.sort(points, axis=0), atol=1e-6)
+    assert any("was taken from the coordinates" in note for note in record["notes"])
+    assert record["views"]["azimuth_deg"] == pytest.approx(270, abs=1)
+    assert record["boxes"][0]["center"] == [500000.5, 5300000.5, 300.5]
+
+
+def test_scans_near_the_origin_are_not_moved(tmp_path):
+    np.savetxt(tmp_path / "a.xyz", np.random.default_rng(0).uniform(0, 1, (500, 3)))
+    out = tmp_path / "out"
+    assert cli.main(["scan", str(tmp_path / "a.xyz"), "--no-outliers", "--out", str(out)]) == 0
+    record = json.loads((out / "object.json").read_text())
+    assert record["file_from_source"] is None
+    assert not any("was taken" in note for note in record["notes"])
