@@ -83,7 +83,9 @@ def simulated_gpu() -> Iterator[torch.device]:
             stack.enter_context(mock.patch.object(Tensor, name, method))
         stack.enter_context(mock.patch.object(torch.nn.Module, "_apply", _apply))
         for name, value in (("get_device_properties", PROPERTIES), ("is_bf16_supported", True)):
-            stack.enter_context(mock.patch.object(torch.cuda, name, lambda *a, value=value: value))
+            stack.enter_context(
+                mock.patch.object(torch.cuda, name, lambda *a, value=value, **k: value)
+            )
         stack.enter_context(torch.no_grad())
         stack.enter_context(FakeTensorMode(allow_non_fake_inputs=True))
         yield GPU

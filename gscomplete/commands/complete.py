@@ -114,7 +114,7 @@ def run(options: CompleteOptions) -> int:
 
 def _complete(options: CompleteOptions) -> int:
     """Load the prior, run, and say what came of it."""
-    from gscomplete.completion.run import prepare
+    from gscomplete.completion.run import completing_seconds, prepare
     from gscomplete.device import choose_device, choose_render_device
     from gscomplete.priors import load_prior
 
@@ -136,7 +136,7 @@ def _complete(options: CompleteOptions) -> int:
     _say(
         options,
         *job.notes[said:],
-        f"{result['new_splats']:,} new splats in {_seconds(content['timings']):.1f} s"
+        f"{result['new_splats']:,} new splats in {completing_seconds(content['timings']):.1f} s"
         + _memory_note(result["peak_gpu_bytes"]),
         f"E_color {c['color']:.6f} from c, {views['color']:.6f} over V; "
         f"E_depth {c['depth']:.6f} from c, {views['depth']:.6f} over V"
@@ -145,11 +145,6 @@ def _complete(options: CompleteOptions) -> int:
         + (", alternatives.png" if options.alternatives else ""),
     )
     return 0
-
-
-def _seconds(timings: dict[str, float]) -> float:
-    """Return the time that completing took, without files and pictures."""
-    return sum(timings[stage] for stage in ("prepare_s", "optimise_s", "finish_s"))
 
 
 def _memory_note(peak_bytes: int | None) -> str:

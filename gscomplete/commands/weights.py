@@ -9,6 +9,7 @@ Conventions
 
 from __future__ import annotations
 
+import importlib.util
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -122,6 +123,9 @@ def _mvdream(verify: bool) -> dict[str, Any]:
         path = find_mvdream()
     except UserError as error:
         return _entry("mvdream", "missing", weights_folder(), str(error))
+    if importlib.util.find_spec("diffusers") is None:
+        note = f"{path}: not checked: that needs the package diffusers (gscomplete[mvdream])"
+        return _entry("mvdream", "found", path, note)
     try:
         weights = open_weights(path)
         if verify and weights.layout == "converted":

@@ -271,8 +271,7 @@ class _Work:
 
     def _views(self, first: int, count: int, size_px: int) -> Cameras:
         """Return ``count`` members of V's sequence from the one at ``first`` on."""
-        azimuths, elevations = self._distribution.low_discrepancy(first + count)
-        return self._distribution.cameras((azimuths[first:], elevations[first:]), size_px)
+        return self._distribution.cameras(self._distribution.low_discrepancy(count, first), size_px)
 
     def _round_views(self, round_: int, size_px: int) -> Cameras:
         """Return the views of one round, which no other round has."""

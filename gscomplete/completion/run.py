@@ -174,6 +174,11 @@ def execute(run: Run, on_step: Callable[[StepReport], None]) -> dict[str, Any]:
     return _finish(run)
 
 
+def completing_seconds(timings: dict[str, float]) -> float:
+    """Return the time that completing took, by ``run.json``'s timings: no files, no pictures."""
+    return sum(timings[stage] for stage in ("prepare_s", "optimise_s", "finish_s"))
+
+
 def _way_back(folder: Path) -> str:
     """Tell which checkpoint a stopped run can go on from."""
     state = load_checkpoint(folder)

@@ -23,7 +23,7 @@ class EvaluationSettings:
     """Knobs of an evaluation."""
 
     views: int = 16
-    """Views of V averaged over, the low-discrepancy set that begins with c."""
+    """Views of V averaged over, none of which anything was fitted to."""
     truth_views: int = 12
     """Views round the object at which a known truth is compared."""
     size_px: int = 256
@@ -68,7 +68,7 @@ def evaluate(
     """
     chosen = settings or EvaluationSettings()
     camera = views.input_camera(chosen.size_px)
-    over_v = views.cameras(views.low_discrepancy(chosen.views), chosen.size_px)
+    over_v = views.cameras(views.measured(chosen.views), chosen.size_px)
     all_round = views.ring(chosen.truth_views, chosen.size_px)
     return EvaluationReport(
         input_view=preservation(completed, partial, camera),

@@ -153,7 +153,14 @@ def read_schedule(path: Path) -> NoiseSchedule:
         raise UserError(
             f"{path}: prediction_type: expected epsilon or v_prediction, found {prediction}"
         )
-    names = ("num_train_timesteps", "beta_start", "beta_end", "beta_schedule", "trained_betas")
+    names = (
+        "num_train_timesteps",
+        "beta_start",
+        "beta_end",
+        "beta_schedule",
+        "trained_betas",
+        "rescale_betas_zero_snr",
+    )
     given = {name: data[name] for name in names if data.get(name) is not None}
     try:
         scheduler = require("diffusers").DDPMScheduler(**given)
@@ -193,9 +200,20 @@ def _load_unet(folder: Path) -> tuple[Any, Path]:
 
 
 def _pad_id(folder: Path) -> int:
-    """Return the id that the folder's tokenizer pads with."""
-    path = folder / "tokenizer_config.json"
-    token = read_json(path).get("pad_token", "<|endoftext|>") if path.is_file() else "<|endoftext|>"
+    """Return the id that the folder's tokenizer pads with.
+
+    As in transformers, special_tokens_map.json has the last word: the original Stable Diffusion
+    2.1 pads with "!" there and with the end token in tokenizer_config.json.
+
+    Raises:
+        UserError: it is none of those that CLIP's tokenizers pad with.
+    """
+    token: Any = "<|endoftext|>"
+    path = folder
+    for name in ("tokenizer_config.json", "special_tokens_map.json"):
+        data = read_json(folder / name) if (folder / name).is_file() else {}
+        if isinstance(data, dict) and data.get("pad_token") is not None:
+            path, token = folder / name, data["pad_token"]
     token = token.get("content") if isinstance(token, dict) else token
     if token not in _PAD_IDS:
         raise UserError(f"{path}: pad_token: expected one of {list(_PAD_IDS)}, found {token!r}")

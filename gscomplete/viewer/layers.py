@@ -136,9 +136,17 @@ def _layer(
 
 
 def _names(files: Sequence[Path]) -> list[str]:
-    """Name files by their stems, by their folders too where stems repeat."""
-    stems = [file.stem for file in files]
-    return [
-        stem if stems.count(stem) == 1 else f"{file.parent.name}/{stem}"
-        for file, stem in zip(files, stems, strict=True)
-    ]
+    """Name files by their stems, with as many of their folders as tell them apart.
+
+    A file given twice gets a number.
+    """
+    paths = [file.absolute().with_suffix("").parts for file in files]
+    names = []
+    for number, path in enumerate(paths):
+        others = [other for other in paths if other != path]
+        length = next(
+            (n for n in range(1, len(path)) if all(o[-n:] != path[-n:] for o in others)), len(path)
+        )
+        repeats = paths[:number].count(path)
+        names.append("/".join(path[-length:]) + (f" ({repeats + 1})" if repeats else ""))
+    return names

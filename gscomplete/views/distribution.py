@@ -32,6 +32,8 @@ MAX_ELEVATION_DEG = 85.0
 
 _PHILOX_STREAM = 0x5649455753
 """Second key word of the generator, so that views share no random numbers with other uses."""
+_FIRST_MEASURED_VIEW = 20_000
+"""Place in the sequence of V's views from which on they are for measuring."""
 _PLASTIC = 1.3247179572447460
 """Real root of x^3 = x + 1, the base of the two-dimensional R2 sequence."""
 
@@ -88,15 +90,23 @@ class ViewDistribution:
         generator = np.random.Generator(np.random.Philox(key=words, counter=counter))
         return self._place(generator.random((count, 2)))
 
-    def low_discrepancy(self, count: int) -> Angles:
-        """Return ``count`` evenly spread views of V, the first of which is c itself.
+    def low_discrepancy(self, count: int, first: int = 0) -> Angles:
+        """Return ``count`` evenly spread views of V, from place ``first`` of a sequence.
 
-        The R2 sequence (additive recurrence on the plastic number) started at the middle: every
-        prefix covers the ranges evenly, so scores over 8 and over 32 views are comparable.
+        The R2 sequence (additive recurrence on the plastic number) started at the middle, so that
+        place 0 is c itself: every stretch covers the ranges evenly, so scores over 8 and over 32
+        views are comparable.
         """
-        index = np.arange(count)[:, None]
+        index = first + np.arange(count)[:, None]
         steps = np.array([1.0 / _PLASTIC, 1.0 / _PLASTIC**2])
         return self._place((0.5 + index * steps) % 1.0)
+
+    def measured(self, count: int) -> Angles:
+        """Return ``count`` evenly spread views of V for measuring: none that anything is fitted to.
+
+        Fitting and checking take places of the sequence far below these.
+        """
+        return self.low_discrepancy(count, _FIRST_MEASURED_VIEW)
 
     def cameras(self, angles: Angles, size_px: int) -> Cameras:
         """Place square cameras at the given views with this distribution's radius and lens."""

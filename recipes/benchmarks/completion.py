@@ -19,7 +19,6 @@ stopped.
 from __future__ import annotations
 
 import dataclasses
-import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +30,6 @@ import tyro
 from rich.console import Console
 from rich.progress import track
 
-from gscomplete.atomic import atomic_path
 from gscomplete.completion.presets import FAST, GUESS, PAPER, RECONSTRUCT, SMALL_PRIOR
 from gscomplete.completion.settings import (
     CompletionSettings,
@@ -40,10 +38,12 @@ from gscomplete.completion.settings import (
 )
 from gscomplete.evaluate.pictures import save_image
 from gscomplete.priors import load_prior
+from gscomplete.priors.base import prior_identity
 from recipes.benchmarks.charts import Chart, draw_charts
 from recipes.real_objects.compare import completed, measure, pose
 from recipes.real_objects.complete import DATA
 from recipes.real_objects.load import load_real_object
+from recipes.results import Results
 
 _ERRORS = ("e_color_v", "e_depth_v")
 
@@ -119,21 +119,19 @@ def report(table: dict[str, dict[str, float]]) -> str:
 def main(options: Options) -> None:
     """Complete, measure, report."""
     prior = load_prior("embedded", "cpu")
-    options.out.mkdir(parents=True, exist_ok=True)
-    path = options.out / "completion.json"
-    results: dict[str, dict[str, Any]] = json.loads(path.read_text()) if path.exists() else {}
+    made_with = {"seed": options.seed, "prior": prior_identity(prior), "ways": ways()}
+    results = Results(options.out / "completion.json", made_with)
     chosen = {name: way for name, way in ways().items() if name in (options.ways or ways())}
     for object_name in track(options.names, "objects", console=Console(file=sys.stderr)):
         posed = pose(load_real_object(object_name, options.data))
-        rows = results.setdefault(object_name, {})
+        rows = results.rows.setdefault(object_name, {})
         for name, settings in chosen.items():
             if name in rows:
                 continue
             seeded = dataclasses.replace(settings, seed=options.seed)
             rows[name] = measure(posed, *completed(posed, prior, seeded))
-            with atomic_path(path) as temporary:
-                temporary.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
-    table = means(results)
+            results.save()
+    table = means(results.rows)
     sys.stdout.write(report(table))
     panels = [
         Chart(

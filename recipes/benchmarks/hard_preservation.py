@@ -12,7 +12,6 @@ by leaving out what is really there.
 from __future__ import annotations
 
 import dataclasses
-import json
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,17 +25,18 @@ from rich.console import Console
 from rich.progress import track
 
 from gscomplete import jsonio
-from gscomplete.atomic import atomic_path
 from gscomplete.completion.hard_preservation import preserve_hard
 from gscomplete.completion.settings import HardPreservationSettings
 from gscomplete.evaluate.metrics import against_truth, preservation
 from gscomplete.evaluate.pictures import contact_sheet, render_images, save_image
 from gscomplete.priors import Prior, load_prior
+from gscomplete.priors.base import prior_identity
 from gscomplete.splats import Splats, concatenate, read_splats, write_splats
 from gscomplete.views import Cameras
 from recipes.real_objects.compare import Posed, completed, pose, settings_of
 from recipes.real_objects.complete import DATA
 from recipes.real_objects.load import load_real_object
+from recipes.results import Results
 
 Way = Literal["default", "text"]
 OBJECTS = (
@@ -133,21 +133,21 @@ def bounded(
 def main(options: Options) -> None:
     """Complete, hold to the bounds, measure, draw."""
     prior = load_prior("embedded", "cpu")
-    options.out.mkdir(parents=True, exist_ok=True)
-    results: dict[str, dict[str, Any]] = {}
+    made_with = {"seed": options.seed, "prior": prior_identity(prior)}
+    results = Results(options.out / "hard_preservation.json", made_with)
+    results.rows.clear()  # bounds are cheap to try again; what is kept are the completions
     pictures: list[list[Image.Image]] = []
     for name in track(options.names, "objects", console=Console(file=sys.stderr)):
         posed = pose(load_real_object(name, options.data))
         for way in options.ways:
             key = f"{name}.{way}"
-            results[key], row = bounded(posed, way, options, prior)
+            results.rows[key], row = bounded(posed, way, options, prior)
             pictures.append(row)
-            with atomic_path(options.out / "hard_preservation.json") as temporary:
-                temporary.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+            results.save()
     title = "P from c | before: c, c + 60, c + 180, c + 300 | after"
-    sheet = contact_sheet(pictures, row_labels=list(results), title=title)
+    sheet = contact_sheet(pictures, row_labels=list(results.rows), title=title)
     save_image(sheet, options.out / "hard_preservation.png")
-    sys.stdout.write(table(results, options.bounds))
+    sys.stdout.write(table(results.rows, options.bounds))
 
 
 def table(results: dict[str, dict[str, Any]], bounds: HardPreservationSettings) -> str:

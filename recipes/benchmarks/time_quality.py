@@ -117,7 +117,7 @@ def measure(held: Held, new: Splats | None) -> dict[str, float]:
     """Compare with the truth and with P."""
     whole = held.partial if new is None else concatenate([held.partial, new])
     found = against_truth(whole, held.partial, held.truth, held.views.ring(8, 128))
-    cameras = held.views.cameras(held.views.low_discrepancy(8), 64)
+    cameras = held.views.cameras(held.views.measured(8), 64)
     kept = preservation(whole, held.partial, cameras)
     return {
         "silhouette_iou": found.silhouette_iou,

@@ -22,7 +22,6 @@ Scans have no truth: their pictures are drawn and their preservation errors meas
 from __future__ import annotations
 
 import dataclasses
-import json
 import sys
 import time
 from collections.abc import Sequence
@@ -38,7 +37,6 @@ from rich.console import Console
 from rich.progress import track
 
 from gscomplete import jsonio
-from gscomplete.atomic import atomic_path
 from gscomplete.completion.alternatives import guess_alternatives
 from gscomplete.completion.finish import finish_splats
 from gscomplete.completion.framing import FramingGuess, guess_framing
@@ -48,6 +46,7 @@ from gscomplete.completion.settings import CompletionSettings
 from gscomplete.evaluate.metrics import against_truth, preservation
 from gscomplete.evaluate.pictures import contact_sheet, render_images, save_image
 from gscomplete.priors import Prior, load_prior
+from gscomplete.priors.base import prior_identity
 from gscomplete.priors.embedded.shape.choice import CANDIDATES
 from gscomplete.priors.embedded.shape.inputs import look_at
 from gscomplete.priors.embedded.shape.mirrored import mirror_image
@@ -57,6 +56,7 @@ from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.views import ObjectFrame, ViewDistribution, up_rotation
 from recipes.real_objects.complete import DATA
 from recipes.real_objects.load import RealObject, load_real_object
+from recipes.results import Results
 
 Way = Literal[
     "input", "likeliest", "mirror", "text", "reconstruct", "fast", "default", "alternatives"
@@ -176,7 +176,7 @@ def measure(posed: Posed, new: Splats | None, seconds: float) -> dict[str, Any]:
     """Return the numbers of one completion."""
     partial = posed.partial.with_sh_degree(0)
     whole = partial if new is None else concatenate([partial, new])
-    kept = preservation(whole, partial, posed.views.cameras(posed.views.low_discrepancy(16), 128))
+    kept = preservation(whole, partial, posed.views.cameras(posed.views.measured(16), 128))
     row: dict[str, Any] = {
         "seconds": seconds,
         "new_splats": 0 if new is None else len(new),
@@ -192,13 +192,12 @@ def measure(posed: Posed, new: Splats | None, seconds: float) -> dict[str, Any]:
 def main(options: Options) -> None:
     """Complete, measure, draw."""
     prior = load_prior("embedded", "cpu")
-    options.out.mkdir(parents=True, exist_ok=True)
-    path = options.out / "comparison.json"
-    results: dict[str, dict[str, Any]] = json.loads(path.read_text()) if path.exists() else {}
+    made_with = {"seed": options.seed, "prior": prior_identity(prior)}
+    results = Results(options.out / "comparison.json", made_with)
     pictures: list[list[Image.Image]] = []
     for name in track(options.names, "objects", console=Console(file=sys.stderr)):
         posed = pose(load_real_object(name, options.data))
-        rows = results.setdefault(name, {"prompt": posed.item.prompt})
+        rows = results.rows.setdefault(name, {"prompt": posed.item.prompt})
         for way in options.ways:
             kept = options.out / f"{name}.{way}.ply"
             if way not in rows:
@@ -206,14 +205,13 @@ def main(options: Options) -> None:
                 rows[way] = measure(posed, new, seconds)
                 if new is not None:
                     write_splats(kept, new)
-                with atomic_path(path) as temporary:
-                    temporary.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+                results.save()
         pictures.append(_picture_row(posed, options.out / f"{name}.default.ply"))
     sheet = contact_sheet(
         pictures, row_labels=list(options.names), title="input | completion | truth"
     )
     save_image(sheet, options.out / "comparison.png")
-    sys.stdout.write(table(results, options.ways))
+    sys.stdout.write(table(results.rows, options.ways))
 
 
 def _picture_row(posed: Posed, completed: Path) -> list[Image.Image]:

@@ -23,11 +23,13 @@ from rich.progress import track
 from gscomplete import jsonio
 from gscomplete.atomic import atomic_path
 from gscomplete.completion.presets import PresetName, preset
-from gscomplete.completion.run import RUN_FILE, Request, execute, prepare
+from gscomplete.completion.run import RUN_FILE, Request, completing_seconds, execute, prepare
 from gscomplete.completion.settings import CompletionSettings
+from gscomplete.errors import UserError
 from gscomplete.evaluate.metrics import against_truth
 from gscomplete.evaluate.pictures import contact_sheet, render_images, save_image
 from gscomplete.priors import Prior, load_prior
+from gscomplete.priors.base import prior_identity
 from gscomplete.splats import Splats, concatenate, read_splats, write_splats
 from gscomplete.splats.transform import transform_splats
 from gscomplete.views import ObjectFrame, ViewDistribution
@@ -78,6 +80,26 @@ def complete_object(
     execute(prepare(request, prior), lambda report: None)
 
 
+def is_finished(folder: Path, prior: Prior, settings: CompletionSettings) -> bool:
+    """Tell whether a run folder holds a finished run.
+
+    Raises:
+        UserError: it does, with another prior or other settings.
+    """
+    path = folder / RUN_FILE
+    if not path.exists():
+        return False
+    content = json.loads(path.read_text(encoding="utf-8"))
+    if content["status"] != "finished":
+        return False
+    settings_wanted = jsonio.to_json(settings)
+    del settings_wanted["checkpoint_every"]  # not recorded: it decides nothing about the result
+    for name, wanted in (("prior", prior_identity(prior)), ("settings", settings_wanted)):
+        if content["identity"][name] != wanted:
+            raise UserError(f"{path}: finished with another {name}; choose another --out")
+    return True
+
+
 def measure(item: RealObject, folder: Path) -> dict[str, Any]:
     """Return the numbers of a finished run, with the comparison to the truth where it is known."""
     content = json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))
@@ -85,7 +107,7 @@ def measure(item: RealObject, folder: Path) -> dict[str, Any]:
     row: dict[str, Any] = {
         "name": item.name,
         "prompt": item.prompt,
-        "seconds": content["timings"]["optimise_s"],
+        "seconds": completing_seconds(content["timings"]),
         "new_splats": content["result"]["new_splats"],
         "e_color_c": metrics["input_view"]["color"],
         "e_color_v": metrics["all_views"]["color"],
@@ -136,9 +158,9 @@ def main(options: Options) -> None:
     for name in track(chosen, "objects", console=Console(file=sys.stderr)):
         item = load_real_object(name, options.data)
         folder = options.out / name
-        done = folder / RUN_FILE
-        if not (done.exists() and '"finished"' in done.read_text(encoding="utf-8")):
-            complete_object(item, folder, prior, settings_of(options, prior))
+        settings = settings_of(options, prior)
+        if not is_finished(folder, prior, settings):
+            complete_object(item, folder, prior, settings)
         rows.append(measure(item, folder))
         pictures += sheet_rows(item, folder)
         labels.append(name)

@@ -17,7 +17,6 @@ Conventions
 from __future__ import annotations
 
 import dataclasses
-import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,8 +28,8 @@ import tyro
 from rich.console import Console
 from rich.progress import track
 
-from gscomplete.atomic import atomic_path
 from gscomplete.priors import load_prior
+from gscomplete.priors.base import prior_identity
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.views import up_rotation
 from recipes.real_objects.catalogue import ENTRIES, BoxCut, Cut, Entry, PlaneCut, ScanCut
@@ -44,6 +43,7 @@ from recipes.real_objects.compare import (
 )
 from recipes.real_objects.complete import DATA
 from recipes.real_objects.load import RealObject, load_entry
+from recipes.results import Results
 from recipes.train_embedded_prior.procedural.quads import turn_about
 
 _OFFSETS = (-0.04, 0.0, 0.05)
@@ -124,10 +124,10 @@ def main(options: Options) -> None:
     """Complete and measure."""
     prior = load_prior("embedded", "cpu")
     settings = settings_of(options.preset, prior, 0)
-    options.out.mkdir(parents=True, exist_ok=True)
     kind = ("-slight" if options.slight else "") + ("-turned" if options.turned else "")
-    path = options.out / f"{options.preset}{kind}.json"
-    rows: dict[str, dict[str, Any]] = json.loads(path.read_text()) if path.exists() else {}
+    made_with = {"prior": prior_identity(prior), "settings": settings}
+    results = Results(options.out / f"{options.preset}{kind}.json", made_with)
+    rows = results.rows
     entries = parts(slight=options.slight)
     for index, entry in enumerate(track(entries, "parts", console=Console(file=sys.stderr))):
         if entry.name in rows:
@@ -135,8 +135,7 @@ def main(options: Options) -> None:
         item = load_entry(entry, options.data)
         posed = pose(turned_object(item, index) if options.turned else item)
         rows[entry.name] = measure(posed, *completed(posed, prior, settings))
-        with atomic_path(path) as temporary:
-            temporary.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+        results.save()
     sys.stdout.write(table(rows))
 
 

@@ -61,6 +61,12 @@ class ShapeBatch:
     solid: Tensor  # [B, C, C, C] 0 or 1
     surface: Tensor  # [B, 4, C, C, C] of the whole: occupancy and colour
 
+    def to(self, device: str) -> ShapeBatch:
+        """Return the sets on a device."""
+        return ShapeBatch(
+            **{f.name: getattr(self, f.name).to(device) for f in dataclasses.fields(self)}
+        )
+
 
 def set_dtype(data: ShapeDataConfig) -> np.dtype:
     """Record layout of one stored set."""

@@ -28,6 +28,7 @@ from gscomplete.priors.embedded.shape.symmetries import SOURCES
 from gscomplete.priors.embedded.text import NO_TEXT_TOKEN
 from recipes.train_embedded_prior.config import ShapeTrainConfig
 from recipes.train_embedded_prior.dataset import HELD_OUT_SEED_OFFSET, Source
+from recipes.train_embedded_prior.evaluate import autocast
 from recipes.train_embedded_prior.shape_dataset import (
     ShapeBatch,
     ShapeSpec,
@@ -88,6 +89,7 @@ class ShapeTask:
         no_text = torch.zeros_like(batch.tokens)
         no_text[:, 0] = NO_TEXT_TOKEN
         tokens = torch.where(dropped[:, None], no_text, batch.tokens)
+        batch, tokens = batch.to(config.device), tokens.to(config.device)
         out = model(batch.volumes, batch.evidence, batch.scores, tokens)
         losses = shape_losses(out, batch)
         return (
@@ -115,9 +117,10 @@ class ShapeTask:
 
     @torch.no_grad()
     def _predict(self, model: nn.Module, batch: ShapeBatch) -> ShapeOutput:
-        with torch.autocast("cpu", torch.bfloat16, enabled=self.config.precision == "bfloat16"):
-            out: ShapeOutput = model(batch.volumes, batch.evidence, batch.scores, batch.tokens)
-        return out
+        there = batch.to(self.config.device)
+        with autocast(self.config.device, self.config.precision):
+            out: ShapeOutput = model(there.volumes, there.evidence, there.scores, there.tokens)
+        return ShapeOutput(out.occupancy.cpu(), out.colors.cpu(), out.sources.cpu())
 
 
 def _measured(out: ShapeOutput, batch: ShapeBatch) -> dict[str, float]:

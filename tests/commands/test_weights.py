@@ -1,5 +1,6 @@
 """``gscomplete weights`` as a user runs it, in this process."""
 
+import importlib.util
 import json
 
 import pytest
@@ -35,6 +36,19 @@ def test_lists_what_is_missing_and_what_is_there(home, capsys):
     assert listed(capsys)[1]["mvdream"]["state"] == "ready"
     assert main(["weights", "list"]) == 0
     assert "folder" in capsys.readouterr().out
+
+
+def test_without_diffusers_weights_are_found_and_not_called_damaged(home, capsys, monkeypatch):
+    home.parent.mkdir(parents=True)
+    write_folder(home)
+    real = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name: None if name == "diffusers" else real(name)
+    )
+    code, entries = listed(capsys)
+    assert code == 0
+    assert entries["mvdream"]["state"] == "found"
+    assert "diffusers" in entries["mvdream"]["note"]
 
 
 def test_converts_and_verifies(home, tmp_path, capsys):

@@ -136,6 +136,25 @@ def test_padding_follows_the_folder(folder, tmp_path):
         load_diffusers_2d(path)
 
 
+def test_the_special_tokens_have_the_last_word_on_padding(folder, tmp_path):
+    """As in the original Stable Diffusion 2.1, whose two files differ."""
+    path = changed(folder, tmp_path, "tokenizer/tokenizer_config.json", {"pad_token": "!"})
+    padded = load_diffusers_2d(path).condition("a").context
+    config, special = (
+        path / "tokenizer" / f"{name}.json" for name in ("tokenizer_config", "special_tokens_map")
+    )
+    config.write_text('{"pad_token": "<|endoftext|>"}')
+    special.write_text('{"pad_token": {"content": "!"}}')
+    assert torch.equal(load_diffusers_2d(path).condition("a").context, padded)
+
+
+def test_a_schedule_without_signal_at_its_end_is_refused(folder, tmp_path):
+    name = "scheduler/scheduler_config.json"
+    path = changed(folder, tmp_path, name, {"rescale_betas_zero_snr": True})
+    with pytest.raises(UserError, match="expected some signal"):
+        load_diffusers_2d(path)
+
+
 def test_default_guidance(folder):
     assert load_diffusers_2d(folder)._guidance == Guidance(100.0, rescale=0.5)
 

@@ -75,6 +75,16 @@ def test_folders_give_a_layer_per_file_in_one_frame(tmp_path):
     assert float((high - low).max()) == pytest.approx(1.0, abs=1e-5)
 
 
+def test_files_of_equal_names_in_folders_of_equal_names_are_told_apart(tmp_path):
+    paths = [tmp_path / name / "mug" / "completed.ply" for name in ("default", "fast")]
+    for path in paths:
+        path.parent.mkdir(parents=True)
+        write_splats(path, make_splats(10))
+    scene = read_scene([*paths, paths[0]], "Z", 30)
+    names = [layer.name for layer in scene.layers]
+    assert names == ["default/mug/completed", "fast/mug/completed", "default/mug/completed (2)"]
+
+
 def test_a_folder_without_splats_is_refused(tmp_path):
     with pytest.raises(UserError, match="expected a run folder or splat files"):
         read_scene([tmp_path], "Z", 100)

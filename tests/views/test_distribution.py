@@ -141,3 +141,14 @@ def test_values_out_of_range_are_refused(field: str, value: float) -> None:
     values = {"azimuth_deg": 0.0, "elevation_deg": 0.0} | {field: value}
     with pytest.raises(ValueError, match=field):
         ViewDistribution(**values)
+
+
+def test_measured_views_are_of_v_and_none_of_those_that_runs_fit() -> None:
+    views = ViewDistribution(30.0, 10.0)
+    fitted, measured = (
+        np.stack(angles) for angles in (views.low_discrepancy(11_000), views.measured(64))
+    )
+    assert np.all(np.abs(measured[0] - 30.0) <= views.azimuth_range_deg)
+    assert np.abs(fitted[:, :, None] - measured[:, None]).max(axis=0).min() > 1e-4
+    later = views.low_discrepancy(5, 7)
+    assert np.array_equal(np.stack(later), np.stack(views.low_discrepancy(12))[:, 7:])

@@ -51,7 +51,7 @@ from gscomplete.priors.embedded.shape.whole import (
     whole_splats,
 )
 from gscomplete.priors.embedded.text import Tokenizer
-from gscomplete.priors.embedded.weights import PriorConfig, load_weights
+from gscomplete.priors.embedded.weights import PriorConfig, load_weights, weights_digest
 from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution
 
@@ -77,12 +77,22 @@ class EmbeddedConditioning:
         return not torch.equal(self.tokens, self.negative_tokens)
 
 
+@dataclass(frozen=True, slots=True)
+class EmbeddedIdentity:
+    """What of the prior decides a run's result."""
+
+    weights: str
+    """Digest of the files."""
+
+
 class EmbeddedPrior:
     """A :class:`gscomplete.priors.base.Prior` with the weights that ship with the package."""
 
     name = "embedded"
     sees_input = True
     num_timesteps = NUM_TIMESTEPS
+    identity: EmbeddedIdentity | None = None
+    """None = made from networks in memory."""
 
     def __init__(
         self,
@@ -106,9 +116,8 @@ class EmbeddedPrior:
         self._model = model.to(self._device)
         self._shape = shape  # always on the CPU: one pass of a second
         self._tokenizer = Tokenizer(config.words, config.model.text_length)
-        self._bfloat16 = precision == "bfloat16" or (
-            precision == "auto" and _multiplies_bfloat16(self._device)
-        )
+        self._bfloat16 = _is_bfloat16(precision, self._device)
+        self._shape_bfloat16 = _is_bfloat16(precision, torch.device("cpu"))
 
     @classmethod
     def from_folder(cls, folder: Path, device: torch.device | str = "cpu") -> EmbeddedPrior:
@@ -118,7 +127,9 @@ class EmbeddedPrior:
             UserError: the weights are missing or damaged.
         """
         model, shape, config = load_weights(folder)
-        return cls(model, config, device, shape=shape)
+        prior = cls(model, config, device, shape=shape)
+        prior.identity = EmbeddedIdentity(weights_digest(folder))
+        return prior
 
     def default_guidance(self, *, sees_input: bool) -> Guidance:
         """Return the scales for P in sight or withheld; see :class:`base.Prior`."""
@@ -152,7 +163,7 @@ class EmbeddedPrior:
             partial,
             distribution,
             conditioning.tokens,
-            bfloat16=self._bfloat16,
+            bfloat16=self._shape_bfloat16,
             mirror_plane=mirror,
         )
         settings = WholeSettings(count=count)
@@ -167,7 +178,7 @@ class EmbeddedPrior:
             return ()
         assert isinstance(conditioning, EmbeddedConditioning)
         look = look_at(partial, distribution)
-        asked = ask_planes(self._shape, look, conditioning.tokens, bfloat16=self._bfloat16)
+        asked = ask_planes(self._shape, look, conditioning.tokens, bfloat16=self._shape_bfloat16)
         return (*(mirror_plane_of(plane) for plane in asked.unlike(look.positions)), "none")
 
     def distill(
@@ -314,7 +325,13 @@ def load_embedded(folder: Path | None, device: torch.device | str) -> EmbeddedPr
         raise UserError(f"prior: device: cannot use {device} ({error})") from error
 
 
+def _is_bfloat16(precision: Precision, device: torch.device) -> bool:
+    """Whether a network runs in bfloat16 on a device."""
+    return precision == "bfloat16" or (precision == "auto" and _multiplies_bfloat16(device))
+
+
 def _multiplies_bfloat16(device: torch.device) -> bool:
+    """Whether a device multiplies bfloat16 itself; emulated, it is slower than float32."""
     if device.type == "cpu":
         return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())
-    return device.type == "cuda" and torch.cuda.is_bf16_supported()
+    return device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)

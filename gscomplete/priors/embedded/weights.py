@@ -157,6 +157,20 @@ def load_weights(folder: Path) -> tuple[FourViewDenoiser, ShapeCompleter | None,
     return denoiser, shape, config
 
 
+def weights_digest(folder: Path) -> str:
+    """Return a digest of all files in a folder that decide what the prior answers.
+
+    Raises:
+        UserError: a file is missing.
+    """
+    digest = hashlib.sha256()
+    for name in (CONFIG_FILE, WEIGHTS_FILE):
+        _require(folder / name)
+    for path in sorted((folder / CONFIG_FILE, *folder.glob("*.safetensors"))):
+        digest.update(f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
+    return digest.hexdigest()[:32]
+
+
 def _require(path: Path) -> None:
     if not path.is_file():
         raise UserError(

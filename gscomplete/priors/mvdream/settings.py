@@ -124,7 +124,9 @@ def unet_dtype(precision: Precision, device: torch.device) -> torch.dtype:
         return _named(precision)
     if device.type != "cuda":
         return torch.float32
-    return torch.bfloat16 if torch.cuda.is_bf16_supported() else torch.float16
+    # Turing and older emulate bfloat16, and multiply float16 themselves.
+    is_native = torch.cuda.is_bf16_supported(including_emulation=False)
+    return torch.bfloat16 if is_native else torch.float16
 
 
 def vae_dtype(precision: Precision, device: torch.device) -> torch.dtype:

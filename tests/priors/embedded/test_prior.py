@@ -5,6 +5,7 @@ import torch
 
 from gscomplete.errors import UserError
 from gscomplete.priors import FourViews, Guidance, Prior, load_prior
+from gscomplete.priors.base import prior_identity
 from gscomplete.priors.embedded.prior import EmbeddedPrior
 from gscomplete.priors.embedded.weights import save_weights
 from tests.priors.embedded.tiny import ring_views, tiny_config, tiny_model
@@ -152,3 +153,26 @@ def test_views_of_wrong_shape_are_refused():
     views = ring_views()
     with pytest.raises(ValueError, match="color: expected"):
         dataclasses.replace(views, color=views.color[:, :-1])
+
+
+def test_other_weights_are_another_prior(tmp_path):
+    identities = []
+    for name, scale in (("a", 1.0), ("b", 1.0), ("c", 1.01)):
+        state = {key: scale * value for key, value in tiny_model().state_dict().items()}
+        save_weights(tmp_path / name, state, tiny_config())
+        identities.append(prior_identity(load_prior(str(tmp_path / name))))
+    assert identities[0] == identities[1]
+    assert identities[0] != identities[2]
+    assert identities[0]["name"] == "embedded"
+
+
+def test_the_shape_network_runs_in_the_precision_of_the_cpu(monkeypatch):
+    """Wherever the denoiser is: emulated bfloat16 is many times slower than float32."""
+    answers = {"cpu": False, "meta": True}
+    monkeypatch.setattr(
+        "gscomplete.priors.embedded.prior._multiplies_bfloat16",
+        lambda device: answers[device.type],
+    )
+    prior = EmbeddedPrior(tiny_model(), tiny_config(), "meta")
+    assert prior._bfloat16
+    assert not prior._shape_bfloat16

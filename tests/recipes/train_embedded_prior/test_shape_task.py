@@ -94,6 +94,14 @@ def test_interrupted_and_resumed_is_bitwise_the_same(tmp_path):
         assert torch.equal(value, resumed.ema.state_dict()[name]), name
 
 
+def test_sets_go_where_the_network_is(tmp_path):
+    config = dataclasses.replace(tiny_shape_run(tmp_path), device="meta")
+    task = ShapeTask(config, stub_source, WORDS)
+    maker = task.spec.maker()
+    stored = np.stack([maker(k) for k in range(2)])
+    assert task.loss(task.make_model().to("meta"), stored, 0, slice(0, None, 1)).is_meta
+
+
 def test_training_lowers_the_loss(tmp_path, batch):
     task = ShapeTask(tiny_shape_run(tmp_path, steps=40, learning_rate=1e-2), stub_source, WORDS)
     open_run(task.config, WORDS)

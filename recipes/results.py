@@ -1,0 +1,55 @@
+"""Rows of an experiment, kept in a file as they come, so that it can be broken off and go on.
+
+Conventions
+-----------
+* The file says what its rows were made with (seed, prior, settings): an experiment goes on only
+  with rows that were made as its own would be, and never reports those of other options.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from gscomplete import jsonio
+from gscomplete.atomic import atomic_path
+from gscomplete.errors import UserError
+
+
+class Results:
+    """Rows by name, of which some may be there already."""
+
+    def __init__(self, path: Path, made_with: dict[str, Any]) -> None:
+        """Open a file of rows, or begin one.
+
+        Args:
+            path: the JSON file; its folder is created.
+            made_with: what decides the rows' numbers; dataclasses become JSON values.
+
+        Raises:
+            UserError: the file's rows were made with something else, or it is no such file.
+        """
+        self.path = path
+        self.rows: dict[str, Any] = {}
+        self._made_with: dict[str, Any] = json.loads(json.dumps(jsonio.to_json(made_with)))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if not path.exists():
+            return
+        content = jsonio.read_json(path)
+        if not isinstance(content, dict) or not {"made_with", "rows"} <= set(content):
+            raise UserError(f"{path}: expected made_with and rows, found neither; remove it")
+        for name, wanted in self._made_with.items():
+            found = content["made_with"].get(name)
+            if found != wanted:
+                raise UserError(
+                    f"{path}: its rows were made with another {name}: expected {wanted}, found "
+                    f"{found}; choose another --out"
+                )
+        self.rows = content["rows"]
+
+    def save(self) -> None:
+        """Write the rows."""
+        content = {"made_with": self._made_with, "rows": self.rows}
+        with atomic_path(self.path) as temporary:
+            temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
