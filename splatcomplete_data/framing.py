@@ -54,7 +54,7 @@ def frame_of_whole(splats: Splats, up: UpAxis) -> ObjectFrame:
     rotated = splats.means.double() @ up_rotation(up).T
     low, high = np.quantile(rotated.numpy(), [0.0005, 0.9995], axis=0)
     x, y, z = ((low + high) / 2).tolist()
-    side = max(float((high - low).max()), float(splats.scales.amax(dim=1).median()))
+    side = max(float((high - low).max()), splats.typical_size)
     return ObjectFrame.from_z_up(up, (x, y, z), side)
 
 

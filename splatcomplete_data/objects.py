@@ -19,7 +19,6 @@ missing fields are errors; a new version number announces new fields.
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -27,6 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from gscomplete import __version__, jsonio
+from gscomplete.digests import sha256_of
 from gscomplete.errors import UserError
 from gscomplete.splats import Similarity, Splats, read_splats, write_splats
 from gscomplete.views import ObjectFrame, ViewDistribution
@@ -286,19 +286,6 @@ def read_object(folder: Path) -> SplatObject:
 def file_record(path: Path) -> FileRecord:
     """Return hash and size of a file."""
     return FileRecord(sha256_of(path), path.stat().st_size)
-
-
-def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file in hexadecimal.
-
-    Raises:
-        UserError: the file cannot be read.
-    """
-    try:
-        with path.open("rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
-    except OSError as error:
-        raise UserError(f"{path}: cannot read it ({error.strerror})") from error
 
 
 def draw_preview(

@@ -123,7 +123,7 @@ def _mvdream(verify: bool) -> dict[str, Any]:
         path = find_mvdream()
     except UserError as error:
         return _entry("mvdream", "missing", weights_folder(), str(error))
-    if importlib.util.find_spec("diffusers") is None:
+    if importlib.util.find_spec("diffusers") is None and not verify:
         note = f"{path}: not checked: that needs the package diffusers (gscomplete[mvdream])"
         return _entry("mvdream", "found", path, note)
     try:

@@ -7,7 +7,6 @@ that decided the result, and what came of it), ``preview.png``, ``turntable.webp
 
 from __future__ import annotations
 
-import hashlib
 import json
 import platform
 import time
@@ -31,6 +30,7 @@ from gscomplete.completion.optimise import Completion, NonFiniteError, StepRepor
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.completion.working_set import WorkingSet, working_set
 from gscomplete.device import peak_gpu_bytes
+from gscomplete.digests import sha256_of
 from gscomplete.errors import UserError
 from gscomplete.evaluate.pictures import preview_sheet, save_image, save_turntable
 from gscomplete.evaluate.report import evaluate
@@ -119,7 +119,7 @@ def prepare(request: Request, prior: Prior, device: torch.device | str = "cpu") 
         device,
     )
     identity = {
-        "input_sha256": _sha256(request.partial_path),
+        "input_sha256": sha256_of(request.partial_path),
         "prompt": request.prompt,
         "negative_prompt": request.negative_prompt,
         "prior": prior_identity(prior),
@@ -314,13 +314,7 @@ def _largest_side(splats: Splats) -> float:
     """
     points = splats.means.double().numpy()
     low, high = np.quantile(points, [0.001, 0.999], axis=0)
-    return max(float((high - low).max()), float(splats.scales.amax(dim=1).median()))
-
-
-def _sha256(path: Path) -> str:
-    """Return a file's hash."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+    return max(float((high - low).max()), splats.typical_size)
 
 
 def _make_folder(out: Path) -> None:

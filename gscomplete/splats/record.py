@@ -71,6 +71,11 @@ class Splats:
         """Colours of the constant band, usually but not necessarily in [0, 1]."""
         return 0.5 + SH_C0 * self.sh[:, 0]
 
+    @property
+    def typical_size(self) -> float:
+        """Median over the splats of their largest scale: one alone may be of any size."""
+        return float(self.scales.amax(dim=1).median())
+
     def fields(self) -> Iterator[tuple[str, Tensor]]:
         """Yield (name, tensor) for every field in declaration order."""
         for field in dataclasses.fields(self):

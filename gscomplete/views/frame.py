@@ -99,7 +99,7 @@ class ObjectFrame:
         one that is far too large does not shrink the others to a dot.
         """
         low, high = (corner.double() for corner in splats.bounds())
-        size = max(float((high - low).max()), float(splats.scales.amax(dim=1).median()))
+        size = max(float((high - low).max()), splats.typical_size)
         x, y, z = ((low + high) / 2).tolist()
         return cls(up, (x, y, z), size)
 

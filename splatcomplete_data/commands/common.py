@@ -138,8 +138,9 @@ def store_object(options: ObjectOptions, made: Made) -> ObjectRecord:
     Raises:
         UserError: as ``finish_object``.
     """
+    from gscomplete.digests import sha256_of
     from splatcomplete_data import framing
-    from splatcomplete_data.objects import ObjectRecord, SourceRecord, sha256_of, write_object
+    from splatcomplete_data.objects import ObjectRecord, SourceRecord, write_object
 
     folder = options.out or default_folder(made.source_file)
     shown = made.partial if made.partial is not None else made.complete

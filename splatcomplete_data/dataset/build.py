@@ -36,12 +36,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 from gscomplete import __version__, jsonio
+from gscomplete.digests import sha256_of
 from gscomplete.errors import UserError
 from splatcomplete_data.atomic_folder import forget_leftovers
 from splatcomplete_data.dataset.recipe import Entry, Recipe
 from splatcomplete_data.mesh.side_files import side_files
 from splatcomplete_data.multiview.capture_folder import clear_capture
-from splatcomplete_data.objects import RECORD_FILE, read_record, sha256_of
+from splatcomplete_data.objects import RECORD_FILE, read_record
 from splatcomplete_data.pictures import allow_large_pictures
 
 STATE_FOLDER = ".build"

@@ -16,6 +16,7 @@ from typing import Literal
 import torch
 
 from gscomplete import jsonio
+from gscomplete.digests import sha256_of
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, read_splats
 from gscomplete.splats.validation import validate_file
@@ -29,7 +30,6 @@ from splatcomplete_data.objects import (
     StepRecord,
     check_steps,
     read_record,
-    sha256_of,
 )
 
 Severity = Literal["error", "warning"]

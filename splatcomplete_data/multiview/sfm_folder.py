@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from gscomplete import jsonio
+from gscomplete.digests import sha256_of
 from gscomplete.errors import UserError
-from splatcomplete_data.objects import sha256_of
 
 MADE_FROM_FILE = "made_from.json"
 DATABASE_FILE = "database.db"

@@ -11,6 +11,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gscomplete.digests import sha256_of
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.views import ObjectFrame, ViewDistribution
@@ -24,7 +25,6 @@ from splatcomplete_data.objects import (
     check_steps,
     read_object,
     read_record,
-    sha256_of,
     write_object,
 )
 

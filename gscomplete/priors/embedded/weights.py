@@ -28,6 +28,7 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from gscomplete.atomic import atomic_path
+from gscomplete.digests import sha256_of
 from gscomplete.errors import UserError
 from gscomplete.jsonio import from_json, read_json, write_json
 from gscomplete.priors.base import PriorViews
@@ -167,7 +168,7 @@ def weights_digest(folder: Path) -> str:
     for name in (CONFIG_FILE, WEIGHTS_FILE):
         _require(folder / name)
     for path in sorted((folder / CONFIG_FILE, *folder.glob("*.safetensors"))):
-        digest.update(f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
+        digest.update(f"{path.name} {sha256_of(path)}\n".encode())
     return digest.hexdigest()[:32]
 
 

@@ -18,9 +18,9 @@ from typing import Any, Literal
 import torch
 from safetensors.torch import save_file
 
+from gscomplete.digests import sha256_of
 from gscomplete.errors import UserError
 from gscomplete.jsonio import read_json, to_json, write_json
-from gscomplete.priors.mvdream.tensor_files import sha256_of
 from gscomplete.priors.mvdream.weights import (
     COMPONENTS,
     MANIFEST_FILE,

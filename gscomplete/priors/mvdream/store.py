@@ -17,9 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from gscomplete.digests import sha256_of
 from gscomplete.errors import UserError
 from gscomplete.priors.mvdream.model import require
-from gscomplete.priors.mvdream.tensor_files import sha256_of
 from gscomplete.priors.mvdream.text import CACHE_VARIABLE, cache_home
 from gscomplete.priors.mvdream.weights import MANIFEST_FILE, open_weights
 

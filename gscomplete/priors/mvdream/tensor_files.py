@@ -130,15 +130,6 @@ def fingerprint(paths: Iterable[Path]) -> str:
     return digest.hexdigest()[:32]
 
 
-def sha256_of(path: Path) -> str:
-    """Return the digest of a whole file."""
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while block := file.read(2**22):
-            digest.update(block)
-    return digest.hexdigest()
-
-
 def _read_torch(path: Path) -> dict[str, Tensor]:
     """Read PyTorch's file of named tensors; older forms cannot be mapped and are read whole."""
     try:
