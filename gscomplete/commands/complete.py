@@ -189,12 +189,8 @@ def _request(options: CompleteOptions, prior: Prior) -> Request:
         raise UserError(f"--alternatives: expected 0 to 8, found {options.alternatives}")
     if options.alternatives:
         _require_guess("--alternatives", options, settings, prior)
-    view = parse_numbers(options.view, 2, "--view", "AZIMUTH,ELEVATION")
+    view = parse_view(options.view)
     center = parse_numbers(options.center, 3, "--center", "X,Y,Z")
-    if view is not None and not abs(view[0]) <= 360:
-        raise UserError(f"--view: expected an azimuth of -360 to 360 degrees, found {view[0]:g}")
-    if view is not None and not -90 <= view[1] <= 90:
-        raise UserError(f"--view: expected an elevation of -90 to 90 degrees, found {view[1]:g}")
     return Request(
         partial_path=options.partial,
         prompt=options.prompt,
@@ -202,7 +198,7 @@ def _request(options: CompleteOptions, prior: Prior) -> Request:
         settings=settings,
         negative_prompt=options.negative_prompt,
         up=options.up,
-        view_deg=None if view is None else (view[0], view[1]),
+        view_deg=view,
         azimuth_range_deg=options.range,
         center_file=None if center is None else (center[0], center[1], center[2]),
         size_file=options.size,
@@ -241,6 +237,23 @@ def _mirror(text: str) -> Mirror:
     numbers = parse_numbers(text, 2, "--mirror", "guess, none or AZIMUTH,OFFSET")
     assert numbers is not None
     return MirrorPlane(*numbers)
+
+
+def parse_view(text: str | None) -> tuple[float, float] | None:
+    """Parse the input view c as azimuth and elevation in degrees.
+
+    Raises:
+        UserError: it has the wrong form, or an angle is out of range.
+    """
+    numbers = parse_numbers(text, 2, "--view", "AZIMUTH,ELEVATION")
+    if numbers is None:
+        return None
+    azimuth, elevation = numbers
+    if not abs(azimuth) <= 360:
+        raise UserError(f"--view: expected an azimuth of -360 to 360 degrees, found {azimuth:g}")
+    if not -90 <= elevation <= 90:
+        raise UserError(f"--view: expected an elevation of -90 to 90 degrees, found {elevation:g}")
+    return azimuth, elevation
 
 
 def parse_numbers(text: str | None, count: int, option: str, form: str) -> list[float] | None:

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from gscomplete import jsonio
-from gscomplete.commands.complete import parse_numbers
+from gscomplete.commands.complete import parse_numbers, parse_view
 from gscomplete.errors import UserError
 from gscomplete.views import UpAxis
 
@@ -197,17 +197,15 @@ def framing_request(options: ObjectOptions, default_up: UpAxis) -> FramingReques
     """
     from splatcomplete_data.framing import FramingRequest
 
-    view = parse_numbers(options.view, 2, "--view", "AZIMUTH,ELEVATION")
+    view = parse_view(options.view)
     center = parse_numbers(options.center, 3, "--center", "X,Y,Z")
-    if view is not None and not -90 <= view[1] <= 90:
-        raise UserError(f"--view: expected an elevation of -90 to 90 degrees, found {view[1]:g}")
     if not 0 <= options.range <= 180:
         raise UserError(f"--range: expected 0 to 180 degrees, found {options.range:g}")
     if options.size_whole is not None and not 0 < options.size_whole < float("inf"):
         raise UserError(f"--size-whole: expected a positive length, found {options.size_whole:g}")
     return FramingRequest(
         up=default_up if options.up == "auto" else options.up,
-        view_deg=None if view is None else (view[0], view[1]),
+        view_deg=view,
         azimuth_range_deg=options.range,
         center_file=None if center is None else (center[0], center[1], center[2]),
         size_file=options.size_whole,

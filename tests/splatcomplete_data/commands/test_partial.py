@@ -67,3 +67,10 @@ def test_a_part_of_an_object_remembers_where_the_source_lies(tmp_path):
     )
     assert kept == moved
     assert np.allclose(moved["translation"], [-500_000, -5_300_000, -300], atol=1)
+
+
+def test_a_view_out_of_range_is_named(tmp_path, capsys):
+    path = file_with(tmp_path / "a.ply", NAN, [])
+    arguments = ["partial", str(path), "--cut", "plane:90", "--view", "2000000,0"]
+    assert cli.main([*arguments, "--out", str(tmp_path / "b")]) == 2
+    assert "--view: expected an azimuth" in capsys.readouterr().err
