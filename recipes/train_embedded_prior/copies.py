@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from gscomplete.priors.embedded.shape.choice import WRONG_WEIGHT
 from gscomplete.priors.embedded.shape.grid import (
@@ -20,7 +21,6 @@ from gscomplete.priors.embedded.shape.grid import (
     CELLS,
     HALF_SIDE,
     FloatArray,
-    cells_away,
     fill_colored,
     splat_arrays,
 )
@@ -92,6 +92,13 @@ def _cells_to(
     """Return distances to a surface in cells."""
     filled = fill_colored(positions, tangents, opacities, colors, CELLS)[0] > 0
     return cells_away(filled)
+
+
+def cells_away(filled: NDArray[np.bool_]) -> FloatArray:  # [C, C, C] -> [C, C, C]
+    """Return every cell's distance to the nearest filled one in cells; ``CELLS`` if none is."""
+    if not filled.any():
+        return np.full(filled.shape, CELLS, np.float32)
+    return ndimage.distance_transform_edt(~filled).astype(np.float32)
 
 
 def _at(volume: FloatArray, points: FloatArray) -> FloatArray:

@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
+from gscomplete.priors.embedded.shape.grid import CELLS
 from gscomplete.priors.embedded.shape.planes import ANGLES, OFFSETS
-from recipes.train_embedded_prior.copies import Truth
+from recipes.train_embedded_prior.copies import Truth, cells_away
 from tests.priors.embedded.shape.shapes import half, mirrors, sphere
 
 MIDDLE = OFFSETS.index(0.0)
@@ -31,3 +32,13 @@ def test_nothing_missing_is_worth_nothing():
     worth = Truth.of(sphere(), sphere()).plane_worths()
     assert not worth.any()
     assert np.isfinite(worth).all()
+
+
+def test_distances_are_to_the_nearest_filled_cell():
+    filled = np.zeros((CELLS,) * 3, bool)
+    assert (cells_away(filled) == CELLS).all()
+    filled[3, 4, 5] = filled[40, 4, 5] = True
+    away = cells_away(filled)
+    assert away[3, 4, 5] == 0
+    assert away[6, 8, 5] == pytest.approx(5.0)
+    assert away[39, 4, 7] == pytest.approx(5**0.5)

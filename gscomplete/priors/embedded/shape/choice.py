@@ -24,11 +24,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from gscomplete.priors.base import Mirror, MirrorPlane
-from gscomplete.priors.embedded.shape.grid import FloatArray
+from gscomplete.priors.embedded.shape.grid import FloatArray, grown
 from gscomplete.priors.embedded.shape.inputs import PartLook, ShapeInputs
 from gscomplete.priors.embedded.shape.model import ShapeCompleter
 from gscomplete.priors.embedded.shape.precision import cpu_precision
@@ -132,18 +131,14 @@ def answered_worths(
 ) -> Tensor:  # [K]
     """Return what copies are worth by the answers to them; see the module's description."""
     cells = (1, 2, 3)
-    elsewhere = _grown(partial[None]) <= 0
+    elsewhere = grown(partial[None]) <= 0
     new = (copies > 0) & elsewhere
     solid = (filled > _FILLED).float()
-    surface = (solid > 0) & (_grown(1 - solid) > 0) & elsewhere
-    covered = (filled * (surface & (_grown(copies) > 0))).sum(dim=cells)
+    surface = (solid > 0) & (grown(1 - solid) > 0) & elsewhere
+    covered = (filled * (surface & (grown(copies) > 0))).sum(dim=cells)
     wanted = (filled * surface).sum(dim=cells)
     left_empty = ((1 - filled) * new).sum(dim=cells) / (copies > 0).sum(dim=cells).clamp_min(1)
     return covered / wanted.clamp_min(float(wanted.mean()) + 1e-3) - WRONG_WEIGHT * left_empty
-
-
-def _grown(volumes: Tensor) -> Tensor:  # [K, C, C, C] -> [K, C, C, C]
-    return F.max_pool3d(volumes, 3, 1, 1)
 
 
 def _inputs_with_first(look: PartLook, planes: list[SymmetryMap], index: int) -> ShapeInputs:

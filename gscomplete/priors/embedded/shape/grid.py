@@ -15,7 +15,6 @@ import numba
 import numpy as np
 import torch.nn.functional as F
 from numpy.typing import NDArray
-from scipy import ndimage
 from torch import Tensor
 
 from gscomplete.splats import Splats
@@ -105,11 +104,9 @@ def cell_centers(cells: int) -> FloatArray:  # [cells, cells, cells, 3]
     return np.stack(np.meshgrid(along, along, along, indexing="ij"), axis=-1)
 
 
-def cells_away(filled: NDArray[np.bool_]) -> FloatArray:  # [C, C, C] -> [C, C, C]
-    """Return every cell's distance to the nearest filled one in cells; ``CELLS`` if none is."""
-    if not filled.any():
-        return np.full(filled.shape, CELLS, np.float32)
-    return ndimage.distance_transform_edt(~filled).astype(np.float32)
+def grown(volumes: Tensor) -> Tensor:  # [K, C, C, C] -> [K, C, C, C]
+    """Return every cell's largest value among itself and the cells beside it."""
+    return F.max_pool3d(volumes, 3, 1, 1)
 
 
 def sample_volume(volume: Tensor, points: Tensor) -> Tensor:  # [C, n, n, n], [N, 3] -> [N, C]

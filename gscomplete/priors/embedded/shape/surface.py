@@ -65,9 +65,8 @@ class SurfaceSettings:
     least_spacing: float = 0.002
     """Splats are at least this far apart, however few there are to place."""
     filled_logit: float = -1.0
-    """Cells with at least this logit count as filled. Of -2 to -0.5, -1 gives the best silhouettes
-    on 23 cuts of 15 real objects that no benchmark uses: thin walls, of which the network is never
-    sure, are worth some excess."""
+    """Cells with at least this logit count as filled; ``whole.WholeSettings`` says from which on
+    for whole objects."""
 
 
 def surface_splats(
@@ -225,21 +224,28 @@ def is_missing(
 ) -> Tensor:  # [N] bool
     """Mark the points of a surface that others do not have: away from them, or beyond their rim.
 
-    Beyond the rim the nearest splats all lie to one side, within the surface all around.
+    Beyond the rim the nearest splats all lie to one side, within the surface all around. Only
+    points near others are asked about that.
     """
+    tree = cKDTree(others.numpy())
+    distance, _ = tree.query(points.numpy(), workers=-1)
+    missing = torch.from_numpy(distance > settings.near_partial)
+    close = torch.nonzero(~missing)[:, 0]
+    if not len(close):
+        return missing
+    points, normals = points[close], normals[close]
     nearest = range(1, min(_RIM_NEIGHBOURS, len(others)) + 1)
-    distance, index = cKDTree(others.numpy()).query(points.numpy(), k=nearest)
+    distance, index = tree.query(points.numpy(), k=nearest, workers=-1)
     offsets = others[torch.from_numpy(index)] - points[:, None]
     along = (offsets * normals[:, None]).sum(dim=2, keepdim=True)
     offsets = offsets - along * normals[:, None]
-    in_gap = torch.zeros(len(points), dtype=torch.bool)
-    if settings.gap_spacings is not None:
-        widest = settings.gap_spacings * median_spacing(others)
-        in_gap = offsets.norm(dim=2).amin(dim=1) > max(widest, _LEAST_GAP)
     middle = offsets.mean(dim=1).norm(dim=1)
     one_sided = middle > _ONE_SIDED * offsets.norm(dim=2).mean(dim=1)
-    near = torch.from_numpy(distance[:, 0])
-    return (near > settings.near_partial) | (one_sided & (near > settings.near_rim)) | in_gap
+    missing[close] = one_sided & (torch.from_numpy(distance[:, 0]) > settings.near_rim)
+    if settings.gap_spacings is not None:
+        widest = settings.gap_spacings * median_spacing(others)
+        missing[close] |= offsets.norm(dim=2).amin(dim=1) > max(widest, _LEAST_GAP)
+    return missing
 
 
 def median_spacing(points: Tensor) -> float:  # [N, 3]

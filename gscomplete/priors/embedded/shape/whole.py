@@ -7,17 +7,15 @@ Conventions
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import torch
-from torch import Tensor
 
 from gscomplete.priors.base import MirrorPlane
-from gscomplete.priors.embedded.shape.grid import CELL_SIDE, CELLS, HALF_SIDE, cells_away
+from gscomplete.priors.embedded.shape.grid import CELL_SIDE, grown
 from gscomplete.priors.embedded.shape.mirrored import borne_out, mirror_image
-from gscomplete.priors.embedded.shape.model import ShapeOutput
 from gscomplete.priors.embedded.shape.predict import Prediction
 from gscomplete.priors.embedded.shape.surface import (
     SurfaceSettings,
@@ -48,14 +46,23 @@ class WholeSettings:
     least_worth: float = 0.75
     """Worth of the first mirror image, by the network's answer, from which on its splats are used;
     below it the network's surface is all there is."""
+    beside_logit: float = 0.0
+    """Cells of the network's surface beside mirrored splats count as filled from this logit on."""
+    unsure_logit: float = -1.0
+    """Without mirrored splats: from this logit on where much is missing; the network is never sure
+    of thin walls there, and they are worth some excess ..."""
+    sure_logit: float = 0.25
+    """... and from this one on where little is missing, so that what is whole stays as it is. On
+    135 parts of 15 real objects that no benchmark uses, IoU is .009 above that of -1 everywhere:
+    .023 on those that lack little, .002 on the others."""
+    sure_worths: tuple[float, float] = (0.1, 0.3)
+    """Little is missing where no mirror image of P is worth more than the first: none adds anything
+    that the network believes in. From the second on that says nothing ..."""
+    sure_shares: tuple[float, float] = (0.1, 0.2)
+    """... or where no more of the surface than the first share is away from P; from the second on
+    that says nothing. Between them levels are interpolated; the higher one counts."""
     mirrored_share: float = 0.7
     """Most of the new splats that are mirrored ones."""
-    led_penalty: float = 1.5
-    """Beside a mirror image that is believed, cells of the network's own need logits higher by this
-    to count as filled: what it is less sure of is more often wrong than right there ..."""
-    penalty_cells: tuple[float, float] = (3.0, 5.0)
-    """... from nothing at the first distance from P and from its mirrored splats, whichever is
-    farther, to all of it at the second: so that the gap between them is closed."""
     gap_spacings: float = 3.0
     """Where P and mirrored splats leave gaps wider than so many spacings of splats, the network's
     surface closes them."""
@@ -79,36 +86,36 @@ def whole_splats(
     if most and prediction.worth >= settings.least_worth:
         copies = _new_copies(prediction, partial, most, generator)
     if copies is None or not len(copies):
-        plain = SurfaceSettings(settings.count)
+        level = _surface_logit(prediction, settings)
+        plain = SurfaceSettings(settings.count, filled_logit=level)
         return surface_splats(prediction.output, prediction.seen, partial, plain, generator)
-    output = _less_sure(prediction.output, partial, copies, settings)
     beside = SurfaceSettings(
         settings.count - len(copies),
         near_partial=settings.reach,
         gap_spacings=settings.gap_spacings,
+        filled_logit=settings.beside_logit,
         least_spacing=min(max(median_spacing(copies.means), _LEAST_SPACING), _MOST_SPACING),
     )
-    surface = surface_splats(output, prediction.seen, partial, beside, generator, copies)
+    surface = surface_splats(prediction.output, prediction.seen, partial, beside, generator, copies)
     return concatenate([copies, surface])
 
 
-def _less_sure(
-    output: ShapeOutput, partial: Splats, copies: Splats, settings: WholeSettings
-) -> ShapeOutput:
-    """Lower the logits of cells but for those between P and mirrored splats."""
-    away = torch.maximum(_cells_to(partial.means), _cells_to(copies.means))
-    low, high = settings.penalty_cells
-    share = ((away - low) / (high - low)).clamp(0, 1)
-    return dataclasses.replace(output, occupancy=output.occupancy - settings.led_penalty * share)
+def _surface_logit(prediction: Prediction, settings: WholeSettings) -> float:
+    """Return the logit from which on cells count as filled, by how much is missing."""
+    filled = (prediction.output.occupancy.float() > 0).float()
+    surface = (filled > 0) & (grown(1 - filled) > 0)
+    away = surface & (grown(grown(torch.from_numpy(prediction.look.volume[:1]))) <= 0)
+    share = float(away.sum()) / max(float(surface.sum()), 1.0)
+    levels = (settings.sure_logit, settings.unsure_logit)
+    by_share = float(np.interp(share, settings.sure_shares, levels))
+    if not _is_mirrored(prediction):
+        return by_share
+    return max(by_share, float(np.interp(prediction.worth, settings.sure_worths, levels)))
 
 
-def _cells_to(points: Tensor) -> Tensor:  # [N, 3] -> [C, C, C]
-    """Return every cell's distance to the nearest cell with a point, in cells."""
-    cells = ((points + HALF_SIDE) / CELL_SIDE).floor().long()
-    inside = cells[((cells >= 0) & (cells < CELLS)).all(dim=1)]
-    filled = torch.zeros(CELLS, CELLS, CELLS, dtype=torch.bool)
-    filled[tuple(inside.T)] = True
-    return torch.from_numpy(cells_away(filled.numpy()))
+def _is_mirrored(prediction: Prediction) -> bool:
+    """Say whether the network was shown any mirror image."""
+    return prediction.seen.symmetries[0].score > 0
 
 
 def mirror_plane_of(symmetry: SymmetryMap) -> MirrorPlane:
@@ -119,10 +126,9 @@ def mirror_plane_of(symmetry: SymmetryMap) -> MirrorPlane:
 
 def mirror_note(prediction: Prediction, settings: WholeSettings) -> str:
     """Tell users through which plane P was mirrored, as they would ask for it."""
-    first = prediction.seen.symmetries[0]
-    if first.score == 0:
+    if not _is_mirrored(prediction):
         return "not mirrored"
-    plane = mirror_plane_of(first)
+    plane = mirror_plane_of(prediction.seen.symmetries[0])
     how = "by P's own splats" if prediction.worth >= settings.least_worth else "as a hint"
     return f"mirrored {how} through the upright plane {plane} (--mirror)"
 

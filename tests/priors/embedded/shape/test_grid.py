@@ -6,7 +6,6 @@ from gscomplete.priors.embedded.shape.grid import (
     CELLS,
     HALF_SIDE,
     cell_centers,
-    cells_away,
     fill_colored,
     splat_arrays,
 )
@@ -49,13 +48,3 @@ def test_cell_centers_are_where_points_of_the_cell_fall():
     assert centers[0, 0, 0] == pytest.approx(np.full(3, -HALF_SIDE + CELL_SIDE / 2), abs=1e-6)
     found = np.floor((centers + HALF_SIDE) / CELL_SIDE).astype(int)
     assert np.array_equal(found[3, 5, 7], [3, 5, 7])
-
-
-def test_distances_are_to_the_nearest_filled_cell():
-    filled = np.zeros((CELLS,) * 3, bool)
-    assert (cells_away(filled) == CELLS).all()
-    filled[3, 4, 5] = filled[40, 4, 5] = True
-    away = cells_away(filled)
-    assert away[3, 4, 5] == 0
-    assert away[6, 8, 5] == pytest.approx(5.0)
-    assert away[39, 4, 7] == pytest.approx(5**0.5)

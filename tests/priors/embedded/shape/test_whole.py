@@ -53,10 +53,34 @@ def test_a_believed_mirror_image_is_shown_by_ps_own_splats():
 def test_without_belief_the_networks_surface_is_all():
     prediction, partial = predicted(0.1), half(sphere())
     generator = torch.Generator().manual_seed(0)
-    alone = surface_splats(
-        prediction.output, prediction.seen, partial, SurfaceSettings(8000), generator
-    )
-    assert torch.equal(put_together(prediction).means, alone.means)
+    settings = SurfaceSettings(8000, filled_logit=-0.3)
+    alone = surface_splats(prediction.output, prediction.seen, partial, settings, generator)
+    found = put_together(prediction, sure_logit=-0.3, unsure_logit=-0.3)
+    assert torch.equal(found.means, alone.means)
+
+
+@pytest.mark.parametrize(
+    ("worth", "shares", "is_sure"),
+    [
+        (0.5, (0.0, 0.1), False),  # a copy adds something, and half the ball is missing
+        (0.0, (0.0, 0.1), True),  # no copy adds anything
+        (0.5, (0.9, 0.95), True),  # less than nine tenths are missing
+    ],
+)
+def test_where_little_is_missing_the_network_has_to_be_surer(worth, shares, is_sure):
+    prediction = predicted(worth, confidence=40.0)
+    found = put_together(prediction, sure_shares=shares, sure_logit=2.0, unsure_logit=-2.0)
+    level = 2.0 if is_sure else -2.0
+    same = put_together(prediction, sure_logit=level, unsure_logit=level)
+    assert torch.equal(found.means, same.means)
+    if is_sure:  # whoever asks for no mirror image says nothing about what is missing
+        alone = dataclasses.replace(prediction, seen=prediction.look.with_copies(no_symmetries()))
+        asked = put_together(alone, sure_shares=(0.0, 0.1), sure_logit=2.0, unsure_logit=-2.0)
+        unsure = put_together(alone, sure_logit=-2.0, unsure_logit=-2.0)
+        assert torch.equal(asked.means, unsure.means)
+    other = put_together(prediction, sure_logit=-level, unsure_logit=-level)
+    farthest = found.means.norm(dim=1).max()
+    assert bool(other.means.norm(dim=1).max() > farthest) is is_sure
 
 
 def test_the_mirrored_whole_is_that_of_the_truth():
@@ -109,6 +133,8 @@ def test_where_no_mirrored_splat_is_left_the_networks_surface_is_all():
         seen=prediction.look.with_copies((far, along, turn)),
         output=dataclasses.replace(prediction.output, occupancy=occupancy),
     )
-    found = put_together(nowhere)
+    level = {"sure_logit": 0.0, "unsure_logit": 0.0}
+    found = put_together(nowhere, **level)
     assert len(found) > 0
-    assert torch.equal(found.means, put_together(dataclasses.replace(nowhere, worth=0.0)).means)
+    not_believed = put_together(dataclasses.replace(nowhere, worth=0.0), **level)
+    assert torch.equal(found.means, not_believed.means)
