@@ -26,6 +26,8 @@ from gscomplete.errors import UserError
 
 _AT_FDCWD = -100
 _RENAME_EXCHANGE = 2
+_RANDOM_LETTERS = 8
+"""Of the names that ``tempfile.mkdtemp`` makes."""
 
 
 @contextlib.contextmanager
@@ -49,7 +51,7 @@ def atomic_folder(
     check_destination(folder, marker=marker, spare=spare, overwrite=overwrite)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name[:32]}."))
+        temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=_prefix(folder.name)))
     except OSError as error:
         raise UserError(f"{folder}: cannot create the folder: {error.strerror}") from error
     try:
@@ -95,18 +97,27 @@ def check_destination(
         )
 
 
-def forget_leftovers(folder: Path) -> int:
-    """Remove temporary folders of killed writers of ``folder``'s children; return how many.
+def forget_leftovers(folder: Path, names: Collection[str]) -> int:
+    """Remove the temporary folders of killed writers; return how many.
 
     Call it only while nothing else writes into ``folder``.
+
+    Args:
+        folder: where the writers wrote.
+        names: of the folders that they were to write; nothing else is removed.
     """
-    names = {child.name for child in folder.iterdir()} if folder.is_dir() else set()
+    prefixes = {_prefix(name) for name in names}
     removed = 0
-    for name in names:
-        if name.startswith(".") and len(name.rsplit(".", 1)[-1]) == 8 and name.count(".") >= 2:
-            shutil.rmtree(folder / name, ignore_errors=True)
+    for child in list(folder.iterdir()) if folder.is_dir() else []:
+        if child.name[:-_RANDOM_LETTERS] in prefixes and child.is_dir() and not child.is_symlink():
+            shutil.rmtree(child, ignore_errors=True)
             removed += 1
     return removed
+
+
+def _prefix(name: str) -> str:
+    """Return what the names of a folder's temporary folders begin with."""
+    return f".{name[:32]}."
 
 
 def _take_name(temporary: Path, folder: Path) -> None:
@@ -114,7 +125,7 @@ def _take_name(temporary: Path, folder: Path) -> None:
     if not folder.exists():
         os.rename(temporary, folder)
     elif not _exchange(temporary, folder):
-        aside = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name[:32]}."))
+        aside = Path(tempfile.mkdtemp(dir=folder.parent, prefix=_prefix(folder.name)))
         os.rename(folder, aside)
         os.rename(temporary, folder)
         shutil.rmtree(aside, ignore_errors=True)

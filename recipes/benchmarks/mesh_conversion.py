@@ -41,7 +41,8 @@ from gscomplete.splats import Splats, transform_splats
 from gscomplete.views import Cameras, ObjectFrame, UpAxis, orbit_cameras
 from recipes.benchmarks.mesh_truth import Truth, cast_mesh
 from splatcomplete_data.mesh.convert import ConvertMode, ConvertSettings, convert_mesh
-from splatcomplete_data.mesh.load import Mesh, MeshPart, load_mesh
+from splatcomplete_data.mesh.load import Mesh, load_mesh
+from splatcomplete_data.mesh.parts import MeshPart
 
 GREY = 0.5
 FOV_DEG = 40.0

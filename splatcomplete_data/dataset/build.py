@@ -102,7 +102,7 @@ def build(
         (state / CAPTURE_FOLDER).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"{out}: cannot create the folder: {error.strerror}") from error
-    forget_leftovers(out)
+    forget_leftovers(out, [entry.id for entry in recipe.objects])
     objects = [entry for entry in recipe.objects if not only or entry.id in only]
     needed = {name for entry in objects for name in entry.captures()}
     captures = [entry for entry in recipe.captures if entry.id in needed]

@@ -120,6 +120,9 @@ def read_recipe(path: Path) -> Recipe:
         raise UserError(f"{path}: objects: expected at least one, found none")
     known = {entry.id for entry in captures}
     for entry in objects:
+        if entry.id in known:  # they would share one state of the build
+            raise UserError(f"{path}: {entry.id}: expected each id once, found a capture's too")
+    for entry in objects:
         for needed in entry.captures():
             if needed not in known:
                 raise UserError(f"{path}: {entry.id}: no capture is called {needed!r}")

@@ -1,18 +1,10 @@
-"""Mesh files to coloured triangles, by way of trimesh.
+"""Mesh files to coloured triangles, by way of trimesh, and those to discs.
 
 Conventions
 -----------
-* Every format trimesh reads; node transforms are applied, so vertices are in the file's frame and
-  units. Degenerate and non-finite triangles are dropped. Of a mesh too far from the origin for
-  float32, ``Mesh.offset`` is taken away (``points``).
-* Colours are sRGB in [0, 1]. glTF factors and vertex colours are linear by its specification and
-  converted, unless ``GltfColors`` says that the exporter wrote sRGB into them.
-* With a texture, an OBJ's ``Kd`` is ignored (as by most viewers; exporters leave 0.8 or 0.4 there
-  next to a photo), while a glTF's factor multiplies as specified.
-* Texture coordinates are OpenGL's: v upwards, wrapping round, bilinear between texels. Textures
-  larger than ``MAX_TEXTURE_PX`` are box-filtered down: splats are far coarser than texels.
-* Alpha is texture x factor (x vertex alpha) where the material says so. Cut-outs (glTF MASK) are
-  kept where it reaches the material's cutoff; blended surfaces (BLEND) keep it as opacity.
+* Every format trimesh reads; ``parts`` says how colours, textures and alpha are read. Of a mesh too
+  far from the origin for float32, ``Mesh.offset`` is taken away (``points``).
+* Textures larger than ``MAX_TEXTURE_PX`` are box-filtered down: splats are far coarser than texels.
 * What trimesh drops almost silently is noticed: textures that are missing or unreadable, Draco
   geometry, triangles that are not finite or have no area. ``Mesh.notes`` and the counts tell.
 """
@@ -20,16 +12,14 @@ Conventions
 from __future__ import annotations
 
 import functools
-import logging
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from PIL import Image
 from trimesh.resolvers import FilePathResolver
 
 from gscomplete.errors import UserError
@@ -41,17 +31,9 @@ from splatcomplete_data.mesh.discs import (
     sample_triangles,
     triangle_areas_and_normals,
 )
-from splatcomplete_data.mesh.gltf_uv import own_coordinates
+from splatcomplete_data.mesh.parts import MeshPart, PartReader
 from splatcomplete_data.mesh.side_files import side_files, without_options
-from splatcomplete_data.mesh.textures import (
-    as_srgb,
-    open_image,
-    sample_texture,
-    texture_array,
-    unit_colors,
-    unit_rgb,
-)
-from splatcomplete_data.pictures import UNREADABLE
+from splatcomplete_data.mesh.textures import open_image
 from splatcomplete_data.points import Offset, offset_for_float32
 
 FloatArray = NDArray[np.float32]
@@ -60,9 +42,6 @@ GltfColors = Literal["linear", "srgb"]
 
 MAX_TEXTURE_PX = 1024
 """Larger textures are reduced to this side before sampling."""
-GREY = 0.7
-"""Colour of a surface without any."""
-_logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,32 +58,6 @@ class BakedLight:
         direction = np.asarray(self.direction, np.float64)
         cosine = normals @ (direction / np.linalg.norm(direction))
         return (1.0 - self.strength * (0.5 - 0.5 * cosine)).astype(np.float32)
-
-
-@dataclass(frozen=True, slots=True)
-class MeshPart:
-    """Triangles of one material: corner colours times an optional texture."""
-
-    vertices: FloatArray  # [T, 3, 3] corners, file frame
-    colors: FloatArray  # [T, 3, 3] sRGB in [0, 1] at the corners
-    uv: FloatArray | None = None  # [T, 3, 2]
-    texture: FloatArray | None = None  # [H, W, 4] sRGB and alpha in [0, 1], top row first
-    alpha: float = 1.0  # factor on the texture's alpha
-    blended: bool = False  # True = alpha is opacity; False = what is below 1/2 is cut out
-
-    def colors_at(
-        self,
-        triangle: NDArray[np.int64],  # [N]
-        weights: FloatArray,  # [N, 3] barycentric
-    ) -> FloatArray:  # [N, 4]
-        """Return sRGB and alpha at surface points."""
-        rgba = np.ones((len(triangle), 4), np.float32)
-        rgba[:, :3] = np.einsum("nk,nkc->nc", weights, self.colors[triangle])
-        if self.uv is not None and self.texture is not None:
-            uv = np.einsum("nk,nkc->nc", weights, self.uv[triangle])
-            rgba *= sample_texture(self.texture, uv)
-        rgba[:, 3] *= self.alpha
-        return rgba
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,12 +118,12 @@ def load_mesh(
     except Exception as error:  # trimesh raises whatever its format readers happen to raise
         raise UserError(f"{path}: cannot read it as a mesh ({error})") from error
     is_gltf = path.suffix.lower() in file_checks.GLTF_SUFFIXES
-    reader = _PartReader(path, is_gltf and gltf_colors == "linear", max_texture_px)
+    reader = PartReader(path, is_gltf and gltf_colors == "linear", max_texture_px)
     if texture is not None:
         reader.override = reader.texture_array(open_image(texture), True)
     try:
         if is_gltf:
-            reader.read_coordinates(scene)
+            reader.read_numbers(scene)
         reader.offset = _offset(reader.placed(scene))
         parts = tuple(reader.parts(scene))
     except (ValueError, IndexError, TypeError, KeyError, AttributeError) as error:
@@ -249,135 +202,6 @@ class _NamedFiles(FilePathResolver):
                 raise
             content = file.read_bytes()
         return content
-
-
-@dataclass(slots=True)
-class _PartReader:
-    """Turns a loaded scene into parts and notes what is odd on the way."""
-
-    path: Path
-    is_linear: bool
-    max_texture_px: int
-    override: FloatArray | None = None
-    notes: list[str] = field(default_factory=list)
-    degenerate: int = 0
-    non_finite: int = 0
-    textures: dict[tuple[int, bool], FloatArray] = field(default_factory=dict)
-    coordinates: dict[str, NDArray[np.float64]] = field(default_factory=dict)
-    """Texture coordinates by geometry, where trimesh's are not those that the file means."""
-    offset: Offset | None = None
-
-    def read_coordinates(self, scene: Any) -> None:
-        """Read the texture coordinates that trimesh does not read as the file means them."""
-        own, geometries = own_coordinates(self.path), scene.geometry
-        if len(own) == len(geometries):
-            for (name, geometry), uv in zip(geometries.items(), own, strict=True):
-                if uv is not None and len(uv) == len(geometry.vertices):
-                    self.coordinates[name] = uv
-        if len(self.coordinates) < sum(uv is not None for uv in own):
-            self.note("texture transforms, further or integer coordinates: some are not applied")
-
-    def placed(self, scene: Any) -> Iterator[tuple[str, NDArray[np.float64]]]:
-        """Yield the name and the triangles [T, 3, 3] of every mesh that the scene graph places."""
-        for node in scene.graph.nodes_geometry:
-            transform, name = scene.graph[node]
-            geometry = scene.geometry[name]
-            if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces) > 0:
-                points = geometry.vertices @ transform[:3, :3].T + transform[:3, 3]
-                yield name, points[geometry.faces]
-
-    def parts(self, scene: Any) -> Iterator[MeshPart]:
-        """Yield the coloured triangles of every mesh that the scene graph places."""
-        for name, corners in self.placed(scene):
-            vertices = corners if self.offset is None else corners - self.offset
-            with np.errstate(all="ignore"):
-                areas, _ = triangle_areas_and_normals(vertices.astype(np.float32))
-            finite = np.isfinite(areas)
-            kept = finite & (areas > 0)
-            self.non_finite += int((~finite).sum())
-            self.degenerate += int((finite & ~kept).sum())
-            if not kept.any():
-                continue
-            part = self.appearance(scene.geometry[name], self.coordinates.get(name))
-            yield MeshPart(
-                vertices[kept].astype(np.float32),
-                part.colors[kept],
-                None if part.uv is None else part.uv[kept],
-                part.texture,
-                part.alpha,
-                part.blended,
-            )
-
-    def appearance(self, geometry: Any, uv: NDArray[np.float64] | None) -> MeshPart:
-        """Return colours, texture coordinates and texture of one mesh; its vertices are unused.
-
-        ``uv`` are its texture coordinates where those that it holds are not meant.
-        """
-        visual, faces = geometry.visual, geometry.faces
-        corners = np.ones((len(faces), 3, 3), np.float32)
-        if visual.kind == "face":
-            return MeshPart(corners, corners * unit_rgb(visual.face_colors)[:, None, :])
-        if visual.kind == "vertex":
-            colors = as_srgb(unit_rgb(visual.vertex_colors), self.is_linear)
-            return MeshPart(corners, colors[faces])
-        if visual.kind != "texture":
-            return MeshPart(corners, corners * np.float32(GREY))
-        uv = getattr(visual, "uv", None) if uv is None else uv
-        material = visual.material
-        image = self.base_image(material)
-        mode = str(getattr(material, "alphaMode", None) or "OPAQUE").upper()
-        texture = self.override if uv is not None else None
-        if texture is None and image is not None and uv is not None:
-            texture = self.texture_array(image, mode != "OPAQUE")
-        factor = getattr(material, "baseColorFactor", None)
-        alpha = 1.0
-        if factor is not None and mode != "OPAQUE" and len(np.atleast_1d(factor)) > 3:
-            alpha = float(unit_colors(np.asarray(factor))[3])
-        if mode == "MASK":  # scaled so that the material's cutoff lands on 1/2
-            cutoff = getattr(material, "alphaCutoff", None)
-            alpha *= 0.5 / max(float(0.5 if cutoff is None else cutoff), 1e-3)
-        if factor is None and texture is None:
-            factor = getattr(material, "diffuse", None)
-        if factor is not None and self.override is None:
-            corners = corners * as_srgb(unit_rgb(np.asarray(factor)), self.is_linear)
-        painted = (getattr(visual, "vertex_attributes", None) or {}).get("color")
-        if painted is not None:
-            corners = corners * as_srgb(unit_rgb(np.asarray(painted)), self.is_linear)[faces]
-        corner_uv = None
-        if texture is not None and uv is not None:
-            corner_uv = uv[faces].astype(np.float32)
-        colors = corners.astype(np.float32)
-        return MeshPart(colors, colors, corner_uv, texture, alpha, mode == "BLEND")
-
-    def base_image(self, material: Any) -> Image.Image | None:
-        """Return a material's colour image, if it has a real one."""
-        image = getattr(material, "baseColorTexture", None)
-        if image is None:
-            image = getattr(material, "image", None)
-        if image is None:
-            return None
-        if max(image.size) <= 2:
-            self.note(f"a texture is a placeholder of {image.size} pixels: missing file?")
-        return image
-
-    def note(self, text: str) -> None:
-        """Keep a note, and log it."""
-        _logger.warning("%s: %s", self.path, text)
-        self.notes.append(text)
-
-    def texture_array(self, image: Image.Image, has_alpha: bool) -> FloatArray:  # [H, W, 4]
-        """Turn an image into colours in [0, 1], reduced to ``max_texture_px``.
-
-        Raises:
-            UserError: the image is damaged.
-        """
-        key = (id(image), has_alpha)
-        if key not in self.textures:
-            try:
-                self.textures[key] = texture_array(image, has_alpha, self.max_texture_px)
-            except UNREADABLE as error:
-                raise UserError(f"{self.path}: texture: cannot read it ({error})") from error
-        return self.textures[key]
 
 
 def _offset(placed: Iterator[tuple[str, NDArray[np.float64]]]) -> Offset | None:

@@ -133,10 +133,14 @@ def test_a_failing_writer_leaves_the_old_folder(tmp_path: Path) -> None:
 
 def test_leftovers_of_killed_writers_go(tmp_path: Path) -> None:
     (tmp_path / ".ball.abc_1234").mkdir()
+    (tmp_path / ".bell.abc_1234").mkdir()
+    (tmp_path / ".ball.backup").mkdir()
+    (tmp_path / ".ball.a.file_123").write_text("")
     (tmp_path / ".build").mkdir()
     (tmp_path / "kept").mkdir()
-    assert forget_leftovers(tmp_path) == 1
-    assert sorted(os.listdir(tmp_path)) == [".build", "kept"]
+    assert forget_leftovers(tmp_path, ["ball", "ball.a"]) == 1
+    left = [".ball.a.file_123", ".ball.backup", ".bell.abc_1234", ".build", "kept"]
+    assert sorted(os.listdir(tmp_path)) == left
 
 
 def test_empty_and_unwritable_objects_are_user_errors(tmp_path: Path) -> None:

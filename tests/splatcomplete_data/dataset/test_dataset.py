@@ -217,6 +217,15 @@ def test_a_folder_that_the_build_did_not_make_is_left_alone(
         ("objects: [{id: a, command: mesh, file: x, out: y}]\n", "out"),
         ("objects: [{id: ../a, command: mesh, file: x}]\n", "id"),
         ("objects: [{id: a, command: crop, file: 'capture:b'}]\n", "capture"),
+        (
+            "objects: [{id: a, command: mesh, file: x}, {id: a, command: mesh, file: y}]\n",
+            "a: expected each id once",
+        ),
+        (
+            "captures: [{id: a, command: images, images: x}]\n"
+            "objects: [{id: a, command: mesh, file: x}]\n",
+            "a: expected each id once, found a capture's too",
+        ),
         ("objects: {a: 1}\n", "list"),
         ("surplus: 1\n", "surplus"),
         ("objects: [\n", "YAML"),

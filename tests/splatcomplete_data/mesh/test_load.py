@@ -10,7 +10,8 @@ from PIL import Image
 
 from gscomplete.errors import UserError
 from splatcomplete_data.commands.mesh import MeshOptions, make
-from splatcomplete_data.mesh.load import GREY, BakedLight, load_mesh, mesh_to_discs
+from splatcomplete_data.mesh.load import BakedLight, load_mesh, mesh_to_discs
+from splatcomplete_data.mesh.parts import GREY
 from splatcomplete_data.mesh.textures import srgb_from_linear
 
 DATA = Path(__file__).resolve().parents[3] / "../shared/data/mesh"

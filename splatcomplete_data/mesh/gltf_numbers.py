@@ -1,12 +1,16 @@
-"""Texture coordinates of glTF files where they are not those that trimesh reads.
+"""Numbers of glTF files where they are not those that trimesh reads.
 
 Conventions
 -----------
-* trimesh takes the numbers of the first set as they are stored. A base colour texture may ask for
-  another set; integers may be ``normalized``, shares of their type's range; and the extension
-  KHR_texture_transform scales, turns and moves them: uv' = offset + R (scale x uv).
+* trimesh takes numbers as they are stored. Integers may be ``normalized``, shares of their type's
+  range: texture coordinates, and positions by KHR_mesh_quantization.
+* trimesh takes the first set of texture coordinates. A base colour texture may ask for another
+  one; and the extension KHR_texture_transform scales, turns and moves them:
+  uv' = offset + R (scale x uv).
 * glTF's v points down, its R turns anticlockwise as one sees the picture; what is returned has v
   upwards, as everything in ``mesh``.
+* What is returned has one entry per geometry that trimesh makes of a file that it has read, in its
+  order; None = what trimesh read is right.
 """
 
 from __future__ import annotations
@@ -14,6 +18,7 @@ from __future__ import annotations
 import base64
 import json
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,26 +36,36 @@ _MODES_READ = (0, 1, 4, 5)
 """Points, lines, triangles and strips: what trimesh makes a geometry of."""
 
 
-def own_coordinates(path: Path) -> list[FloatArray | None]:  # [V, 2] each
-    """Return the texture coordinates that trimesh does not read as the file means them.
+@dataclass(frozen=True, slots=True)
+class OwnNumbers:
+    """What the file means where trimesh reads something else; see the module's conventions."""
+
+    coordinates: list[FloatArray | None]  # [V, 2] each
+    position_ranges: list[int | None]
+    """The stored integer that means 1, where positions are shares of it."""
+
+
+def own_numbers(path: Path) -> OwnNumbers:
+    """Return the texture coordinates and ranges that trimesh does not read as the file means them.
 
     Args:
         path: a glTF or GLB file that trimesh has read.
-
-    Returns:
-        One entry per geometry that trimesh makes, in its order; None = what it read is right.
 
     Raises:
         ValueError: or an IndexError, KeyError, TypeError or AttributeError: the file is damaged.
         OSError: a buffer cannot be read.
     """
     file = _Gltf(path)
-    primitives = [p for mesh in file.header.get("meshes", []) for p in mesh["primitives"]]
-    return [
-        file.coordinates(primitive)
-        for primitive in primitives
+    primitives = [
+        primitive
+        for mesh in file.header.get("meshes", [])
+        for primitive in mesh["primitives"]
         if primitive.get("mode", _TRIANGLES) in _MODES_READ
     ]
+    return OwnNumbers(
+        [file.coordinates(primitive) for primitive in primitives],
+        [file.position_range(primitive) for primitive in primitives],
+    )
 
 
 class _Gltf:
@@ -75,6 +90,14 @@ class _Gltf:
             return None
         uv = _transformed(self.numbers(accessor), transform)
         return np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1)
+
+    def position_range(self, primitive: Any) -> int | None:
+        """Return the stored integer that means 1 in a primitive's positions, if any does."""
+        accessor = self.header["accessors"][primitive["attributes"]["POSITION"]]
+        dtype = np.dtype(_COMPONENTS[accessor["componentType"]])
+        if accessor.get("normalized", False) and dtype.kind in "iu":
+            return int(np.iinfo(dtype).max)
+        return None
 
     def base_texture(self, primitive: Any) -> Any:
         """Return the reference to a primitive's colour texture; an empty one if it has none."""

@@ -1,4 +1,4 @@
-"""Texture coordinates of glTF files are those that the file means."""
+"""Texture coordinates and positions of glTF files are those that the file means."""
 
 import base64
 import io
@@ -47,12 +47,24 @@ def quad(
     *,
     normalized: bool = False,
     kind: str = "gltf",
+    corners: np.ndarray = CORNERS,
+    node: dict[str, Any] | None = None,
 ) -> Path:
-    """A unit square with a picture; ``stored`` are its sets of texture coordinates."""
-    kinds = {"float32": 5126, "uint8": 5121, "uint16": 5123, "int16": 5122}
-    blocks = [CORNERS.tobytes(), np.array([0, 1, 2, 0, 2, 3], "<u2").tobytes()]
+    """A square with a picture; ``stored`` are its sets of texture coordinates.
+
+    Its corners [4, 4] are shares of their type's range if they are integers; the last is padding.
+    """
+    kinds = {"float32": 5126, "uint8": 5121, "uint16": 5123, "int8": 5120, "int16": 5122}
+    is_whole = corners.dtype.kind in "iu"
+    blocks = [corners.tobytes(), np.array([0, 1, 2, 0, 2, 3], "<u2").tobytes()]
     accessors: list[dict[str, Any]] = [
-        {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"},
+        {
+            "bufferView": 0,
+            "componentType": kinds[corners.dtype.name],
+            "normalized": is_whole,
+            "count": 4,
+            "type": "VEC3",
+        },
         {"bufferView": 1, "componentType": 5123, "count": 6, "type": "SCALAR"},
     ]
     views: list[dict[str, Any]] = []
@@ -75,6 +87,8 @@ def quad(
         views.append({"buffer": 0, "byteOffset": start, "byteLength": len(block)})
         if number > 1 and len(block) > 4 * 2 * stored[number - 2].itemsize:
             views[-1]["byteStride"] = len(block) // 4
+        if number == 0 and is_whole:
+            views[-1]["byteStride"] = len(block) // 4
         start += len(block)
     attributes = {"POSITION": 0} | {f"TEXCOORD_{n}": 2 + n for n in range(len(stored))}
     content = b"".join(blocks)
@@ -82,7 +96,7 @@ def quad(
         "asset": {"version": "2.0"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
+        "nodes": [{"mesh": 0, **(node or {})}],
         "meshes": [{"primitives": [{"attributes": attributes, "indices": 1, "material": 0}]}],
         "materials": [
             {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0, **(texture or {})}}}
@@ -186,3 +200,28 @@ def test_the_set_that_a_texture_asks_for_is_used(tmp_path: Path) -> None:
     assert shown(quad(tmp_path, both, {"texCoord": 1})) == QUARTERS
     instead = {"texCoord": 0, "extensions": {"KHR_texture_transform": {"texCoord": 1}}}
     assert shown(quad(tmp_path, both, instead)) == QUARTERS
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "int8", "int16"])
+def test_normalized_positions_are_shares_of_their_range(tmp_path: Path, dtype: str) -> None:
+    """As ``gltfpack -vpn`` writes them: the node's transform makes them the object again."""
+    most = np.iinfo(dtype).max
+    corners = np.zeros((4, 4), dtype)  # rows begin at multiples of 4 bytes
+    corners[:, :2] = (CORNERS[:, :2] * most).astype(dtype)
+    node = {"scale": [2.0, 3.0, 1.0], "translation": [5.0, 0.0, 0.0]}
+    path = quad(tmp_path, [WHOLE.astype(np.float32)], corners=corners, node=node)
+    mesh = load_mesh(path)
+    low, high = mesh.bounds()
+    np.testing.assert_allclose(low, [5, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(high, [7, 3, 0], atol=1e-6)
+    assert mesh.notes == ()
+
+
+@pytest.mark.parametrize("dtype", ["int8", "int16"])
+def test_the_least_integer_means_minus_one_too(tmp_path: Path, dtype: str) -> None:
+    info = np.iinfo(dtype)
+    corners = np.zeros((4, 4), dtype)
+    corners[:, :2] = np.where(CORNERS[:, :2] > 0, info.max, info.min)
+    low, high = load_mesh(quad(tmp_path, [WHOLE.astype(np.float32)], corners=corners)).bounds()
+    np.testing.assert_allclose(low, [-1, -1, 0])
+    np.testing.assert_allclose(high, [1, 1, 0])
