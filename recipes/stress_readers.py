@@ -24,9 +24,9 @@ from pathlib import Path
 from types import FrameType
 
 import numpy as np
-import tyro
 
 from gscomplete.errors import UserError
+from recipes.entry_point import start
 
 Reader = Callable[[Path], object]
 
@@ -212,4 +212,4 @@ def main(options: Options) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(tyro.cli(Options)))
+    start(main, Options, __doc__)

@@ -26,7 +26,6 @@ from typing import Any
 
 import numpy as np
 import torch
-import tyro
 from rich.console import Console
 from rich.progress import track
 
@@ -40,6 +39,7 @@ from gscomplete.evaluate.pictures import save_image
 from gscomplete.priors import load_prior
 from gscomplete.priors.base import prior_identity
 from recipes.benchmarks.charts import Chart, draw_charts
+from recipes.entry_point import start
 from recipes.real_objects.compare import completed, measure, pose
 from recipes.real_objects.complete import DATA
 from recipes.real_objects.load import load_real_object
@@ -149,4 +149,4 @@ def main(options: Options) -> None:
 
 if __name__ == "__main__":
     torch.set_num_threads(2)
-    main(tyro.cli(Options))
+    start(main, Options, __doc__)

@@ -19,7 +19,6 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-import tyro
 from PIL import Image
 from rich.console import Console
 from rich.progress import track
@@ -33,6 +32,7 @@ from gscomplete.priors import Prior, load_prior
 from gscomplete.priors.base import prior_identity
 from gscomplete.splats import Splats, concatenate, read_splats, write_splats
 from gscomplete.views import Cameras
+from recipes.entry_point import start
 from recipes.real_objects.compare import Posed, completed, pose, settings_of
 from recipes.real_objects.complete import DATA
 from recipes.real_objects.load import load_real_object
@@ -189,4 +189,4 @@ def _pair(before: dict[str, Any], after: dict[str, Any], key: str, form: str) ->
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Options))
+    start(main, Options, __doc__)

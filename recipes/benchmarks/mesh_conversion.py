@@ -32,7 +32,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-import tyro
 
 from gscomplete.atomic import atomic_path
 from gscomplete.errors import UserError
@@ -40,6 +39,7 @@ from gscomplete.render import render
 from gscomplete.splats import Splats, transform_splats
 from gscomplete.views import Cameras, ObjectFrame, UpAxis, orbit_cameras
 from recipes.benchmarks.mesh_truth import Truth, cast_mesh
+from recipes.entry_point import start
 from splatcomplete_data.mesh.convert import ConvertMode, ConvertSettings, convert_mesh
 from splatcomplete_data.mesh.load import Mesh, load_mesh
 from splatcomplete_data.mesh.parts import MeshPart
@@ -255,4 +255,4 @@ def _warm_up() -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Options))
+    start(main, Options, __doc__)

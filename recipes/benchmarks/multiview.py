@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-import tyro
 
-from gscomplete.command_line import let_threads_sleep, run_guarded
+from gscomplete.command_line import let_threads_sleep
+from recipes.entry_point import start
 from splatcomplete_data.multiview.capture import photo_folder
 from splatcomplete_data.multiview.images import list_photos
 from splatcomplete_data.multiview.reconstruct import Request, execute, prepare
@@ -87,5 +87,4 @@ def main(options: Options) -> int:
 
 if __name__ == "__main__":
     let_threads_sleep()
-    chosen = tyro.cli(Options, description=__doc__)
-    sys.exit(run_guarded("multiview benchmark", lambda: main(chosen), "start it again"))
+    start(main, Options, __doc__)

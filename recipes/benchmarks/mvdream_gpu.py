@@ -26,7 +26,6 @@ from typing import Any
 from unittest import mock
 
 import torch
-import tyro
 from torch import Tensor
 from torch.utils.flop_counter import FlopCounterMode
 
@@ -47,6 +46,7 @@ from gscomplete.splats import Splats, concatenate, read_splats
 from gscomplete.splats.filters import usable_rows
 from gscomplete.views import ViewDistribution, four_view_orbit
 from recipes.benchmarks.scenes import surface_discs
+from recipes.entry_point import start
 
 REDUCED = MVDreamConfig(
     UNetConfig(model_channels=32, channel_mult=(1, 1), num_res_blocks=1, num_head_channels=32),
@@ -381,4 +381,4 @@ def _peak_gib(device: torch.device) -> float | None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Options))
+    start(main, Options, __doc__)

@@ -26,9 +26,9 @@ from unittest import mock
 
 import numpy as np
 import torch
-import tyro
 
 from gscomplete.splats import Splats, load_splats, read_splats, write_splats
+from recipes.entry_point import start
 
 
 @dataclass(frozen=True)
@@ -143,4 +143,4 @@ def main(options: Options) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Options))
+    start(main, Options, __doc__)

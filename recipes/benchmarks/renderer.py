@@ -29,7 +29,6 @@ from typing import Any, Literal
 import numba
 import numpy as np
 import torch
-import tyro
 
 from gscomplete.atomic import atomic_path
 from gscomplete.errors import UserError
@@ -42,6 +41,7 @@ from recipes.benchmarks.clocks import Clock, clock_reader
 from recipes.benchmarks.machine_limits import MachineLimits, measure_limits
 from recipes.benchmarks.renderer_work import Stage, measure_stages
 from recipes.benchmarks.scenes import bench_camera, surface_discs, trainable_copy
+from recipes.entry_point import start
 
 Sweep = Literal["splats", "size_px", "sh_degree"]
 
@@ -292,4 +292,4 @@ def main(options: Options) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Options))
+    start(main, Options, __doc__)

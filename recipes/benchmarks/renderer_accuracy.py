@@ -33,7 +33,6 @@ from typing import Any, Literal
 import numba
 import numpy as np
 import torch
-import tyro
 from torch import Tensor
 
 from gscomplete.atomic import atomic_path
@@ -44,6 +43,7 @@ from gscomplete.views import Cameras
 from recipes.benchmarks.charts import Chart, draw_charts
 from recipes.benchmarks.clocks import Clock, clock_reader
 from recipes.benchmarks.scenes import bench_camera, cloud, surface_discs, trainable_copy
+from recipes.entry_point import start
 
 COLOR_MAX, COLOR_MEAN, GRADIENT = 1 / 255, 1e-4, 1e-3
 """What the default settings must keep to, against the twin of the same image definition."""
@@ -330,4 +330,4 @@ def main(options: Options) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Options))
+    start(main, Options, __doc__)

@@ -36,7 +36,6 @@ from typing import Any, Protocol, cast
 import numba
 import numpy as np
 import torch
-import tyro
 from torch import Tensor
 
 from gscomplete.atomic import atomic_path
@@ -46,6 +45,7 @@ from gscomplete.splats import Splats
 from gscomplete.views import Cameras
 from recipes.benchmarks.clocks import Clock, clock_reader
 from recipes.benchmarks.scenes import bench_camera, surface_discs, trainable_copy
+from recipes.entry_point import start
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,4 +292,4 @@ def main(options: Options) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Options))
+    start(main, Options, __doc__)

@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
-import tyro
 
 from gscomplete.render import render
 from gscomplete.splats import Splats
 from gscomplete.views import Cameras
+from recipes.entry_point import start
 from splatcomplete_data.points import points_to_splats
 from splatcomplete_data.singleview.load import SingleView, SingleViewSettings, load_single_view
 
@@ -113,4 +113,4 @@ def main(options: Options) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Options))
+    start(main, Options, __doc__)

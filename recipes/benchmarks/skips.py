@@ -25,7 +25,6 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-import tyro
 from torch import Tensor
 
 from gscomplete.atomic import atomic_path
@@ -35,6 +34,7 @@ from gscomplete.completion.presets import RECONSTRUCT, SMALL_PRIOR
 from gscomplete.completion.settings import CompletionSettings, SkipSettings
 from gscomplete.priors import Prior, load_prior
 from gscomplete.splats import Splats
+from recipes.entry_point import start
 from recipes.real_objects.compare import Posed, pose
 from recipes.real_objects.complete import DATA
 from recipes.real_objects.load import load_real_object
@@ -176,4 +176,4 @@ def main(options: Options) -> None:
 
 if __name__ == "__main__":
     torch.set_num_threads(2)
-    main(tyro.cli(Options))
+    start(main, Options, __doc__)

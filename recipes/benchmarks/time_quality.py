@@ -22,7 +22,6 @@ from typing import Any
 
 import numpy as np
 import torch
-import tyro
 from PIL import Image, ImageDraw
 from rich.console import Console
 from rich.progress import track
@@ -39,6 +38,7 @@ from gscomplete.priors import Prior, load_prior
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.transform import transform_splats
 from gscomplete.views import ObjectFrame, ViewDistribution
+from recipes.entry_point import start
 from recipes.train_embedded_prior.dataset import HELD_OUT_SEED_OFFSET
 from recipes.train_embedded_prior.source import procedural_source
 
@@ -196,4 +196,4 @@ def plot(results: dict[str, dict[str, Any]]) -> Image.Image:
 
 if __name__ == "__main__":
     torch.set_num_threads(2)
-    main(tyro.cli(Options))
+    start(main, Options, __doc__)

@@ -31,7 +31,6 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
-import tyro
 from PIL import Image
 from rich.console import Console
 from rich.progress import track
@@ -54,6 +53,7 @@ from gscomplete.priors.embedded.shape.proposals import candidate_planes
 from gscomplete.splats import Splats, concatenate, read_splats, write_splats
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.views import ObjectFrame, ViewDistribution, up_rotation
+from recipes.entry_point import start
 from recipes.real_objects.complete import DATA
 from recipes.real_objects.load import RealObject, load_real_object
 from recipes.results import Results
@@ -257,4 +257,4 @@ def mean_of_known(values: Sequence[float | None], form: str) -> str:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Options))
+    start(main, Options, __doc__)

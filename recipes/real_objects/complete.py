@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-import tyro
 from PIL import Image
 from rich.console import Console
 from rich.progress import track
@@ -33,6 +32,7 @@ from gscomplete.priors.base import prior_identity
 from gscomplete.splats import Splats, concatenate, read_splats, write_splats
 from gscomplete.splats.transform import transform_splats
 from gscomplete.views import ObjectFrame, ViewDistribution
+from recipes.entry_point import start
 from recipes.real_objects.load import RealObject, load_real_object, names
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared/data"
@@ -201,4 +201,4 @@ def _mean_line(rows: list[dict[str, Any]]) -> str:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Options))
+    start(main, Options, __doc__)

@@ -6,12 +6,12 @@ import logging
 from dataclasses import dataclass
 from pathlib import Path
 
-import tyro
 from PIL import Image
 
 from gscomplete.evaluate import contact_sheet, render_images, save_image
 from gscomplete.splats import transform_splats
 from gscomplete.views import ObjectFrame, ViewDistribution
+from recipes.entry_point import start
 from recipes.real_objects.load import RealObject, frame_of, load_real_object, names
 
 _logger = logging.getLogger(__name__)
@@ -62,4 +62,4 @@ def main(options: SheetOptions) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(SheetOptions))
+    start(main, SheetOptions, __doc__)

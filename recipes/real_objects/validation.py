@@ -24,7 +24,6 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-import tyro
 from rich.console import Console
 from rich.progress import track
 
@@ -32,6 +31,7 @@ from gscomplete.priors import load_prior
 from gscomplete.priors.base import prior_identity
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.views import up_rotation
+from recipes.entry_point import start
 from recipes.real_objects.catalogue import ENTRIES, BoxCut, Cut, Entry, PlaneCut, ScanCut
 from recipes.real_objects.compare import (
     OBJECTS,
@@ -151,4 +151,4 @@ def table(rows: dict[str, dict[str, Any]]) -> str:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Options))
+    start(main, Options, __doc__)

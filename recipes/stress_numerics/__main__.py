@@ -14,10 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import tyro
-
 from gscomplete.atomic import atomic_path
 from gscomplete.command_line import let_threads_sleep
+from recipes.entry_point import start
 
 
 @dataclass(frozen=True)
@@ -103,7 +102,4 @@ def main(options: Options) -> int:
 
 if __name__ == "__main__":
     let_threads_sleep()
-    from gscomplete.command_line import run_guarded
-
-    options = tyro.cli(Options)
-    sys.exit(run_guarded("stress_numerics", lambda: main(options), "nothing was kept"))
+    start(main, Options, __doc__)

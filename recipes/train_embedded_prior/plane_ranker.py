@@ -20,7 +20,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-import tyro
 from rich.console import Console
 from rich.progress import track
 from torch import Tensor, nn
@@ -30,6 +29,7 @@ from gscomplete.priors.embedded.shape.grid import FloatArray
 from gscomplete.priors.embedded.shape.inputs import look_at
 from gscomplete.priors.embedded.shape.plane_ranker import LAYERS, RANKER_FILE, PlaneRanker
 from gscomplete.priors.embedded.shape.planes import FEATURES, plane_features
+from recipes.entry_point import start
 from recipes.train_embedded_prior.copies import Truth
 from recipes.train_embedded_prior.plane_sets import posed_object
 
@@ -126,10 +126,9 @@ def worth_of_choice(ranker: PlaneRanker, features: Tensor, worths: Tensor) -> tu
     return float(flat[torch.arange(len(flat)), first].mean()), float(flat.amax(dim=1).mean())
 
 
-def main() -> int:
+def main(config: RankerConfig) -> int:
     """Run from the command line."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    config = tyro.cli(RankerConfig, description=__doc__)
     features, worths = measured_planes(config)
     held_out = torch.arange(len(features)) % _HELD_OUT_EVERY == 0
     ranker = fit(config, features[~held_out], worths[~held_out])
@@ -142,4 +141,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    start(main, RankerConfig, __doc__)

@@ -14,13 +14,11 @@ from __future__ import annotations
 
 import json
 import logging
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
-import tyro
 from PIL import Image
 from torch import Tensor
 
@@ -35,6 +33,7 @@ from gscomplete.priors.embedded.prior import EmbeddedPrior, packaged_weights
 from gscomplete.render import render
 from gscomplete.splats import Splats
 from gscomplete.views import four_view_orbit, radius_to_fit
+from recipes.entry_point import start
 from recipes.train_embedded_prior.procedural.objects import FAMILIES, make_object_of
 
 _LOG = logging.getLogger(__name__)
@@ -107,10 +106,9 @@ def _over_grey(color: Tensor, alpha: Tensor) -> Tensor:  # [4, H, W, 3]
     return color + 0.5 * (1 - alpha)[..., None]
 
 
-def main() -> int:
+def main(options: Options) -> int:
     """Run from the command line."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    options = tyro.cli(Options, description=__doc__)
     prior = EmbeddedPrior.from_folder(options.weights or packaged_weights())
     families = options.families or tuple(FAMILIES)
     fitted = set(np.linspace(0, len(families) - 1, max(options.fitted, 1)).astype(int).tolist())
@@ -132,4 +130,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    start(main, Options, __doc__)

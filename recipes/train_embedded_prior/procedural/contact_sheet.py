@@ -19,6 +19,7 @@ from gscomplete.render import render
 from gscomplete.splats.record import Splats
 from gscomplete.views import orbit_cameras
 from gscomplete.views.cameras import radius_to_fit
+from recipes.entry_point import start
 from recipes.train_embedded_prior.procedural.objects import FAMILIES, make_object_of
 from splatcomplete_data.flaws import corrupt
 from splatcomplete_data.random_cuts import random_partial
@@ -84,13 +85,12 @@ def contact_sheet(settings: SheetSettings) -> Image.Image:
     return sheet
 
 
-def main() -> None:
+def main(settings: SheetSettings) -> None:
     """Write the contact sheet."""
-    settings = tyro.cli(SheetSettings)
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     contact_sheet(settings).save(settings.out)
     LOG.info("wrote %s", settings.out)
 
 
 if __name__ == "__main__":
-    main()
+    start(main, SheetSettings, __doc__)
