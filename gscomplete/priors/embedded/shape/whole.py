@@ -58,9 +58,10 @@ class WholeSettings:
     sure_worths: tuple[float, float] = (0.1, 0.3)
     """Little is missing where no mirror image of P is worth more than the first: none adds anything
     that the network believes in. From the second on that says nothing ..."""
-    sure_shares: tuple[float, float] = (0.1, 0.2)
-    """... or where no more of the surface than the first share is away from P; from the second on
-    that says nothing. Between them levels are interpolated; the higher one counts."""
+    sure_shares: tuple[float, float] = (0.2, 0.3)
+    """... or where no more of the surface than the first share lies beyond P's cells and those
+    beside them (were more counted as P's, scattered splats would seem to be a whole surface); from
+    the second on that says nothing. Between them levels are interpolated; the higher one counts."""
     mirrored_share: float = 0.7
     """Most of the new splats that are mirrored ones."""
     gap_spacings: float = 3.0
@@ -104,7 +105,7 @@ def _surface_logit(prediction: Prediction, settings: WholeSettings) -> float:
     """Return the logit from which on cells count as filled, by how much is missing."""
     filled = (prediction.output.occupancy.float() > 0).float()
     surface = (filled > 0) & (grown(1 - filled) > 0)
-    away = surface & (grown(grown(torch.from_numpy(prediction.look.volume[:1]))) <= 0)
+    away = surface & (grown(torch.from_numpy(prediction.look.volume[:1])) <= 0)
     share = float(away.sum()) / max(float(surface.sum()), 1.0)
     levels = (settings.sure_logit, settings.unsure_logit)
     by_share = float(np.interp(share, settings.sure_shares, levels))
