@@ -83,6 +83,23 @@ def test_where_little_is_missing_the_network_has_to_be_surer(worth, shares, is_s
     assert bool(other.means.norm(dim=1).max() > farthest) is is_sure
 
 
+@pytest.mark.parametrize(("count", "is_sure"), [(60, False), (4000, True)])
+def test_scattered_splats_are_no_whole_surface(count, is_sure):
+    """All of a ball is there; of few splats, as far scanners see it, most of it is open."""
+    partial = sphere(count)
+    look = look_at(partial, VIEWS)
+    half_ball = predicted(0.5, confidence=40.0)
+    prediction = dataclasses.replace(half_ball, look=look, seen=look.with_copies(mirrors()))
+
+    def found(sure: float, unsure: float):
+        settings = WholeSettings(count=4000, sure_logit=sure, unsure_logit=unsure)
+        return whole_splats(prediction, partial, settings, torch.Generator().manual_seed(0))
+
+    level = 3.0 if is_sure else -3.0
+    assert torch.equal(found(3.0, -3.0).means, found(level, level).means)
+    assert not torch.equal(found(3.0, -3.0).means, found(-level, -level).means)
+
+
 def test_the_mirrored_whole_is_that_of_the_truth():
     whole = concatenate([half(sphere()), put_together(predicted(0.9))])
     cameras = VIEWS.ring(8, 96)
