@@ -27,7 +27,7 @@ import torch
 from torch import Tensor
 
 from gscomplete.priors.base import Mirror, MirrorPlane
-from gscomplete.priors.embedded.shape.grid import FloatArray, grown
+from gscomplete.priors.embedded.shape.grid import FloatArray, grown, surface_cells
 from gscomplete.priors.embedded.shape.inputs import PartLook, ShapeInputs
 from gscomplete.priors.embedded.shape.model import ShapeCompleter
 from gscomplete.priors.embedded.shape.precision import cpu_precision
@@ -133,8 +133,7 @@ def answered_worths(
     cells = (1, 2, 3)
     elsewhere = grown(partial[None]) <= 0
     new = (copies > 0) & elsewhere
-    solid = (filled > _FILLED).float()
-    surface = (solid > 0) & (grown(1 - solid) > 0) & elsewhere
+    surface = surface_cells(filled > _FILLED) & elsewhere
     covered = (filled * (surface & (grown(copies) > 0))).sum(dim=cells)
     wanted = (filled * surface).sum(dim=cells)
     left_empty = ((1 - filled) * new).sum(dim=cells) / (copies > 0).sum(dim=cells).clamp_min(1)

@@ -109,6 +109,11 @@ def grown(volumes: Tensor) -> Tensor:  # [K, C, C, C] -> [K, C, C, C]
     return F.max_pool3d(volumes, 3, 1, 1)
 
 
+def surface_cells(filled: Tensor) -> Tensor:  # bool [K, C, C, C] -> bool [K, C, C, C]
+    """Mark the filled cells that have an empty one beside them."""
+    return filled & (grown((~filled).float()) > 0)
+
+
 def sample_volume(volume: Tensor, points: Tensor) -> Tensor:  # [C, n, n, n], [N, 3] -> [N, C]
     """Interpolate a volume of cell-centred values at points of the object frame."""
     place = (points / HALF_SIDE).flip(-1)[None, None, None]  # grid_sample wants z, y, x

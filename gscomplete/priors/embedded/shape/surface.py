@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from gscomplete.priors.embedded.shape.colors import nearest_colors, source_colors
-from gscomplete.priors.embedded.shape.grid import CELL_SIDE, HALF_SIDE, sample_volume
+from gscomplete.priors.embedded.shape.grid import CELL_SIDE, HALF_SIDE, grown, sample_volume
 from gscomplete.priors.embedded.shape.inputs import ShapeInputs
 from gscomplete.priors.embedded.shape.model import ShapeOutput
 from gscomplete.splats import Splats, colors_to_sh, concatenate
@@ -142,7 +142,7 @@ def on_copies(
 def _seeds(logits: Tensor, generator: torch.Generator) -> Tensor:  # [N, 3]
     """Draw points in the cells about the surface."""
     filled = (logits > 0).float()[None]
-    mixed = F.max_pool3d(filled, 3, 1, 1) - (1 - F.max_pool3d(1 - filled, 3, 1, 1))
+    mixed = grown(filled) - (1 - grown(1 - filled))
     cells = torch.nonzero(mixed[0] > 0).repeat(_SEEDS_PER_CELL, 1).float()
     jitter = torch.rand(cells.shape, generator=generator)
     return (cells + jitter) * CELL_SIDE - HALF_SIDE
