@@ -22,7 +22,7 @@ from PIL import Image
 from torch import Tensor, nn
 
 from gscomplete.atomic import atomic_path
-from gscomplete.priors.embedded.shape.grid import COARSE_CELLS
+from gscomplete.priors.embedded.shape.grid import COARSE_CELLS, grown
 from gscomplete.priors.embedded.shape.model import ShapeCompleter, ShapeOutput
 from gscomplete.priors.embedded.shape.symmetries import SOURCES
 from gscomplete.priors.embedded.text import NO_TEXT_TOKEN
@@ -131,8 +131,8 @@ def _measured(out: ShapeOutput, batch: ShapeBatch) -> dict[str, float]:
 def shape_losses(out: ShapeOutput, batch: ShapeBatch) -> dict[str, Tensor]:
     """Return the parts of the loss."""
     solid = batch.solid
-    around = F.max_pool3d(solid[:, None], 3, 1, 1) + F.max_pool3d(1 - solid[:, None], 3, 1, 1)
-    weight = 1 + _SURFACE_WEIGHT * (around[:, 0] - 1)
+    around = grown(solid) + grown(1 - solid)
+    weight = 1 + _SURFACE_WEIGHT * (around - 1)
     occupancy = F.binary_cross_entropy_with_logits(out.occupancy, solid, reduction="none")
     true_colors, there = coarse_colors(batch.surface)
     error = (blended_colors(out, batch.volumes) - true_colors).abs().mean(dim=1)
@@ -197,9 +197,9 @@ def filled_iou(out: ShapeOutput, batch: ShapeBatch) -> dict[str, float]:
     solid = batch.solid > 0
     iou = (inside & solid).sum(dim=(1, 2, 3)) / (inside | solid).sum(dim=(1, 2, 3))
     missing = batch.surface[:, 0] > 0
-    missing &= F.max_pool3d(batch.volumes[:, 0, 0][:, None], 3, 1, 1)[:, 0] == 0
+    missing &= grown(batch.volumes[:, 0, 0]) == 0
     found = (missing & inside).sum() / missing.sum().clamp_min(1)
-    copied = F.max_pool3d(batch.volumes[:, 1, 0][:, None], 3, 1, 1)[:, 0] > 0
+    copied = grown(batch.volumes[:, 1, 0]) > 0
     copy_found = (missing & copied).sum() / missing.sum().clamp_min(1)
     return {
         "iou": float(iou.mean()),
