@@ -1,6 +1,6 @@
 """Compare ways to complete real objects: ``python -m recipes.real_objects.compare --out DIR``.
 
-Every object is completed (or not) in eight ways and compared with the truth from eight views:
+Every object is completed (or not) in nine ways and compared with the truth from eight views:
 
 * ``input``: P alone.
 * ``likeliest``: P and its mirror image through the plane that is proposed first.
@@ -14,6 +14,8 @@ Every object is completed (or not) in eight ways and compared with the truth fro
 * ``alternatives``: the best of up to nine first guesses, through the likely planes of symmetry and
   through none, *chosen with the truth*: the most that someone who looks at what ``--alternatives``
   draws could get.
+* ``true_shape``: the truth's own splats where P lacks them, in the colours of P's nearest ones:
+  what someone gets who knows the shape exactly and no colour that P does not show.
 
 Scans have no truth: their pictures are drawn and their preservation errors measured. Results go to
 ``comparison.json`` and ``comparison.png``; an interrupted comparison goes on where it stopped.
@@ -34,6 +36,7 @@ import torch
 from PIL import Image
 from rich.console import Console
 from rich.progress import track
+from scipy.spatial import cKDTree
 
 from gscomplete import jsonio
 from gscomplete.completion.alternatives import guess_alternatives
@@ -50,7 +53,7 @@ from gscomplete.priors.embedded.shape.choice import CANDIDATES
 from gscomplete.priors.embedded.shape.inputs import look_at
 from gscomplete.priors.embedded.shape.mirrored import mirror_image
 from gscomplete.priors.embedded.shape.proposals import candidate_planes
-from gscomplete.splats import Splats, concatenate, read_splats, write_splats
+from gscomplete.splats import Splats, colors_to_sh, concatenate, read_splats, write_splats
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.views import ObjectFrame, ViewDistribution, up_rotation
 from recipes.entry_point import start
@@ -59,8 +62,9 @@ from recipes.real_objects.load import RealObject, load_real_object
 from recipes.results import Results
 
 Way = Literal[
-    "input", "likeliest", "mirror", "text", "reconstruct", "fast", "default", "alternatives"
-]
+    "input", "likeliest", "mirror", "text", "reconstruct", "fast", "default", "alternatives",
+    "true_shape",
+]  # fmt: skip
 WAYS: tuple[Way, ...] = get_args(Way)
 OBJECTS = (
     "blue_mug", "bowl", "apple", "stapler", "armchair", "refrigerator", "lantern", "sofa",
@@ -69,6 +73,8 @@ OBJECTS = (
 )  # fmt: skip
 """Eighteen meshes of as many kinds, three others (a trained splat file, a statue without colours, a
 tree of loose parts), and three scans."""
+_SAME_PLACE = 1e-6
+"""Splats of the truth this near to one of P's are P's own, object sizes."""
 
 
 @dataclass(frozen=True)
@@ -123,6 +129,8 @@ def new_splats(posed: Posed, way: Way, prior: Prior, seed: int) -> tuple[Splats 
     if way == "alternatives":
         guesses = alternatives(posed, prior, seed)
         return best_by_truth(guesses, posed), time.perf_counter() - started
+    if way == "true_shape":
+        return true_shape(posed), time.perf_counter() - started
     return completed(posed, prior, settings_of(way, prior, seed))
 
 
@@ -159,6 +167,17 @@ def alternatives(posed: Posed, prior: Prior, seed: int) -> list[Splats]:
         prior, posed.partial, posed.views, conditioning, settings, CANDIDATES
     )
     return [alternative.splats for alternative in found]
+
+
+def true_shape(posed: Posed) -> Splats | None:
+    """Return what P lacks of the truth, in P's nearest colours; None where the truth is unknown."""
+    if posed.truth is None:
+        return None
+    truth = posed.truth.with_sh_degree(0)
+    distance, nearest = cKDTree(posed.partial.means.numpy()).query(truth.means.numpy())
+    lacking = torch.from_numpy(distance > _SAME_PLACE)
+    colors = posed.partial.base_colors[torch.from_numpy(nearest)[lacking]]
+    return dataclasses.replace(truth.select(lacking), sh=colors_to_sh(colors))
 
 
 def best_by_truth(copies: list[Splats], posed: Posed) -> Splats | None:
