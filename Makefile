@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-done
 DEMO_OUT ?= runs/demo
 
-.PHONY: setup demo test lint bench clean
+.PHONY: setup demo test lint bench clean FORCE
 
 setup: $(STAMP)
 
@@ -17,6 +17,12 @@ $(STAMP): pyproject.toml
 	$(BIN)/pip install --quiet "$(TORCH)"
 	$(BIN)/pip install --quiet --editable ".[$(EXTRAS)]"
 	touch $(STAMP)
+
+# What is asked for by name is installed whatever is there already.
+ifneq ($(filter command environment,$(origin TORCH) $(origin EXTRAS)),)
+$(STAMP): FORCE
+endif
+FORCE:
 
 # A partial object made by our own generator (recipes/demo), completed with the embedded prior.
 demo: setup
@@ -36,4 +42,4 @@ bench: setup
 	$(BIN)/python -m recipes.benchmarks.renderer
 
 clean:
-	rm -rf $(VENV) runs build *.egg-info
+	rm -rf $(VENV) $(DEMO_OUT) build *.egg-info

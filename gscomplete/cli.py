@@ -8,8 +8,9 @@ from typing import Annotated, Any
 
 import tyro
 
-import gscomplete
-from gscomplete.command_line import let_threads_sleep, run_guarded
+from gscomplete.command_line import let_threads_sleep, print_version, run_guarded
+
+let_threads_sleep()  # the commands load PyTorch, and with it the OpenMP runtime
 from gscomplete.commands import complete, render, validate, view, weights
 
 _RUNNERS: dict[type, Callable[[Any], int]] = {
@@ -31,11 +32,9 @@ Command = (
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit code."""
-    let_threads_sleep()
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     if arguments == ["--version"]:
-        print(f"gscomplete {gscomplete.__version__}")
-        return 0
+        return print_version("gscomplete")
     options = tyro.cli(
         Command,
         prog="gscomplete",

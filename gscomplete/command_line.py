@@ -9,10 +9,12 @@ Conventions
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 from collections.abc import Callable
 
+from gscomplete import __version__
 from gscomplete.errors import UserError
 
 DEBUG_VARIABLE = "GSCOMPLETE_DEBUG"
@@ -32,6 +34,16 @@ def let_threads_sleep() -> None:
     os.environ.setdefault("GOMP_SPINCOUNT", "0")
 
 
+def print_version(program: str) -> int:
+    """Print the version of a console command; return the exit code."""
+
+    def tell() -> int:
+        sys.stdout.write(f"{program} {__version__}\n")
+        return 0
+
+    return run_guarded(program, tell, "nothing was done")
+
+
 def run_guarded(program: str, command: Callable[[], int], interrupted: str) -> int:
     """Call ``command`` and return its exit code; print errors as one line.
 
@@ -45,7 +57,9 @@ def run_guarded(program: str, command: Callable[[], int], interrupted: str) -> i
         sys.stderr.write(f"{program}: {message}\n")
 
     try:
-        return command()
+        code = command()
+        sys.stdout.flush()  # what is buffered may find its reader gone only now
+        return code
     except UserError as error:
         say(f"error: {error}")
         return error.exit_code
@@ -53,6 +67,7 @@ def run_guarded(program: str, command: Callable[[], int], interrupted: str) -> i
         say(f"interrupted; {interrupted}")
         return 130
     except BrokenPipeError:
+        _forget_stdout()
         return 141  # as with ``| head``
     except OSError as error:
         say(f"error: {error.filename or 'input or output'}: {error.strerror or error}")
@@ -71,3 +86,9 @@ def run_guarded(program: str, command: Callable[[], int], interrupted: str) -> i
             f"Please report it; {DEBUG_VARIABLE}=1 shows where it happened."
         )
         return 70
+
+
+def _forget_stdout() -> None:
+    """Send what is still buffered nowhere: Python would try again at exit, and complain."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -89,6 +89,8 @@ def read_json(path: Path) -> Any:
         raise UserError(
             f"{path}: expected JSON, found something else at line {error.lineno} ({error.msg})"
         ) from error
+    except (ValueError, RecursionError) as error:  # numbers of thousands of digits, deep nesting
+        raise UserError(f"{path}: expected JSON, found what cannot be held ({error})") from error
 
 
 def _dataclass_from_json(cls: type[T], data: Any, source: str, where: str) -> T:
@@ -170,7 +172,7 @@ def _convert_sequence(
 def _convert_scalar(hint: Any, data: Any, source: str, where: str) -> Any:
     """Convert a number, string, boolean or path."""
     is_number = isinstance(data, int | float) and not isinstance(data, bool)
-    if hint is float and is_number and math.isfinite(data):
+    if hint is float and is_number and _is_finite(data):
         return float(data)
     if hint is int and is_number and isinstance(data, int):
         return data
@@ -181,6 +183,14 @@ def _convert_scalar(hint: Any, data: Any, source: str, where: str) -> Any:
     expected = {float: "a finite number", int: "an integer", str: "a string", Path: "a path"}
     wanted = expected.get(hint, "true or false" if hint is bool else getattr(hint, "__name__", "?"))
     raise UserError(f"{source}: {where}: expected {wanted}, found {_describe(data)}")
+
+
+def _is_finite(number: float) -> bool:
+    """Tell whether a number is finite as a float; integers may be too large for one."""
+    try:
+        return math.isfinite(number)
+    except OverflowError:
+        return False
 
 
 def _describe(data: Any) -> str:

@@ -77,10 +77,13 @@ def check_destination(
     Arguments are those of ``atomic_folder``.
 
     Raises:
-        UserError: it exists without ``overwrite`` or is not the caller's, or is a file.
+        UserError: it exists without ``overwrite`` or is not the caller's, is a file, or is the
+            current folder, which cannot be exchanged.
     """
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         raise UserError(f"{folder}: expected a folder or nothing, found a file or link")
+    if folder.resolve() == Path.cwd():
+        raise UserError(f"{folder}: expected a folder to create, found the current one")
     held = sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
     if not held:
         return

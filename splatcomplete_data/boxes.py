@@ -4,8 +4,8 @@ Conventions
 -----------
 * A box is in the frame of the file it cuts, in its units: centre, half extents, and the rotation
   that turns box axes into the file's axes, a unit quaternion (w, x, y, z).
-* Boxes apply in order: the first ``keep`` box (or, without any, everything) is the start; further
-  ``keep`` boxes add, ``remove`` boxes take away.
+* The first ``keep`` box (or, without any, everything) is the start, wherever it stands; the others
+  apply in order: ``keep`` boxes add, ``remove`` boxes take away.
 * As text: ``CX,CY,CZ,HX,HY,HZ``, with ``,QW,QX,QY,QZ`` for an oriented box, and led by
   ``remove:`` or, if one likes, ``keep:``.
 """
@@ -80,8 +80,11 @@ def inside_boxes(
     boxes: Sequence[CropBox],
 ) -> NDArray[np.bool_]:  # [N]
     """Mark what a list of boxes keeps; no box keeps everything."""
-    kept = np.full(len(points), not boxes or boxes[0].action == "remove")
+    start = next((box for box in boxes if box.action == "keep"), None)
+    kept = np.ones(len(points), np.bool_) if start is None else start.contains(points)
     for box in boxes:
+        if box is start:
+            continue
         inside = box.contains(points)
         kept = kept | inside if box.action == "keep" else kept & ~inside
     return kept

@@ -12,8 +12,9 @@ from typing import Annotated, Any
 
 import tyro
 
-import gscomplete
-from gscomplete.command_line import let_threads_sleep, run_guarded
+from gscomplete.command_line import let_threads_sleep, print_version, run_guarded
+
+let_threads_sleep()  # the commands load PyTorch, and with it the OpenMP runtime
 from splatcomplete_data.commands import convert, crop, dataset, depth, images, mesh, partial, scan
 from splatcomplete_data.pictures import allow_large_pictures
 
@@ -50,12 +51,10 @@ Command = (
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit code."""
-    let_threads_sleep()
     allow_large_pictures()
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     if arguments == ["--version"]:
-        sys.stdout.write(f"splatcomplete-data {gscomplete.__version__}\n")
-        return 0
+        return print_version("splatcomplete-data")
     options = tyro.cli(
         Command,
         prog="splatcomplete-data",

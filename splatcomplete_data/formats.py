@@ -52,6 +52,8 @@ class Imported:
     splats: Splats
     format: SplatFormat
     notes: tuple[str, ...] = ()
+    file_from_source: Similarity | None = None
+    """What took the file's axes to those of a PLY; None = they are the same."""
 
 
 def format_of(path: Path) -> SplatFormat:
@@ -81,7 +83,7 @@ def read_any_splats(path: Path) -> Imported:
         return Imported(_read_dot_splat(path), kind)
     if kind == "spz":
         note = "SPZ axes (right, up, back) turned by 180 degrees about x to PLY's"
-        return Imported(_read_spz(path), kind, (note,))
+        return Imported(_read_spz(path), kind, (note,), _HALF_TURN)
     try:
         if kind == "ply":
             file = read_splats(path)

@@ -34,6 +34,8 @@ class FramingRequest:
     """Centre of the whole object."""
     size_file: float | None = None
     """Largest side of the whole object."""
+    camera_position_file: tuple[float, float, float] | None = None
+    """Where the source was seen from: the input view, unless another one is given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,13 +74,14 @@ def decide_framing(partial: Splats, complete: Splats | None, request: FramingReq
     if complete is not None and (center is None or size is None):
         whole = frame_of_whole(complete, request.up)
         center, size, origin = center or whole.center_file, size or whole.size_file, "truth"
-    if center is None or size is None or view is None:
+    is_boxed = center is not None and size is not None
+    camera = request.camera_position_file if view is None else None
+    if not is_boxed or (view is None and camera is None):
         rotation = up_rotation(request.up)
         anchor = partial.means.double().median(dim=0).values
         level = transform_splats(partial, Similarity(1.0, rotation, -(rotation @ anchor)))
         guess = guess_framing(level)
-        # the last reason is about centre and size
-        notes += guess.reasons[: None if center is None or size is None else -1]
+        notes += guess.reasons(view=view is None and camera is None, box=not is_boxed)
         if center is None:
             lifted = rotation.T @ torch.tensor(guess.center, dtype=torch.float64) + anchor
             x, y, z = lifted.tolist()
@@ -86,8 +89,14 @@ def decide_framing(partial: Splats, complete: Splats | None, request: FramingReq
         if size is None:
             size, origin = guess.size, "guess"
         view = view or (guess.view_azimuth_deg, guess.view_elevation_deg)
+    assert center is not None
+    assert size is not None
+    frame = ObjectFrame(request.up, center, size)
+    if camera is not None:
+        view = view_from_position(frame, camera)
+    assert view is not None
     views = ViewDistribution(*view, azimuth_range_deg=request.azimuth_range_deg)
-    return Framing(ObjectFrame(request.up, center, size), origin, views, tuple(notes))
+    return Framing(frame, origin, views, tuple(notes))
 
 
 def view_from_position(

@@ -16,7 +16,7 @@ from types import ModuleType
 
 from gscomplete.errors import UserError
 
-EXTRA = "make setup, or pip install 'gscomplete[data,bench]'"
+EXTRA = "make setup EXTRAS=dev,bench, or pip install 'gscomplete[data,bench]'"
 """How to get everything this module imports."""
 
 

@@ -107,8 +107,10 @@ def by_visibility(
     grid_px: int = 160,
     fov_deg: float = 60.0,
     tolerance: float | None = None,
+    target: ArrayLike | None = None,  # [3]
+    reach: float | None = None,
 ) -> PartialCut:
-    """Keep the splats that at least one camera, looking at the box's centre, sees first.
+    """Keep the splats that at least one camera, looking at the object's middle, sees first.
 
     Every splat is drawn as a square of its footprint into a coarse depth image; a splat is seen
     where it is not deeper than the nearest one by more than the tolerance. Very faint splats
@@ -120,6 +122,9 @@ def by_visibility(
         grid_px: side of the depth image.
         fov_deg: field of view; widened where the object would not fit.
         tolerance: depth slack, None = three median tangent sizes.
+        target: what the cameras look at; None = the middle of the box of all splats.
+        reach: how far the object reaches from there; None = as far as its farthest splat. Where
+            there may be floaters, say both: they would widen the view.
 
     Raises:
         ValueError: positions are not [V, 3].
@@ -133,8 +138,10 @@ def by_visibility(
     sizes = splats.scales.detach().amax(dim=1).cpu().float().numpy()
     slack = 3.0 * float(np.median(sizes)) if tolerance is None else tolerance
     solid = (splats.opacities.detach() >= 0.2).cpu().numpy()
-    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    reach = float(np.linalg.norm(points - middle, axis=1).max())
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0)) if target is None else target
+    middle = np.asarray(middle, np.float64)
+    if reach is None:
+        reach = float(np.linalg.norm(points - middle, axis=1).max())
     seen = np.zeros(len(points), np.bool_)
     for eye in eyes:
         distance = float(np.linalg.norm(eye - middle))

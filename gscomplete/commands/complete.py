@@ -239,20 +239,22 @@ def _mirror(text: str) -> Mirror:
     return MirrorPlane(*numbers)
 
 
-def parse_view(text: str | None) -> tuple[float, float] | None:
-    """Parse the input view c as azimuth and elevation in degrees.
+def parse_view(text: str | None, option: str = "--view") -> tuple[float, float] | None:
+    """Parse a view as azimuth and elevation in degrees.
 
     Raises:
         UserError: it has the wrong form, or an angle is out of range.
     """
-    numbers = parse_numbers(text, 2, "--view", "AZIMUTH,ELEVATION")
+    numbers = parse_numbers(text, 2, option, "AZIMUTH,ELEVATION")
     if numbers is None:
         return None
     azimuth, elevation = numbers
     if not abs(azimuth) <= 360:
-        raise UserError(f"--view: expected an azimuth of -360 to 360 degrees, found {azimuth:g}")
+        raise UserError(f"{option}: expected an azimuth of -360 to 360 degrees, found {azimuth:g}")
     if not -90 <= elevation <= 90:
-        raise UserError(f"--view: expected an elevation of -90 to 90 degrees, found {elevation:g}")
+        raise UserError(
+            f"{option}: expected an elevation of -90 to 90 degrees, found {elevation:g}"
+        )
     return azimuth, elevation
 
 

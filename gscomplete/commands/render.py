@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from gscomplete.commands.complete import parse_numbers
+from gscomplete.commands.complete import parse_numbers, parse_view
 from gscomplete.errors import UserError
 
 if TYPE_CHECKING:
     from torch import Tensor
+
+_MOST_FOV_DEG = 80.0
 
 
 @dataclass(frozen=True)
@@ -29,13 +31,14 @@ class RenderOptions:
     out: Path = Path("render")
     """Folder for view_AZIMUTH_ELEVATION.png files; created, files in it are replaced."""
     views: tuple[str, ...] = ("0,15", "60,15", "120,15", "180,15", "240,15", "300,15")
-    """Views as AZIMUTH,ELEVATION in degrees."""
+    """Views as AZIMUTH,ELEVATION in degrees, at least one."""
     up: Literal["X", "Y", "Z", "-X", "-Y", "-Z"] = "Z"
     """Axis of the file that points up."""
     size_px: int = 512
     """Width and height of the pictures."""
     fov: float = 40.0
-    """Vertical field of view in degrees."""
+    """Vertical field of view in degrees, at most 80: with more, the camera would be within the
+    object's box."""
     background: str = "1,1,1"
     """Colour behind the splats as R,G,B in 0 to 1."""
     channel: Literal["color", "alpha", "depth"] = "color"
@@ -57,10 +60,12 @@ def run(options: RenderOptions) -> int:
 
     if not 1 <= options.size_px <= 8192:
         raise UserError(f"--size-px: expected 1 to 8192, found {options.size_px}")
-    if not 1 <= options.fov <= 170:
-        raise UserError(f"--fov: expected 1 to 170 degrees, found {options.fov:g}")
+    if not 1 <= options.fov <= _MOST_FOV_DEG:
+        raise UserError(f"--fov: expected 1 to {_MOST_FOV_DEG:g} degrees, found {options.fov:g}")
+    if not options.views:
+        raise UserError("--views: expected at least one AZIMUTH,ELEVATION, found none")
     background = parse_numbers(options.background, 3, "--background", "R,G,B") or [1.0, 1.0, 1.0]
-    angles = [parse_numbers(view, 2, "--views", "AZIMUTH,ELEVATION") for view in options.views]
+    angles = [parse_view(view, "--views") for view in options.views]
     splats = read_splats(options.file).splats
     usable, left_out = usable_rows(splats)
     if not bool(usable.any()):

@@ -52,10 +52,18 @@ def run(options: ValidateOptions) -> int:
         data = {"ok": ok, "files": [report.to_json() for report in reports]}
         sys.stdout.write(json.dumps(data, indent=2) + "\n")
     else:
-        console = Console(highlight=False, soft_wrap=True)
+        console = _PipedConsole(highlight=False, soft_wrap=True)
         for report in reports:
             _print_report(console, report)
     return 0 if ok else 1
+
+
+class _PipedConsole(Console):
+    """A console whose exit code does not say that a file is damaged when its reader has gone."""
+
+    def on_broken_pipe(self) -> None:
+        """Raise what ``run_guarded`` knows; rich would exit with 1."""
+        raise BrokenPipeError
 
 
 def _print_report(console: Console, report: ValidationReport) -> None:

@@ -2,8 +2,8 @@
 
 Conventions
 -----------
-* ``list`` touches no network and exits 0 whether or not weights are there; ``--verify`` reads every
-  file and exits 1 if one is damaged.
+* ``list`` touches no network and exits 0 whether or not weights are there, 1 if those that are
+  there are damaged; ``--verify`` compares converted files with their digests too.
 * ``fetch`` is the only part of the package that uses a network.
 """
 
@@ -123,9 +123,10 @@ def _mvdream(verify: bool) -> dict[str, Any]:
         path = find_mvdream()
     except UserError as error:
         return _entry("mvdream", "missing", weights_folder(), str(error))
-    if importlib.util.find_spec("diffusers") is None and not verify:
-        note = f"{path}: not checked: that needs the package diffusers (gscomplete[mvdream])"
-        return _entry("mvdream", "found", path, note)
+    for package in ("diffusers", "transformers"):
+        if importlib.util.find_spec(package) is None:
+            note = f"{path}: not checked: that needs the package {package} (gscomplete[mvdream])"
+            return _entry("mvdream", "found", path, note)
     try:
         weights = open_weights(path)
         if verify and weights.layout == "converted":

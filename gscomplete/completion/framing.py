@@ -71,8 +71,20 @@ class FramingGuess:
     """Azimuth of the input view c."""
     view_elevation_deg: float
     """Elevation of the input view c."""
-    reasons: tuple[str, ...]
-    """What was found and decided, for the user."""
+    notes: tuple[str, ...]
+    """What was noticed, for the user."""
+    view_reason: str
+    """Why that view."""
+    box_reason: str
+    """Why that centre and size."""
+
+    def reasons(self, *, view: bool, box: bool) -> tuple[str, ...]:
+        """Return what to tell of the parts of the guess that are used."""
+        return (
+            *self.notes,
+            *((self.view_reason,) if view else ()),
+            *((self.box_reason,) if box else ()),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +135,7 @@ def guess_framing(partial: Splats, settings: FramingSettings | None = None) -> F
         UserError: P has no finite splat, or all are at one place.
     """
     chosen = settings or FramingSettings()
-    kept, reasons = object_splats(partial, chosen)
+    kept, notes = object_splats(partial, chosen)
     low, high = (corner.double().numpy() for corner in kept.bounds())
     size = float((high - low).max())
     if not size > 0:
@@ -132,7 +144,7 @@ def guess_framing(partial: Splats, settings: FramingSettings | None = None) -> F
     scores = score_views(centered, chosen)
     row, column = np.unravel_index(int(np.argmax(scores.score)), scores.score.shape)
     azimuth, elevation = float(scores.azimuths_deg[column]), float(scores.elevations_deg[row])
-    reasons.append(
+    view_reason = (
         f"input view {azimuth:g},{elevation:g}: {100 * scores.visible[row, column]:.0f} % of the "
         f"splats visible, {100 * scores.facing[row, column]:.0f} % of the area is outside surface"
     )
@@ -142,9 +154,9 @@ def guess_framing(partial: Splats, settings: FramingSettings | None = None) -> F
     else:
         center, grown, reason = extended_box(kept.means.double().numpy(), toward)
         size = max(size, grown)
-    reasons.append(f"{reason} (openness {strength:.2f} towards azimuth {toward:.0f})")
+    box_reason = f"{reason} (openness {strength:.2f} towards azimuth {toward:.0f})"
     x, y, z = center.tolist()
-    return FramingGuess((x, y, z), size, azimuth, elevation, tuple(reasons))
+    return FramingGuess((x, y, z), size, azimuth, elevation, tuple(notes), view_reason, box_reason)
 
 
 def object_splats(partial: Splats, settings: FramingSettings) -> tuple[Splats, list[str]]:

@@ -262,7 +262,8 @@ def _decide_frame(
     center_file, size_file, view_deg = request.center_file, request.size_file, request.view_deg
     if center_file is None or size_file is None or view_deg is None:
         guess = guess_framing(level)
-        notes += guess.reasons
+        is_boxed = center_file is not None and size_file is not None
+        notes += guess.reasons(view=view_deg is None, box=not is_boxed)
         if center_file is None:
             lifted = rotation.T @ torch.tensor(guess.center, dtype=torch.float64) + anchor
             x, y, z = lifted.tolist()

@@ -120,6 +120,9 @@ def _pass_center_gradients(centers: Tensor, offsets: Tensor, first: int) -> None
 
     def pass_on(gradient: Tensor) -> None:
         part = gradient[..., first:, :].reshape(offsets.shape)
-        offsets.grad = part if offsets.grad is None else offsets.grad + part
+        if offsets.grad_fn is not None:  # made of other tensors, whose gradient it is
+            offsets.backward(part)
+        else:
+            offsets.grad = part if offsets.grad is None else offsets.grad + part
 
     centers.register_hook(pass_on)

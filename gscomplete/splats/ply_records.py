@@ -214,7 +214,11 @@ def _file_values(part: dict[str, NDArray]) -> FloatArray:  # [B, 11 + 3 K]
     count = len(logits)
     sh = part["sh"].reshape(count, -1)
     columns = [part["means"], logs, logits[:, None], part["quaternions"], sh]
-    return np.concatenate(columns, axis=1, dtype=np.float32, casting="same_kind")
+    with np.errstate(over="ignore"):
+        table = np.concatenate(columns, axis=1, dtype=np.float32, casting="same_kind")
+    if not np.isfinite(table).all():
+        raise ValueError("splats: expected values that float32 can hold, found larger ones")
+    return table
 
 
 def value_table(records: NDArray[np.void]) -> NDArray[np.float32]:  # [B, P]

@@ -56,11 +56,6 @@ class Similarity:
         if not bool(torch.isfinite(translation).all()):
             raise ValueError(f"Similarity.translation: not finite: {translation.tolist()}")
 
-    @staticmethod
-    def identity() -> Similarity:
-        """Return the similarity that changes nothing."""
-        return Similarity(1.0, torch.eye(3, dtype=torch.float64), torch.zeros(3))
-
     def apply(self, points: Tensor) -> Tensor:  # [..., 3] -> [..., 3]
         """Transform points, computing in float64; keeps their dtype and device."""
         matrix = (self.scale * self.rotation.T).to(points.device)

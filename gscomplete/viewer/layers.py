@@ -110,7 +110,8 @@ def _splat_files(paths: Sequence[Path]) -> list[Path]:
         if not path.is_dir():
             files.append(path)
             continue
-        found = sorted(path.glob("*.ply"))
+        # hidden files are no splats: macOS's ._NAME, what a killed write left
+        found = sorted(p for p in path.glob("*.ply") if not p.name.startswith("."))
         if not found:
             raise UserError(f"{path}: expected a run folder or splat files (*.ply), found none")
         files += found

@@ -129,7 +129,7 @@ def _add_layer(viewer: Viewer, layer: Layer, place: int) -> None:
     """Draw a layer, with a box to show or hide it."""
     splats = layer.splats
     handle = viewer.server.scene.add_gaussian_splats(
-        f"/layers/{layer.name}",
+        f"/layers/{place}",  # not the name: a node below another one would hide with it
         centers=splats.means.detach().float().cpu().numpy(),
         covariances=covariances(splats),
         rgbs=layer_colors(splats, COLORS[0], place),

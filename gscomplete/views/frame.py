@@ -96,12 +96,13 @@ class ObjectFrame:
         """Build the frame of splats taken as the whole object: the box of their centres.
 
         Its size is at least the median of the splats' own, so that a single one has a frame too and
-        one that is far too large does not shrink the others to a dot.
+        one that is far too large does not shrink the others to a dot. Splats without any extent
+        have a frame of size 1.
         """
         low, high = (corner.double() for corner in splats.bounds())
         size = max(float((high - low).max()), splats.typical_size)
         x, y, z = ((low + high) / 2).tolist()
-        return cls(up, (x, y, z), size)
+        return cls(up, (x, y, z), size or 1.0)
 
     @property
     def object_from_file(self) -> Similarity:

@@ -15,7 +15,6 @@ from pathlib import Path
 
 import torch
 
-from gscomplete.command_line import let_threads_sleep
 from recipes.entry_point import start
 from splatcomplete_data.multiview.capture import photo_folder
 from splatcomplete_data.multiview.images import list_photos
@@ -86,5 +85,4 @@ def main(options: Options) -> int:
 
 
 if __name__ == "__main__":
-    let_threads_sleep()
     start(main, Options, __doc__)

@@ -24,7 +24,8 @@ from recipes.real_objects.catalogue import ENTRIES, BoxCut, Entry, PlaneCut, Sca
 from splatcomplete_data.mesh.load import BakedLight, GltfColors, load_mesh, mesh_to_discs
 from splatcomplete_data.partial import PartialCut, by_plane, by_visibility, crop
 from splatcomplete_data.points import points_to_splats
-from splatcomplete_data.scan import PointCloud, read_pcd
+from splatcomplete_data.scan import PointCloud
+from splatcomplete_data.scan.read import read_scan
 
 SPLATS_PER_MESH = 30_000
 """Discs that cover a complete mesh; the paper's parts have 20k to 100k."""
@@ -162,7 +163,7 @@ def _covered_mesh(data_dir: Path, entry: Entry) -> Splats:
 
 def _scanned_object(path: Path, entry: Entry) -> Splats:
     """Cut one labelled object from a table-top scan and level it on the table."""
-    cloud = read_pcd(path)
+    cloud = read_scan(path).cloud
     if cloud.labels is None:
         raise UserError(f"{path}: real object {entry.name}: expected a label field, found none")
     rotation = level_rotation(cloud.select(np.flatnonzero(cloud.labels // 10 == 0)).points)

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 from gscomplete.atomic import atomic_path
-from gscomplete.command_line import let_threads_sleep
 from recipes.entry_point import start
 
 
@@ -101,5 +100,4 @@ def main(options: Options) -> int:
 
 
 if __name__ == "__main__":
-    let_threads_sleep()
     start(main, Options, __doc__)

@@ -13,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
+import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -146,12 +147,10 @@ def store_object(options: ObjectOptions, made: Made) -> ObjectRecord:
     shown = made.partial if made.partial is not None else made.complete
     if shown is None or len(shown) == 0:
         raise UserError(f"{made.source_file}: no splats are left to write")
-    request = framing_request(options, made.default_up)
+    request = dataclasses.replace(
+        framing_request(options, made.default_up), camera_position_file=made.camera_position_file
+    )
     decided = framing.decide_framing(shown, made.complete, request)
-    views = decided.views
-    if request.view_deg is None and made.camera_position_file is not None:
-        azimuth, elevation = framing.view_from_position(decided.frame, made.camera_position_file)
-        views = dataclasses.replace(views, azimuth_deg=azimuth, elevation_deg=elevation)
     is_file = made.source_file.is_file()
     turn = made.file_from_source
     try:
@@ -167,7 +166,7 @@ def store_object(options: ObjectOptions, made: Made) -> ObjectRecord:
             ),
             frame=decided.frame,
             frame_origin=decided.origin,
-            views=views,
+            views=decided.views,
             file_from_source=None if turn is None else turn.to_json(),
             boxes=made.boxes,
             splat_size=made.splat_size,
@@ -213,14 +212,20 @@ def framing_request(options: ObjectOptions, default_up: UpAxis) -> FramingReques
 
 
 def check_out(options: ObjectOptions, source_file: Path) -> None:
-    """Check the destination before the work starts.
+    """Check the destination, and what the record will say, before the work starts.
 
     Raises:
-        UserError: it holds something, and ``--overwrite`` is not given or it is no object folder.
+        UserError: it holds something, and ``--overwrite`` is not given or it is no object folder;
+            or an option is a number that is not finite.
     """
     from splatcomplete_data.atomic_folder import check_destination
     from splatcomplete_data.objects import BOXES_FILE, RECORD_FILE
 
+    for field in dataclasses.fields(options):
+        value = getattr(options, field.name)
+        if isinstance(value, float) and not math.isfinite(value):
+            name = field.name.replace("_", "-")
+            raise UserError(f"--{name}: expected a finite number, found {value:g}")
     check_destination(
         options.out or default_folder(source_file),
         marker=RECORD_FILE,

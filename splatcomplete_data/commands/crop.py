@@ -126,10 +126,15 @@ def _propose(options: CropOptions, scene: Scene, boxes: list[Any], notes: list[s
     from gscomplete.evaluate.pictures import save_image
     from splatcomplete_data.multiview.box_picture import box_sheet
     from splatcomplete_data.multiview.crop import kept_rows
-    from splatcomplete_data.objects import BOXES_FILE
+    from splatcomplete_data.objects import BOXES_FILE, RECORD_FILE
 
     if not boxes:
         raise UserError("--propose: expected --box auto or a box as numbers, found none")
+    if options.out is not None and (options.out / RECORD_FILE).exists():
+        raise UserError(
+            f"{options.out}: --propose: expected a folder without a finished object, whose "
+            f"{BOXES_FILE} would be replaced"
+        )
     mask, _ = kept_rows(scene.file, boxes)
     part = scene.file.splats.select(torch.from_numpy(mask))
     path = (options.out or Path()) / BOXES_FILE

@@ -38,9 +38,11 @@ class DepthOptions(PointOptions):
     depth: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DEPTH")]
     """NPY, NPZ, 16-bit PNG or PGM, TIFF or EXR."""
     kind: Literal["metric", "disparity", "inverse"] = "metric"
-    """metric: value x unit; disparity: focal x baseline / (value + offset); inverse: unit / v."""
+    """metric: value x unit; disparity: focal x baseline / (value x unit + offset); inverse: unit /
+    value."""
     unit: float | None = None
-    """Length of one depth unit (0.001 for millimetres); None = 0.001 for integers, else 1."""
+    """Length of one depth unit (0.001 for millimetres), or pixels of one unit of a disparity
+    (KITTI: 0.00390625); None = 1, or 0.001 for integers that are no disparities."""
     baseline: float | None = None
     """Distance of the two cameras of a disparity."""
     disparity_offset: float = 0.0
@@ -50,7 +52,7 @@ class DepthOptions(PointOptions):
     focal: str | None = None
     """FX,FY in pixels of the picture."""
     center_px: str | None = None
-    """Principal point CX,CY in pixels; None = the middle."""
+    """Principal point CX,CY in pixels, with --focal or --fov; None = the middle."""
     fov: float | None = None
     """Horizontal field of view in degrees."""
     mask: Path | None = None

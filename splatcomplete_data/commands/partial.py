@@ -91,7 +91,7 @@ def make(options: PartialOptions) -> tuple[PartialOptions, Made]:
             file_from_source = Similarity.from_json(record.file_from_source)
     else:
         found = read_any_splats(options.file)
-        complete, notes = found.splats, found.notes
+        complete, notes, file_from_source = found.splats, found.notes, found.file_from_source
     complete, dropped = _drawable(complete, options.file)
     request = framing_request(options, default_up)
     frame = frame_of_whole(complete, request.up)

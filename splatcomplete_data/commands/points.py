@@ -60,6 +60,8 @@ def part_settings(options: PointOptions) -> PartSettings:
     from splatcomplete_data.scan.make import PartSettings
 
     seed = parse_numbers(options.seed_point, 3, "--seed-point", "X,Y,Z")
+    if options.level and options.up not in ("auto", "Z"):
+        raise UserError(f"--level, --up: levelled points have z up, found --up {options.up}")
     size = None if options.size == "auto" else parse_numbers(options.size, 1, "--size", "SIGMA")
     if not 0 < options.sigma < 100:
         raise UserError(f"--sigma: expected a positive number, found {options.sigma:g}")

@@ -41,6 +41,7 @@ from gscomplete.errors import UserError
 from splatcomplete_data.atomic_folder import forget_leftovers
 from splatcomplete_data.dataset.recipe import Entry, Recipe
 from splatcomplete_data.mesh.side_files import side_files
+from splatcomplete_data.multiview.capture import find_masks
 from splatcomplete_data.multiview.capture_folder import clear_capture
 from splatcomplete_data.objects import RECORD_FILE, read_record
 from splatcomplete_data.pictures import allow_large_pictures
@@ -153,11 +154,14 @@ def fingerprint(entry: Entry, data: Path, out: Path) -> str:
 
     Folders count with the names and hashes of their files, meshes with those of the files they
     name (materials, textures, buffers; also that one is missing), captures with the hash of their
-    splats.
+    splats, photos with the masks that are found beside them.
     """
     digest = hashlib.sha256()
     digest.update(json.dumps([__version__, entry.command, entry.values], sort_keys=True).encode())
     paths = list(entry.sources(data))
+    if entry.is_capture and entry.values.get("masks") is None:
+        found = [find_masks(path) for path in paths if path.is_dir()]
+        paths += [masks for masks in found if masks is not None]
     for name in entry.captures():
         paths.append(out / STATE_FOLDER / CAPTURE_FOLDER / name / "splats.ply")
     for path in paths:

@@ -104,12 +104,12 @@ def convert_mesh(
     allotment: Allotment | None = None
     if chosen.mode in ("random", "poisson"):
         number = count or max(1, round(float(areas.sum()) / float(spacing or 1.0) ** 2))
-        if number > MAX_SPLATS:
-            raise UserError(f"mesh: expected at most {MAX_SPLATS:,} splats, found {number:,}")
+        _check_number(number)
         side = math.sqrt(float(areas.sum()) / number)
         cells, step = _point_cells(vertices, areas, number, side, chosen)
     elif chosen.mode == "grid":
         side = float(spacing or _grid_step(areas, normals, int(count or 1)))
+        _check_number(_projected_area(areas, normals) / side**2)
         cells, step = _grid(vertices, normals, side)
     else:
         if spacing is None:
@@ -255,9 +255,23 @@ def _grid(
 
 def _grid_step(areas: NDArray[np.float64], normals: NDArray[np.float64], count: int) -> float:
     """Grid step for about ``count`` splats: projected area over count."""
+    return math.sqrt(_projected_area(areas, normals) / count)
+
+
+def _projected_area(areas: NDArray[np.float64], normals: NDArray[np.float64]) -> float:
+    """Area of all triangles, each projected along its dominant axis."""
     length = np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
-    projected = areas * np.abs(normals).max(axis=1) / length
-    return math.sqrt(float(projected.sum()) / count)
+    return float((areas * np.abs(normals).max(axis=1) / length).sum())
+
+
+def _check_number(number: float) -> None:
+    """Refuse what would fill the memory.
+
+    Raises:
+        UserError: there are too many splats.
+    """
+    if number > MAX_SPLATS:
+        raise UserError(f"mesh: expected at most {MAX_SPLATS:,} splats, found {round(number):,}")
 
 
 def _splats(

@@ -35,11 +35,13 @@ def check_not_splats(path: Path) -> None:
         raise UserError(f"{path}: expected a mesh, found Gaussian splats (use: partial, crop)")
 
 
-def refuse_draco(path: Path) -> None:
-    """Refuse glTF with Draco or meshopt geometry, of which trimesh reads nothing but zeros.
+def refuse_unknown_geometry(path: Path) -> None:
+    """Refuse glTF of which trimesh would read another surface.
+
+    Of Draco or meshopt geometry it reads nothing but zeros, of instances only the first.
 
     Raises:
-        UserError: the file needs a decoder.
+        UserError: the file needs a decoder, or its instances written out.
     """
     if path.suffix.lower() not in GLTF_SUFFIXES:
         return
@@ -50,6 +52,11 @@ def refuse_draco(path: Path) -> None:
                 f"{path}: geometry is compressed with {name}, expected plain buffers; decode it "
                 "first: npx @gltf-transform/cli copy in.glb out.glb (Draco), or export without"
             )
+    if "EXT_mesh_gpu_instancing" in text:
+        raise UserError(
+            f"{path}: instances are given by EXT_mesh_gpu_instancing, expected nodes of their own; "
+            "write them out first: npx @gltf-transform/cli uninstance in.glb out.glb"
+        )
 
 
 def lost_files(path: Path) -> Iterator[str]:

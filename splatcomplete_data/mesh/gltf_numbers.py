@@ -43,6 +43,8 @@ class OwnNumbers:
     coordinates: list[FloatArray | None]  # [V, 2] each
     position_ranges: list[int | None]
     """The stored integer that means 1, where positions are shares of it."""
+    has_inner_texture: list[bool]
+    """Whether a colour texture lies within the file itself."""
 
 
 def own_numbers(path: Path) -> OwnNumbers:
@@ -65,6 +67,7 @@ def own_numbers(path: Path) -> OwnNumbers:
     return OwnNumbers(
         [file.coordinates(primitive) for primitive in primitives],
         [file.position_range(primitive) for primitive in primitives],
+        [file.has_inner_texture(primitive) for primitive in primitives],
     )
 
 
@@ -107,6 +110,17 @@ class _Gltf:
         glossy = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness", {})
         metallic = material.get("pbrMetallicRoughness", {})
         return glossy.get("diffuseTexture", metallic.get("baseColorTexture", {}))
+
+    def has_inner_texture(self, primitive: Any) -> bool:
+        """Tell whether the picture of a primitive's colour texture lies within the file."""
+        index = self.base_texture(primitive).get("index")
+        if index is None:
+            return False
+        texture = self.header["textures"][index]
+        others = [value.get("source") for value in texture.get("extensions", {}).values()]
+        sources = [s for s in (texture.get("source"), *others) if s is not None]
+        images = [self.header["images"][source] for source in sources]
+        return any("bufferView" in i or i.get("uri", "").startswith("data:") for i in images)
 
     def numbers(self, accessor: Any) -> FloatArray:  # [V, 2]
         """Return what an accessor of pairs holds."""

@@ -32,7 +32,7 @@ from splatcomplete_data.mesh.discs import (
     triangle_areas_and_normals,
 )
 from splatcomplete_data.mesh.parts import MeshPart, PartReader
-from splatcomplete_data.mesh.side_files import side_files, without_options
+from splatcomplete_data.mesh.side_files import material_libraries, side_files, without_options
 from splatcomplete_data.mesh.textures import open_image
 from splatcomplete_data.points import Offset, offset_for_float32
 
@@ -111,7 +111,7 @@ def load_mesh(
     if path.stat().st_size == 0:
         raise UserError(f"{path}: expected a mesh file, found an empty file")
     file_checks.check_not_splats(path)
-    file_checks.refuse_draco(path)
+    file_checks.refuse_unknown_geometry(path)
     try:
         resolver = _NamedFiles(str(path), allow_anywhere=True)
         scene = trimesh.load_scene(str(path), resolver=resolver)
@@ -184,6 +184,12 @@ class _NamedFiles(FilePathResolver):
     """Finds the files that a mesh file names also where trimesh does not understand the name."""
 
     @functools.cached_property
+    def libraries(self) -> dict[str, Path]:
+        """The material libraries of an OBJ; trimesh asks for the first line's alone."""
+        path = Path(self.file_path)
+        return material_libraries(path) if path.suffix.lower() == ".obj" else {}
+
+    @functools.cached_property
     def named(self) -> dict[str, Path]:
         """The files by the names in the mesh file."""
         return side_files(Path(self.file_path))
@@ -194,6 +200,10 @@ class _NamedFiles(FilePathResolver):
         Raises:
             FileNotFoundError: there is no such file.
         """
+        if len(self.libraries) > 1 and name.strip().lower().endswith(".mtl"):
+            found = [file.read_bytes() for file in self.libraries.values() if file.is_file()]
+            if found:
+                return b"\n".join(found)
         try:
             content: bytes = super().get(name)
         except FileNotFoundError:

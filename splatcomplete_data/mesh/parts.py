@@ -9,8 +9,8 @@ Conventions
 * With a texture, an OBJ's ``Kd`` is ignored (as by most viewers; exporters leave 0.8 or 0.4 there
   next to a photo), while a glTF's factor multiplies as specified.
 * Texture coordinates are OpenGL's: v upwards, wrapping round, bilinear between texels.
-* Alpha is texture x factor (x vertex alpha) where the material says so. Cut-outs (glTF MASK) are
-  kept where it reaches the material's cutoff; blended surfaces (BLEND) keep it as opacity.
+* Alpha is texture x factor where the material says so; that of vertices is not read. Cut-outs
+  (glTF MASK) are kept where it reaches the cutoff; blended surfaces (BLEND) keep it as opacity.
 """
 
 from __future__ import annotations
@@ -88,6 +88,8 @@ class PartReader:
     """Texture coordinates by geometry, where trimesh's are not those that the file means."""
     vertices: dict[str, NDArray[np.float64]] = field(default_factory=dict)
     """Vertices [V, 3] by geometry, where trimesh's are not those that the file means."""
+    textured: set[str] = field(default_factory=set)
+    """Geometries whose colour texture lies within the file itself."""
     offset: Offset | None = None
 
     def read_numbers(self, scene: Any) -> None:
@@ -100,6 +102,8 @@ class PartReader:
             for (name, geometry), most in zip(geometries.items(), own.position_ranges, strict=True):
                 if most is not None and isinstance(geometry, trimesh.Trimesh):
                     self.vertices[name] = np.maximum(geometry.vertices / most, -1.0)
+            pairs = zip(geometries, own.has_inner_texture, strict=True)
+            self.textured = {name for name, is_textured in pairs if is_textured}
         elif any(most is not None for most in own.position_ranges):
             self.note("integer positions: their range is not applied, sizes are wrong")
         if len(self.coordinates) < sum(uv is not None for uv in own.coordinates):
@@ -128,6 +132,8 @@ class PartReader:
             if not kept.any():
                 continue
             part = self.appearance(scene.geometry[name], self.coordinates.get(name))
+            if part.texture is None and name in self.textured:
+                self.note(f"{name}: its texture is not read (KTX2?): it is without it")
             yield MeshPart(
                 vertices[kept].astype(np.float32),
                 part.colors[kept],

@@ -5,6 +5,7 @@ Conventions
 * Names are relative to the file that holds them, with ``/`` or ``\``, quoted or percent-encoded,
   with or without ``file://``, as exporters write them.
 * Only the mesh's own text is read; a file that is not there is listed all the same.
+* An OBJ may name several material libraries, in lines of their own or in one.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ _MTL_MAPS = re.compile(
     r"^\s*(?:map_\w+|bump|disp|decal|refl|norm)\s+(.+?)\s*$", re.MULTILINE | re.IGNORECASE
 )
 _MTL_LIBRARIES = re.compile(r"^\s*mtllib\s+(.+?)\s*$", re.MULTILINE)
+_LIBRARY_NAMES = re.compile(r"\S.*?\.mtl(?=\s|$)", re.IGNORECASE)
 _GLTF_URIS = re.compile(r'"uri"\s*:\s*"(?!data:)([^"]+)"')
 _DAE_IMAGES = re.compile(r"<init_from>\s*(?:<ref>)?\s*([^<\s][^<]*?\.\w{3,4})\s*<")
 _PLY_TEXTURES = re.compile(r"^comment\s+TextureFile\s+(.+?)\s*$", re.MULTILINE)
@@ -45,12 +47,21 @@ def side_files(path: Path) -> dict[str, Path]:
         return _found(path, _PLY_TEXTURES.findall(head.decode("utf-8", "replace")))
     if suffix != ".obj":
         return {}
-    files = _found(path, _MTL_LIBRARIES.findall(read_text(path)))
+    files = material_libraries(path)
     for library in list(files.values()):
         if library.is_file():
             maps = [without_options(line) for line in _MTL_MAPS.findall(read_text(library))]
             files |= _found(library, maps)
     return files
+
+
+def material_libraries(path: Path) -> dict[str, Path]:
+    """Return the material libraries of an OBJ by the names in it, in order."""
+    names: list[str] = []
+    for line in _MTL_LIBRARIES.findall(read_text(path)):
+        # names may hold spaces, and spaces are between names
+        names += [line] if beside(path, line).is_file() else _LIBRARY_NAMES.findall(line) or [line]
+    return _found(path, names)
 
 
 def gltf_text(path: Path) -> str:

@@ -64,6 +64,8 @@ from splatcomplete_data.scan import PointCloud
 SCHEMA = "splatcomplete.capture"
 TRIANGULATED = "triangulated with the given poses"
 """Origin of initial points that structure from motion finds for poses that are not its own."""
+_FEWEST_POINTS = 100
+"""With fewer to start from, training starts from random ones."""
 
 Start = Literal["auto", "points", "random"]
 """``points``: the capture's sparse cloud, triangulated with pycolmap if it has none. ``random``:
@@ -145,7 +147,6 @@ def _set_up(
     timings["photos_s"] = time.perf_counter() - started
     started = time.perf_counter()
     points, origin, points_notes = _initial_points(request, capture, train, progress, begun)
-    points = masked_points(near_points(points, capture.posed), train)
     initial = splats_from_points(points)
     timings["points_s"] = time.perf_counter() - started
     turned = orientation_note([photo.path for photo in capture.posed.photos])
@@ -229,6 +230,8 @@ def _initial_points(
 ) -> tuple[PointCloud, str, tuple[str, ...]]:
     """Return the points to start from, where they come from, and notes.
 
+    Points that the cameras are far from, or that lie outside the photos' masks, do not count.
+
     Raises:
         UserError: points are asked for and cannot be had.
     """
@@ -241,14 +244,18 @@ def _initial_points(
         if points is None and is_given and (request.start == "points" or has_pycolmap()):
             points, notes = _triangulated(request, posed, views, progress, begun)
             origin = TRIANGULATED
-        if points is not None and len(points) >= 100:
+        if points is not None:
+            points = masked_points(near_points(points, posed), views)
+        if points is not None and len(points) >= _FEWEST_POINTS:
             return points, origin, (*notes, f"{len(points):,} initial points, {origin}")
         if request.start == "points":
             raise UserError(
-                f"{request.images}: expected at least 100 matched points to start from, found "
+                f"{request.images}: expected at least {_FEWEST_POINTS} matched points (on the "
+                f"object, where there are masks) to start from, found "
                 f"{0 if points is None else len(points)}; --start random does without"
             )
     cloud = random_points(posed, views, request.random_points, request.training.seed)
+    cloud = masked_points(near_points(cloud, posed), views)
     return cloud, "random", (*notes, f"{len(cloud):,} initial points, random")
 
 

@@ -8,6 +8,7 @@ Conventions
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,3 +38,22 @@ class PointCloud:
 def grey_colors(count: int) -> NDArray[np.float32]:  # [N, 3]
     """Return the colours of a cloud that has none."""
     return np.full((count, 3), GREY, np.float32)
+
+
+def unit_colors(values: NDArray[Any]) -> NDArray[np.float32]:
+    """Scale colours of any type to [0, 1].
+
+    Bytes are shares of 255 and 16-bit integers of 65535. What wider integers and floats are shares
+    of is told by the largest among them: 1 (floats only), 255 or 65535.
+    """
+    if np.issubdtype(values.dtype, np.integer) and values.dtype.itemsize <= 2:
+        top = float(np.iinfo(values.dtype).max)
+        return np.clip(values / np.float64(top), 0, 1).astype(np.float32)
+    with np.errstate(invalid="ignore"):
+        scaled = np.nan_to_num(values.astype(np.float64))
+    largest = scaled.max(initial=0.0)
+    if largest > 255.0:
+        scaled = scaled / 65535.0
+    elif largest > 1.0 or np.issubdtype(values.dtype, np.integer):
+        scaled = scaled / 255.0
+    return scaled.clip(0, 1).astype(np.float32)

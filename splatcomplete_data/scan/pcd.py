@@ -2,9 +2,10 @@
 
 Conventions
 -----------
-* Points keep the file's frame and units; rows with a coordinate that is not finite are dropped.
+* Points keep the file's frame and units, those with a coordinate that is not finite too.
 * ``rgb`` and ``rgba`` are one 32-bit word per point, 0xAARRGGBB, whatever scalar type the header
-  gives it; colours become sRGB in [0, 1]. A cloud without colour is grey.
+  gives it; or there are fields ``r``, ``g``, ``b``. Colours become sRGB in [0, 1]. A cloud without
+  colour is grey, and ``is_colored`` says so.
 * Read: ASCII, binary, and ``binary_compressed`` (LZF, one field after the other).
 """
 
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
-from splatcomplete_data.scan.cloud import PointCloud, grey_colors
+from splatcomplete_data.scan.cloud import PointCloud, grey_colors, unit_colors
 
 _TYPES = {"F": "f", "U": "u", "I": "i"}
 _MAX_POINTS = 2**31
@@ -41,7 +42,15 @@ class _Header:
         return np.dtype(unique)
 
 
-def read_pcd(path: Path) -> PointCloud:
+@dataclass(frozen=True, slots=True)
+class PcdPoints:
+    """What a PCD file holds."""
+
+    cloud: PointCloud
+    is_colored: bool
+
+
+def read_pcd(path: Path) -> PcdPoints:
     """Read a PCD file.
 
     Raises:
@@ -60,10 +69,12 @@ def read_pcd(path: Path) -> PointCloud:
     packed = columns.get("rgba", columns.get("rgb"))
     if packed is not None and packed.dtype.itemsize != 4:
         raise UserError(f"{path}: rgb: expected 4 bytes, found {packed.dtype.itemsize}")
-    colors = grey_colors(len(points)) if packed is None else _unpack(packed)
+    colors = None if packed is None else _unpack(packed)
+    if colors is None and all(name in columns for name in "rgb"):
+        colors = unit_colors(np.stack([columns[name] for name in "rgb"], axis=1))
     labels = columns["label"].astype(np.int64) if "label" in columns else None
-    finite = np.flatnonzero(np.isfinite(points).all(axis=1))
-    return PointCloud(points, colors, labels).select(finite)
+    shown = grey_colors(len(points)) if colors is None else colors
+    return PcdPoints(PointCloud(points, shown, labels), colors is not None)
 
 
 def lzf_decompress(packed: bytes, size: int) -> bytes:

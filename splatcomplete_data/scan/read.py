@@ -4,8 +4,8 @@ Conventions
 -----------
 * Points are in the file's frame and units, float64 (LAS scales and offsets applied); rows with a
   coordinate that is not finite are dropped and counted.
-* Colours become sRGB in [0, 1]: bytes over 255, 16-bit over 65535 (LAS files that hold bytes in
-  16-bit fields are noticed), floats as they are. A cloud without colour is grey.
+* Colours become sRGB in [0, 1] (``cloud.unit_colors``; LAS files that hold bytes in 16-bit fields
+  are noticed). A cloud without colour is grey.
 * A mesh becomes points spread evenly over its surface.
 """
 
@@ -13,19 +13,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
 from gscomplete.splats.ply_header import Element, PlyError, PlyHeader, read_header
 from gscomplete.splats.ply_payload import parse_records, read_payload
-from splatcomplete_data.scan.cloud import PointCloud, grey_colors
+from splatcomplete_data.scan.cloud import PointCloud, grey_colors, unit_colors
 from splatcomplete_data.scan.pcd import read_pcd
 
 MESH_SUFFIXES = (".obj", ".glb", ".gltf", ".stl", ".dae", ".off")
 TEXT_SUFFIXES = (".xyz", ".xyzrgb", ".txt", ".pts", ".asc", ".csv")
+NO_COLOR = "no colour: grey"
 MESH_POINTS = 500_000
 """Points that a scan mesh is sampled with."""
 
@@ -53,7 +52,8 @@ def read_scan(path: Path) -> Scan:
         raise UserError(f"{path}: expected a scan file, found an empty file")
     suffix = path.suffix.lower()
     if suffix == ".pcd":
-        scan = _checked(read_pcd(path), None, ())
+        found = read_pcd(path)
+        scan = _checked(found.cloud, () if found.is_colored else (NO_COLOR,))
     elif suffix == ".ply":
         scan = _read_ply(path)
     elif suffix in (".las", ".laz"):
@@ -70,11 +70,11 @@ def read_scan(path: Path) -> Scan:
     return scan
 
 
-def _checked(cloud: PointCloud, rows: int | None, notes: tuple[str, ...]) -> Scan:
+def _checked(cloud: PointCloud, notes: tuple[str, ...]) -> Scan:
     """Drop points that are not finite."""
     finite = np.isfinite(cloud.points).all(axis=1)
-    count = len(cloud) if rows is None else rows
-    return Scan(cloud if finite.all() else cloud.select(np.flatnonzero(finite)), count, notes)
+    kept = cloud if finite.all() else cloud.select(np.flatnonzero(finite))
+    return Scan(kept, len(cloud), notes)
 
 
 def _read_ply(path: Path) -> Scan:
@@ -108,9 +108,9 @@ def _ply_points(path: Path, header: PlyHeader, vertex: Element) -> Scan:
         channels = [places.get(prefix + name) for name in ("red", "green", "blue")]
         if None not in channels:
             values = [records[channel] for channel in channels if channel is not None]
-            colors = _unit_colors(np.stack(values, axis=1))
-            return _checked(PointCloud(points, colors), None, ())
-    return _checked(PointCloud(points, grey_colors(len(points))), None, ("no colour: grey",))
+            colors = unit_colors(np.stack(values, axis=1))
+            return _checked(PointCloud(points, colors), ())
+    return _checked(PointCloud(points, grey_colors(len(points))), (NO_COLOR,))
 
 
 def _read_las(path: Path) -> Scan:
@@ -130,11 +130,11 @@ def _read_las(path: Path) -> Scan:
         raise UserError(f"{path}: cannot read it as LAS or LAZ ({error})") from error
     if channels is None or not channels.any():
         cloud = PointCloud(points.astype(np.float64), grey_colors(len(points)))
-        return _checked(cloud, None, ("no colour: grey",))
+        return _checked(cloud, (NO_COLOR,))
     notes: tuple[str, ...] = ()
     if channels.max() <= 255:
         channels, notes = channels.astype(np.uint8), ("colours are bytes in 16-bit fields",)
-    return _checked(PointCloud(points.astype(np.float64), _unit_colors(channels)), None, notes)
+    return _checked(PointCloud(points.astype(np.float64), unit_colors(channels)), notes)
 
 
 def _check_las_header(path: Path) -> None:
@@ -187,14 +187,12 @@ def _read_text(path: Path) -> Scan:
         raise UserError(f"{path}: expected numbers ({error})") from error
     points = table[:, :3]
     if width < 6:
-        return _checked(PointCloud(points, grey_colors(len(points))), None, ("no colour: grey",))
+        return _checked(PointCloud(points, grey_colors(len(points))), (NO_COLOR,))
     values = table[:, -3:]
     if (values < 0).any():
         note = "the last three columns are normals, not colours: grey"
-        return _checked(PointCloud(points, grey_colors(len(points))), None, (note,))
-    colors = values / 255.0 if np.nanmax(values) > 1.0 else values
-    unit = np.clip(np.nan_to_num(colors), 0, 1).astype(np.float32)
-    return _checked(PointCloud(points, unit), None, ())
+        return _checked(PointCloud(points, grey_colors(len(points))), (note,))
+    return _checked(PointCloud(points, unit_colors(values)), ())
 
 
 def _read_mesh(path: Path) -> Scan:
@@ -207,7 +205,7 @@ def _read_mesh(path: Path) -> Scan:
     points = made.splats.means.numpy().astype(np.float64) + np.array(mesh.offset or 0.0)
     colors = made.splats.base_colors.numpy().clip(0, 1).astype(np.float32)
     note = f"a mesh of {mesh.triangles:,} triangles, sampled at a spacing of {made.spacing:.4g}"
-    return _checked(PointCloud(points, colors), None, (*mesh.notes, note))
+    return _checked(PointCloud(points, colors), (*mesh.notes, note))
 
 
 def _is_number(word: str) -> bool:
@@ -217,15 +215,3 @@ def _is_number(word: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _unit_colors(values: NDArray[Any]) -> NDArray[np.float32]:
-    """Scale colours of any type to [0, 1]."""
-    if np.issubdtype(values.dtype, np.integer):
-        top = float(np.iinfo(values.dtype).max)
-        return np.clip(values / np.float64(top), 0, 1).astype(np.float32)
-    with np.errstate(invalid="ignore"):
-        scaled = values.astype(np.float64)
-        if np.nanmax(scaled, initial=0.0) > 1.0:
-            scaled = scaled / 255.0
-        return np.clip(np.nan_to_num(scaled), 0, 1).astype(np.float32)

@@ -3,17 +3,19 @@
 Conventions
 -----------
 * What a file holds is ``DepthImage.values``, float64 [H, W], unknown pixels NaN: zeros, negative
-  values, infinities and NaN of any coding are unknown.
+  values, NaN and infinities are unknown, and so is what stands for the latter: 1e9 and more in
+  floats (Blender writes 1e10), the largest value of 16-bit integers. A note counts these.
 * ``metric_depth`` turns values into distances along the optical axis (camera-space z):
-  ``metric`` value x unit; ``disparity`` focal x baseline / (value + offset); ``inverse``
-  unit / value. Nothing is guessed but the unit of integer images, which is said: 16-bit integers
-  are millimetres unless ``unit`` is given.
+  ``metric`` value x unit; ``disparity`` focal x baseline / (value x unit + offset);
+  ``inverse`` unit / value. Nothing is guessed but the unit of integer images, which is said:
+  16-bit integers are millimetres unless ``unit`` is given.
 * Depth Anything 3 works at its own resolution, and gives intrinsics for that or none at all; its
   picture, intrinsics and confidence come along when they are there.
 """
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -28,6 +30,9 @@ from splatcomplete_data.optional import import_optional
 DepthKind = Literal["metric", "disparity", "inverse"]
 """What the numbers are; see the module's conventions."""
 MILLIMETRE = 0.001
+_ENDLESS = 1e9
+"""Floats from here on stand for infinity."""
+_LARGEST_16_BIT = 65535
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,8 +95,9 @@ def metric_depth(
     Args:
         image: as read.
         kind: what the values are.
-        unit: length of one unit of ``metric``, or the z of value 1 of ``inverse``; None = 0.001
-            for integers, else 1.
+        unit: length of one unit of ``metric``, the z of value 1 of ``inverse``, or the pixels of
+            one unit of ``disparity`` (KITTI's: 1/256); None = 1, or 0.001 for integers that are
+            no disparities.
         focal_px: focal length in pixels of the depth image, for disparity.
         baseline: distance of the two cameras, for disparity.
         offset: what is added to disparities (the difference of the principal points).
@@ -103,14 +109,15 @@ def metric_depth(
         UserError: a number that the kind needs is missing or wrong.
     """
     values = image.values
+    if unit is not None and not 0 < unit < float("inf"):
+        raise UserError(f"--unit: expected a positive number, found {unit:g}")
     if kind == "disparity":
+        values = values * (1.0 if unit is None else unit)
         if baseline is None or baseline <= 0:
             raise UserError("--baseline: expected a positive distance for disparities, found none")
         shifted = np.where(values + offset > 0, values + offset, np.nan)
         return focal_px * baseline / shifted, f"z = {focal_px:g} x {baseline:g} / (d + {offset:g})"
     scale = (MILLIMETRE if image.is_integer else 1.0) if unit is None else unit
-    if not 0 < scale < float("inf"):
-        raise UserError(f"--unit: expected a positive number, found {scale:g}")
     assumed = " (assumed: integers are millimetres)" if unit is None and image.is_integer else ""
     if kind == "inverse":
         return scale / values, f"z = {scale:g} / value"
@@ -135,8 +142,12 @@ def _plain(values: NDArray[np.generic], frame: int, path: Path) -> DepthImage:
         raise UserError(f"{path}: depth: expected height x width, found shape {values.shape}")
     is_integer = bool(np.issubdtype(values.dtype, np.integer))
     numbers = values.astype(np.float64)
-    numbers[~(np.isfinite(numbers) & (numbers > 0))] = np.nan
-    return DepthImage(numbers, is_integer)
+    endless = np.isfinite(numbers) & (numbers >= (_LARGEST_16_BIT if is_integer else _ENDLESS))
+    if is_integer and numbers.max() > _LARGEST_16_BIT:
+        endless[:] = False  # wider integers: it stands for itself
+    numbers[endless | ~(np.isfinite(numbers) & (numbers > 0))] = np.nan
+    found = f"{int(endless.sum()):,} pixels hold what stands for infinity: unknown"
+    return DepthImage(numbers, is_integer, notes=(found,) if endless.any() else ())
 
 
 def _read_npz(path: Path, frame: int) -> DepthImage:
@@ -163,28 +174,55 @@ def _read_npz(path: Path, frame: int) -> DepthImage:
         color = extra("image", (*shape, 3))
         matrix = extra("intrinsics", (3, 3))
         confidence = extra("conf", shape)
-    notes = () if matrix is not None else ("the depth file has no intrinsics",)
+    notes = plain.notes
+    if matrix is None:
+        notes = (*notes, "the depth file has no intrinsics")
     return DepthImage(
         plain.values,
         plain.is_integer,
-        None if color is None else color.astype(np.uint8),
+        None if color is None else _bytes(color),
         None if matrix is None else matrix.astype(np.float64),
         None if confidence is None else confidence.astype(np.float64),
         notes,
     )
 
 
+def _bytes(color: NDArray[np.generic]) -> NDArray[np.uint8]:
+    """Return a picture's bytes; floats up to 1 are shares of 255."""
+    if np.issubdtype(color.dtype, np.floating):
+        numbers = np.nan_to_num(color.astype(np.float64))
+        color = np.round(numbers * (255.0 if numbers.max(initial=0.0) <= 1.0 else 1.0))
+    return color.clip(0, 255).astype(np.uint8)
+
+
 def _read_picture(path: Path) -> NDArray[np.generic]:
-    """Read a PNG or PGM of 8, 16 or 32 bits."""
+    """Read a PNG or PGM of 16 or 32 bits."""
     with Image.open(path) as image:
-        if image.mode in ("RGB", "RGBA", "P"):
-            raise UserError(f"{path}: depth: expected one channel, found a {image.mode} picture")
         if image.mode in ("1", "L"):
-            raise UserError(f"{path}: depth: expected 16 bits a pixel, found 8 (a preview?)")
+            raise UserError(_too_few_bits(path))
+        if image.mode != "F" and not image.mode.startswith("I"):
+            raise UserError(f"{path}: depth: expected one channel, found a {image.mode} picture")
         values = np.asarray(image)
-    if np.issubdtype(values.dtype, np.signedinteger):  # Pillow's mode I holds 16-bit PNGs
+    if np.issubdtype(values.dtype, np.integer):  # Pillow's mode I holds 16-bit PNGs
         values = values.astype(np.int64)
+        largest = _pgm_largest(path)
+        if largest is not None:  # Pillow has scaled the numbers to 16 bits
+            values = np.round(values * (largest / _LARGEST_16_BIT)).astype(np.int64)
     return values
+
+
+def _too_few_bits(path: Path) -> str:
+    return f"{path}: depth: expected 16 bits a pixel, found 8 (a preview?)"
+
+
+def _pgm_largest(path: Path) -> int | None:
+    """Return the largest value that a PGM's header says its numbers have; None for other files."""
+    with path.open("rb") as stream:
+        head = stream.read(1024)
+    if head[:2] not in (b"P2", b"P5"):
+        return None
+    words = re.sub(rb"#[^\n]*", b"", head).split(maxsplit=4)
+    return int(words[3])
 
 
 def _read_oiio(path: Path) -> NDArray[np.generic]:
@@ -196,6 +234,8 @@ def _read_oiio(path: Path) -> NDArray[np.generic]:
     spec = source.spec()
     names = [name.lower() for name in spec.channelnames]
     is_float = str(spec.format) in ("float", "half", "double")
+    if str(spec.format) in ("uint8", "int8"):
+        raise UserError(_too_few_bits(path))
     values = np.asarray(source.read_image("float" if is_float else str(spec.format)))
     source.close()
     if values.ndim < 2:

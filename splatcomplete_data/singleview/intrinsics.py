@@ -87,9 +87,12 @@ def from_numbers(
     """Build intrinsics from options; None when none is given.
 
     Raises:
-        UserError: both a focal length and a field of view are given, or the latter is out of range.
+        UserError: both a focal length and a field of view are given, or the latter is out of range,
+            or a principal point comes alone.
     """
     if focal is None and fov_deg is None:
+        if center is not None:
+            raise UserError("--center-px: expected --focal or --fov with it, found neither")
         return None
     if focal is not None and fov_deg is not None:
         raise UserError("--focal, --fov: expected one of them, found both")

@@ -84,12 +84,18 @@ def verify_digests(folder: Path) -> None:
     """Read a converted folder's files whole and compare them with their manifest.
 
     Raises:
-        UserError: a file is missing or differs.
+        UserError: a file is missing or differs, or the manifest does not name it.
     """
     manifest = read_json(folder / MANIFEST_FILE)
     for name in COMPONENTS:
         path = folder / f"{name}.safetensors"
-        expected = manifest["files"][name]["sha256"]
+        try:
+            expected = manifest["files"][name]["sha256"]
+        except (KeyError, TypeError) as error:
+            place = folder / MANIFEST_FILE
+            raise UserError(
+                f"{place}: files.{name}.sha256: expected a digest, found none"
+            ) from error
         found = sha256_of(path) if path.is_file() else "no file"
         if found != expected:
             raise UserError(f"{path}: sha256: expected {expected}, found {found}")
