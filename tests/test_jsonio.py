@@ -114,3 +114,13 @@ def test_files_round_trip_and_errors_name_them(tmp_path: Path) -> None:
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(UserError, match="cannot read"):
         jsonio.read_json(path)
+
+
+@pytest.mark.parametrize("text", ["1" + "0" * 400, "9" * 5000, "[" * 100_000])
+def test_numbers_and_nesting_beyond_all_bounds_are_user_errors(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "x.json"
+    path.write_text(json.dumps(jsonio.to_json(example())).replace("0.1", text, 1))
+    if text not in path.read_text():
+        path.write_text('{"ratio": ' + text + "}")
+    with pytest.raises(UserError, match=r"x\.json"):
+        jsonio.from_json(Outer, jsonio.read_json(path), str(path))

@@ -36,6 +36,10 @@ TINTS = ((0.25, 0.5, 0.95), (0.98, 0.55, 0.15), (0.3, 0.75, 0.35), (0.85, 0.3, 0
 _TINT_SHARE = 0.6
 _FRUSTUM_SCALE = 0.08
 _PICTURE_PX = 512
+_MAGNIFIED = 32.0
+"""viser keeps covariances in half precision, which ends above those of fine splats of an object of
+size 1; so the page gets everything this much larger, in a node that is this much smaller."""
+_LARGEST_HALF = 65504.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,10 +134,11 @@ def _add_layer(viewer: Viewer, layer: Layer, place: int) -> None:
     splats = layer.splats
     handle = viewer.server.scene.add_gaussian_splats(
         f"/layers/{place}",  # not the name: a node below another one would hide with it
-        centers=splats.means.detach().float().cpu().numpy(),
-        covariances=covariances(splats),
+        centers=_MAGNIFIED * splats.means.detach().float().cpu().numpy(),
+        covariances=(_MAGNIFIED**2 * covariances(splats)).clip(-_LARGEST_HALF, _LARGEST_HALF),
         rgbs=layer_colors(splats, COLORS[0], place),
         opacities=splats.opacities.detach().float().cpu().numpy()[:, None],
+        scale=1.0 / _MAGNIFIED,
     )
     _add_box(viewer, layer.name, handle, hint=layer.note, initial=True)
 

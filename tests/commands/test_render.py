@@ -55,7 +55,9 @@ def test_splats_that_cannot_be_drawn_are_counted(tmp_path, capsys):
     ("change", "named"),
     [
         ({"size_px": 0}, "--size-px"),
-        ({"fov": 180.0}, "--fov"),
+        ({"fov": 81.0}, "--fov"),
+        ({"views": ()}, "--views"),
+        ({"views": ("0,200",)}, "--views"),
         ({"views": ("north",)}, "--views"),
         ({"background": "1,1"}, "--background"),
         ({"file": Path("missing.ply")}, "missing.ply"),
@@ -75,3 +77,10 @@ def test_an_out_of_memory_error_of_torch_is_told_as_one(capsys):
 
     assert run_guarded("gscomplete", allocate, "") == 4
     assert "out of memory" in capsys.readouterr().err
+
+
+def test_a_splat_without_extent_is_drawn(tmp_path):
+    one = read_splats(SAMPLE).splats.select(torch.tensor([0]))
+    write_splats(tmp_path / "dot.ply", dataclasses.replace(one, scales=torch.zeros(1, 3)))
+    options = RenderOptions(tmp_path / "dot.ply", tmp_path / "out", views=("0,0",), size_px=8)
+    assert run(options) == 0

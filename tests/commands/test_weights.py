@@ -38,17 +38,21 @@ def test_lists_what_is_missing_and_what_is_there(home, capsys):
     assert "folder" in capsys.readouterr().out
 
 
-def test_without_diffusers_weights_are_found_and_not_called_damaged(home, capsys, monkeypatch):
+@pytest.mark.parametrize("lacking", ["diffusers", "transformers"])
+@pytest.mark.parametrize("more", [(), ("--verify",)])
+def test_without_packages_weights_are_found_and_not_called_damaged(
+    home, capsys, monkeypatch, lacking, more
+):
     home.parent.mkdir(parents=True)
     write_folder(home)
     real = importlib.util.find_spec
     monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name: None if name == "diffusers" else real(name)
+        importlib.util, "find_spec", lambda name: None if name == lacking else real(name)
     )
-    code, entries = listed(capsys)
+    code, entries = listed(capsys, *more)
     assert code == 0
     assert entries["mvdream"]["state"] == "found"
-    assert "diffusers" in entries["mvdream"]["note"]
+    assert lacking in entries["mvdream"]["note"]
 
 
 def test_converts_and_verifies(home, tmp_path, capsys):
@@ -73,3 +77,16 @@ def test_bad_sources_are_named(home, tmp_path, capsys):
     with pytest.raises(SystemExit) as caught:
         main(["weights", "fetch", "something"])
     assert caught.value.code == 2
+
+
+def test_a_manifest_that_names_no_digests_is_damaged(home, tmp_path, capsys):
+    source = write_original(tmp_path)
+    assert main(["weights", "convert", str(source), str(home), "--storage", "float16"]) == 0
+    capsys.readouterr()
+    (manifest,) = (path for path in home.glob("*.json") if "files" in json.loads(path.read_text()))
+    content = json.loads(manifest.read_text())
+    content["files"]["unet"] = {}
+    manifest.write_text(json.dumps(content))
+    code, entries = listed(capsys, "--verify")
+    assert (code, entries["mvdream"]["state"]) == (1, "damaged")
+    assert "unet" in entries["mvdream"]["note"]

@@ -182,3 +182,13 @@ def test_parity_of_the_real_kernels():
     errors = renderer_parity(splats(500, 3))
     assert max(errors.color, errors.depth, errors.alpha) < 1e-4
     assert max(errors.gradient_relative.values()) < 1e-3
+
+
+def test_gradients_of_centers_reach_the_tensors_that_offsets_are_made_of():
+    centers = torch.zeros(2, 5, 2, requires_grad=True)
+    moved = centers * 1.0
+    own = torch.zeros(2, 3, 2, requires_grad=True)
+    cuda._pass_center_gradients(moved, torch.cat([torch.zeros(2, 2, 2), own], dim=1), first=0)
+    weights = torch.arange(20.0).reshape(2, 5, 2)
+    (moved * weights).sum().backward()
+    assert torch.equal(own.grad, weights[:, 2:])

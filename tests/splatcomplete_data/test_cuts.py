@@ -1,13 +1,16 @@
 """Cuts are read from text and keep what they say."""
 
+import dataclasses
+
 import pytest
 import torch
 
 from gscomplete.errors import UserError
-from gscomplete.splats import Splats
+from gscomplete.splats import Splats, concatenate
 from gscomplete.views import ObjectFrame
 from splatcomplete_data.boxes import parse_box
 from splatcomplete_data.cuts import BoxCut, PlaneCut, ScanCut, apply_cuts, parse_cut
+from tests.splatcomplete_data.balls import BALL
 
 FRAME = ObjectFrame("Y", (10.0, 0.0, 0.0), 2.0)
 
@@ -56,3 +59,14 @@ def test_nothing_and_everything_are_user_errors() -> None:
     for cut in (PlaneCut(0.0, 5.0), PlaneCut(0.0, -5.0)):
         with pytest.raises(UserError, match="shell: cut"):
             apply_cuts(shell(50), FRAME, [cut], (), "shell")
+
+
+@pytest.mark.parametrize("away", [1.5, 5.0, 50.0])
+def test_a_floater_does_not_change_what_a_scanner_sees(away: float) -> None:
+    whole = BALL
+    clean = ScanCut(((0.0, 20.0),)).apply(whole).mask
+    floater = dataclasses.replace(
+        whole.select(torch.tensor([0])), means=torch.tensor([[away, 0.0, 0.0]])
+    )
+    seen = ScanCut(((0.0, 20.0),)).apply(concatenate([whole, floater])).mask[:-1]
+    assert (seen == clean).float().mean() > 0.99

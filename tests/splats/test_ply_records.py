@@ -14,6 +14,7 @@ from gscomplete.splats.ply_header import Element, PlyError, Property
 from gscomplete.splats.ply_layout import SplatLayout, find_layout
 from gscomplete.splats.ply_records import Decoder, Encoder
 from gscomplete.splats.ply_threads import blocks, for_each_block
+from tests.splats.ply_files import make_splats
 
 ODD = np.array([0.0, -0.0, np.nan, np.inf, -np.inf, 1e38, -1e38, 1e-40, 88.0, -104.0], np.float32)
 
@@ -156,3 +157,13 @@ def test_every_row_is_visited_once_and_the_first_failure_is_raised(count, row_si
             first = next(rows.start for rows in blocks(count, row_size) if rows.stop > count // 2)
             with pytest.raises(ValueError, match=f"^{first}$"):
                 for_each_block(count, row_size, fail)
+
+
+def test_values_beyond_float32_are_refused_not_written_as_infinities(tmp_path):
+    splats = make_splats(3)
+    means = splats.means.double().clone()
+    means[1, 2] = 1e300
+    double = Splats(**{name: value.double() for name, value in splats.fields()} | {"means": means})
+    with pytest.raises(ValueError, match="float32"):
+        write_splats(tmp_path / "a.ply", double)
+    assert not (tmp_path / "a.ply").exists()

@@ -97,3 +97,9 @@ def test_splats_that_cannot_be_drawn_are_left_out_and_counted(tmp_path):
     layer = read_scene([tmp_path / "a.ply"], "Z", 100).layers[0]
     assert len(layer.splats) == 5
     assert layer.note == "6 splats, 1 of them not finite or too large to draw"
+
+
+def test_hidden_files_of_a_folder_are_no_layers(tmp_path):
+    write_splats(tmp_path / "one.ply", make_splats(5))
+    (tmp_path / "._one.ply").write_bytes(b"what macOS leaves")
+    assert [layer.name for layer in read_scene([tmp_path], "Z", 100).layers] == ["one"]

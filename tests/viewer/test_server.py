@@ -1,3 +1,4 @@
+import dataclasses
 import urllib.request
 
 import numpy as np
@@ -90,3 +91,25 @@ def test_without_viser_the_user_is_told_what_to_install(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "viser", None)
     with pytest.raises(UserError, match=r"pip install"):
         serve(Scene((), None), "127.0.0.1", 18080)
+
+
+def test_no_layer_lies_below_another_one():
+    pytest.importorskip("viser")
+    layers = (Layer("mug", make_splats(3), ""), Layer("mug/partial", make_splats(3), ""))
+    started = serve(Scene(layers, None), "127.0.0.1", 18081)
+    try:
+        first, second = (started.drawn[layer.name].name for layer in layers)
+        assert not second.startswith(first + "/")
+    finally:
+        started.server.stop()
+
+
+def test_fine_splats_keep_their_shape_in_half_precision(viewer):
+    from gscomplete.viewer.server import _MAGNIFIED
+
+    fine = make_splats(50)
+    fine = dataclasses.replace(fine, scales=torch.tensor([[2e-3, 1e-3, 2e-4]]).expand(50, 3))
+    sent = (_MAGNIFIED**2 * covariances(fine)).astype(np.float16).astype(np.float64)
+    found = np.sqrt(np.linalg.eigvalsh(sent).clip(0))[:, ::-1] / _MAGNIFIED
+    assert np.allclose(found[:, :2], [2e-3, 1e-3], rtol=0.03)
+    assert viewer.drawn["P"].scale == pytest.approx(1 / _MAGNIFIED)

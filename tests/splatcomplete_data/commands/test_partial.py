@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from gscomplete.splats import read_splats, write_splats
+from gscomplete.splats import Similarity, read_splats, write_splats
 from splatcomplete_data import cli
+from splatcomplete_data.formats import write_any_splats
 from tests.splatcomplete_data.balls import BALL
 
 
@@ -74,3 +75,12 @@ def test_a_view_out_of_range_is_named(tmp_path, capsys):
     arguments = ["partial", str(path), "--cut", "plane:90", "--view", "2000000,0"]
     assert cli.main([*arguments, "--out", str(tmp_path / "b")]) == 2
     assert "--view: expected an azimuth" in capsys.readouterr().err
+
+
+def test_a_part_of_an_spz_file_remembers_its_turned_axes(tmp_path):
+    pytest.importorskip("gsply")
+    path, out = tmp_path / "ball.spz", tmp_path / "part"
+    write_any_splats(path, BALL)
+    assert cli.main(["partial", str(path), "--cut", "plane:90", "--out", str(out)]) == 0
+    turned = Similarity.from_json(json.loads((out / "object.json").read_text())["file_from_source"])
+    assert turned.rotation.diagonal().tolist() == [1.0, -1.0, -1.0]

@@ -44,3 +44,38 @@ def test_scans_near_the_origin_are_not_moved(tmp_path):
     record = json.loads((out / "object.json").read_text())
     assert record["file_from_source"] is None
     assert not any("was taken" in note for note in record["notes"])
+
+
+def test_levelled_points_have_z_up_and_no_other_axis(tmp_path, capsys):
+    np.savetxt(tmp_path / "a.xyz", np.random.default_rng(0).uniform(0, 1, (500, 3)))
+    words = ["scan", str(tmp_path / "a.xyz"), "--level", "--up", "Y", "--out", str(tmp_path / "o")]
+    assert cli.main(words) == 2
+    assert "--level, --up" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("more", "named"), [(["--sigma", "inf"], "--sigma"), (["--size-whole", "nan"], "--size-whole")]
+)
+def test_numbers_that_are_not_finite_are_named_before_the_work(tmp_path, capsys, more, named):
+    np.savetxt(tmp_path / "a.xyz", np.random.default_rng(0).uniform(0, 1, (500, 3)))
+    assert cli.main(["scan", str(tmp_path / "a.xyz"), *more, "--out", str(tmp_path / "o")]) == 2
+    assert f"{named}: expected a finite number" in capsys.readouterr().err
+
+
+def test_the_current_folder_is_no_folder_to_create(tmp_path, capsys, monkeypatch):
+    np.savetxt(tmp_path / "a.xyz", np.random.default_rng(0).uniform(0, 1, (500, 3)))
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    assert cli.main(["scan", "../a.xyz", "--out", ".", "--id", "a"]) == 2
+    assert "the current one" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.xyz", "here"]
+
+
+def test_a_given_view_is_the_only_one_told(tmp_path):
+    np.savetxt(tmp_path / "a.xyz", np.random.default_rng(0).uniform(0, 1, (500, 3)))
+    out = tmp_path / "out"
+    words = ["scan", str(tmp_path / "a.xyz"), "--no-outliers", "--out", str(out)]
+    assert cli.main([*words, "--view", "10,20"]) == 0
+    notes = json.loads((out / "object.json").read_text())["notes"]
+    assert not any("input view" in note for note in notes)
+    assert any("centre and size" in note or "grows" in note for note in notes)

@@ -145,6 +145,26 @@ def test_what_decides_an_object_is_in_its_fingerprint(
     assert differs()
 
 
+@pytest.mark.parametrize("place", ["photos/masks", "masks"])
+def test_masks_that_a_capture_finds_by_itself_are_in_its_fingerprint(
+    tmp_path: Path, place: str
+) -> None:
+    data = tmp_path / "data"
+    (data / "photos").mkdir(parents=True)
+    (data / "photos/a.jpg").write_bytes(b"photo")
+    text = (
+        "captures: [{id: c, command: images, images: photos}]\n"
+        "objects: [{id: a, command: crop, file: 'capture:c'}]\n"
+    )
+    entry = read_recipe(recipe(tmp_path, text)).captures[0]
+    seen = {fingerprint(entry, data, tmp_path)}
+    (data / place).mkdir()
+    for content in (b"one", b"two"):
+        (data / place / "a.png").write_bytes(content)
+        seen.add(fingerprint(entry, data, tmp_path))
+    assert len(seen) == 3
+
+
 def test_captures_resume_only_what_was_made_from_the_same_things(tmp_path: Path) -> None:
     state, folder = tmp_path / "state.json", tmp_path / "capture"
     options = ImagesOptions(images=tmp_path, out=folder)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from gscomplete.errors import UserError
 from splatcomplete_data.mesh.load import load_mesh, mesh_to_discs
 
 QUARTERS = {
@@ -225,3 +226,23 @@ def test_the_least_integer_means_minus_one_too(tmp_path: Path, dtype: str) -> No
     low, high = load_mesh(quad(tmp_path, [WHOLE.astype(np.float32)], corners=corners)).bounds()
     np.testing.assert_allclose(low, [-1, -1, 0])
     np.testing.assert_allclose(high, [1, 1, 0])
+
+
+def test_a_picture_in_the_file_that_is_not_read_is_told(tmp_path: Path) -> None:
+    path = quad(tmp_path, [WHOLE.astype("<f4")])
+    assert load_mesh(path).notes == ()
+    header = json.loads(path.read_text())
+    header["images"] = [{"uri": data_uri(b"\xabKTX 20\xbb"), "mimeType": "image/ktx2"}]
+    header["textures"] = [{"extensions": {"KHR_texture_basisu": {"source": 0}}}]
+    path.write_text(json.dumps(header))
+    (note,) = load_mesh(path).notes
+    assert "texture is not read" in note
+
+
+def test_instances_of_an_extension_are_refused(tmp_path: Path) -> None:
+    path = quad(tmp_path, [WHOLE.astype("<f4")])
+    header = json.loads(path.read_text())
+    header["nodes"][0]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": {}}}
+    path.write_text(json.dumps(header))
+    with pytest.raises(UserError, match="EXT_mesh_gpu_instancing"):
+        load_mesh(path)

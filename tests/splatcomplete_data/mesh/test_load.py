@@ -202,3 +202,18 @@ def test_textures_that_cannot_be_read_are_noted(
     (tmp_path / "picture.png").write_bytes(b"no picture")
     (note,) = load_mesh(path).notes
     assert note.startswith("texture picture.png: parts of the mesh are without it")
+
+
+@pytest.mark.parametrize("lines", ["mtllib a.mtl\nmtllib b.mtl\n", "mtllib a.mtl b.mtl\n"])
+def test_all_material_libraries_are_read(tmp_path: Path, lines: str) -> None:
+    (tmp_path / "a.mtl").write_text("newmtl red\nKd 1 0 0\n")
+    (tmp_path / "b.mtl").write_text("newmtl blue\nKd 0 0 1\n")
+    body = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 5 0 0\nv 6 0 0\nv 5 1 0\n"
+    faces = "usemtl red\nf 1 2 3\nusemtl blue\nf 4 5 6\n"
+    (tmp_path / "a.obj").write_text(lines + body + faces)
+    mesh = load_mesh(tmp_path / "a.obj")
+    assert mesh.notes == ()
+    splats = mesh_to_discs(mesh, 200)
+    colors, is_left = splats.base_colors.numpy(), splats.means[:, 0].numpy() < 3
+    np.testing.assert_allclose(colors[is_left].mean(axis=0), (1, 0, 0), atol=1e-3)
+    np.testing.assert_allclose(colors[~is_left].mean(axis=0), (0, 0, 1), atol=1e-3)

@@ -24,6 +24,12 @@ def test_obj_libraries_and_their_maps(tmp_path: Path) -> None:
     }
 
 
+def test_several_libraries_in_one_line_and_names_with_spaces(tmp_path: Path) -> None:
+    (tmp_path / "my lib.mtl").write_text("newmtl m\n")
+    (tmp_path / "a.obj").write_text("mtllib a.mtl b.mtl\nmtllib my lib.mtl\n")
+    assert list(side_files(tmp_path / "a.obj")) == ["a.mtl", "b.mtl", "my lib.mtl"]
+
+
 def test_gltf_glb_dae_and_ply(tmp_path: Path) -> None:
     text = json.dumps({"buffers": [{"uri": "a%20b.bin"}], "images": [{"uri": "data:image/png,"}]})
     (tmp_path / "a.gltf").write_text(text)

@@ -10,7 +10,7 @@ import torch
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, concatenate, read_splats, write_splats
-from splatcomplete_data.boxes import CropBox, parse_box
+from splatcomplete_data.boxes import CropBox, inside_boxes, parse_box
 from splatcomplete_data.cli import main
 from splatcomplete_data.commands.crop import box_text
 from splatcomplete_data.multiview.box_picture import box_corners
@@ -176,3 +176,24 @@ def test_a_nan_box_is_refused(tmp_path: Path, capsys):
     write_splats(tmp_path / "scene.ply", captures.ball(30))
     assert main(["crop", str(tmp_path / "scene.ply"), "--box", "nan,0,0,1,1,1"]) == 2
     assert "--box" in capsys.readouterr().err
+
+
+def test_the_first_box_that_keeps_is_the_start_wherever_it_stands():
+    points = np.random.default_rng(0).uniform(-1, 1, (500, 3))
+    keep, less = CropBox((0, 0, 0), (0.8, 0.8, 0.8)), CropBox((0, 0, 1), (2, 2, 1), action="remove")
+    expected = keep.contains(points) & ~less.contains(points)
+    assert 0 < expected.sum() < 300
+    for boxes in ([keep, less], [less, keep]):
+        np.testing.assert_array_equal(inside_boxes(points, boxes), expected)
+    np.testing.assert_array_equal(inside_boxes(points, [less]), ~less.contains(points))
+
+
+def test_proposing_leaves_a_finished_object_alone(tmp_path, capsys):
+    write_splats(tmp_path / "scene.ply", scene())
+    out = tmp_path / "ball"
+    arguments = ["crop", str(tmp_path / "scene.ply"), "--up", "Z", "--out", str(out)]
+    assert main([*arguments, "--box", "0,0,0.1,0.7,0.7,0.65"]) == 0
+    before = (out / "boxes.png").read_bytes()
+    assert main([*arguments, "--box", "0,0,0.1,0.3,0.3,0.3", "--propose"]) == 2
+    assert "finished object" in capsys.readouterr().err
+    assert (out / "boxes.png").read_bytes() == before

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from gscomplete.errors import UserError
 from splatcomplete_data.scan import GREY, lzf_decompress, read_pcd
+from splatcomplete_data.scan.read import NO_COLOR, read_scan
 
 DATA = Path(__file__).resolve().parents[3] / "../shared/data"
 RECORD = np.dtype([("label", "<u4"), ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("rgba", "<u4")])
@@ -45,14 +46,18 @@ def pcd_bytes(rows: np.ndarray, data: str) -> bytes:
 
 
 @pytest.mark.parametrize("data", ["ascii", "binary", "binary_compressed"])
-def test_every_encoding_gives_the_finite_points(tmp_path: Path, data: str) -> None:
+def test_every_encoding_gives_the_points(tmp_path: Path, data: str) -> None:
     path = tmp_path / "a.pcd"
     path.write_bytes(pcd_bytes(example(), data))
-    cloud = read_pcd(path)
+    found = read_pcd(path)
+    assert found.is_colored
+    cloud = found.cloud.select(np.isfinite(found.cloud.points).all(axis=1))
+    assert len(found.cloud) > len(cloud)
     np.testing.assert_array_equal(cloud.points, [[1, 4, 7], [2, 5, 8], [3, 6, 9]])
     np.testing.assert_array_equal(cloud.colors, np.eye(3))
     assert cloud.labels is not None
     assert cloud.labels.tolist() == [1, 20, 30]
+    assert read_scan(path).rows == len(found.cloud)
 
 
 def test_points_without_colour_are_grey(tmp_path: Path) -> None:
@@ -60,9 +65,20 @@ def test_points_without_colour_are_grey(tmp_path: Path) -> None:
     path.write_text(
         "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA ascii\n1 2 3\n"
     )
-    cloud = read_pcd(path)
-    np.testing.assert_allclose(cloud.colors, GREY)
-    assert cloud.labels is None
+    found = read_pcd(path)
+    np.testing.assert_allclose(found.cloud.colors, GREY)
+    assert not found.is_colored
+    assert found.cloud.labels is None
+    assert read_scan(path).notes == (NO_COLOR,)
+
+
+def test_channels_may_be_fields_of_their_own(tmp_path: Path) -> None:
+    path = tmp_path / "a.pcd"
+    path.write_text(
+        "FIELDS x y z r g b\nSIZE 4 4 4 1 1 1\nTYPE F F F U U U\nWIDTH 1\nHEIGHT 1\nPOINTS 1\n"
+        "DATA ascii\n1 2 3 255 51 0\n"
+    )
+    np.testing.assert_allclose(read_pcd(path).cloud.colors, [[1.0, 0.2, 0.0]])
 
 
 def slow_lzf(packed: bytes) -> bytes:
@@ -127,7 +143,7 @@ def test_damaged_files_give_a_message_or_points(
     path = tmp_path / "damaged.pcd"
     path.write_bytes(raw if length > 200 else raw[: length + 60])
     try:
-        cloud = read_pcd(path)
+        cloud = read_scan(path).cloud
     except UserError:
         return
     assert np.isfinite(cloud.points).all()
@@ -142,7 +158,7 @@ def test_real_scan_has_its_objects() -> None:
     path = DATA / "lidar/pcl/mOSD/learn_learn0.pcd"
     if not path.is_file():
         pytest.skip("real data are not here (../shared/data)")
-    cloud = read_pcd(path)
+    cloud = read_scan(path).cloud
     assert len(cloud) == 182_292
     assert cloud.labels is not None
     assert sorted(set(cloud.labels // 10)) == [0, 2, 3]

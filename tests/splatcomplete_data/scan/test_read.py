@@ -25,14 +25,17 @@ def write_ply(path: Path, color: str = "uchar", faces: str = "") -> None:
     path.write_text(header + faces + "end_header\n" + "\n".join(rows) + "\n")
 
 
-@pytest.mark.parametrize("kind", ["ply", "ply_float", "xyz", "xyz_unit", "las"])
+@pytest.mark.parametrize(
+    "kind", ["ply", "ply_float", "ply_int", "xyz", "xyz_unit", "xyz_wide", "las"]
+)
 def test_every_format_gives_the_finite_points_and_colours(tmp_path: Path, kind: str) -> None:
     path = tmp_path / f"a.{kind.split('_')[0]}"
     finite = POINTS[:3]
     if kind.startswith("ply"):
-        write_ply(path, "float" if kind == "ply_float" else "uchar")
+        write_ply(path, {"ply_float": "float", "ply_int": "int"}.get(kind, "uchar"))
     elif kind.startswith("xyz"):
-        colors = COLORS / 255 if kind == "xyz_unit" else COLORS
+        factor = {"xyz_unit": 1 / 255, "xyz_wide": 257}.get(kind, 1)
+        colors = COLORS.astype(np.float64) * factor
         rows = np.concatenate([POINTS, colors], axis=1)
         path.write_text("# x y z r g b\n" + "\n".join(" ".join(map(str, row)) for row in rows))
     else:

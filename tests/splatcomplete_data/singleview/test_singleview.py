@@ -182,3 +182,56 @@ def test_masks_of_other_kinds(tmp_path: Path) -> None:
     Image.fromarray(inside * 0).save(tmp_path / "mask.png")
     with pytest.raises(UserError, match="only black"):
         load_single_view(picture(tmp_path), depth, settings)
+
+
+def test_what_stands_for_infinity_is_unknown_and_counted(tmp_path: Path) -> None:
+    depth = np.nan_to_num(plane(), nan=1e10).astype(np.float32)
+    np.save(tmp_path / "blender.npy", depth)
+    millimetres = np.nan_to_num(plane() * 1000, nan=65535).round().astype(np.uint16)
+    Image.fromarray(millimetres).save(tmp_path / "sensor.png")
+    for name in ("blender.npy", "sensor.png"):
+        found = read_depth(tmp_path / name)
+        assert np.isnan(found.values).sum() == 1
+        assert found.notes == ("1 pixels hold what stands for infinity: unknown",)
+
+
+@pytest.mark.parametrize("largest", [4095, 10000, 65535])
+def test_a_pgms_numbers_are_those_in_the_file(tmp_path: Path, largest: int) -> None:
+    values = np.arange(100, 100 + HEIGHT * WIDTH, dtype=">u2").reshape(HEIGHT, WIDTH)
+    head = f"P5 # a comment with 9 in it\n{WIDTH} {HEIGHT}\n{largest}\n".encode()
+    (tmp_path / "a.pgm").write_bytes(head + values.tobytes())
+    np.testing.assert_array_equal(read_depth(tmp_path / "a.pgm").values, values)
+
+
+def test_pictures_of_bytes_are_no_depth(tmp_path: Path) -> None:
+    oiio = pytest.importorskip("OpenImageIO")
+    out = oiio.ImageOutput.create(str(tmp_path / "a.tif"))
+    out.open(str(tmp_path / "a.tif"), oiio.ImageSpec(WIDTH, HEIGHT, 1, "uint8"))
+    out.write_image(np.full((HEIGHT, WIDTH, 1), 9, np.uint8))
+    out.close()
+    Image.new("LA", (WIDTH, HEIGHT), (9, 255)).save(tmp_path / "a.png")
+    for name in ("a.tif", "a.png"):
+        with pytest.raises(UserError, match=r"expected (16 bits|one channel)"):
+            read_depth(tmp_path / name)
+
+
+def test_pictures_of_floats_in_an_npz_are_not_black(tmp_path: Path) -> None:
+    depth = plane()[None].astype(np.float32)
+    np.savez(tmp_path / "a.npz", depth=depth, image=np.full((1, HEIGHT, WIDTH, 3), 0.4))
+    color = read_depth(tmp_path / "a.npz").color
+    assert color is not None
+    assert (color == 102).all()
+
+
+def test_units_of_disparities(tmp_path: Path) -> None:
+    disparity = (500 * 0.1 / plane() * 256).round()
+    Image.fromarray(np.nan_to_num(disparity).astype(np.uint16)).save(tmp_path / "kitti.png")
+    found = read_depth(tmp_path / "kitti.png")
+    z, _ = metric_depth(found, "disparity", unit=1 / 256, focal_px=500, baseline=0.1)
+    np.testing.assert_allclose(z, plane(), rtol=1e-3)
+
+
+def test_a_principal_point_alone_says_nothing(tmp_path: Path) -> None:
+    settings = SingleViewSettings(center_px=(3.0, 4.0))
+    with pytest.raises(UserError, match="--center-px"):
+        load_single_view(picture(tmp_path), write_depth(tmp_path, "npy"), settings)
