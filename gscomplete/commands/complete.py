@@ -61,8 +61,8 @@ class CompleteOptions:
     denoised views that the splats are fitted to. distill: the paper's method in fewer steps.
     paper: the paper's settings to the letter (6,000 steps)."""
     steps: int | None = None
-    """Optimiser steps; schedules stretch with it. None = the preset's (the embedded prior's default
-    takes none: its first guess is the result)."""
+    """Optimiser steps; schedules, warm-up and pauses between subdivisions stretch with it. None =
+    the preset's (the embedded prior's default takes none: its first guess is the result)."""
     preserve: str | None = None
     """Bounds COLOR,DEPTH on E_color and E_depth over V, such as 0.001,0.0005: at the end, new
     splats that hide P fade, move or go until both hold. None = what the preset gives."""
@@ -171,9 +171,10 @@ def _request(options: CompleteOptions, prior: Prior) -> Request:
     settings = dataclasses.replace(
         preset(options.preset, prior.name, text_only=options.text_only), seed=options.seed
     )
-    for name in ("steps", "checkpoint_every"):
-        if getattr(options, name) is not None:
-            settings = dataclasses.replace(settings, **{name: getattr(options, name)})
+    if options.steps is not None:
+        settings = _stretched(settings, options.steps)
+    if options.checkpoint_every is not None:
+        settings = dataclasses.replace(settings, checkpoint_every=options.checkpoint_every)
     bounds = parse_numbers(options.preserve, 2, "--preserve", "COLOR,DEPTH")
     if bounds is not None:
         if min(bounds) <= 0:
@@ -237,6 +238,23 @@ def _mirror(text: str) -> Mirror:
     numbers = parse_numbers(text, 2, "--mirror", "guess, none or AZIMUTH,OFFSET")
     assert numbers is not None
     return MirrorPlane(*numbers)
+
+
+def _stretched(settings: CompletionSettings, steps: int) -> CompletionSettings:
+    """Return the settings for another number of steps, with what is counted in steps in proportion.
+
+    Presets without steps have nothing to stretch.
+    """
+    if settings.steps == 0 or steps <= 0:
+        return dataclasses.replace(settings, steps=steps)
+    share = steps / settings.steps
+    every = max(1, round(share * settings.densify.every))
+    return dataclasses.replace(
+        settings,
+        steps=steps,
+        warmup_steps=round(share * settings.warmup_steps),
+        densify=dataclasses.replace(settings.densify, every=every),
+    )
 
 
 def parse_view(text: str | None, option: str = "--view") -> tuple[float, float] | None:

@@ -234,6 +234,11 @@ class Completion:
         )
         return scattered, f"start: {len(scattered):,} splats in a sphere"
 
+    @property
+    def heeds_negative_prompt(self) -> bool:
+        """Whether what to lead away from has any effect: steps are taken, and text has a scale."""
+        return self.settings.steps > 0 and self._guidance_scales().text_scale != 1.0
+
     def _guidance_scales(self) -> Guidance:
         """Return the prior's own guidance with what the settings ask for in its place."""
         asked = {
@@ -277,7 +282,7 @@ class Completion:
             trusted = inside_distribution(target, self._distribution).to(self._device)
             mask = torch.where(trusted[:, None, None], partial.alpha, 0.0)
             color = color * (1 - mask)[..., None] + partial.color * trusted[:, None, None, None]
-            alpha = torch.maximum(alpha * (1 - mask) + mask, mask)
+            alpha = alpha * (1 - mask) + mask
         return Ring(target, color, alpha, step)
 
     def _guidance_views(self) -> tuple[Cameras, Ring | None]:

@@ -7,6 +7,7 @@ Conventions
 -----------
 * Batches of views are known by their cameras' values. The batches used longest ago are forgotten
   when all of them take more than ``max_bytes``; forgetting costs time, never changes a result.
+* Only the CPU's renderer can use more of it than the picture: gsplat draws P anew.
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ class PartialViews:
         """
         if self._takes_gradients:
             return self._as_one_set(splats, join_cameras(batches), screen_offsets)
-        if self._keeps:
+        if self._keeps and self._partial.means.device.type == "cpu":
             frozen: Splats | PreparedFrozen
             frozen = join_prepared([self._prepared(cameras) for cameras in batches])
             views = frozen.cameras

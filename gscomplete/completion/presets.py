@@ -99,7 +99,7 @@ TEXT_ONLY = dataclasses.replace(
     checkpoint_every=80,
 )
 """Iterative reconstruction with P withheld from the prior, or for priors that cannot see it: from
-a sphere, from pure noise."""
+a sphere, from nearly pure noise."""
 
 
 def preset(name: PresetName, prior_name: str, *, text_only: bool = False) -> CompletionSettings:

@@ -130,6 +130,8 @@ def prepare(request: Request, prior: Prior, device: torch.device | str = "cpu") 
     del identity["settings"]["checkpoint_every"]  # decides nothing about the result
     oddities = (f"{request.partial_path}: {warning}" for warning in source.warnings)
     notes = (*oddities, *notes, chosen.summary(), completion.start_note, *conditioning.report)
+    if request.negative_prompt and not completion.heeds_negative_prompt:
+        notes = (*notes, "negative prompt: without effect here (with this prior: --text-only)")
     run = Run(
         request,
         source.released(),

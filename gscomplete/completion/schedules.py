@@ -43,14 +43,10 @@ def resolution_at(settings: CompletionSettings, step: int, full_px: int) -> int:
     return full_px // 2 if step < settings.coarse_until * settings.steps else full_px
 
 
-def round_length(settings: CompletionSettings) -> int:
-    """Steps per round of iterative reconstruction."""
-    return max(1, settings.steps // settings.rounds)
-
-
 def is_round_start(settings: CompletionSettings, step: int) -> bool:
-    """Whether new targets are made before this step."""
-    return step % round_length(settings) == 0
+    """Whether new targets are made before this step: ``rounds`` times, or at every one of fewer."""
+    steps, rounds = settings.steps, settings.rounds
+    return step == 0 or step * rounds // steps != (step - 1) * rounds // steps
 
 
 def is_densify_step(settings: CompletionSettings, step: int) -> bool:

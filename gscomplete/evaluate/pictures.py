@@ -30,6 +30,10 @@ LIGHT_GREY = (0.78, 0.78, 0.78)
 _INK = (40, 40, 40)
 _PAPER = (245, 245, 245)
 _MARGIN_PX = 4
+_LEAST_TITLE_PX = 480
+"""A title may make a sheet this wide."""
+_LONGEST_TITLE = 400
+"""Letters of a title that are looked at."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +102,10 @@ def contact_sheet(
     left = _MARGIN_PX + label_width
     line = 20
     top = _MARGIN_PX + line * bool(title) + line * bool(column_labels)
-    width = max(left + columns * cell_width, _text_width(title, font) + 2 * _MARGIN_PX)
+    grid = left + columns * cell_width
+    wanted = min(_text_width(title[:_LONGEST_TITLE], font) + 2 * _MARGIN_PX, _LEAST_TITLE_PX)
+    width = max(grid, wanted)
+    title = _shortened(title, width - 2 * _MARGIN_PX, font)
     sheet = Image.new("RGB", (width, top + len(rows) * cell_height), _PAPER)
     draw = ImageDraw.Draw(sheet)
     draw.text((_MARGIN_PX, _MARGIN_PX), title, _INK, font)
@@ -177,6 +184,16 @@ def _require_format(path: Path) -> None:
     writable = Image.registered_extensions()
     if writable.get(path.suffix.lower()) not in Image.SAVE:
         raise UserError(f"{path}: expected a picture such as .png, found suffix {path.suffix!r}")
+
+
+def _shortened(text: str, width_px: int, font: ImageFont.FreeTypeFont | ImageFont.ImageFont) -> str:
+    """Return a text as one line that is no wider than ``width_px``, its end left out if need be."""
+    line = " ".join(text[:_LONGEST_TITLE].split())
+    if len(text) <= _LONGEST_TITLE and _text_width(line, font) <= width_px:
+        return line
+    while line and _text_width(line + "…", font) > width_px:
+        line = line[:-1].rstrip()
+    return line + "…"
 
 
 def _text_width(text: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont) -> int:

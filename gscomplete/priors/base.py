@@ -14,7 +14,6 @@ Conventions
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, runtime_checkable
@@ -61,15 +60,6 @@ class FourViews:
     def from_render(cls, render: Render, cameras: Cameras) -> FourViews:
         """Wrap a render that was made over a black background (the renderer's default)."""
         return cls(render.color, render.alpha, render.depth, cameras)
-
-    def detach(self) -> FourViews:
-        """Return the views cut from the autograd graph."""
-        return dataclasses.replace(
-            self,
-            color=self.color.detach(),
-            alpha=self.alpha.detach(),
-            depth=self.depth.detach(),
-        )
 
 
 @dataclass(frozen=True, slots=True)

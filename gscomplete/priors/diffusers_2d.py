@@ -13,6 +13,7 @@ Conventions
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Any
 
@@ -114,12 +115,19 @@ def load_diffusers_2d(
     dtype = unet_dtype(settings.precision, device)
     size_px = int(unet.config.sample_size or 64) * codec.downsampling
     guidance = default_guidance(settings, GUIDANCE_SCALE)
+    pad_id = _pad_id(folder / "tokenizer")
+    folder_settings = {
+        "prediction": schedule.prediction,
+        "alphas_bar_sha256": hashlib.sha256(repr(schedule.alphas_bar).encode()).hexdigest(),
+        "scaling_factor": float(vae.config.scaling_factor),
+        "pad_id": pad_id,
+    }
     return LatentPrior(
         f"diffusers:{folder.resolve().name}",
         SingleViewDenoiser(unet, schedule, device, dtype, settings),
         codec,
         PromptEncoder(
-            Tokenizer(text_config.length, _pad_id(folder / "tokenizer")),
+            Tokenizer(text_config.length, pad_id),
             lambda: load_strictly(tower, text_tensors.state()),
             fingerprint((text_tensors.file.path,)),
             (text_config.length, text_config.width),
@@ -134,7 +142,7 @@ def load_diffusers_2d(
         device,
         PriorIdentity(
             fingerprint((unet_file, vae_tensors.file.path, text_tensors.file.path)),
-            deciding_settings(settings, guidance, ""),
+            deciding_settings(settings, guidance, "") | folder_settings,
         ),
     )
 

@@ -55,3 +55,13 @@ def test_rounds_cover_the_run():
 def test_settings_out_of_range_are_named(name, value):
     with pytest.raises(UserError, match=name):
         CompletionSettings(**{name: value})
+
+
+@pytest.mark.parametrize(("steps", "rounds"), [(15, 8), (100, 8), (31, 16), (7, 16), (240, 8)])
+def test_there_are_as_many_rounds_as_asked_for(steps, rounds):
+    settings = dataclasses.replace(preset("reconstruct", "embedded"), steps=steps, rounds=rounds)
+    starts = [s for s in range(steps) if schedules.is_round_start(settings, s)]
+    assert starts[0] == 0
+    assert len(starts) == min(steps, rounds)
+    lengths = [b - a for a, b in zip(starts, [*starts[1:], steps], strict=True)]
+    assert max(lengths) - min(lengths) <= 1

@@ -99,3 +99,10 @@ def test_unknown_suffixes_are_user_errors(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="folder"):
         save_image(Image.new("RGB", (2, 2)), tmp_path / "none" / "a.png")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("title", ["word " * 5000, "x" * 300, "two\nlines"])
+def test_long_titles_end_in_dots_and_are_one_line(title: str) -> None:
+    grid = [[Image.new("RGB", (100, 20))] * 6]
+    sheet = contact_sheet(grid, title=title)
+    assert sheet.size == contact_sheet(grid, title="short").size

@@ -202,3 +202,17 @@ def test_schedules_without_signal_are_refused(folder, tmp_path):
     path.write_text("[]")
     with pytest.raises(UserError, match="object"):
         read_schedule(path)
+
+
+@pytest.mark.parametrize(
+    ("file", "change"),
+    [
+        ("scheduler/scheduler_config.json", {"prediction_type": "v_prediction"}),
+        ("scheduler/scheduler_config.json", {"beta_end": 0.013}),
+        ("vae/config.json", {"scaling_factor": 0.2}),
+        ("tokenizer/tokenizer_config.json", {"pad_token": "!"}),
+    ],
+)
+def test_a_folder_that_would_give_another_result_is_another_prior(folder, tmp_path, file, change):
+    other = load_diffusers_2d(changed(folder, tmp_path, file, change))
+    assert other.identity != load_diffusers_2d(folder).identity

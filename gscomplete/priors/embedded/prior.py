@@ -167,8 +167,8 @@ class EmbeddedPrior:
             mirror_plane=mirror,
         )
         settings = WholeSettings(count=count)
-        splats = whole_splats(prediction, partial, settings, generator)
-        return FirstGuess(splats, (mirror_note(prediction, settings),))
+        whole = whole_splats(prediction, partial, settings, generator)
+        return FirstGuess(whole.splats, (mirror_note(prediction, whole.mirrored),))
 
     def likely_mirrors(
         self, partial: Splats, distribution: ViewDistribution, conditioning: Conditioning

@@ -64,7 +64,9 @@ STOP_WORDS = frozenset(
 """Words that say nothing about the object; ignored unless the vocabulary has them."""
 
 _VARIANTS = {"grey": "gray", "gray": "grey", "jewellery": "jewelry", "colored": "coloured"}
-_WORD = re.compile(r"[a-z0-9]+")
+_WORD = re.compile(r"[^\W_]+")
+_SHORTEST_STEM = 3
+"""Letters; endings say nothing of shorter words: an r is no "red"."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +150,7 @@ class Tokenizer:
 
 
 def split_words(text: str) -> list[str]:
-    """Split text into lower-case words of letters and digits."""
+    """Split text into lower-case words of letters and digits, of any script."""
     return _WORD.findall(text.lower())
 
 
@@ -171,7 +173,12 @@ def _stems(word: str) -> list[str]:
         ("ed", ("", "e")),
     ):
         stem = word.removesuffix(ending)
-        if len(stem) >= 3 and stem != word and not (ending == "s" and stem.endswith("s")):
+        if (
+            len(stem) >= _SHORTEST_STEM
+            and stem != word
+            and not (ending == "s" and stem.endswith("s"))
+        ):
             forms.extend(stem + replacement for replacement in replacements)
-    forms.extend((word + "s", word + "en", word + "ed"))
+    if len(word) >= _SHORTEST_STEM:
+        forms.extend((word + "s", word + "en", word + "ed"))
     return forms

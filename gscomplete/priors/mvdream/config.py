@@ -120,11 +120,6 @@ class VAEConfig:
         """Channels of each level."""
         return tuple(self.base_channels * factor for factor in self.channel_mult)
 
-    @property
-    def downsampling(self) -> int:
-        """Pixels per latent along a side."""
-        return 2 ** (len(self.channel_mult) - 1)
-
 
 @dataclass(frozen=True, slots=True)
 class TextConfig:

@@ -21,6 +21,7 @@ from torch import Tensor
 from gscomplete.jsonio import to_json
 from gscomplete.priors.base import Guidance, PriorViews
 from gscomplete.priors.mvdream.cameras import camera_matrices
+from gscomplete.priors.mvdream.folders import find_tensor_file
 from gscomplete.priors.mvdream.guidance import NoiseSchedule
 from gscomplete.priors.mvdream.latent_prior import (
     VIEWS,
@@ -36,6 +37,7 @@ from gscomplete.priors.mvdream.settings import (
     unet_dtype,
     vae_dtype,
 )
+from gscomplete.priors.mvdream.tensor_files import fingerprint
 from gscomplete.priors.mvdream.text import PromptEncoder, cache_home
 from gscomplete.priors.mvdream.tiny_vae import load_tiny_vae
 from gscomplete.priors.mvdream.tokenizer import Tokenizer
@@ -131,6 +133,8 @@ def deciding_settings(
     values = dataclasses.asdict(settings)
     values |= {"guidance": guidance.text_scale, "rescale": guidance.rescale}
     values["negative_prompt"] = negative_prompt
+    if settings.tiny_vae is not None:  # what it is, wherever it lies
+        values["tiny_vae"] = fingerprint((find_tensor_file(settings.tiny_vae),))
     return {k: to_json(v) for k, v in values.items() if k not in _ONLY_SPEED}
 
 

@@ -77,3 +77,10 @@ def test_build_words_is_sorted_and_free_of_stop_words():
 def test_repeated_words_are_refused():
     with pytest.raises(ValueError, match="twice"):
         Tokenizer(("mug", "mug"), 4)
+
+
+@pytest.mark.parametrize("prompt", ["eine grüne Tür r", "toy R/C", "红色"])
+def test_letters_are_not_made_words_that_nobody_wrote(prompt):
+    report = TOKENIZER.understood(prompt)
+    assert report.known == ()
+    assert "".join(report.unknown) == "".join(prompt.lower().replace("/", " ").split())

@@ -71,9 +71,19 @@ class WholeSettings:
     """Surface this near to P's splats or mirrored ones is theirs; cells blur it by as much."""
 
 
+@dataclass(frozen=True, slots=True)
+class Whole:
+    """What completes one object."""
+
+    splats: Splats
+    """The new splats."""
+    mirrored: int
+    """How many of them, the first, are P's own, mirrored."""
+
+
 def whole_splats(
     prediction: Prediction, partial: Splats, settings: WholeSettings, generator: torch.Generator
-) -> Splats:
+) -> Whole:
     """Return the new splats of one object.
 
     Args:
@@ -89,7 +99,8 @@ def whole_splats(
     if copies is None or not len(copies):
         level = _surface_logit(prediction, settings)
         plain = SurfaceSettings(settings.count, filled_logit=level)
-        return surface_splats(prediction.output, prediction.seen, partial, plain, generator)
+        surface = surface_splats(prediction.output, prediction.seen, partial, plain, generator)
+        return Whole(surface, 0)
     beside = SurfaceSettings(
         settings.count - len(copies),
         near_partial=settings.reach,
@@ -98,7 +109,7 @@ def whole_splats(
         least_spacing=min(max(median_spacing(copies.means), _LEAST_SPACING), _MOST_SPACING),
     )
     surface = surface_splats(prediction.output, prediction.seen, partial, beside, generator, copies)
-    return concatenate([copies, surface])
+    return Whole(concatenate([copies, surface]), len(copies))
 
 
 def _surface_logit(prediction: Prediction, settings: WholeSettings) -> float:
@@ -124,12 +135,17 @@ def mirror_plane_of(symmetry: SymmetryMap) -> MirrorPlane:
     return MirrorPlane(round(math.degrees(angle), 1), round(offset, 3))
 
 
-def mirror_note(prediction: Prediction, settings: WholeSettings) -> str:
-    """Tell users through which plane P was mirrored, as they would ask for it."""
+def mirror_note(prediction: Prediction, mirrored: int) -> str:
+    """Tell users through which plane P was mirrored, as they would ask for it.
+
+    Args:
+        prediction: what the network was shown.
+        mirrored: how many of the new splats are P's own.
+    """
     if not _is_mirrored(prediction):
         return "not mirrored"
     plane = mirror_plane_of(prediction.seen.symmetries[0])
-    how = "by P's own splats" if prediction.worth >= settings.least_worth else "as a hint"
+    how = "by P's own splats" if mirrored else "as a hint"
     return f"mirrored {how} through the upright plane {plane} (--mirror)"
 
 

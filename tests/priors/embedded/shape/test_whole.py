@@ -32,7 +32,9 @@ def predicted(worth: float, *, confidence: float = 200.0) -> Prediction:
 
 def put_together(prediction: Prediction, **changes: object):
     settings = dataclasses.replace(WholeSettings(count=8000), **changes)
-    return whole_splats(prediction, half(sphere()), settings, torch.Generator().manual_seed(0))
+    return whole_splats(
+        prediction, half(sphere()), settings, torch.Generator().manual_seed(0)
+    ).splats
 
 
 def test_a_believed_mirror_image_is_shown_by_ps_own_splats():
@@ -93,7 +95,7 @@ def test_scattered_splats_are_no_whole_surface(count, is_sure):
 
     def found(sure: float, unsure: float):
         settings = WholeSettings(count=4000, sure_logit=sure, unsure_logit=unsure)
-        return whole_splats(prediction, partial, settings, torch.Generator().manual_seed(0))
+        return whole_splats(prediction, partial, settings, torch.Generator().manual_seed(0)).splats
 
     level = 3.0 if is_sure else -3.0
     assert torch.equal(found(3.0, -3.0).means, found(level, level).means)
@@ -128,14 +130,13 @@ def test_what_the_network_leaves_empty_is_not_mirrored():
 
 
 def test_the_note_tells_the_plane_as_users_ask_for_it():
-    settings = WholeSettings()
-    assert mirror_note(predicted(0.9), settings) == (
+    assert mirror_note(predicted(0.9), 7) == (
         "mirrored by P's own splats through the upright plane 0.0,0.000 (--mirror)"
     )
-    assert "as a hint" in mirror_note(predicted(0.1), settings)
+    assert "as a hint" in mirror_note(predicted(0.9), 0)
     prediction = predicted(0.0)
     alone = prediction.look.with_copies(no_symmetries())
-    assert mirror_note(dataclasses.replace(prediction, seen=alone), settings) == "not mirrored"
+    assert mirror_note(dataclasses.replace(prediction, seen=alone), 0) == "not mirrored"
 
 
 def test_where_no_mirrored_splat_is_left_the_networks_surface_is_all():
