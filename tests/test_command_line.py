@@ -37,7 +37,7 @@ def test_threads_are_told_to_sleep_before_the_openmp_runtime_is_loaded(module: s
         text=True,
         check=True,
     )
-    assert done.stdout.split() == ["PASSIVE", "0"]
+    assert done.stdout.split() == ["PASSIVE", "3000"]
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from gscomplete.errors import UserError
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.views import Cameras, four_view_orbit
 
@@ -32,12 +33,17 @@ def surface_discs(mesh_path: Path | None, count: int, sh_degree: int = 0) -> Spl
         mesh_path: a mesh in any format trimesh reads; None = a torus knot.
         count: number of splats.
         sh_degree: degree of the spherical harmonics, 0 to 3.
+
+    Raises:
+        UserError: there is no such file.
     """
     if mesh_path is None:
         points, normals, area = _torus_knot(count)
     else:
         import trimesh
 
+        if not mesh_path.is_file():
+            raise UserError(f"{mesh_path}: --mesh: expected a mesh file, found none")
         mesh = trimesh.load(mesh_path, force="mesh", process=False)
         side = float(np.max(mesh.extents))
         points, faces = trimesh.sample.sample_surface(mesh, count, seed=0)
