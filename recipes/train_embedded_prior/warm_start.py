@@ -6,6 +6,8 @@ Conventions
   a warm-up of its own; it does not resume the one that made them.
 * A run's vocabulary has room for more words than the weights know: theirs come first, in their
   order; rows of the embedding beyond them keep their random numbers.
+* A run's network may have more blocks than the weights: a new one changes nothing at first, so the
+  run starts from the weights' own answers.
 """
 
 from __future__ import annotations

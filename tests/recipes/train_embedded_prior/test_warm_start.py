@@ -4,7 +4,9 @@ import pytest
 import torch
 
 from gscomplete.errors import UserError
+from gscomplete.priors.embedded.shape.grid import CELLS, COARSE_CELLS
 from gscomplete.priors.embedded.shape.model import ShapeModelConfig
+from gscomplete.priors.embedded.shape.symmetries import COPIES, SOURCES
 from gscomplete.priors.embedded.text import FIRST_WORD_TOKEN
 from recipes.train_embedded_prior.export import TrainedRun, export
 from recipes.train_embedded_prior.shape_task import ShapeTask
@@ -97,3 +99,25 @@ def test_without_weights_there_is_nothing_to_start_from(tmp_path):
 def test_a_missing_folder_is_named(tmp_path):
     with pytest.raises(UserError, match="nowhere"):
         open_run(tiny_shape_run(tmp_path, start_from=tmp_path / "nowhere"), WORDS)
+
+
+def test_more_blocks_than_the_weights_have_change_nothing_at_first(tmp_path, weights):
+    config = tiny_shape_run(tmp_path, start_from=weights)
+    blocks = tuple(count + 1 for count in config.model.blocks)
+    deeper = dataclasses.replace(config, model=dataclasses.replace(config.model, blocks=blocks))
+    plain, more = (
+        ShapeTask(chosen, stub_source, WORDS).make_model().eval() for chosen in (config, deeper)
+    )
+    generator = torch.Generator().manual_seed(0)
+    start = start_weights(config)
+    state = {k: 0.3 * torch.randn(v.shape, generator=generator) for k, v in start.state.items()}
+    for model in (plain, more):
+        fill(model, dataclasses.replace(start, state=state))
+    assert sum(1 for _ in more.parameters()) > sum(1 for _ in plain.parameters())
+    volumes = torch.rand(1, SOURCES, 4, CELLS, CELLS, CELLS, generator=generator)
+    evidence = torch.rand(1, 3, COARSE_CELLS, COARSE_CELLS, COARSE_CELLS, generator=generator)
+    asked = (volumes, evidence, torch.ones(1, COPIES), torch.tensor([[FIRST_WORD_TOKEN]]))
+    with torch.no_grad():
+        expected = plain(*asked).occupancy
+        torch.testing.assert_close(more(*asked).occupancy, expected, rtol=0, atol=0)
+    assert expected.std() > 0.1
