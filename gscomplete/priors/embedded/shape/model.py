@@ -58,6 +58,7 @@ class ResidualBlock(nn.Module):
         self.conv_out = nn.Conv3d(width, width, 3, padding=1)
         self.modulation = nn.Linear(config.embedding, 2 * width)
         nn.init.zeros_(self.conv_out.weight)
+        nn.init.zeros_(self.conv_out.bias)  # type: ignore[arg-type]
         nn.init.zeros_(self.modulation.weight)
 
     def forward(self, x: Tensor, embedding: Tensor) -> Tensor:  # [B, C, n, n, n], [B, E]
