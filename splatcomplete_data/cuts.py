@@ -85,7 +85,7 @@ class ScanCut:
         typical = float(whole.scales.amax(dim=1).median())
         grid_px = int(np.clip(SCAN_WIDTH / max(2.0 * typical, 1e-9), 40, MAX_SCAN_GRID_PX))
         slack = 2.5 * SCAN_WIDTH / grid_px
-        reach = float(whole.means.norm(dim=1).double().quantile(OBJECT_SHARE))
+        reach = float(np.quantile(whole.means.double().norm(dim=1).numpy(), OBJECT_SHARE))
         return by_visibility(
             whole,
             SCAN_DISTANCE * eyes,

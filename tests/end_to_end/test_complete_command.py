@@ -226,7 +226,7 @@ def test_prompts_without_sense(tmp_path):
 
 def test_the_default_takes_the_first_guess_and_holds_it_to_bounds(tmp_path):
     out = tmp_path / "guess"
-    more = ("--preserve", "0.001,0.001", "--match-seam")
+    more = ("--preserve", "0.001,0.001", "--match-seam", "--negative-prompt", "a handle")
     result = gscomplete("complete", SAMPLE, "--prompt", "a red mug", "--out", out, *more)
     assert result.returncode == 0, result.stderr
     content = json.loads((out / "run.json").read_text())
@@ -236,6 +236,7 @@ def test_the_default_takes_the_first_guess_and_holds_it_to_bounds(tmp_path):
     assert content["result"]["seam_colors"]["changed"] > 0
     assert "hard preservation: E_color" in result.stdout
     assert any("that the prior guesses" in note for note in content["notes"])
+    assert any("negative prompt: without effect" in note for note in content["notes"])
     assert (out / "log.jsonl").read_text() == ""
 
 
