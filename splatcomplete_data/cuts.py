@@ -32,7 +32,7 @@ SCAN_WIDTH = 2.54
 """What a scanner's depth image spans at the centre, in object sizes."""
 MAX_SCAN_GRID_PX = 256
 """Largest side of a scanner's depth image."""
-OBJECT_SHARE = 0.995
+_OBJECT_SHARE = 0.995
 """A scanner's picture is wide enough for this share of the splats: trained ones have floaters."""
 _MOST_REACH = 1.0
 """Object sizes from the centre; the corners of the object's box are nearer."""
@@ -85,7 +85,7 @@ class ScanCut:
         typical = float(whole.scales.amax(dim=1).median())
         grid_px = int(np.clip(SCAN_WIDTH / max(2.0 * typical, 1e-9), 40, MAX_SCAN_GRID_PX))
         slack = 2.5 * SCAN_WIDTH / grid_px
-        reach = float(np.quantile(whole.means.double().norm(dim=1).numpy(), OBJECT_SHARE))
+        reach = float(np.quantile(whole.means.double().norm(dim=1).numpy(), _OBJECT_SHARE))
         return by_visibility(
             whole,
             SCAN_DISTANCE * eyes,

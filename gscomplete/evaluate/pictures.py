@@ -30,8 +30,8 @@ LIGHT_GREY = (0.78, 0.78, 0.78)
 _INK = (40, 40, 40)
 _PAPER = (245, 245, 245)
 _MARGIN_PX = 4
-_LEAST_TITLE_PX = 480
-"""A title may make a sheet this wide."""
+_MOST_TITLE_PX = 480
+"""A title may make a sheet so wide, not wider."""
 _LONGEST_TITLE = 400
 """Letters of a title that are looked at."""
 
@@ -103,7 +103,7 @@ def contact_sheet(
     line = 20
     top = _MARGIN_PX + line * bool(title) + line * bool(column_labels)
     grid = left + columns * cell_width
-    wanted = min(_text_width(title[:_LONGEST_TITLE], font) + 2 * _MARGIN_PX, _LEAST_TITLE_PX)
+    wanted = min(_text_width(title[:_LONGEST_TITLE], font) + 2 * _MARGIN_PX, _MOST_TITLE_PX)
     width = max(grid, wanted)
     title = _shortened(title, width - 2 * _MARGIN_PX, font)
     sheet = Image.new("RGB", (width, top + len(rows) * cell_height), _PAPER)

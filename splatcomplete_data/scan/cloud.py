@@ -44,13 +44,12 @@ def unit_colors(values: NDArray[Any]) -> NDArray[np.float32]:
     """Scale colours of any type to [0, 1].
 
     Bytes are shares of 255 and 16-bit integers of 65535. What wider integers and floats are shares
-    of is told by the largest among them: 1 (floats only), 255 or 65535.
+    of is told by the largest among them: 1 (floats only), 255 or 65535. What is not finite is 0.
     """
     if np.issubdtype(values.dtype, np.integer) and values.dtype.itemsize <= 2:
         top = float(np.iinfo(values.dtype).max)
         return np.clip(values / np.float64(top), 0, 1).astype(np.float32)
-    with np.errstate(invalid="ignore"):
-        scaled = np.nan_to_num(values.astype(np.float64))
+    scaled = np.nan_to_num(values.astype(np.float64), posinf=0.0, neginf=0.0)
     largest = scaled.max(initial=0.0)
     if largest > 255.0:
         scaled = scaled / 65535.0

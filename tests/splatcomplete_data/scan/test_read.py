@@ -103,3 +103,10 @@ def test_scan_meshes_far_from_the_origin_stay_there(tmp_path: Path) -> None:
     np.testing.assert_allclose(points.min(axis=0), far - 0.5, atol=5e-3)
     np.testing.assert_allclose(points.max(axis=0), far + 0.5, atol=5e-3)
     assert len(np.unique(points[:, 1])) > 1000
+
+
+def test_a_colour_that_is_not_finite_darkens_no_other(tmp_path: Path) -> None:
+    rows = [[0, 0, 0, 1.0, 0.5, 0.0], [1, 0, 0, np.inf, np.nan, 0.25]]
+    (tmp_path / "a.xyz").write_text("\n".join(" ".join(map(str, row)) for row in rows))
+    colors = read_scan(tmp_path / "a.xyz").cloud.colors
+    np.testing.assert_allclose(colors, [[1.0, 0.5, 0.0], [0.0, 0.0, 0.25]])
