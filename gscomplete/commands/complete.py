@@ -40,7 +40,8 @@ class CompleteOptions:
     """Run folder; None = PARTIAL's name with _completed, in the current folder."""
     view: str | None = None
     """Input view c as AZIMUTH,ELEVATION in degrees (azimuth 0 looks from +x of the z-up object
-    frame, 90 from +y); None = the view that shows most of P from outside."""
+    frame, 90 from +y); None = the view that shows most of P from outside, or another if the
+    prior's guess of the whole would hide P from there."""
     range: float = 50.0
     """V reaches this many degrees of azimuth to either side of c."""
     up: Literal["X", "Y", "Z", "-X", "-Y", "-Z"] = "Z"

@@ -140,8 +140,7 @@ def guess_framing(partial: Splats, settings: FramingSettings | None = None) -> F
     size = float((high - low).max())
     if not size > 0:
         raise UserError("framing: all splats are at one place; give --center, --size and --view")
-    centered = _centered(kept, (low + high) / 2, size)
-    scores = score_views(centered, chosen)
+    scores = score_views(_centered(kept, (low + high) / 2, size), chosen)
     row, column = np.unravel_index(int(np.argmax(scores.score)), scores.score.shape)
     azimuth, elevation = float(scores.azimuths_deg[column]), float(scores.elevations_deg[row])
     view_reason = (
@@ -157,6 +156,18 @@ def guess_framing(partial: Splats, settings: FramingSettings | None = None) -> F
     box_reason = f"{reason} (openness {strength:.2f} towards azimuth {toward:.0f})"
     x, y, z = center.tolist()
     return FramingGuess((x, y, z), size, azimuth, elevation, tuple(notes), view_reason, box_reason)
+
+
+def score_partial(partial: Splats, settings: FramingSettings | None = None) -> ViewScores:
+    """Score the candidate views of P, in z-up axes, without its floaters.
+
+    Raises:
+        UserError: P has no finite splat.
+    """
+    chosen = settings or FramingSettings()
+    kept, _ = object_splats(partial, chosen)
+    low, high = (corner.double().numpy() for corner in kept.bounds())
+    return score_views(_centered(kept, (low + high) / 2, float((high - low).max())), chosen)
 
 
 def object_splats(partial: Splats, settings: FramingSettings) -> tuple[Splats, list[str]]:

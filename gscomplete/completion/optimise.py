@@ -20,6 +20,7 @@ from torch import Tensor
 from gscomplete.completion import schedules
 from gscomplete.completion.densify import GradientStatistics, prune_mask, subdivide
 from gscomplete.completion.initialise import initial_splats
+from gscomplete.completion.input_view import settled_view
 from gscomplete.completion.losses import fit_loss, preservation_loss, random_background
 from gscomplete.completion.parameters import Bounds, SplatParameters
 from gscomplete.completion.partial_views import PartialViews
@@ -73,6 +74,8 @@ class Completion:
         settings: CompletionSettings,
         initial_diameter: float = 1.0,
         device: torch.device | str = "cpu",
+        *,
+        view_is_guess: bool = False,
     ) -> None:
         """Set up step 0.
 
@@ -85,6 +88,8 @@ class Completion:
             initial_diameter: of the sphere of new splats, object-frame units; the paper takes the
                 largest side of P's box.
             device: where splats are rendered and moved; the prior may run on another.
+            view_is_guess: V's input view was guessed from P alone, and may give way to one that
+                the prior's first guess of the whole bears out (``input_view``).
 
         Raises:
             UserError: no steps are to be taken and the prior cannot guess the whole.
@@ -93,13 +98,17 @@ class Completion:
         self._device = torch.device(device)
         self.settings = settings
         self.step_number = 0
-        self._prior, self._conditioning, self._distribution = prior, conditioning, distribution
+        self._prior, self._conditioning = prior, conditioning
+        self.distribution = distribution
         self._size_px = settings.resolution_px or prior.views.resolution_px
         extent = sum(prior.views.extent_range) / 2
         self._max_radius = settings.max_radius or max(extent / 2, _CORNER_RADIUS)
         bounds = Bounds(settings.min_scale_px * extent / self._size_px, settings.max_scale)
-        start, self.start_note = self._start(bounds, initial_diameter)
+        start, is_guess, self.start_notes = self._start(bounds, initial_diameter)
         _require_finite(0, **{f"{name} at the start": value for name, value in start.fields()})
+        if is_guess and view_is_guess:
+            self.distribution, note = settled_view(self.partial, start, distribution)
+            self.start_notes += (note,) if note else ()
         self.partial = self.partial.to(self._device)
         self.parameters = SplatParameters(start.to(self._device), bounds, settings.learning_rates)
         self._statistics = GradientStatistics(len(self.parameters), self._device)
@@ -200,8 +209,8 @@ class Completion:
         self._statistics.views = state["statistics.views"].clone()
         self._rings.restore(state)
 
-    def _start(self, bounds: Bounds, diameter: float) -> tuple[Splats, str]:
-        """Return the new splats of step 0, and a line that says where they are.
+    def _start(self, bounds: Bounds, diameter: float) -> tuple[Splats, bool, tuple[str, ...]]:
+        """Return the new splats of step 0, whether the prior guessed them, and where they are.
 
         Raises:
             UserError: there are no steps to take and no guess that could be the result.
@@ -210,7 +219,7 @@ class Completion:
         if settings.start == "guess" and isinstance(self._prior, ShapePrior):
             guess = self._prior.first_guess(
                 self.partial,
-                self._distribution,
+                self.distribution,
                 self._conditioning,
                 generator_for(settings.seed, 0, "first guess"),
                 settings.new_splats,
@@ -218,7 +227,7 @@ class Completion:
             )
             if guess is not None and (len(guess.splats) or not settings.steps):
                 how_many = f"start: {len(guess.splats):,} splats that the prior guesses"
-                return guess.splats, "; ".join([how_many, *guess.notes])
+                return guess.splats, True, ("; ".join([how_many, *guess.notes]),)
         if settings.start == "guess" and not settings.steps:
             raise UserError(
                 "0 steps: expected a prior that guesses the whole, found one that cannot; "
@@ -232,7 +241,7 @@ class Completion:
             min_scale=bounds.min_scale,
             max_scale=bounds.max_scale,
         )
-        return scattered, f"start: {len(scattered):,} splats in a sphere"
+        return scattered, False, (f"start: {len(scattered):,} splats in a sphere",)
 
     @property
     def heeds_negative_prompt(self) -> bool:
@@ -279,7 +288,7 @@ class Completion:
             _require_finite(step, **targets)
             target = cameras.resized(color.shape[2], color.shape[1])
             partial = self._views.alone(target)
-            trusted = inside_distribution(target, self._distribution).to(self._device)
+            trusted = inside_distribution(target, self.distribution).to(self._device)
             mask = torch.where(trusted[:, None, None], partial.alpha, 0.0)
             color = color * (1 - mask)[..., None] + partial.color * trusted[:, None, None, None]
             alpha = alpha * (1 - mask) + mask
@@ -300,12 +309,12 @@ class Completion:
         settings, step = self.settings, self.step_number
         size_px = schedules.resolution_at(settings, step, self._size_px)
         if settings.preservation_views is None:
-            angles = self._distribution.sample(settings.seed, step, 1)
-            return self._distribution.cameras(angles, size_px)
+            angles = self.distribution.sample(settings.seed, step, 1)
+            return self.distribution.cameras(angles, size_px)
         generator = generator_for(settings.seed, step, "preservation view")
         pick = int(uniform(generator, 0, settings.preservation_views))
-        angles = self._distribution.low_discrepancy(settings.preservation_views)
-        return self._distribution.cameras(angles, size_px)[pick]
+        angles = self.distribution.low_discrepancy(settings.preservation_views)
+        return self.distribution.cameras(angles, size_px)[pick]
 
     def _guidance_loss(
         self,

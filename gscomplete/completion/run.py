@@ -78,6 +78,7 @@ class Run:
     working: WorkingSet
     frame: ObjectFrame
     distribution: ViewDistribution
+    first_views: ViewDistribution  # V as the prior's first guess was made with; see input_view
     prior: Prior
     conditioning: Conditioning
     notes: tuple[str, ...]
@@ -117,6 +118,7 @@ def prepare(request: Request, prior: Prior, device: torch.device | str = "cpu") 
         request.settings,
         _largest_side(chosen.splats) / frame.size_file,
         device,
+        view_is_guess=request.view_deg is None,
     )
     identity = {
         "input_sha256": sha256_of(request.partial_path),
@@ -124,12 +126,12 @@ def prepare(request: Request, prior: Prior, device: torch.device | str = "cpu") 
         "negative_prompt": request.negative_prompt,
         "prior": prior_identity(prior),
         "frame": frame.to_json(),
-        "views": distribution.to_json(),
+        "views": completion.distribution.to_json(),
         "settings": jsonio.to_json(request.settings),
     }
     del identity["settings"]["checkpoint_every"]  # decides nothing about the result
     oddities = (f"{request.partial_path}: {warning}" for warning in source.warnings)
-    notes = (*oddities, *notes, chosen.summary(), completion.start_note, *conditioning.report)
+    notes = (*oddities, *notes, chosen.summary(), *completion.start_notes, *conditioning.report)
     if request.negative_prompt and not completion.heeds_negative_prompt:
         notes = (*notes, "negative prompt: without effect here (with this prior: --text-only)")
     run = Run(
@@ -137,6 +139,7 @@ def prepare(request: Request, prior: Prior, device: torch.device | str = "cpu") 
         source.released(),
         chosen,
         frame,
+        completion.distribution,
         distribution,
         prior,
         conditioning,
@@ -243,7 +246,7 @@ def _draw_alternatives(run: Run, partial: Splats, whole: Splats) -> list[str]:
     found = guess_alternatives(
         run.prior,
         partial,
-        run.distribution,
+        run.first_views,
         run.conditioning,
         request.settings,
         request.alternatives,

@@ -40,7 +40,7 @@ from gscomplete.priors import load_prior
 from gscomplete.priors.base import prior_identity
 from recipes.benchmarks.charts import Chart, draw_charts
 from recipes.entry_point import start
-from recipes.real_objects.compare import completed, measure, pose
+from recipes.real_objects.compare import completed_as_run, measure, pose
 from recipes.real_objects.complete import DATA
 from recipes.real_objects.load import load_real_object
 from recipes.results import Results
@@ -129,7 +129,7 @@ def main(options: Options) -> None:
             if name in rows:
                 continue
             seeded = dataclasses.replace(settings, seed=options.seed)
-            rows[name] = measure(posed, *completed(posed, prior, seeded))
+            rows[name] = measure(posed, completed_as_run(posed, prior, seeded))
             results.save()
     table = means(results.rows)
     sys.stdout.write(report(table))

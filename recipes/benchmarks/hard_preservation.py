@@ -33,7 +33,7 @@ from gscomplete.priors.base import prior_identity
 from gscomplete.splats import Splats, concatenate, read_splats, write_splats
 from gscomplete.views import Cameras
 from recipes.entry_point import start
-from recipes.real_objects.compare import Posed, completed, pose, settings_of
+from recipes.real_objects.compare import Posed, completed_as_run, pose, settings_of
 from recipes.real_objects.complete import DATA
 from recipes.real_objects.load import load_real_object
 from recipes.results import Results
@@ -75,7 +75,7 @@ def completion(posed: Posed, way: Way, options: Options, prior: Prior) -> Splats
         if (folder / name).exists():
             return read_splats(folder / name).splats
     settings = dataclasses.replace(settings_of(way, prior, options.seed), hard_preservation=None)
-    made, _ = completed(posed, prior, settings)
+    made = completed_as_run(posed, prior, settings).splats
     write_splats(options.out / name, made)
     return made
 

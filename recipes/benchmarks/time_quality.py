@@ -15,7 +15,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,18 +26,17 @@ from rich.console import Console
 from rich.progress import track
 
 from gscomplete.atomic import atomic_path
-from gscomplete.completion.finish import finish_splats
 from gscomplete.completion.framing import guess_framing
-from gscomplete.completion.optimise import Completion
 from gscomplete.completion.presets import FAST, GUESS, RECONSTRUCT, TEXT_ONLY
 from gscomplete.completion.settings import CompletionSettings, TimestepStage
 from gscomplete.evaluate.metrics import against_truth, preservation
 from gscomplete.evaluate.pictures import contact_sheet, render_images, save_image
-from gscomplete.priors import Prior, load_prior
+from gscomplete.priors import load_prior
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.transform import transform_splats
 from gscomplete.views import ObjectFrame, ViewDistribution
 from recipes.entry_point import start
+from recipes.in_memory import completed
 from recipes.train_embedded_prior.dataset import HELD_OUT_SEED_OFFSET
 from recipes.train_embedded_prior.source import procedural_source
 
@@ -103,21 +101,10 @@ def held_out(index: int) -> Held:
     )
 
 
-def complete(held: Held, settings: CompletionSettings, prior: Prior) -> tuple[Splats, float]:
-    """Return the new splats and the seconds they took."""
-    started = time.perf_counter()
-    run = Completion(held.partial, prior, prior.condition(held.caption), held.views, settings)
-    while not run.finished:
-        run.step()
-    finished = finish_splats(run.new_splats(), held.partial, held.views, settings)
-    return finished.splats, time.perf_counter() - started
-
-
-def measure(held: Held, new: Splats | None) -> dict[str, float]:
-    """Compare with the truth and with P."""
-    whole = held.partial if new is None else concatenate([held.partial, new])
+def measure(held: Held, whole: Splats, views: ViewDistribution) -> dict[str, float]:
+    """Compare with the truth, and with P from V."""
     found = against_truth(whole, held.partial, held.truth, held.views.ring(8, 128))
-    cameras = held.views.cameras(held.views.measured(8), 64)
+    cameras = views.cameras(views.measured(8), 64)
     kept = preservation(whole, held.partial, cameras)
     return {
         "silhouette_iou": found.silhouette_iou,
@@ -139,16 +126,18 @@ def main(options: Options) -> None:
     prior = load_prior("embedded", "cpu")
     objects = [held_out(index) for index in range(options.objects)]
     results: dict[str, dict[str, Any]] = {
-        "input alone": means([measure(held, None) | {"seconds": 0.0} for held in objects])
+        "input alone": means(
+            [measure(held, held.partial, held.views) | {"seconds": 0.0} for held in objects]
+        )
     }
     chosen = variants()
     for name in options.settings or tuple(chosen):
         rows, pictures = [], []
         for held in track(objects, name, console=Console(file=sys.stderr)):
-            new, seconds = complete(held, chosen[name], prior)
-            rows.append(measure(held, new) | {"seconds": seconds})
+            answer = completed(held.partial, held.caption, prior, held.views, chosen[name])
+            whole = concatenate([held.partial, answer.splats])
+            rows.append(measure(held, whole, answer.views) | {"seconds": answer.seconds})
             cameras = held.views.preview_cameras(96)[[0, 1, 3, 4]]
-            whole = concatenate([held.partial, new])
             pictures.append(
                 [
                     image

@@ -40,9 +40,7 @@ from scipy.spatial import cKDTree
 
 from gscomplete import jsonio
 from gscomplete.completion.alternatives import guess_alternatives
-from gscomplete.completion.finish import finish_splats
 from gscomplete.completion.framing import FramingGuess, guess_framing
-from gscomplete.completion.optimise import Completion
 from gscomplete.completion.presets import PresetName, preset
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.evaluate.metrics import against_truth, preservation
@@ -57,6 +55,7 @@ from gscomplete.splats import Splats, colors_to_sh, concatenate, read_splats, wr
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.views import ObjectFrame, ViewDistribution, up_rotation
 from recipes.entry_point import start
+from recipes.in_memory import Answer, completed
 from recipes.real_objects.complete import DATA
 from recipes.real_objects.load import RealObject, load_real_object
 from recipes.results import Results
@@ -117,32 +116,27 @@ def pose(item: RealObject) -> Posed:
     )
 
 
-def new_splats(posed: Posed, way: Way, prior: Prior, seed: int) -> tuple[Splats | None, float]:
-    """Return the new splats of a way to complete, and its seconds; None = no new splats."""
+def answer_of(posed: Posed, way: Way, prior: Prior, seed: int) -> Answer:
+    """Complete a part in one way."""
+    if way in ("fast", "default", "reconstruct", "text"):
+        return completed_as_run(posed, prior, settings_of(way, prior, seed))
     started = time.perf_counter()
-    if way == "input":
-        return None, 0.0
-    if way in ("likeliest", "mirror"):
-        copies = mirror_images(posed)
-        chosen = copies[0] if way == "likeliest" else best_by_truth(copies, posed)
-        return chosen, time.perf_counter() - started
-    if way == "alternatives":
-        guesses = alternatives(posed, prior, seed)
-        return best_by_truth(guesses, posed), time.perf_counter() - started
-    if way == "true_shape":
-        return true_shape(posed), time.perf_counter() - started
-    return completed(posed, prior, settings_of(way, prior, seed))
+    found: Splats | None = None
+    if way == "likeliest":
+        found = mirror_images(posed)[0]
+    elif way == "mirror":
+        found = best_by_truth(mirror_images(posed), posed)
+    elif way == "alternatives":
+        found = best_by_truth(alternatives(posed, prior, seed), posed)
+    elif way == "true_shape":
+        found = true_shape(posed)
+    nothing = posed.partial.with_sh_degree(0).select(torch.arange(0))
+    return Answer(found or nothing, posed.views, time.perf_counter() - started)
 
 
-def completed(posed: Posed, prior: Prior, settings: CompletionSettings) -> tuple[Splats, float]:
-    """Return the new splats of a whole run, and its seconds."""
-    started = time.perf_counter()
-    conditioning = prior.condition(posed.item.prompt)
-    run = Completion(posed.partial, prior, conditioning, posed.views, settings)
-    while not run.finished:
-        run.step()
-    finished = finish_splats(run.new_splats(), posed.partial, posed.views, settings)
-    return finished.splats, time.perf_counter() - started
+def completed_as_run(posed: Posed, prior: Prior, settings: CompletionSettings) -> Answer:
+    """Complete a part as a run does."""
+    return completed(posed.partial, posed.item.prompt, prior, posed.views, settings)
 
 
 def settings_of(way: Way, prior: Prior, seed: int) -> CompletionSettings:
@@ -191,14 +185,16 @@ def best_by_truth(copies: list[Splats], posed: Posed) -> Splats | None:
     return copies[best]
 
 
-def measure(posed: Posed, new: Splats | None, seconds: float) -> dict[str, Any]:
-    """Return the numbers of one completion."""
+def measure(posed: Posed, answer: Answer) -> dict[str, Any]:
+    """Return the numbers of one completion; silhouettes are seen from the same views for all."""
     partial = posed.partial.with_sh_degree(0)
-    whole = partial if new is None else concatenate([partial, new])
-    kept = preservation(whole, partial, posed.views.cameras(posed.views.measured(16), 128))
+    views = answer.views
+    whole = concatenate([partial, answer.splats])
+    kept = preservation(whole, partial, views.cameras(views.measured(16), 128))
     row: dict[str, Any] = {
-        "seconds": seconds,
-        "new_splats": 0 if new is None else len(new),
+        "seconds": answer.seconds,
+        "new_splats": len(answer.splats),
+        "input_view_deg": [views.azimuth_deg, views.elevation_deg],
         "e_color_v": kept.color,
         "e_depth_v": kept.depth,
     }
@@ -220,10 +216,10 @@ def main(options: Options) -> None:
         for way in options.ways:
             kept = options.out / f"{name}.{way}.ply"
             if way not in rows:
-                new, seconds = new_splats(posed, way, prior, options.seed)
-                rows[way] = measure(posed, new, seconds)
-                if new is not None:
-                    write_splats(kept, new)
+                answer = answer_of(posed, way, prior, options.seed)
+                rows[way] = measure(posed, answer)
+                if len(answer.splats):
+                    write_splats(kept, answer.splats)
                 results.save()
         pictures.append(_picture_row(posed, options.out / f"{name}.default.ply"))
     sheet = contact_sheet(

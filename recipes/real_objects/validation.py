@@ -35,7 +35,7 @@ from recipes.entry_point import start
 from recipes.real_objects.catalogue import ENTRIES, BoxCut, Cut, Entry, PlaneCut, ScanCut
 from recipes.real_objects.compare import (
     OBJECTS,
-    completed,
+    completed_as_run,
     mean_of_known,
     measure,
     pose,
@@ -134,7 +134,7 @@ def main(options: Options) -> None:
             continue
         item = load_entry(entry, options.data)
         posed = pose(turned_object(item, index) if options.turned else item)
-        rows[entry.name] = measure(posed, *completed(posed, prior, settings))
+        rows[entry.name] = measure(posed, completed_as_run(posed, prior, settings))
         results.save()
     sys.stdout.write(table(rows))
 

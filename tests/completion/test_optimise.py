@@ -18,6 +18,7 @@ from gscomplete.priors import Guidance
 from gscomplete.priors.base import FirstGuess
 from gscomplete.splats import concatenate
 from gscomplete.views import ViewDistribution
+from tests.completion.cylinders import half_cylinder
 
 sys.path.insert(0, str(Path(__file__).parent))
 from oracle import OraclePrior, ball
@@ -182,11 +183,23 @@ def test_where_nothing_is_missing_nothing_is_added():
     job = completion(GUESS, prior)
     assert job.finished
     assert len(job.new_splats()) == 0
-    assert job.start_note == "start: 0 splats that the prior guesses; not mirrored"
+    assert job.start_notes == ("start: 0 splats that the prior guesses; not mirrored",)
     finished = finish_splats(job.new_splats(), PARTIAL, VIEWS, GUESS)
     assert len(finished.splats) == 0
     assert finished.hard_preservation.met
     assert len(completion(RECONSTRUCT, prior).new_splats()) == RECONSTRUCT.new_splats
+
+
+@pytest.mark.parametrize("view_is_guess", [True, False])
+def test_only_a_guessed_view_gives_way_to_the_guess_of_the_whole(view_is_guess):
+    prior, wrong = Guessing(TRUTH), ViewDistribution(255.0, 15.0)
+    prior.guess = FirstGuess(half_cylinder(255.0), ("not mirrored",))
+    part = half_cylinder(75.0)
+    job = Completion(part, prior, None, wrong, GUESS, view_is_guess=view_is_guess)
+    assert (job.distribution != wrong) == view_is_guess
+    assert len(job.start_notes) == 1 + view_is_guess
+    scattered = Completion(part, OraclePrior(TRUTH), None, wrong, RECONSTRUCT, view_is_guess=True)
+    assert scattered.distribution == wrong
 
 
 def test_no_steps_and_no_guess_are_refused():
