@@ -112,3 +112,21 @@ def test_a_gap_takes_the_colours_of_its_two_sides():
     is_left = gap[:, 0] < -0.01
     assert float(taken[is_left].mean()) > 0.7
     assert float(taken[gap[:, 0] > 0.01].mean()) < 0.3
+
+
+def test_bands_go_on_round_what_stands_upright():
+    whole = sphere()
+    heights = whole.means[:, 2]
+    red = (torch.floor(heights / 0.1) % 2 == 0).float()
+    banded = dataclasses.replace(whole, sh=colors_to_sh(red[:, None].expand(-1, 3)))
+    front = banded.select(whole.means[:, 0] > 0)
+    behind = (whole.means[:, 0] < -0.1) & (heights.abs() < 0.25)
+    points = whole.means[behind]
+    normals = torch.nn.functional.normalize(points, dim=1)
+
+    def share_kept(settings: ColorSettings) -> float:
+        taken = nearest_colors(front, points, normals, torch.Generator().manual_seed(0), settings)
+        return float(((taken[:, 0] > 0.5) == (red[behind] > 0.5)).float().mean())
+
+    kept, as_near = share_kept(ColorSettings()), share_kept(ColorSettings(height_weight=1.0))
+    assert kept > as_near + 0.1
