@@ -33,7 +33,8 @@ class ScanOptions(PointOptions):
     """
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """PLY, PCD, LAS/LAZ, XYZ text, or a scan mesh (PLY, OBJ, GLB, ...)."""
+    """PLY, PCD, LAS/LAZ, rows of text (a header names their columns), or a scan mesh (PLY, OBJ,
+    GLB, ...)."""
     label: int | None = None
     """Keep points with this label // 10 (labelled PCD files); None = all."""
     viewpoint: str | None = None
