@@ -27,7 +27,8 @@ class ScanOptions(PointOptions):
     """Cut one object out of a scan and turn it into splats of one size.
 
     Boxes, planes, outliers and clutter are removed in this order, each with a count; removed.png
-    shows the removed points in colours of their own. Up is Z unless --up says otherwise.
+    shows the removed points in colours of their own. Up is Z (of meshes as in `mesh`: Y for GLB and
+    glTF, what a DAE says) unless --up or --level says otherwise.
 
     Example: splatcomplete-data scan room.ply --box 1.2,0.4,0.3,0.5,0.5,0.6 --planes 1 --clusters 1
     """
@@ -63,6 +64,7 @@ def make(options: ScanOptions, enter: Enter = stay_silent) -> Made:
     """
     import numpy as np
 
+    from splatcomplete_data.mesh.up_axis import up_of_mesh_file
     from splatcomplete_data.objects import StepRecord
     from splatcomplete_data.scan.read import read_scan
 
@@ -87,7 +89,7 @@ def make(options: ScanOptions, enter: Enter = stay_silent) -> Made:
         cloud,
         options.file,
         "lidar",
-        "Z",
+        up_of_mesh_file(options.file),
         viewpoint=None if eye is None else (eye[0], eye[1], eye[2]),
         steps=tuple(steps),
         notes=scan.notes,
