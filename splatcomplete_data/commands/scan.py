@@ -39,7 +39,8 @@ class ScanOptions(PointOptions):
     label: int | None = None
     """Keep points with this label // 10 (labelled PCD files); None = all."""
     viewpoint: str | None = None
-    """Where the scanner stood, as X,Y,Z in the file's frame; None = unknown."""
+    """Where the scanner stood, as X,Y,Z in the file's frame; None = what a PCD's VIEWPOINT says,
+    else unknown."""
 
 
 def run(options: ScanOptions) -> int:
@@ -83,7 +84,11 @@ def make(options: ScanOptions, enter: Enter = stay_silent) -> Made:
         counts = {"other_label": len(cloud) - len(inside)}
         steps.append(StepRecord("label", len(cloud), len(inside), counts))
         cloud = cloud.select(inside)
-    eye = parse_numbers(options.viewpoint, 3, "--viewpoint", "X,Y,Z")
+    eye, notes = parse_numbers(options.viewpoint, 3, "--viewpoint", "X,Y,Z"), scan.notes
+    if eye is None and scan.viewpoint is not None:
+        eye = list(scan.viewpoint)
+        place = ",".join(f"{value:.15g}" for value in eye)
+        notes = (*notes, f"the scanner stood at {place}, as the file's VIEWPOINT says")
     return made_from_points(
         options,
         cloud,
@@ -92,7 +97,7 @@ def make(options: ScanOptions, enter: Enter = stay_silent) -> Made:
         up_of_mesh_file(options.file),
         viewpoint=None if eye is None else (eye[0], eye[1], eye[2]),
         steps=tuple(steps),
-        notes=scan.notes,
+        notes=notes,
         details={},
         enter=enter,
     )

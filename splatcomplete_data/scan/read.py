@@ -11,6 +11,7 @@ Conventions
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from gscomplete.errors import UserError
 from gscomplete.splats.ply_header import Element, PlyError, PlyHeader, read_header
 from gscomplete.splats.ply_payload import parse_records, read_payload
 from splatcomplete_data.scan.cloud import NO_COLOR, PointCloud, grey_colors, unit_colors
-from splatcomplete_data.scan.pcd import read_pcd
+from splatcomplete_data.scan.pcd import Position, read_pcd
 from splatcomplete_data.scan.text import read_text_scan
 
 MESH_SUFFIXES = (".obj", ".glb", ".gltf", ".stl", ".dae", ".off")
@@ -37,6 +38,8 @@ class Scan:
     rows: int
     """Points in the file, before those that are not finite were dropped."""
     notes: tuple[str, ...] = ()
+    viewpoint: Position | None = None
+    """Where the scanner stood, in the file's frame; None = the file does not say."""
 
 
 def read_scan(path: Path) -> Scan:
@@ -54,6 +57,7 @@ def read_scan(path: Path) -> Scan:
     if suffix == ".pcd":
         found = read_pcd(path)
         scan = _checked(found.cloud, () if found.is_colored else (NO_COLOR,))
+        scan = dataclasses.replace(scan, viewpoint=found.viewpoint)
     elif suffix == ".ply":
         scan = _read_ply(path)
     elif suffix in (".las", ".laz"):
