@@ -143,4 +143,5 @@ def make(options: MeshOptions, enter: Enter = stay_silent) -> Made:
         (*repairs, *made.steps, *steps),
         (*mesh.notes, *far, size),
         file_from_source=moved,
+        is_center_of_source=True,
     )
