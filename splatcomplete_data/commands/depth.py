@@ -27,7 +27,8 @@ class DepthOptions(PointOptions):
     """Turn one picture and its depth into a partial object.
 
     Frame: camera axes (x right, y down, z forward), so up is -Y unless --up or --level says
-    otherwise; the input view is the photo's own. Flying pixels at depth edges are removed.
+    otherwise; the input view is the photo's own. An EXIF rotation is applied where only that fits
+    the depth; else it tells which way is up. Flying pixels at depth edges are removed.
     Depth Anything 3's results.npz is read as it is, with "-" as IMAGE.
 
     Example: splatcomplete-data depth photo.jpg depth.png --fov 60 --mask mask.png --out mug
@@ -128,7 +129,7 @@ def make(options: DepthOptions, enter: Enter = stay_silent) -> Made:
         view.cloud,
         source_of(options),
         "singleview",
-        "-Y",
+        view.up,
         viewpoint=(0.0, 0.0, 0.0),
         steps=view.steps,
         notes=view.notes,

@@ -23,29 +23,17 @@ from typing import Literal
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from PIL import ExifTags, Image, UnidentifiedImageError
+from PIL import Image, UnidentifiedImageError
 
 from gscomplete.errors import UserError
 from gscomplete.views import Cameras
 from splatcomplete_data.multiview.lens import Lens, undistort
 from splatcomplete_data.multiview.posed import PosedPhoto, PosedPhotos
-from splatcomplete_data.pictures import read_mask
+from splatcomplete_data.pictures import SHOWN_AXES, UPRIGHT, orientation, read_mask
 
 MaskMeaning = Literal["object", "ignore"]
 """``object``: outside the mask nothing is to be reconstructed. ``ignore``: pixels outside the mask
 do not count, whatever the splats show there."""
-UPRIGHT = 1
-_SHOWN_AXES = {
-    UPRIGHT: ((1, 0), (0, -1)),
-    2: ((-1, 0), (0, -1)),
-    3: ((-1, 0), (0, 1)),
-    4: ((1, 0), (0, 1)),
-    5: ((0, 1), (-1, 0)),
-    6: ((0, -1), (-1, 0)),
-    7: ((0, -1), (1, 0)),
-    8: ((0, 1), (1, 0)),
-}
-"""By EXIF orientation: what a viewer shows as right and as up, as steps in the stored pixels."""
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
 
 
@@ -122,13 +110,13 @@ def shown_axes(path: Path) -> tuple[tuple[int, int], tuple[int, int]]:
     """
     tag = UPRIGHT
     with contextlib.suppress(UserError), _opened(path) as image:
-        tag = image.getexif().get(ExifTags.Base.Orientation, UPRIGHT)
-    return _SHOWN_AXES.get(tag, _SHOWN_AXES[UPRIGHT])
+        tag = orientation(image)
+    return SHOWN_AXES[tag]
 
 
 def orientation_note(photos: Sequence[Path]) -> str | None:
     """Return a note on photos that carry an orientation tag; None without any."""
-    turned = [path.name for path in photos if shown_axes(path) != _SHOWN_AXES[UPRIGHT]]
+    turned = [path.name for path in photos if shown_axes(path) != SHOWN_AXES[UPRIGHT]]
     if not turned:
         return None
     return (
