@@ -49,11 +49,12 @@ class DepthOptions(PointOptions):
     disparity_offset: float = 0.0
     """Added to disparities (difference of the principal points)."""
     intrinsics: Path | None = None
-    """Intrinsics file: JSON (Open3D, or fx, fy, cx, cy), four numbers, or a 3 x 3 matrix."""
+    """Intrinsics file: JSON (Open3D, RealSense, Record3D, ROS, or fx, fy, cx, cy), four numbers
+    (fx fy cx cy), or a 3 x 3 matrix."""
     focal: str | None = None
-    """FX,FY in pixels of the picture."""
+    """F, FX,FY or FX,FY,CX,CY in pixels of the picture."""
     center_px: str | None = None
-    """Principal point CX,CY in pixels, with --focal or --fov; None = the middle."""
+    """Principal point CX,CY in pixels, with --focal F or FX,FY or --fov; None = the middle."""
     fov: float | None = None
     """Horizontal field of view in degrees."""
     mask: Path | None = None
@@ -101,7 +102,8 @@ def make(options: DepthOptions, enter: Enter = stay_silent) -> Made:
     """
     from splatcomplete_data.singleview.load import SingleViewSettings, load_single_view
 
-    focal = parse_numbers(options.focal, len((options.focal or "").split(",")), "--focal", "FX,FY")
+    given = len((options.focal or "").split(","))
+    focal = parse_numbers(options.focal, given, "--focal", "F, FX,FY or FX,FY,CX,CY")
     center = parse_numbers(options.center_px, 2, "--center-px", "CX,CY")
     crop = parse_numbers(options.crop_px, 4, "--crop-px", "X0,Y0,X1,Y1")
     settings = SingleViewSettings(
@@ -110,7 +112,7 @@ def make(options: DepthOptions, enter: Enter = stay_silent) -> Made:
         baseline=options.baseline,
         disparity_offset=options.disparity_offset,
         intrinsics=options.intrinsics,
-        focal_px=None if focal is None else tuple(focal[:2]),
+        focal_px=None if focal is None else tuple(focal),
         center_px=None if center is None else (center[0], center[1]),
         fov_deg=options.fov,
         mask=options.mask,

@@ -44,7 +44,7 @@ class SingleViewSettings:
     intrinsics: Path | None = None
     """Intrinsics file."""
     focal_px: tuple[float, ...] | None = None
-    """fx[, fy] in pixels of the picture."""
+    """fx, or fx, fy, or fx, fy, cx, cy in pixels of the picture."""
     center_px: tuple[float, float] | None = None
     """Principal point in pixels of the picture; None = the middle."""
     fov_deg: float | None = None
@@ -111,7 +111,7 @@ def load_single_view(
         baseline=chosen.baseline,
         offset=chosen.disparity_offset,
     )
-    notes += [how, f"intrinsics from {camera.origin}: fx {camera.focal_x_px:.5g} px"]
+    notes += [how, camera.summary()]
     resized = picture.convert("RGB").resize((width, height), Image.Resampling.BOX)
     color = np.asarray(resized, np.float32) / np.float32(255.0)
     keep, steps = _select(z, depth, picture, chosen, str(depth_path))
