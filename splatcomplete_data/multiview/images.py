@@ -15,6 +15,7 @@ Conventions
 from __future__ import annotations
 
 import contextlib
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -35,6 +36,11 @@ MaskMeaning = Literal["object", "ignore"]
 """``object``: outside the mask nothing is to be reconstructed. ``ignore``: pixels outside the mask
 do not count, whatever the splats show there."""
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
+_UNREAD_SUFFIXES = (
+    *(".heic", ".heif", ".avif", ".jxl", ".jp2", ".gif"),
+    *(".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"),
+)
+"""Photos too, but of kinds that are not read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,9 +65,27 @@ def list_photos(folder: Path) -> list[Path]:
     photos = sorted(path for path in folder.iterdir() if path.suffix.lower() in PHOTO_SUFFIXES)
     if not photos:
         raise UserError(
-            f"{folder}: expected photos ({', '.join(PHOTO_SUFFIXES)}), found none in this folder"
+            f"{folder}: expected photos ({', '.join(PHOTO_SUFFIXES)}), found "
+            f"{left_out_note(folder) or 'none in this folder'}"
         )
     return photos
+
+
+def left_out_note(folder: Path) -> str | None:
+    """Return a note on a folder's photos of kinds that are not read; None without any.
+
+    One that lies beside a photo of its name (a camera's raw file, a converted one) is not missed.
+    """
+    if not folder.is_dir():
+        return None
+    files = [path for path in folder.iterdir() if path.is_file()]
+    read = {path.stem for path in files if path.suffix.lower() in PHOTO_SUFFIXES}
+    left = [path for path in files if path.suffix.lower() in _UNREAD_SUFFIXES]
+    counts = Counter(path.suffix.lower() for path in left if path.stem not in read)
+    if not counts:
+        return None
+    kinds = ", ".join(f"{count} {suffix}" for suffix, count in sorted(counts.items()))
+    return f"photos that are left out ({kinds}): convert them to JPEG or PNG, which are read"
 
 
 def read_photo(path: Path) -> NDArray[np.uint8]:  # [H, W, 3 or 4]
