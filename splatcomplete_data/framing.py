@@ -10,12 +10,14 @@ Conventions
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 import torch
 
+from gscomplete.errors import UserError
 from gscomplete.splats import Similarity, Splats, transform_splats
 from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution, up_rotation
 
@@ -97,6 +99,47 @@ def decide_framing(partial: Splats, complete: Splats | None, request: FramingReq
     assert view is not None
     views = ViewDistribution(*view, azimuth_range_deg=request.azimuth_range_deg)
     return Framing(frame, origin, views, tuple(notes))
+
+
+def moved_center(request: FramingRequest, file_from_source: Similarity) -> FramingRequest:
+    """Take the centre, where one is given, from the source's frame to the file's."""
+    if request.center_file is None:
+        return request
+    center = torch.tensor(request.center_file, dtype=torch.float64)
+    x, y, z = file_from_source.apply(center).tolist()
+    return dataclasses.replace(request, center_file=(x, y, z))
+
+
+def require_touching(
+    frame: ObjectFrame, part: Splats, file_from_source: Similarity | None = None
+) -> None:
+    """Refuse a frame that the user gave and in whose box no splat of the part lies.
+
+    Args:
+        frame: the frame.
+        part: the splats; those that are not finite do not count.
+        file_from_source: the error names coordinates of the source's frame; None = the file's.
+
+    Raises:
+        UserError: the box, larger by a splat's size on every side, holds no splat.
+    """
+    means = part.means.double()
+    means = means[torch.isfinite(means).all(dim=1)]
+    reach = 0.5 + part.typical_size / frame.size_file
+    if len(means) == 0 or bool((frame.object_from_file.apply(means).abs() <= reach).all(1).any()):
+        return
+    center = torch.tensor(frame.center_file, dtype=torch.float64)
+    if file_from_source is not None:
+        back = file_from_source.inverse()
+        means, center = back.apply(means), back.apply(center)
+    low, high, middle = (
+        ",".join(f"{value:.9g}" for value in point.tolist())
+        for point in (means.amin(dim=0), means.amax(dim=0), center)
+    )
+    raise UserError(
+        f"--center, --size-whole: expected a box that holds some of the part, which spans {low} to "
+        f"{high}; found the box of side {frame.size_file:.9g} around {middle}"
+    )
 
 
 def view_from_position(

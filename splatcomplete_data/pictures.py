@@ -1,4 +1,4 @@
-"""What all readers of pictures share: how large they may be, what a bad one raises, and masks.
+"""What readers of pictures share: how large they may be, what a bad one raises, EXIF, and masks.
 
 Conventions
 -----------
@@ -11,13 +11,14 @@ Conventions
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import ExifTags, Image
 
 from gscomplete.errors import UserError
 
@@ -27,6 +28,26 @@ MAX_PIXELS = 2**29
 """Pictures with more are refused: photos and textures have up to 2**28, 16384 x 16384."""
 _WIDE_MODES = ("I", "F", "I;16", "I;16B", "I;16L", "I;16N")
 """Modes of more than 8 bits, which Pillow's conversions cut off at 255."""
+UPRIGHT = 1
+SHOWN_AXES = {
+    UPRIGHT: ((1, 0), (0, -1)),
+    2: ((-1, 0), (0, -1)),
+    3: ((-1, 0), (0, 1)),
+    4: ((1, 0), (0, 1)),
+    5: ((0, 1), (-1, 0)),
+    6: ((0, -1), (-1, 0)),
+    7: ((0, -1), (1, 0)),
+    8: ((0, 1), (1, 0)),
+}
+"""By EXIF orientation: what a viewer shows as right and as up, as steps in the stored pixels."""
+
+
+def orientation(image: Image.Image) -> int:
+    """Return a picture's EXIF orientation, a key of ``SHOWN_AXES``; without one it is upright."""
+    tag = UPRIGHT
+    with contextlib.suppress(*UNREADABLE):
+        tag = image.getexif().get(ExifTags.Base.Orientation, UPRIGHT)
+    return tag if tag in SHOWN_AXES else UPRIGHT
 
 
 def allow_large_pictures() -> None:

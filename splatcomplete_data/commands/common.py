@@ -66,9 +66,10 @@ class ObjectOptions:
     up: Literal["auto", "X", "Y", "Z", "-X", "-Y", "-Z"] = "auto"
     """Axis of the source that points up; auto = by the kind of source (see --help above)."""
     center: str | None = None
-    """Centre of the WHOLE object as X,Y,Z in file coordinates; None = known or guessed."""
+    """Centre of the WHOLE object as X,Y,Z in the source's coordinates, those of --box, also where
+    an offset or --level moves the splats; None = known or guessed."""
     size_whole: float | None = None
-    """Largest side of the WHOLE object in file units; None = known or guessed."""
+    """Largest side of the WHOLE object in the source's units; None = known or guessed."""
     id: str | None = None
     """Name within a dataset; None = the folder's name."""
     licence: str | None = None
@@ -98,6 +99,8 @@ class Made:
     camera_position_file: tuple[float, float, float] | None = None
     """Where the source was seen from, in the file frame; gives the default input view."""
     file_from_source: Similarity | None = None
+    is_center_of_source: bool = False
+    """Whether ``--center`` lies in the source's frame and is moved along; else in the file's."""
     details: dict[str, Any] = dataclasses.field(default_factory=dict)
     partial_file: Path | None = None
     """PLY whose bytes are the part; None = written anew."""
@@ -150,9 +153,14 @@ def store_object(options: ObjectOptions, made: Made) -> ObjectRecord:
     request = dataclasses.replace(
         framing_request(options, made.default_up), camera_position_file=made.camera_position_file
     )
-    decided = framing.decide_framing(shown, made.complete, request)
-    is_file = made.source_file.is_file()
     turn = made.file_from_source
+    given_in = turn if made.is_center_of_source else None
+    if given_in is not None:
+        request = framing.moved_center(request, given_in)
+    decided = framing.decide_framing(shown, made.complete, request)
+    if request.center_file is not None or request.size_file is not None:
+        framing.require_touching(decided.frame, shown, given_in)
+    is_file = made.source_file.is_file()
     try:
         record = ObjectRecord(
             id=options.id or folder.name,

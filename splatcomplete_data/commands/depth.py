@@ -27,7 +27,8 @@ class DepthOptions(PointOptions):
     """Turn one picture and its depth into a partial object.
 
     Frame: camera axes (x right, y down, z forward), so up is -Y unless --up or --level says
-    otherwise; the input view is the photo's own. Flying pixels at depth edges are removed.
+    otherwise; the input view is the photo's own. An EXIF rotation is applied where only that fits
+    the depth; else it tells which way is up. Flying pixels at depth edges are removed.
     Depth Anything 3's results.npz is read as it is, with "-" as IMAGE.
 
     Example: splatcomplete-data depth photo.jpg depth.png --fov 60 --mask mask.png --out mug
@@ -48,11 +49,12 @@ class DepthOptions(PointOptions):
     disparity_offset: float = 0.0
     """Added to disparities (difference of the principal points)."""
     intrinsics: Path | None = None
-    """Intrinsics file: JSON (Open3D, or fx, fy, cx, cy), four numbers, or a 3 x 3 matrix."""
+    """Intrinsics file: JSON (Open3D, RealSense, Record3D, ROS, or fx, fy, cx, cy), four numbers
+    (fx fy cx cy), or a 3 x 3 matrix."""
     focal: str | None = None
-    """FX,FY in pixels of the picture."""
+    """F, FX,FY or FX,FY,CX,CY in pixels of the picture."""
     center_px: str | None = None
-    """Principal point CX,CY in pixels, with --focal or --fov; None = the middle."""
+    """Principal point CX,CY in pixels, with --focal F or FX,FY or --fov; None = the middle."""
     fov: float | None = None
     """Horizontal field of view in degrees."""
     mask: Path | None = None
@@ -100,7 +102,8 @@ def make(options: DepthOptions, enter: Enter = stay_silent) -> Made:
     """
     from splatcomplete_data.singleview.load import SingleViewSettings, load_single_view
 
-    focal = parse_numbers(options.focal, len((options.focal or "").split(",")), "--focal", "FX,FY")
+    given = len((options.focal or "").split(","))
+    focal = parse_numbers(options.focal, given, "--focal", "F, FX,FY or FX,FY,CX,CY")
     center = parse_numbers(options.center_px, 2, "--center-px", "CX,CY")
     crop = parse_numbers(options.crop_px, 4, "--crop-px", "X0,Y0,X1,Y1")
     settings = SingleViewSettings(
@@ -109,7 +112,7 @@ def make(options: DepthOptions, enter: Enter = stay_silent) -> Made:
         baseline=options.baseline,
         disparity_offset=options.disparity_offset,
         intrinsics=options.intrinsics,
-        focal_px=None if focal is None else tuple(focal[:2]),
+        focal_px=None if focal is None else tuple(focal),
         center_px=None if center is None else (center[0], center[1]),
         fov_deg=options.fov,
         mask=options.mask,
@@ -128,7 +131,7 @@ def make(options: DepthOptions, enter: Enter = stay_silent) -> Made:
         view.cloud,
         source_of(options),
         "singleview",
-        "-Y",
+        view.up,
         viewpoint=(0.0, 0.0, 0.0),
         steps=view.steps,
         notes=view.notes,

@@ -39,7 +39,8 @@ class ImagesOptions:
     """
 
     images: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
-    """Folder of photos."""
+    """Folder of photos: JPEG, PNG, WebP, TIFF or BMP; others (HEIC, raw files) are left out, and
+    counted in a note."""
     out: Path | None = None
     """Capture folder to write; None = DIR's name with _capture, in the current folder."""
     poses: str = "auto"

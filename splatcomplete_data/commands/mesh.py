@@ -29,8 +29,9 @@ if TYPE_CHECKING:
 class MeshOptions(ObjectOptions):
     """Turn a mesh into flat splats on its surface.
 
-    Writes complete.ply, and partial.ply when --cut is given. Up is Y for glTF and GLB, else Z,
-    unless --up says otherwise; the file's own axes and units are kept either way.
+    Writes complete.ply, and partial.ply when --cut is given. Up is Y for glTF and GLB, what
+    the file says for DAE (Y if it says nothing), else Z, unless --up says otherwise; the file's
+    own axes and units are kept either way.
 
     Example: splatcomplete-data mesh duck.glb --count 100000 --cut plane:90 --out duck
     """
@@ -105,10 +106,10 @@ def make(options: MeshOptions, enter: Enter = stay_silent) -> Made:
     from splatcomplete_data.framing import frame_of_whole
     from splatcomplete_data.mesh.convert import ConvertSettings, convert_mesh
     from splatcomplete_data.mesh.load import BakedLight, load_mesh
+    from splatcomplete_data.mesh.up_axis import up_of_mesh_file
     from splatcomplete_data.points import offset_note, without_offset
 
     cuts = [parse_cut(text) for text in options.cut]
-    is_gltf = options.file.suffix.lower() in (".glb", ".gltf")
     enter("reading", 0.0)
     mesh = load_mesh(options.file, texture=options.texture, gltf_colors=options.gltf_colors)
     repairs: tuple[StepRecord, ...] = ()
@@ -119,7 +120,7 @@ def make(options: MeshOptions, enter: Enter = stay_silent) -> Made:
         mesh, repairs = repair_mesh(mesh)
     settings = ConvertSettings(options.mode, options.sigma, seed=options.seed)
     count = 100_000 if options.count is None and options.spacing is None else options.count
-    request = framing_request(options, "Y" if is_gltf else "Z")
+    request = framing_request(options, up_of_mesh_file(options.file))
     light = BakedLight(in_file_axes(LIGHT_Z_UP, request.up)) if options.light else None
     enter("converting", 0.2)
     made = convert_mesh(mesh, count, spacing=options.spacing, settings=settings, light=light)
@@ -142,4 +143,5 @@ def make(options: MeshOptions, enter: Enter = stay_silent) -> Made:
         (*repairs, *made.steps, *steps),
         (*mesh.notes, *far, size),
         file_from_source=moved,
+        is_center_of_source=True,
     )

@@ -155,6 +155,7 @@ def made_from_points(
         splat_size=part.sigma,
         camera_position_file=eye,
         file_from_source=moved,
+        is_center_of_source=True,
         details=details,
         extra_pictures=pictures,
     )

@@ -27,17 +27,20 @@ class ScanOptions(PointOptions):
     """Cut one object out of a scan and turn it into splats of one size.
 
     Boxes, planes, outliers and clutter are removed in this order, each with a count; removed.png
-    shows the removed points in colours of their own. Up is Z unless --up says otherwise.
+    shows the removed points in colours of their own. Up is Z (of meshes as in `mesh`: Y for GLB and
+    glTF, what a DAE says) unless --up or --level says otherwise.
 
     Example: splatcomplete-data scan room.ply --box 1.2,0.4,0.3,0.5,0.5,0.6 --planes 1 --clusters 1
     """
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """PLY, PCD, LAS/LAZ, XYZ text, or a scan mesh (PLY, OBJ, GLB, ...)."""
+    """PLY, PCD, LAS/LAZ, rows of text (a header names their columns), or a scan mesh (PLY, OBJ,
+    GLB, ...)."""
     label: int | None = None
     """Keep points with this label // 10 (labelled PCD files); None = all."""
     viewpoint: str | None = None
-    """Where the scanner stood, as X,Y,Z in the file's frame; None = unknown."""
+    """Where the scanner stood, as X,Y,Z in the file's frame; None = what a PCD's VIEWPOINT says,
+    else unknown."""
 
 
 def run(options: ScanOptions) -> int:
@@ -62,6 +65,7 @@ def make(options: ScanOptions, enter: Enter = stay_silent) -> Made:
     """
     import numpy as np
 
+    from splatcomplete_data.mesh.up_axis import up_of_mesh_file
     from splatcomplete_data.objects import StepRecord
     from splatcomplete_data.scan.read import read_scan
 
@@ -80,16 +84,20 @@ def make(options: ScanOptions, enter: Enter = stay_silent) -> Made:
         counts = {"other_label": len(cloud) - len(inside)}
         steps.append(StepRecord("label", len(cloud), len(inside), counts))
         cloud = cloud.select(inside)
-    eye = parse_numbers(options.viewpoint, 3, "--viewpoint", "X,Y,Z")
+    eye, notes = parse_numbers(options.viewpoint, 3, "--viewpoint", "X,Y,Z"), scan.notes
+    if eye is None and scan.viewpoint is not None:
+        eye = list(scan.viewpoint)
+        place = ",".join(f"{value:.15g}" for value in eye)
+        notes = (*notes, f"the scanner stood at {place}, as the file's VIEWPOINT says")
     return made_from_points(
         options,
         cloud,
         options.file,
         "lidar",
-        "Z",
+        up_of_mesh_file(options.file),
         viewpoint=None if eye is None else (eye[0], eye[1], eye[2]),
         steps=tuple(steps),
-        notes=scan.notes,
+        notes=notes,
         details={},
         enter=enter,
     )

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from gscomplete.errors import UserError
 from gscomplete.splats import Similarity
 from splatcomplete_data.multiview.colmap_model import find_model, image_names, read_colmap
-from splatcomplete_data.multiview.images import PHOTO_SUFFIXES, shown_axes
+from splatcomplete_data.multiview.images import PHOTO_SUFFIXES, left_out_note, shown_axes
 from splatcomplete_data.multiview.posed import PosedPhotos
 from splatcomplete_data.multiview.structure_from_motion import Progress, SfmSettings, find_poses
 from splatcomplete_data.multiview.transforms_json import read_transforms
@@ -125,9 +125,10 @@ def photo_folder(folder: Path, *, below: bool = False) -> Path:
     for place, pattern in places:
         if any(path.suffix.lower() in PHOTO_SUFFIXES for path in place.glob(pattern)):
             return place
+    found = left_out_note(folder) or left_out_note(inner) or "none"
     raise UserError(
         f"{folder}: expected photos ({', '.join(PHOTO_SUFFIXES)}) in it or in its folder 'images', "
-        "found none"
+        f"found {found}"
     )
 
 

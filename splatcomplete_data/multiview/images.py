@@ -15,6 +15,7 @@ Conventions
 from __future__ import annotations
 
 import contextlib
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -23,30 +24,23 @@ from typing import Literal
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from PIL import ExifTags, Image, UnidentifiedImageError
+from PIL import Image, UnidentifiedImageError
 
 from gscomplete.errors import UserError
 from gscomplete.views import Cameras
 from splatcomplete_data.multiview.lens import Lens, undistort
 from splatcomplete_data.multiview.posed import PosedPhoto, PosedPhotos
-from splatcomplete_data.pictures import read_mask
+from splatcomplete_data.pictures import SHOWN_AXES, UPRIGHT, orientation, read_mask
 
 MaskMeaning = Literal["object", "ignore"]
 """``object``: outside the mask nothing is to be reconstructed. ``ignore``: pixels outside the mask
 do not count, whatever the splats show there."""
-UPRIGHT = 1
-_SHOWN_AXES = {
-    UPRIGHT: ((1, 0), (0, -1)),
-    2: ((-1, 0), (0, -1)),
-    3: ((-1, 0), (0, 1)),
-    4: ((1, 0), (0, 1)),
-    5: ((0, 1), (-1, 0)),
-    6: ((0, -1), (-1, 0)),
-    7: ((0, -1), (1, 0)),
-    8: ((0, 1), (1, 0)),
-}
-"""By EXIF orientation: what a viewer shows as right and as up, as steps in the stored pixels."""
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
+_UNREAD_SUFFIXES = (
+    *(".heic", ".heif", ".avif", ".jxl", ".jp2", ".gif"),
+    *(".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"),
+)
+"""Photos too, but of kinds that are not read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,9 +65,27 @@ def list_photos(folder: Path) -> list[Path]:
     photos = sorted(path for path in folder.iterdir() if path.suffix.lower() in PHOTO_SUFFIXES)
     if not photos:
         raise UserError(
-            f"{folder}: expected photos ({', '.join(PHOTO_SUFFIXES)}), found none in this folder"
+            f"{folder}: expected photos ({', '.join(PHOTO_SUFFIXES)}), found "
+            f"{left_out_note(folder) or 'none in this folder'}"
         )
     return photos
+
+
+def left_out_note(folder: Path) -> str | None:
+    """Return a note on a folder's photos of kinds that are not read; None without any.
+
+    One that lies beside a photo of its name (a camera's raw file, a converted one) is not missed.
+    """
+    if not folder.is_dir():
+        return None
+    files = [path for path in folder.iterdir() if path.is_file()]
+    read = {path.stem for path in files if path.suffix.lower() in PHOTO_SUFFIXES}
+    left = [path for path in files if path.suffix.lower() in _UNREAD_SUFFIXES]
+    counts = Counter(path.suffix.lower() for path in left if path.stem not in read)
+    if not counts:
+        return None
+    kinds = ", ".join(f"{count} {suffix}" for suffix, count in sorted(counts.items()))
+    return f"photos that are left out ({kinds}): convert them to JPEG or PNG, which are read"
 
 
 def read_photo(path: Path) -> NDArray[np.uint8]:  # [H, W, 3 or 4]
@@ -122,13 +134,13 @@ def shown_axes(path: Path) -> tuple[tuple[int, int], tuple[int, int]]:
     """
     tag = UPRIGHT
     with contextlib.suppress(UserError), _opened(path) as image:
-        tag = image.getexif().get(ExifTags.Base.Orientation, UPRIGHT)
-    return _SHOWN_AXES.get(tag, _SHOWN_AXES[UPRIGHT])
+        tag = orientation(image)
+    return SHOWN_AXES[tag]
 
 
 def orientation_note(photos: Sequence[Path]) -> str | None:
     """Return a note on photos that carry an orientation tag; None without any."""
-    turned = [path.name for path in photos if shown_axes(path) != _SHOWN_AXES[UPRIGHT]]
+    turned = [path.name for path in photos if shown_axes(path) != SHOWN_AXES[UPRIGHT]]
     if not turned:
         return None
     return (

@@ -30,7 +30,7 @@ from gscomplete import jsonio
 from gscomplete.errors import UserError
 from splatcomplete_data.multiview import sfm_folder
 from splatcomplete_data.multiview.colmap_model import image_names, read_colmap, read_points
-from splatcomplete_data.multiview.images import list_photos, photo_size
+from splatcomplete_data.multiview.images import left_out_note, list_photos, photo_size
 from splatcomplete_data.multiview.lens import Lens
 from splatcomplete_data.multiview.posed import FEWEST_PHOTOS, PosedPhotos
 from splatcomplete_data.scan import PointCloud
@@ -108,17 +108,19 @@ def find_poses(
         _run_colmap({**request, "model": str(model), "poses": None}, progress)
     registered = len(image_names(model)) if registry.is_file() else 0
     fewest = max(FEWEST_PHOTOS, round(settings.fewest_registered * len(names)))
+    left_out = left_out_note(images)
     if registered < fewest:
         raise UserError(
             f"{images}: {registered} of {len(names)} photos registered, expected at least "
-            f"{fewest}. {_ADVICE}"
+            f"{fewest}. {_ADVICE}{'; ' + left_out if left_out else ''}"
         )
     capture = read_colmap(model, images)
     note = f"structure from motion: {len(capture.photos)} of {len(names)} photos registered"
     lost = sorted(set(names) - {photo.path.name for photo in capture.photos})
     if lost:
         note += f" (not: {', '.join(lost)})"
-    return PosedPhotos(capture.photos, capture.points, "structure from motion", (*notes, note))
+    notes = (*notes, note, *([left_out] if left_out else []))
+    return PosedPhotos(capture.photos, capture.points, "structure from motion", notes)
 
 
 def triangulate(

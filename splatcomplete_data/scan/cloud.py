@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 GREY = 0.6
 """Colour of points without any."""
+NO_COLOR = "no colour: grey"
+"""Note on such points."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,11 +6,14 @@ Conventions
 * ``rgb`` and ``rgba`` are one 32-bit word per point, 0xAARRGGBB, whatever scalar type the header
   gives it; or there are fields ``r``, ``g``, ``b``. Colours become sRGB in [0, 1]. A cloud without
   colour is grey, and ``is_colored`` says so.
+* ``VIEWPOINT`` is where the sensor stood, in the points' own frame (as PCL's normals take it), and
+  how it was turned. The default, the origin without a turn, is what writers put who know nothing.
 * Read: ASCII, binary, and ``binary_compressed`` (LZF, one field after the other).
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +23,8 @@ from numpy.typing import NDArray
 from gscomplete.errors import UserError
 from splatcomplete_data.scan.cloud import PointCloud, grey_colors, unit_colors
 
+Position = tuple[float, float, float]
+_NO_VIEWPOINT = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 _TYPES = {"F": "f", "U": "u", "I": "i"}
 _MAX_POINTS = 2**31
 
@@ -34,6 +39,7 @@ class _Header:
     points: int
     data: str
     offset: int
+    viewpoint: Position | None
 
     def record(self) -> np.dtype:
         """Return the structured type of one point."""
@@ -48,6 +54,8 @@ class PcdPoints:
 
     cloud: PointCloud
     is_colored: bool
+    viewpoint: Position | None = None
+    """Where the sensor stood; None = the file does not say."""
 
 
 def read_pcd(path: Path) -> PcdPoints:
@@ -74,7 +82,7 @@ def read_pcd(path: Path) -> PcdPoints:
         colors = unit_colors(np.stack([columns[name] for name in "rgb"], axis=1))
     labels = columns["label"].astype(np.int64) if "label" in columns else None
     shown = grey_colors(len(points)) if colors is None else colors
-    return PcdPoints(PointCloud(points, shown, labels), colors is not None)
+    return PcdPoints(PointCloud(points, shown, labels), colors is not None, header.viewpoint)
 
 
 def lzf_decompress(packed: bytes, size: int) -> bytes:
@@ -148,7 +156,19 @@ def _parse_header(raw: bytes, path: Path) -> _Header:
         raise UserError(f"{path}: PCD header: FIELDS, SIZE, TYPE, COUNT and POINTS do not agree")
     if min(counts, default=0) < 1:
         raise UserError(f"{path}: PCD header: COUNT: expected positive numbers")
-    return _Header(names, dtypes, counts, points, data, offset)
+    viewpoint = _viewpoint(entries.get("VIEWPOINT", []))
+    return _Header(names, dtypes, counts, points, data, offset, viewpoint)
+
+
+def _viewpoint(words: list[str]) -> Position | None:
+    """Return where the sensor stood; None for the default, and for what is no viewpoint."""
+    try:
+        numbers = tuple(float(word) for word in words)
+    except ValueError:
+        return None
+    if len(numbers) != len(_NO_VIEWPOINT) or not all(map(math.isfinite, numbers)):
+        return None
+    return None if numbers == _NO_VIEWPOINT else (numbers[0], numbers[1], numbers[2])
 
 
 def _columns(body: bytes, header: _Header, path: Path) -> dict[str, NDArray[np.generic]]:

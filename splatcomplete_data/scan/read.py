@@ -11,6 +11,7 @@ Conventions
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,12 +20,12 @@ import numpy as np
 from gscomplete.errors import UserError
 from gscomplete.splats.ply_header import Element, PlyError, PlyHeader, read_header
 from gscomplete.splats.ply_payload import parse_records, read_payload
-from splatcomplete_data.scan.cloud import PointCloud, grey_colors, unit_colors
-from splatcomplete_data.scan.pcd import read_pcd
+from splatcomplete_data.scan.cloud import NO_COLOR, PointCloud, grey_colors, unit_colors
+from splatcomplete_data.scan.pcd import Position, read_pcd
+from splatcomplete_data.scan.text import read_text_scan
 
 MESH_SUFFIXES = (".obj", ".glb", ".gltf", ".stl", ".dae", ".off")
 TEXT_SUFFIXES = (".xyz", ".xyzrgb", ".txt", ".pts", ".asc", ".csv")
-NO_COLOR = "no colour: grey"
 MESH_POINTS = 500_000
 """Points that a scan mesh is sampled with."""
 
@@ -37,6 +38,8 @@ class Scan:
     rows: int
     """Points in the file, before those that are not finite were dropped."""
     notes: tuple[str, ...] = ()
+    viewpoint: Position | None = None
+    """Where the scanner stood, in the file's frame; None = the file does not say."""
 
 
 def read_scan(path: Path) -> Scan:
@@ -54,12 +57,13 @@ def read_scan(path: Path) -> Scan:
     if suffix == ".pcd":
         found = read_pcd(path)
         scan = _checked(found.cloud, () if found.is_colored else (NO_COLOR,))
+        scan = dataclasses.replace(scan, viewpoint=found.viewpoint)
     elif suffix == ".ply":
         scan = _read_ply(path)
     elif suffix in (".las", ".laz"):
         scan = _read_las(path)
     elif suffix in TEXT_SUFFIXES:
-        scan = _read_text(path)
+        scan = _checked(*read_text_scan(path))
     elif suffix in MESH_SUFFIXES:
         scan = _read_mesh(path)
     else:
@@ -165,36 +169,6 @@ def _check_las_header(path: Path) -> None:
         )
 
 
-def _read_text(path: Path) -> Scan:
-    """Read rows of ``x y z``, ``x y z r g b``, or ``x y z intensity r g b``.
-
-    Three last columns with a negative number are normals, as many programs write them.
-    """
-    lines = path.read_text(encoding="utf-8", errors="replace").replace(",", " ").splitlines()
-    rows = [line.split() for line in lines if line.strip() and line.lstrip()[0] not in "#/"]
-    if rows and len(rows[0]) == 1:  # .pts files start with their number of points
-        rows = rows[1:]
-    if rows and not _is_number(rows[0][0]):
-        rows = rows[1:]
-    if not rows:
-        raise UserError(f"{path}: expected rows of x y z [r g b], found none")
-    width = len(rows[0])
-    if width not in (3, 4, 6, 7) or any(len(row) != width for row in rows):
-        raise UserError(f"{path}: expected rows of 3, 4, 6 or 7 numbers, found {width} or mixed")
-    try:
-        table = np.array(rows, np.float64)
-    except ValueError as error:
-        raise UserError(f"{path}: expected numbers ({error})") from error
-    points = table[:, :3]
-    if width < 6:
-        return _checked(PointCloud(points, grey_colors(len(points))), (NO_COLOR,))
-    values = table[:, -3:]
-    if (values < 0).any():
-        note = "the last three columns are normals, not colours: grey"
-        return _checked(PointCloud(points, grey_colors(len(points))), (note,))
-    return _checked(PointCloud(points, unit_colors(values)), ())
-
-
 def _read_mesh(path: Path) -> Scan:
     """Sample a scan mesh evenly."""
     from splatcomplete_data.mesh.convert import convert_mesh
@@ -206,12 +180,3 @@ def _read_mesh(path: Path) -> Scan:
     colors = made.splats.base_colors.numpy().clip(0, 1).astype(np.float32)
     note = f"a mesh of {mesh.triangles:,} triangles, sampled at a spacing of {made.spacing:.4g}"
     return _checked(PointCloud(points, colors), (*mesh.notes, note))
-
-
-def _is_number(word: str) -> bool:
-    """Tell whether a word is a number."""
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True

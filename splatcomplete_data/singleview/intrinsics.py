@@ -5,6 +5,8 @@ Conventions
 * ``Intrinsics`` are in pixels of an image of ``width x height``; pixel centres at +0.5, so a
   principal point given for pixel centres at whole numbers (most files) is shifted by half a pixel
   where a file's convention is known; half a pixel is within such files' own accuracy.
+* A principal point outside the picture is refused: it is that of a picture of another size.
+* A 3 x 3 matrix is read row by row, or column by column where it then has the form of one.
 * Order of trust: options, file, the depth file's own, EXIF, a field of view. Without any of them
   it is an error: a scale is never guessed silently.
 """
@@ -26,6 +28,8 @@ from gscomplete.errors import UserError
 _EXIF_FOCAL_35MM = 41989
 _EXIF_IFD = 0x8769
 _WIDTH_35MM = 36.0
+_MATRIX_KEYS = ("intrinsic_matrix", "K", "k")
+"""Of Open3D; Record3D and ROS 1; ROS 2."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +49,8 @@ class Intrinsics:
         """Check the numbers.
 
         Raises:
-            UserError: a focal length is not positive and finite, or the centre is not finite.
+            UserError: a focal length is not positive and finite, or the centre is not within the
+                picture.
         """
         numbers = (self.focal_x_px, self.focal_y_px, self.center_x_px, self.center_y_px)
         if not all(math.isfinite(n) for n in numbers) or min(numbers[:2]) <= 0:
@@ -53,6 +58,20 @@ class Intrinsics:
                 f"intrinsics ({self.origin}): expected positive focal lengths and a finite "
                 f"centre, found {numbers}"
             )
+        if not (0 < self.center_x_px < self.width and 0 < self.center_y_px < self.height):
+            raise UserError(
+                f"intrinsics ({self.origin}): expected a principal point within the picture of "
+                f"{self.width} x {self.height} pixels, found {self.center_x_px:g}, "
+                f"{self.center_y_px:g}; are they those of another resolution?"
+            )
+
+    def summary(self) -> str:
+        """Say for people what they are."""
+        return (
+            f"intrinsics from {self.origin}: fx {self.focal_x_px:.5g}, fy {self.focal_y_px:.5g}, "
+            f"cx {self.center_x_px:.5g}, cy {self.center_y_px:.5g} px of {self.width} x "
+            f"{self.height}"
+        )
 
     def resized(self, width: int, height: int) -> Intrinsics:
         """Return the intrinsics of the same picture at another size.
@@ -86,9 +105,17 @@ def from_numbers(
 ) -> Intrinsics | None:
     """Build intrinsics from options; None when none is given.
 
+    Args:
+        focal: f, or fx and fy, or fx, fy, cx and cy.
+        center: cx and cy.
+        fov_deg: horizontal field of view.
+        width: image width.
+        height: image height.
+
     Raises:
-        UserError: both a focal length and a field of view are given, or the latter is out of range,
-            or a principal point comes alone.
+        UserError: there are other numbers of numbers, both a focal length and a field of view or
+            two principal points are given, the field of view is out of range, or a principal point
+            comes alone.
     """
     if focal is None and fov_deg is None:
         if center is not None:
@@ -102,6 +129,12 @@ def from_numbers(
         length = 0.5 * width / math.tan(math.radians(fov_deg) / 2)
         focal = [length, length]
     assert focal is not None
+    if len(focal) == 4:
+        if center is not None:
+            raise UserError("--focal, --center-px: expected one principal point, found two")
+        focal, center = focal[:2], focal[2:]
+    if len(focal) not in (1, 2):
+        raise UserError(f"--focal: expected F, FX,FY or FX,FY,CX,CY; found {len(focal)} numbers")
     middle = center or [width / 2, height / 2]
     fx, fy = focal[0], focal[-1]
     return Intrinsics(fx, fy, middle[0], middle[1], width, height, "options")
@@ -113,7 +146,16 @@ def from_matrix(
     height: int,
     origin: str,
 ) -> Intrinsics:
-    """Build intrinsics from a camera matrix."""
+    """Build intrinsics from a camera matrix, given row by row or column by column.
+
+    Raises:
+        UserError: it is no camera matrix.
+    """
+    if (matrix[:2, 2] == 0).all():
+        matrix = matrix.T  # Open3D and Record3D write column by column
+    if not np.allclose(matrix[2], (0.0, 0.0, 1.0)):
+        rows = "; ".join(" ".join(f"{value:g}" for value in row) for row in matrix)
+        raise UserError(f"intrinsics ({origin}): expected fx 0 cx; 0 fy cy; 0 0 1, found {rows}")
     return Intrinsics(
         float(matrix[0, 0]),
         float(matrix[1, 1]),
@@ -126,7 +168,7 @@ def from_matrix(
 
 
 def read_intrinsics(path: Path, width: int, height: int) -> Intrinsics:
-    """Read an intrinsics file: JSON (Open3D, or fx, fy, cx, cy), or four numbers as text.
+    """Read an intrinsics file: JSON (``_from_json``), four numbers as text, or a 3 x 3 matrix.
 
     Args:
         path: the file.
@@ -158,24 +200,27 @@ def read_intrinsics(path: Path, width: int, height: int) -> Intrinsics:
 
 
 def _from_json(data: dict[str, Any], path: Path, width: int, height: int) -> Intrinsics:
-    """Read Open3D's PinholeCameraIntrinsic, or keys fx, fy, cx, cy (fl_x, ... too)."""
+    """Read a matrix, or fx, fy, cx, cy, also by nerfstudio's and RealSense's names for them."""
     w = int(data.get("width", data.get("w", width)))
     h = int(data.get("height", data.get("h", height)))
-    matrix = data.get("intrinsic_matrix")
-    if matrix is not None:
-        numbers = np.array(matrix, np.float64).ravel()
+    key = next((name for name in _MATRIX_KEYS if data.get(name) is not None), None)
+    if key is not None:
+        numbers = np.array(data[key], np.float64).ravel()
         if numbers.size != 9:
-            raise ValueError("intrinsic_matrix: expected 9 numbers")
-        square = numbers.reshape(3, 3)
-        # Open3D writes column by column
-        return from_matrix(square.T if square[0, 2] == 0 else square, w, h, path.name)
-    for names in (("fx", "fy", "cx", "cy"), ("fl_x", "fl_y", "cx", "cy")):
-        if names[0] in data:
-            fx = float(data[names[0]])
-            fy = float(data.get(names[1], fx))
-            cx = float(data.get(names[2], w / 2))
-            return Intrinsics(fx, fy, cx, float(data.get(names[3], h / 2)), w, h, path.name)
-    raise ValueError(f"expected intrinsic_matrix or fx, fy, cx, cy; found {', '.join(data)}")
+            raise ValueError(f"{key}: expected 9 numbers")
+        return from_matrix(numbers.reshape(3, 3), w, h, path.name)
+
+    def first(*names: str) -> float | None:
+        return next((float(data[name]) for name in names if name in data), None)
+
+    fx, fy = first("fx", "fl_x"), first("fy", "fl_y")
+    cx, cy = first("cx", "ppx"), first("cy", "ppy")
+    if fx is None:
+        raise ValueError(f"expected a matrix or fx, fy, cx, cy; found {', '.join(data)}")
+    origin = path.name
+    if cx is None or cy is None:
+        cx, cy, origin = w / 2, h / 2, f"{origin}, which has no principal point (the middle)"
+    return Intrinsics(fx, fx if fy is None else fy, cx, cy, w, h, origin)
 
 
 def from_exif(image: Image.Image) -> Intrinsics | None:

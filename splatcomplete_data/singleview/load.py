@@ -3,7 +3,8 @@
 Conventions
 -----------
 * Everything happens at the depth's resolution: the picture is resized to it (box filter when it
-  shrinks), its intrinsics scale with it, and both must have one aspect ratio.
+  shrinks), its intrinsics scale with it, and both must have one aspect ratio. ``orientation`` says
+  when a photo is turned by its EXIF; intrinsics are those of the picture as turned.
 * Steps in order: known depth, near/far, confidence, mask, flying pixels; each counted.
 """
 
@@ -17,12 +18,14 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from gscomplete.errors import UserError
+from gscomplete.views import UpAxis
 from splatcomplete_data.objects import StepRecord
 from splatcomplete_data.pictures import UNREADABLE, read_mask
 from splatcomplete_data.scan.cloud import PointCloud
 from splatcomplete_data.singleview import intrinsics as lens
 from splatcomplete_data.singleview.depth_file import DepthImage, DepthKind, metric_depth, read_depth
 from splatcomplete_data.singleview.intrinsics import Intrinsics
+from splatcomplete_data.singleview.orientation import fitting_picture
 from splatcomplete_data.singleview.unproject import FLYING_JUMP, flying_pixels, unproject
 
 
@@ -41,7 +44,7 @@ class SingleViewSettings:
     intrinsics: Path | None = None
     """Intrinsics file."""
     focal_px: tuple[float, ...] | None = None
-    """fx[, fy] in pixels of the picture."""
+    """fx, or fx, fy, or fx, fy, cx, cy in pixels of the picture."""
     center_px: tuple[float, float] | None = None
     """Principal point in pixels of the picture; None = the middle."""
     fov_deg: float | None = None
@@ -72,6 +75,8 @@ class SingleView:
     color: NDArray[np.float32]  # [H, W, 3] the picture at the depth's resolution
     steps: tuple[StepRecord, ...]
     notes: tuple[str, ...]
+    up: UpAxis = "-Y"
+    """The camera's axis that points up."""
 
 
 def load_single_view(
@@ -91,8 +96,10 @@ def load_single_view(
     chosen = settings or SingleViewSettings()
     depth = read_depth(depth_path, chosen.frame)
     height, width = depth.values.shape
-    picture = _open(image_path, depth, depth_path)
-    notes = [*depth.notes, *_check_aspect(picture, width, height, image_path or depth_path)]
+    opened = _open(image_path, depth, depth_path)
+    fitting = fitting_picture(opened, width, height, image_path or depth_path)
+    picture = fitting.picture
+    notes = [*depth.notes, *fitting.notes, *_resized(picture, width, height)]
     if chosen.intrinsics or chosen.focal_px or chosen.fov_deg or depth.intrinsics is not None:
         notes = [note for note in notes if "no intrinsics" not in note]
     camera = _find_camera(chosen, picture, depth).resized(width, height)
@@ -104,13 +111,13 @@ def load_single_view(
         baseline=chosen.baseline,
         offset=chosen.disparity_offset,
     )
-    notes += [how, f"intrinsics from {camera.origin}: fx {camera.focal_x_px:.5g} px"]
+    notes += [how, camera.summary()]
     resized = picture.convert("RGB").resize((width, height), Image.Resampling.BOX)
     color = np.asarray(resized, np.float32) / np.float32(255.0)
     keep, steps = _select(z, depth, picture, chosen, str(depth_path))
     points = unproject(z, camera, keep)
     cloud = PointCloud(points, color[keep])
-    return SingleView(cloud, camera, keep, color, tuple(steps), tuple(notes))
+    return SingleView(cloud, camera, keep, color, tuple(steps), tuple(notes), fitting.up)
 
 
 def _open(path: Path | None, depth: DepthImage, depth_path: Path) -> Image.Image:
@@ -127,13 +134,8 @@ def _open(path: Path | None, depth: DepthImage, depth_path: Path) -> Image.Image
     return picture
 
 
-def _check_aspect(picture: Image.Image, width: int, height: int, path: Path) -> list[str]:
-    """Check that picture and depth show the same; say when one is resized."""
-    if abs(picture.width / picture.height / (width / height) - 1.0) > 0.02:
-        raise UserError(
-            f"{path}: expected the depth's aspect ratio ({width} x {height}), found "
-            f"{picture.width} x {picture.height} pixels"
-        )
+def _resized(picture: Image.Image, width: int, height: int) -> list[str]:
+    """Say when the picture is resized."""
     if picture.size == (width, height):
         return []
     return [f"picture {picture.width} x {picture.height} resized to the depth's {width} x {height}"]

@@ -79,3 +79,30 @@ def test_a_given_view_is_the_only_one_told(tmp_path):
     notes = json.loads((out / "object.json").read_text())["notes"]
     assert not any("input view" in note for note in notes)
     assert any("centre and size" in note or "grows" in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("words", "given", "side"),
+    [
+        ("0 0 5 1 0 0 0", [], -1),
+        ("0 0 5 1 0 0 0", ["--viewpoint=0,0,-5"], 1),
+        ("0 0 0 1 0 0 0", [], 1),
+        ("0 0 nan 1 0 0 0", [], 1),
+        ("0 0 5", [], 1),
+    ],
+)
+def test_a_pcd_says_where_the_scanner_stood(tmp_path, words, given, side):
+    rng = np.random.default_rng(0)
+    plane = np.concatenate([rng.uniform(-1, 1, (900, 2)), np.zeros((900, 1))], axis=1)
+    below = rng.uniform(-0.3, 0.3, (600, 3)) - [0, 0, 0.8]  # without a viewpoint taken for above
+    points = np.concatenate([plane, below])
+    header = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
+    header += f"WIDTH 1500\nHEIGHT 1\nVIEWPOINT {words}\nPOINTS 1500\nDATA ascii"
+    np.savetxt(tmp_path / "a.pcd", points, header=header, comments="")
+    arguments = ["scan", str(tmp_path / "a.pcd"), "--level", "--no-outliers", *given]
+    assert cli.main([*arguments, "--out", str(tmp_path / "out")]) == 0
+    means = read_splats(tmp_path / "out/partial.ply").splats.means
+    assert float(means[:, 2].mean()) * side > 0.5
+    notes = json.loads((tmp_path / "out/object.json").read_text())["notes"]
+    told = "the scanner stood at 0,0,5, as the file's VIEWPOINT says"
+    assert (told in notes) == (words == "0 0 5 1 0 0 0" and not given)

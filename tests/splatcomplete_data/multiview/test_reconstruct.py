@@ -154,14 +154,21 @@ def test_what_training_sees_must_be_the_same_to_resume(tmp_path, change):
         prepared(folder, tmp_path / "a", resume=True)
 
 
-def test_training_that_has_begun_keeps_its_structure_from_motion(tmp_path, monkeypatch):
-    def colmap(request: dict[str, Any], progress: object) -> dict[str, int]:
+@pytest.fixture
+def colmap(monkeypatch) -> None:
+    """Every photo registers at once."""
+
+    def run(request: dict[str, Any], progress: object) -> dict[str, int]:
         names = request["groups"][0]["names"]
         captures.colmap_model(Path(request["model"]), captures.cameras(), names, text=False)
         return {"registered": len(names)}
 
-    monkeypatch.setattr(structure_from_motion, "_run_colmap", colmap)
+    monkeypatch.setattr(structure_from_motion, "_run_colmap", run)
     monkeypatch.setattr(structure_from_motion, "has_pycolmap", lambda: True)
+
+
+@pytest.mark.usefixtures("colmap")
+def test_training_that_has_begun_keeps_its_structure_from_motion(tmp_path):
     folder, out = tmp_path / "images", tmp_path / "a"
     captures.photos(folder, captures.cameras())
     prepared(folder, out)
@@ -176,6 +183,28 @@ def test_training_that_has_begun_keeps_its_structure_from_motion(tmp_path, monke
     (out / "capture.json").unlink()  # as after a run that found too few cameras
     run = prepared(folder, out, resume=True, sfm=SfmSettings(lens_per_photo=True))
     assert "made from other settings, photos" in run.notes[0]
+
+
+@pytest.mark.usefixtures("colmap")
+def test_photos_that_are_left_out_are_noted(tmp_path, capsys):
+    folder, out = tmp_path / "images", tmp_path / "a"
+    captures.photos(folder, captures.cameras())
+    for name in ("a.HEIC", "b.heic", "c.dng", "photo_00.dng", "list.txt"):
+        (folder / name).write_bytes(b"x")
+    assert images(folder, out) == 0
+    told = "photos that are left out (1 .dng, 2 .heic): convert them to JPEG or PNG"
+    assert told in capsys.readouterr().out
+    assert any(told in note for note in json.loads((out / "capture.json").read_text())["notes"])
+
+
+@pytest.mark.parametrize("inner", ["", "images"])
+def test_folders_of_photos_that_are_not_read_are_named(tmp_path, capsys, inner):
+    folder = tmp_path / "c" / inner
+    folder.mkdir(parents=True)
+    for index in range(5):
+        (folder / f"{index}.AVIF").write_bytes(b"x")
+    assert images(tmp_path / "c", tmp_path / "a") == 2
+    assert "found photos that are left out (5 .avif): convert" in capsys.readouterr().err
 
 
 def test_settings_of_structure_from_motion_only_matter_where_it_is_used(photos, tmp_path):

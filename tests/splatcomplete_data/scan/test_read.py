@@ -7,7 +7,6 @@ import pytest
 import trimesh
 
 from gscomplete.errors import UserError
-from splatcomplete_data.scan.cloud import GREY
 from splatcomplete_data.scan.read import read_scan
 
 POINTS = np.array([[0, 0, 0], [1, 2, 3], [-1, 0.5, 2], [np.nan, 0, 0]])
@@ -83,15 +82,6 @@ def test_broken_scans_are_user_errors(tmp_path: Path, name: str, content: bytes)
         read_scan(tmp_path / name)
     with pytest.raises(UserError, match=r"none\.ply"):
         read_scan(tmp_path / "none.ply")
-
-
-def test_normals_behind_the_points_are_not_colours(tmp_path: Path) -> None:
-    rows = np.concatenate([POINTS[:3], [[0, 0, 1], [0.6, -0.8, 0], [1, 0, 0]]], axis=1)
-    np.savetxt(tmp_path / "a.xyz", rows)
-    scan = read_scan(tmp_path / "a.xyz")
-    np.testing.assert_allclose(scan.cloud.points, POINTS[:3])
-    assert (scan.cloud.colors == np.float32(GREY)).all()
-    assert scan.notes == ("the last three columns are normals, not colours: grey",)
 
 
 def test_scan_meshes_far_from_the_origin_stay_there(tmp_path: Path) -> None:

@@ -1,0 +1,182 @@
+"""Scans as rows of text: XYZ, PTS, ASC and CSV files.
+
+Conventions
+-----------
+* Numbers stand between blanks, tabs, commas or semicolons; with semicolons a comma is a decimal
+  point. Lines that start with ``#`` or ``/`` are comments.
+* A line above the rows that has a name for every column, ``x``, ``y`` and ``z`` among them, is the
+  header, with ``#`` or ``//`` in front or without: its names say what the columns are.
+* Without a header the first three columns are the point. Three neighbouring columns of unit length
+  are a normal. Three others are the colour: whole numbers up to 255, or else up to 65535, or else
+  numbers from 0 to 1. Where several fit, the last three are taken: PTS files have the intensity
+  before the colour. Rows of 6 or 7 columns whose last three are not negative end in a colour.
+* A note says what became the colour.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gscomplete.errors import UserError
+from splatcomplete_data.scan.cloud import NO_COLOR, PointCloud, grey_colors, unit_colors
+
+_COLOR_NAMES = (("r", "g", "b"), ("red", "green", "blue"), ("rf", "gf", "bf"))
+_COLOR_PREFIX = re.compile(r"^(colou?r|diffuse|rgb|scalar)_")
+_COMMENT = ("#", "/")
+_MOST_HEADER_LINES = 2
+"""A file's number of points and its header: more lines that are neither rows nor comments are no
+scan."""
+_UNIT_LENGTH_OFF = 0.02
+"""A normal's length is this close to 1: two decimals of every coordinate leave 0.01."""
+_SHARE_OF_NORMALS = 0.99
+_BYTE, _WORD = 255, 65535
+
+
+@dataclass(frozen=True, slots=True)
+class _Columns:
+    """Which columns of a table are what."""
+
+    point: tuple[int, ...]
+    color: tuple[int, ...] | None
+    note: str
+
+
+def read_text_scan(path: Path) -> tuple[PointCloud, tuple[str, ...]]:
+    """Read rows of points (module conventions), and a note on their colour.
+
+    Points that are not finite are kept.
+
+    Raises:
+        UserError: there are no rows, they differ in length, are shorter than a point, or hold
+            what is no number.
+    """
+    text = path.read_text(encoding="utf-8-sig", errors="replace")
+    lines = [line for line in map(str.strip, text.splitlines()) if line]
+    first = next((i for i, line in enumerate(lines) if _is_row(line)), len(lines))
+    heads = lines[:first]
+    if sum(not line.startswith(_COMMENT) for line in heads) > _MOST_HEADER_LINES:
+        raise UserError(f"{path}: expected rows of x y z [r g b], found {heads[0][:40]!r} above")
+    rows = [words for line in lines[first:] if (words := _words(line)) and line[0] not in _COMMENT]
+    if not rows:
+        raise UserError(f"{path}: expected rows of x y z [r g b], found none")
+    widths = sorted({len(row) for row in rows})
+    if widths[0] < 3 or len(widths) > 1:
+        found = " and ".join(map(str, (widths[0], widths[-1])[: len(widths)]))
+        raise UserError(f"{path}: expected rows of 3 or more numbers, all alike; found {found}")
+    try:
+        table = np.array(rows, np.float64)
+    except ValueError as error:
+        raise UserError(f"{path}: expected numbers ({error})") from error
+    columns = _columns(heads, table)
+    points = table[:, columns.point]
+    if columns.color is None:
+        return PointCloud(points, grey_colors(len(points))), (columns.note,)
+    return PointCloud(points, unit_colors(table[:, columns.color])), (columns.note,)
+
+
+def _columns(heads: list[str], table: NDArray[np.float64]) -> _Columns:
+    """Tell the columns apart, by the header or else by their numbers."""
+    width = table.shape[1]
+    headers = [names for names in map(_names, heads) if {"x", "y", "z"} <= set(names)]
+    for names in headers:
+        if len(names) == width:
+            return _named(names)
+    found = _guessed(table)
+    if not headers:
+        return found
+    unused = f"the header names {len(headers[0])} columns and the rows have {width}: not used"
+    return _Columns(found.point, found.color, f"{found.note} ({unused})")
+
+
+def _named(names: list[str]) -> _Columns:
+    """Find the columns by their names."""
+    point = tuple(names.index(axis) for axis in "xyz")
+    plain = [_COLOR_PREFIX.sub("", name) for name in names]
+    for wanted in _COLOR_NAMES:
+        if set(wanted) <= set(plain):
+            color = tuple(plain.index(name) for name in wanted)
+            shown = ", ".join(str(column + 1) for column in color)
+            return _Columns(point, color, f"colour from columns {shown}, as the header names them")
+    return _Columns(point, None, f"{NO_COLOR} (the header names {', '.join(names)})")
+
+
+def _guessed(table: NDArray[np.float64]) -> _Columns:
+    """Tell by the numbers which columns are colours (module conventions)."""
+    point = (0, 1, 2)
+    width = table.shape[1]
+    if width < 6:
+        return _Columns(point, None, NO_COLOR)
+    starts = list(range(3, width - 2))
+    normal = next((start for start in starts if _are_normals(table[:, start : start + 3])), None)
+    aside = ""
+    if normal is not None:
+        aside = f"; columns {normal + 1} to {normal + 3} have unit length: normals"
+        starts = [start for start in starts if abs(start - normal) >= 3]
+    kinds = {start: _kind(table[:, start : start + 3]) for start in starts}
+    start = min(reversed(starts), key=lambda start: kinds[start], default=None)
+    is_last = width <= 7 and start == width - 3
+    if start is None or kinds[start] > (_NOT_NEGATIVE if is_last else _NOT_NEGATIVE - 1):
+        return _Columns(point, None, f"{NO_COLOR}{aside}")
+    note = f"colour guessed from columns {start + 1} to {start + 3} ({_KINDS[kinds[start]]}){aside}"
+    return _Columns(point, (start, start + 1, start + 2), f"{note}; a header would name them")
+
+
+def _are_normals(values: NDArray[np.float64]) -> bool:  # [N, 3]
+    """Tell whether rows have unit length; some may be null, where a program knew no normal."""
+    length = np.linalg.norm(values[np.isfinite(values).all(axis=1)], axis=1)
+    length = length[length > 0]
+    is_unit = np.abs(length - 1) < _UNIT_LENGTH_OFF
+    return len(length) > 0 and bool(is_unit.mean() >= _SHARE_OF_NORMALS)
+
+
+_KINDS = (
+    "whole numbers up to 255",
+    "whole numbers up to 65535",
+    "numbers from 0 to 1",
+    "the last three, not negative",
+)
+"""What colours may be, the likeliest first."""
+_NOT_NEGATIVE = 3
+"""The last of them says little: it holds only where rows end in a colour by custom."""
+
+
+def _kind(values: NDArray[np.float64]) -> int:  # [N, 3]
+    """Return which of ``_KINDS`` three columns are; their number for none."""
+    numbers = values[np.isfinite(values)]
+    if numbers.size == 0 or (numbers < 0).any():
+        return len(_KINDS)
+    largest = numbers.max(initial=0.0)
+    if largest <= _WORD and bool((numbers == np.floor(numbers)).all()):
+        return 0 if largest <= _BYTE else 1
+    return 2 if largest <= 1 else _NOT_NEGATIVE
+
+
+def _names(line: str) -> list[str]:
+    """Return a header's names in small letters, without quotes and units."""
+    bare = line.lstrip("#/ \t").rstrip(",; \t").lower()
+    cells = re.split(r"[,;\t]", bare) if re.search(r"[,;\t]", bare) else bare.split()
+    return [re.sub(r"[^a-z0-9_ ].*$", "", cell.strip(" \"'")).strip() for cell in cells]
+
+
+def _words(line: str) -> list[str]:
+    """Split a row into its words."""
+    if ";" in line:
+        return line.replace(",", ".").replace(";", " ").split()
+    return line.replace(",", " ").split()
+
+
+def _is_row(line: str) -> bool:
+    """Tell whether a line is a row of numbers, and not a comment, a header or a count."""
+    words = _words(line)
+    if line.startswith(_COMMENT) or len(words) < 2:
+        return False
+    try:
+        float(words[0])
+    except ValueError:
+        return False
+    return True
