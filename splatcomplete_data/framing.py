@@ -49,15 +49,8 @@ class Framing:
 
 
 def frame_of_whole(splats: Splats, up: UpAxis) -> ObjectFrame:
-    """Return the object frame of a complete object: centre and largest side of its box.
-
-    Its size is at least the median of the splats' own, so that a single splat has a frame too.
-    """
-    rotated = splats.means.double() @ up_rotation(up).T
-    low, high = np.quantile(rotated.numpy(), [0.0005, 0.9995], axis=0)
-    x, y, z = ((low + high) / 2).tolist()
-    side = max(float((high - low).max()), splats.typical_size)
-    return ObjectFrame.from_z_up(up, (x, y, z), side)
+    """Return the object frame of a complete object."""
+    return ObjectFrame.about(splats, up)
 
 
 def decide_framing(partial: Splats, complete: Splats | None, request: FramingRequest) -> Framing:
