@@ -19,6 +19,11 @@ import torch
 from gscomplete.splats import Similarity, Splats, transform_splats
 from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution, up_rotation
 
+SPLAT_FILE_UP: UpAxis = "-Y"
+"""What points up in a splat file that nothing more is known of, as in most trained ones."""
+UP_ASSUMED = "no cameras are known: the up axis is taken to be -Y unless --up says otherwise"
+"""Note of an object whose up axis that decided."""
+
 
 @dataclass(frozen=True, slots=True)
 class FramingRequest:

@@ -64,7 +64,7 @@ class ObjectOptions:
     range: float = 50.0
     """V reaches this many degrees of azimuth to either side of c."""
     up: Literal["auto", "X", "Y", "Z", "-X", "-Y", "-Z"] = "auto"
-    """Axis of the source that points up; auto = by the kind of source (see --help above)."""
+    """Axis of the source that points up; auto = by the kind of source, as told above."""
     center: str | None = None
     """Centre of the WHOLE object as X,Y,Z in file coordinates; None = known or guessed."""
     size_whole: float | None = None

@@ -25,6 +25,7 @@ from gscomplete.splats.ply import SplatFile
 from gscomplete.splats.transform import Similarity
 from gscomplete.views import Cameras, UpAxis, orbit_cameras, radius_to_fit, up_rotation
 from splatcomplete_data.boxes import CropBox
+from splatcomplete_data.framing import SPLAT_FILE_UP, UP_ASSUMED
 from splatcomplete_data.multiview.capture_folder import CAPTURE_FILE, SPLATS_FILE
 from splatcomplete_data.multiview.propose_box import Focus, focus_of_cameras, focus_of_splats
 from splatcomplete_data.multiview.reconstruct import SCHEMA
@@ -32,8 +33,6 @@ from splatcomplete_data.multiview.reconstruct import SCHEMA
 PICTURES = 4
 _PICTURE_PX = 360
 _NEAR_EXTENT = 0.02
-UP_ASSUMED = "no cameras are known: the up axis is taken to be -Y unless --up says otherwise"
-"""Note of a splat file alone."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,7 +139,7 @@ def read_scene(path: Path, up_axis: UpAxis | None = None) -> Scene:
         low, high = (corner.double() for corner in _bounds(file))
         near = 1e-3 * max(float((high - low).max()), 1e-9)
         notes = () if up_axis else (UP_ASSUMED,)
-        axis = up_axis or "-Y"
+        axis = up_axis or SPLAT_FILE_UP
         return Scene(path, file, None, (), axis, _direction(axis), near, notes)
     if not (path / CAPTURE_FILE).is_file():
         raise UserError(f"{path}: expected a splat PLY or a capture folder with {CAPTURE_FILE}")

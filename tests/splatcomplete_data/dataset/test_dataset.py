@@ -173,6 +173,23 @@ def test_what_decides_an_object_is_in_its_fingerprint(
     assert differs()
 
 
+def test_the_record_beside_a_splat_file_is_in_the_fingerprint_of_its_part(
+    built: tuple[Path, Path, Path], tmp_path: Path
+) -> None:
+    data = tmp_path / "data"
+    shutil.copytree(built[0] / "box", data / "box")
+    text = "objects: [{id: a, command: partial, file: box/complete.ply, cut: ['plane:0']}]\n"
+    entry = read_recipe(recipe(tmp_path, text)).objects[0]
+    seen = {fingerprint(entry, data, tmp_path)}
+    path = data / "box/object.json"
+    record = json.loads(path.read_text())
+    path.write_text(json.dumps({**record, "frame": {**record["frame"], "up": "X"}}))
+    seen.add(fingerprint(entry, data, tmp_path))
+    path.unlink()
+    seen.add(fingerprint(entry, data, tmp_path))
+    assert len(seen) == 3
+
+
 @pytest.mark.parametrize("place", ["photos/masks", "masks"])
 def test_masks_that_a_capture_finds_by_itself_are_in_its_fingerprint(
     tmp_path: Path, place: str
