@@ -153,11 +153,16 @@ def test_what_the_input_view_does_not_show_is_refused_before_the_run(tmp_path):
     hidden, seen = tmp_path / "hidden.ply", tmp_path / "seen.ply"
     write_splats(hidden, dataclasses.replace(shell(), opacities=torch.zeros(800)))
     write_splats(seen, shell())
-    for path, more in ((hidden, ()), (seen, ("--center", "9,9,9"))):
+    cases = (
+        (hidden, (), "input view"),
+        (seen, ("--center", "9,9,9"), "expected a frame that P lies in"),
+        (seen, ("--size", "1000"), "--size: expected at most"),
+    )
+    for path, more, message in cases:
         result = complete(path, tmp_path / "out", *more)
         assert result.returncode == 2
         assert path.name in result.stderr
-        assert "input view" in result.stderr
+        assert message in result.stderr
         assert not (tmp_path / "out").exists()
 
 
