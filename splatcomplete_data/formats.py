@@ -35,6 +35,9 @@ from gscomplete.splats import (
     usable_rows,
     write_splats,
 )
+from gscomplete.splats.ply import SplatFile, splat_element
+from gscomplete.splats.ply_header import Element
+from gscomplete.splats.ply_layout import find_layout
 from gscomplete.splats.ply_records import LOG_SCALE_LIMIT, LOGIT_LIMIT
 from splatcomplete_data.optional import import_optional
 
@@ -42,6 +45,8 @@ SplatFormat = Literal["ply", "compressed.ply", "splat", "spz"]
 """Formats that are written; all are read."""
 
 _SPLAT_ROW = np.dtype([("xyz", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rot", "u1", 4)])
+_NORMALS = ("nx", "ny", "nz")
+_COMMENTS_SHOWN = 5
 _HALF_TURN = Similarity(1.0, torch.diag(torch.tensor([1.0, -1.0, -1.0])), torch.zeros(3))
 
 
@@ -54,6 +59,8 @@ class Imported:
     notes: tuple[str, ...] = ()
     file_from_source: Similarity | None = None
     """What took the file's axes to those of a PLY; None = they are the same."""
+    left: tuple[str, ...] = ()
+    """What a plain PLY holds beside its splats: no converted file has it."""
 
 
 def format_of(path: Path) -> SplatFormat:
@@ -87,7 +94,7 @@ def read_any_splats(path: Path) -> Imported:
     try:
         if kind == "ply":
             file = read_splats(path)
-            return Imported(file.splats, kind, file.warnings)
+            return Imported(file.splats, kind, file.warnings, left=_beside_splats(file))
     except PlyError as error:
         if error.finding != "compressed_splat_file":
             raise
@@ -124,6 +131,39 @@ def write_any_splats(path: Path, splats: Splats) -> tuple[str, ...]:
         else:
             temporary.write_bytes(gsply.compress_to_bytes(data))
     return ("values are quantised",)
+
+
+def _beside_splats(file: SplatFile) -> tuple[str, ...]:
+    """Name what a PLY file holds that is no splat value: properties, elements, comments."""
+    element = splat_element(file.header, file.path)
+    layout = find_layout(element, file.path)
+    left = []
+    unused = [name for name in layout.foreign if name not in _NORMALS]
+    unused += _NORMALS if _has_normals(file, element) else ()
+    if unused:
+        left.append(f"properties {', '.join(unused)}")
+    if layout.dropped_bands:
+        left.append(f"harmonics above degree {file.splats.sh_degree}")
+    others = [other.name for other in file.header.elements if other.name != element.name]
+    if others:
+        left.append(f"elements {', '.join(others)}")
+    if file.comments:
+        more = len(file.comments) - _COMMENTS_SHOWN
+        shown = [repr(text) for text in file.comments[:_COMMENTS_SHOWN]]
+        left.append(f"comments {', '.join(shown)}" + (f" and {more:,} more" if more > 0 else ""))
+    return tuple(left)
+
+
+def _has_normals(file: SplatFile, element: Element) -> bool:
+    """Tell whether a file's normals say anything: most are zeros, and are written as such."""
+    places = [element.names.index(name) for name in _NORMALS if name in element.names]
+    if not places or element.count == 0:
+        return False
+    if file.header.format == "ascii":
+        words = np.array(file.payload.records.tobytes().split(), np.float64)
+        return bool(words.reshape(element.count, -1)[:, places].any())
+    rows = file.payload.records.reshape(-1).view(element.row_dtype(file.header.byte_order))
+    return any(bool(rows[f"p{place}"].any()) for place in places)
 
 
 def _read_dot_splat(path: Path) -> Splats:

@@ -21,6 +21,11 @@ from gscomplete.errors import UserError
 from gscomplete.splats import Similarity, Splats, transform_splats
 from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution, up_rotation
 
+SPLAT_FILE_UP: UpAxis = "-Y"
+"""What points up in a splat file that nothing more is known of, as in most trained ones."""
+UP_ASSUMED = "no cameras are known: the up axis is taken to be -Y unless --up says otherwise"
+"""Note of an object whose up axis that decided."""
+
 
 @dataclass(frozen=True, slots=True)
 class FramingRequest:
@@ -50,18 +55,6 @@ class Framing:
     notes: tuple[str, ...]
 
 
-def frame_of_whole(splats: Splats, up: UpAxis) -> ObjectFrame:
-    """Return the object frame of a complete object: centre and largest side of its box.
-
-    Its size is at least the median of the splats' own, so that a single splat has a frame too.
-    """
-    rotated = splats.means.double() @ up_rotation(up).T
-    low, high = np.quantile(rotated.numpy(), [0.0005, 0.9995], axis=0)
-    x, y, z = ((low + high) / 2).tolist()
-    side = max(float((high - low).max()), splats.typical_size)
-    return ObjectFrame.from_z_up(up, (x, y, z), side)
-
-
 def decide_framing(partial: Splats, complete: Splats | None, request: FramingRequest) -> Framing:
     """Decide frame and views.
 
@@ -74,7 +67,7 @@ def decide_framing(partial: Splats, complete: Splats | None, request: FramingReq
     origin: Literal["truth", "guess", "given"] = "given"
     notes: list[str] = []
     if complete is not None and (center is None or size is None):
-        whole = frame_of_whole(complete, request.up)
+        whole = ObjectFrame.about(complete, request.up)
         center, size, origin = center or whole.center_file, size or whole.size_file, "truth"
     is_boxed = center is not None and size is not None
     camera = request.camera_position_file if view is None else None

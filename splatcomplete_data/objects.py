@@ -264,6 +264,20 @@ def read_record(folder: Path) -> ObjectRecord:
     return ObjectRecord.from_json(jsonio.read_json(path), str(path))
 
 
+def record_of_file(path: Path) -> ObjectRecord | None:
+    """Return the record beside a file of an object folder, if that file is still the recorded one.
+
+    Raises:
+        UserError: the file cannot be read.
+    """
+    try:
+        record = read_record(path.parent)
+    except UserError:
+        return None  # other folders may hold anything
+    file = record.files.get(path.name)
+    return record if file is not None and file.sha256 == sha256_of(path) else None
+
+
 def read_object(folder: Path) -> SplatObject:
     """Read an object folder; hashes are ``dataset validate``'s business.
 

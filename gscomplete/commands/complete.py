@@ -45,7 +45,8 @@ class CompleteOptions:
     range: float = 50.0
     """V reaches this many degrees of azimuth to either side of c."""
     up: Literal["X", "Y", "Z", "-X", "-Y", "-Z"] = "Z"
-    """Axis of the file that points up (glTF: Y; COLMAP and most 3DGS files: -Y)."""
+    """Axis of the file that points up (glTF: Y; COLMAP and most 3DGS files: -Y). If an object.json
+    of splatcomplete-data beside PARTIAL says another one, that is told."""
     center: str | None = None
     """Centre of the WHOLE object as X,Y,Z in file coordinates; None = guessed from P."""
     size: float | None = None
@@ -119,12 +120,13 @@ def _complete(options: CompleteOptions) -> int:
     from gscomplete.device import choose_device, choose_render_device
     from gscomplete.priors import load_prior
 
+    _refuse_folder(options.partial)
     device = choose_device(options.device)
     render_device, fallback = choose_render_device(options.device, device)
     knobs = None if options.diffusion == LatentPriorSettings() else options.diffusion
     prior = load_prior(options.prior, device, knobs)
     job = prepare(_request(options, prior), prior, render_device)
-    _say(options, *job.notes, *([fallback] if fallback else []))
+    _say(options, *_recorded_up(options), *job.notes, *([fallback] if fallback else []))
     if job.completion.step_number:
         _say(options, f"resuming at step {job.completion.step_number}")
     said = len(job.notes)
@@ -146,6 +148,31 @@ def _complete(options: CompleteOptions) -> int:
         + (", alternatives.png" if options.alternatives else ""),
     )
     return 0
+
+
+def _refuse_folder(path: Path) -> None:
+    """Name the part in an object folder.
+
+    Raises:
+        UserError: the path is a folder with one.
+    """
+    part = path / "partial.ply"
+    if part.is_file():
+        raise UserError(f"{path}: expected a splat file, found a folder; its part is {part}")
+
+
+def _recorded_up(options: CompleteOptions) -> tuple[str, ...]:
+    """Tell where the object file beside P records another up axis than the one that is taken."""
+    from gscomplete.jsonio import read_json
+
+    path = options.partial.with_name("object.json")
+    try:
+        up = read_json(path)["frame"]["up"]
+    except (UserError, KeyError, TypeError):
+        return ()  # there is none, or it is something else
+    if up not in ("X", "Y", "Z", "-X", "-Y", "-Z") or up == options.up:
+        return ()
+    return (f"{path}: {up} points up, but {options.up} is taken to: pass --up={up} to change that",)
 
 
 def _memory_note(peak_bytes: int | None) -> str:

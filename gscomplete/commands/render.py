@@ -16,7 +16,11 @@ from gscomplete.errors import UserError
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from gscomplete.views import ObjectFrame
+
 _MOST_FOV_DEG = 80.0
+_SHOWN = 1.6
+"""Length through the frame's centre that a picture shows, in sizes of the frame."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,12 @@ class RenderOptions:
     """Views as AZIMUTH,ELEVATION in degrees, at least one."""
     up: Literal["X", "Y", "Z", "-X", "-Y", "-Z"] = "Z"
     """Axis of the file that points up."""
+    center: str | None = None
+    """Centre of the object frame as X,Y,Z in file coordinates, with --size; None = the middle of
+    the splats, floaters apart."""
+    size: float | None = None
+    """Side of the object frame in file units, with --center; None = the splats' largest side,
+    floaters apart. Pictures show 1.6 times as much."""
     size_px: int = 512
     """Width and height of the pictures."""
     fov: float = 40.0
@@ -66,6 +76,7 @@ def run(options: RenderOptions) -> int:
         raise UserError("--views: expected at least one AZIMUTH,ELEVATION, found none")
     background = parse_numbers(options.background, 3, "--background", "R,G,B") or [1.0, 1.0, 1.0]
     angles = [parse_view(view, "--views") for view in options.views]
+    given = _given_frame(options)
     splats = read_splats(options.file).splats
     usable, left_out = usable_rows(splats)
     if not bool(usable.any()):
@@ -73,11 +84,14 @@ def run(options: RenderOptions) -> int:
     for reason, count in left_out.items():
         print(f"{count:,} splats not drawn: {reason.replace('_', ' ')}", file=sys.stderr)
     splats = splats.select(usable)
-    frame = ObjectFrame.about(splats, options.up)
+    frame = given or ObjectFrame.without_floaters(splats, options.up)
+    outside = frame.count_outside(splats, _SHOWN / 2)
+    if outside:
+        print(f"{outside:,} splats lie outside the frame that is shown", file=sys.stderr)
     cameras = orbit_cameras(
         torch.tensor([view[0] for view in angles if view]),
         torch.tensor([view[1] for view in angles if view]),
-        radius=radius_to_fit(1.6, options.fov),
+        radius=radius_to_fit(_SHOWN, options.fov),
         fov_deg=options.fov,
         size_px=options.size_px,
     )
@@ -102,6 +116,24 @@ def run(options: RenderOptions) -> int:
             Image.fromarray(values).save(temporary, format="PNG")
         print(path)
     return 0
+
+
+def _given_frame(options: RenderOptions) -> ObjectFrame | None:
+    """Return the object frame that the user gives.
+
+    Raises:
+        UserError: centre or size has the wrong form, or one comes without the other.
+    """
+    from gscomplete.views import ObjectFrame
+
+    center = parse_numbers(options.center, 3, "--center", "X,Y,Z")
+    if options.size is not None and not 0 < options.size < float("inf"):
+        raise UserError(f"--size: expected a positive length, found {options.size:g}")
+    if center is None and options.size is None:
+        return None
+    if center is None or options.size is None:
+        raise UserError("--center, --size: expected both or none, found one")
+    return ObjectFrame(options.up, (center[0], center[1], center[2]), options.size)
 
 
 def _near_is_white(depth: Tensor) -> Tensor:  # [V, H, W]

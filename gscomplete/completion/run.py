@@ -25,6 +25,7 @@ from gscomplete.completion.alternatives import alternatives_sheet, guess_alterna
 from gscomplete.completion.checkpoint import FILE_NAME, load_checkpoint
 from gscomplete.completion.finish import finish_splats
 from gscomplete.completion.framing import guess_framing
+from gscomplete.completion.given_frame import check_given_frame, largest_side
 from gscomplete.completion.long_run import CHECKPOINTS, require_same_identity, take_steps
 from gscomplete.completion.optimise import Completion, NonFiniteError, StepReport
 from gscomplete.completion.settings import CompletionSettings
@@ -116,7 +117,7 @@ def prepare(request: Request, prior: Prior, device: torch.device | str = "cpu") 
         conditioning,
         distribution,
         request.settings,
-        _largest_side(chosen.splats) / frame.size_file,
+        largest_side(chosen.splats) / frame.size_file,
         device,
         view_is_guess=request.view_deg is None,
     )
@@ -259,7 +260,11 @@ def _draw_alternatives(run: Run, partial: Splats, whole: Splats) -> list[str]:
 def _decide_frame(
     request: Request, splats: Splats, prior: Prior
 ) -> tuple[ObjectFrame, ViewDistribution, tuple[str, ...]]:
-    """Take frame and input view from the request, and what is missing from the heuristic."""
+    """Take frame and input view from the request, and what is missing from the heuristic.
+
+    Raises:
+        UserError: nothing can be guessed from P, or the frame that is given is not P's.
+    """
     notes: list[str] = []
     rotation = up_rotation(request.up)
     anchor = splats.means.double().median(dim=0).values
@@ -277,6 +282,8 @@ def _decide_frame(
         if view_deg is None:
             view_deg = guess.view_azimuth_deg, guess.view_elevation_deg
     frame = ObjectFrame(request.up, center_file, size_file)
+    if request.center_file is not None or request.size_file is not None:
+        notes += check_given_frame(splats, frame, request.partial_path)
     fov_deg = prior.views.fov_deg
     distribution = ViewDistribution(
         *view_deg,
@@ -311,16 +318,6 @@ def _require_visible(partial: Splats, distribution: ViewDistribution, path: Path
             f"{path}: expected splats that the input view shows, found none that it does; they "
             "are transparent, or the centre, the size or the input view is wrong"
         )
-
-
-def _largest_side(splats: Splats) -> float:
-    """Return the largest side of the splats' box, without the farthest 0.1 % on each side.
-
-    Where splats are larger than their box, their median size: one alone may be of any size.
-    """
-    points = splats.means.double().numpy()
-    low, high = np.quantile(points, [0.001, 0.999], axis=0)
-    return max(float((high - low).max()), splats.typical_size)
 
 
 def _make_folder(out: Path) -> None:

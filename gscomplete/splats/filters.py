@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from gscomplete.splats.record import Splats
@@ -20,6 +22,9 @@ MAX_MAGNITUDE = 1e18
 """Largest coordinate or scale whose square is a finite float32."""
 MAX_COEFFICIENT = 1e12
 """Largest SH coefficient; squared colours have a finite float32 sum over the pixels of an image."""
+
+FAR_FACTOR = 10.0
+"""Positions further than this many half-widths of the middle 90 % from the median are far away."""
 
 
 def usable_rows(splats: Splats) -> tuple[Tensor, dict[str, int]]:  # [N] bool
@@ -48,6 +53,42 @@ def usable_rows(splats: Splats) -> tuple[Tensor, dict[str, int]]:  # [N] bool
             counts[reason] = dropped
         keep &= passed
     return keep, counts
+
+
+def near_rows(splats: Splats) -> tuple[Tensor, dict[str, int]]:  # [N] bool
+    """Mark the splats that are not far outside the others: all but floaters, in a sound file.
+
+    Args:
+        splats: at least one, all finite.
+
+    Returns:
+        The mask [N], and the number of rows dropped as ``far_away``; empty if there are none.
+    """
+    means = splats.means.detach().cpu().numpy()
+    far = torch.from_numpy(far_positions(means, *middle_and_extent(means), FAR_FACTOR))
+    count = int(far.sum())
+    return ~far.to(splats.means.device), {"far_away": count} if count else {}
+
+
+def middle_and_extent(
+    means: NDArray[np.float32],  # [N, 3]
+) -> tuple[NDArray[np.float64], float]:  # [3]
+    """Return the median position, and the largest side of the box of the middle 90 % by axis."""
+    low, middle, high = np.quantile(means, (0.05, 0.5, 0.95), axis=0).astype(np.float64)
+    return middle, float((high - low).max())
+
+
+def far_positions(
+    means: NDArray[np.float32],  # [N, 3]
+    middle: NDArray[np.float64],  # [3]
+    extent: float,
+    factor: float,
+) -> NDArray[np.bool_]:  # [N]
+    """Mark positions further than ``factor`` half extents from the middle along any axis."""
+    if not extent > 0:
+        return np.zeros(len(means), bool)
+    offsets = np.abs(means - middle.astype(np.float32)).max(axis=1)
+    return np.asarray(offsets > factor * extent / 2)
 
 
 def thinned(splats: Splats, limit: int, generator: torch.Generator) -> Splats:

@@ -135,8 +135,7 @@ def splat_element(header: PlyHeader, path: Path) -> Element:
     if "packed_position" in element.names:
         message = (
             "a SuperSplat compressed PLY (packed_position, packed_rotation, ...), expected plain "
-            "splats; convert it first: `splat-transform in.compressed.ply out.ply`, or export "
-            "a plain PLY from SuperSplat"
+            "splats; convert it first: splatcomplete-data convert IN.compressed.ply OUT.ply"
         )
         raise PlyError(path, "compressed_splat_file", message)
     faces = header.find("face")

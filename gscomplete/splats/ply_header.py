@@ -226,8 +226,14 @@ def describe_content(head: bytes, path: Path) -> str:
     """Say in a few words what a file that is not a PLY looks like, from its first bytes."""
     start = head[:256].lstrip().lower()
     by_start = [
-        (b"\x1f\x8b", "gzip data (an .spz of version 1-3, or a compressed PLY: unpack it first)"),
-        (b"ngsp", "an SPZ splat file (NGSP; convert it to PLY first)"),
+        (
+            b"\x1f\x8b",
+            "gzip data (unpack a PLY first; an .spz: splatcomplete-data convert IN.spz OUT.ply)",
+        ),
+        (
+            b"ngsp",
+            "an SPZ splat file (NGSP; convert it first: splatcomplete-data convert IN.spz OUT.ply)",
+        ),
         (b"version https://git-lfs", "a git-lfs pointer (the real file was not downloaded)"),
         (b"<!doctype html", "an HTML page (a download that failed?)"),
         (b"<html", "an HTML page (a download that failed?)"),
@@ -241,8 +247,10 @@ def describe_content(head: bytes, path: Path) -> str:
     ]
     if not head:
         return "an empty file"
-    if path.suffix.lower() in (".splat", ".ksplat"):
-        return f"a {path.suffix.lower()} file (convert it to PLY first)"
+    if path.suffix.lower() == ".splat":
+        return "a .splat file (convert it first: splatcomplete-data convert IN.splat OUT.ply)"
+    if path.suffix.lower() == ".ksplat":
+        return "a .ksplat file (convert it to PLY first)"
     for magic, kind in by_start:
         if start.startswith(magic):
             return kind

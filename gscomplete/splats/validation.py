@@ -20,6 +20,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from gscomplete.splats.filters import FAR_FACTOR, far_positions, middle_and_extent
 from gscomplete.splats.ply import splat_element
 from gscomplete.splats.ply_header import Element, PlyError, PlyHeader, read_header
 from gscomplete.splats.ply_layout import SplatLayout, find_layout
@@ -61,7 +62,7 @@ class ValidationLimits:
     quaternion_tolerance: float = 1e-3
     """Largest difference of a quaternion's length from 1 that counts as unit."""
 
-    outlier_factor: float = 10.0
+    outlier_factor: float = FAR_FACTOR
     """Positions further than this many 90 % half-widths from the median are outliers."""
 
     far_factor: float = 1000.0
@@ -178,14 +179,12 @@ def _frame_findings(rows: RowStatistics, limits: ValidationLimits) -> list[Findi
     """
     if len(rows.means) < 2:
         return []
-    low, middle, high = np.quantile(rows.means, (0.05, 0.5, 0.95), axis=0).astype(np.float64)
-    extent = float((high - low).max())
+    middle, extent = middle_and_extent(rows.means)
     if not extent > 0:
         message = "positions have no extent: (nearly) all in one place"
         return [Finding("no_extent", "warning", len(rows.means), message)]
     found = []
-    offsets = np.abs(rows.means - middle.astype(np.float32)).max(axis=1)
-    count = int((offsets > limits.outlier_factor * extent / 2).sum())
+    count = int(far_positions(rows.means, middle, extent, limits.outlier_factor).sum())
     if count:
         message = f"positions far outside the others (extent {extent:.3g})"
         found.append(Finding("position_outliers", "warning", count, message))

@@ -2,7 +2,8 @@
 
 Conventions
 -----------
-* Layers are in the object frame: of the run where there is one, else about the first layer's box.
+* Layers are in the object frame: of the run where there is one, else about the first layer's box,
+  floaters apart.
 * A run folder gives two layers, ``P`` and ``new``; any other folder one per splat file in it.
 """
 
@@ -23,6 +24,9 @@ from gscomplete.splats.filters import thinned, usable_rows
 from gscomplete.splats.transform import transform_splats
 from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution
 
+_REACH = 0.8
+"""What is farther from the middle, in sizes of the frame, is told: ``render`` would not show it."""
+
 
 @dataclass(frozen=True, slots=True)
 class Layer:
@@ -31,7 +35,7 @@ class Layer:
     name: str
     splats: Splats
     note: str
-    """How many there are, how many of them cannot be drawn, and how many are shown."""
+    """How many there are, cannot be drawn, lie outside the frame, and are shown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +68,7 @@ def read_scene(paths: Sequence[Path], up: UpAxis, most_splats: int) -> Scene:
         usable, _ = usable_rows(splats)
         if not bool(usable.any()):
             raise UserError(f"{path}: expected splats that can be drawn, found none")
-        frame = frame or ObjectFrame.about(splats.select(usable), up)
+        frame = frame or ObjectFrame.without_floaters(splats.select(usable), up)
         layers.append(_layer(name, splats, usable, frame, most_splats))
     return Scene(tuple(layers), None)
 
@@ -128,9 +132,12 @@ def _layer(
     """Carry what can be drawn into the frame, and tell what is left out."""
     drawn = splats.select(usable)
     shown = thinned(drawn, most, torch.Generator().manual_seed(0))
+    outside = frame.count_outside(drawn, _REACH)
     note = f"{len(splats):,} splats"
     if len(drawn) < len(splats):
         note += f", {len(splats) - len(drawn):,} of them not finite or too large to draw"
+    if outside:
+        note += f", {outside:,} of them outside the frame"
     if len(shown) < len(drawn):
         note += f", {len(shown):,} of them shown, widened to match"
     return Layer(name, transform_splats(shown, frame.object_from_file), note)

@@ -25,10 +25,12 @@ import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from gscomplete import jsonio
+from gscomplete.splats.filters import near_rows
 from gscomplete.splats.record import Splats
 from gscomplete.splats.transform import Similarity
 
@@ -93,16 +95,31 @@ class ObjectFrame:
 
     @classmethod
     def about(cls, splats: Splats, up: UpAxis) -> ObjectFrame:
-        """Build the frame of splats taken as the whole object: the box of their centres.
+        """Build the frame of splats taken as the whole object.
 
-        Its size is at least the median of the splats' own, so that a single one has a frame too and
-        one that is far too large does not shrink the others to a dot. Splats without any extent
-        have a frame of size 1.
+        Its box is that of the middle 99.9 % of their centres along every axis, since trained splats
+        have floaters. Its size is at least the median of the splats' own, so that a single one has
+        a frame too and one that is far too large does not shrink the others to a dot. Splats
+        without any extent have a frame of size 1.
         """
-        low, high = (corner.double() for corner in splats.bounds())
-        size = max(float((high - low).max()), splats.typical_size)
+        rotated = splats.means.double() @ up_rotation(up).T
+        low, high = np.quantile(rotated.numpy(), [0.0005, 0.9995], axis=0)
         x, y, z = ((low + high) / 2).tolist()
-        return cls(up, (x, y, z), size or 1.0)
+        size = max(float((high - low).max()), splats.typical_size)
+        return cls.from_z_up(up, (x, y, z), size or 1.0)
+
+    @classmethod
+    def without_floaters(cls, splats: Splats, up: UpAxis) -> ObjectFrame:
+        """Build the frame of what can be drawn of a file: as ``about``, of any number of floaters.
+
+        The middle 99.9 % of a small file hold one or two of them already.
+        """
+        return cls.about(splats.select(near_rows(splats)[0]), up)
+
+    def count_outside(self, splats: Splats, reach: float) -> int:
+        """Count the centres further than ``reach`` sizes from the frame's along any of its axes."""
+        placed = self.object_from_file.apply(splats.means.double())
+        return int((placed.abs().amax(dim=1) > reach).sum())
 
     @property
     def object_from_file(self) -> Similarity:

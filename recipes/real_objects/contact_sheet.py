@@ -12,7 +12,7 @@ from gscomplete.evaluate import contact_sheet, render_images, save_image
 from gscomplete.splats import transform_splats
 from gscomplete.views import ObjectFrame, ViewDistribution
 from recipes.entry_point import start
-from recipes.real_objects.load import RealObject, frame_of, load_real_object, names
+from recipes.real_objects.load import RealObject, load_real_object, names
 
 _logger = logging.getLogger(__name__)
 
@@ -35,7 +35,7 @@ class SheetOptions:
 
 def object_row(item: RealObject, size_px: int) -> list[Image.Image]:
     """Draw whole and part of one object from azimuths 30 and 210."""
-    frame: ObjectFrame = item.true_frame or frame_of(item.partial, item.up)
+    frame: ObjectFrame = item.true_frame or ObjectFrame.about(item.partial, item.up)
     pictures = []
     for splats in (item.complete, item.partial):
         if splats is None:

@@ -52,7 +52,7 @@ class RealObject:
     @property
     def true_frame(self) -> ObjectFrame | None:
         """Object frame of the whole object, where it is known."""
-        return None if self.complete is None else frame_of(self.complete, self.up)
+        return None if self.complete is None else ObjectFrame.about(self.complete, self.up)
 
 
 def names() -> list[str]:
@@ -117,24 +117,13 @@ def manifest_captions(data_dir: Path) -> dict[str, str]:
         return {row["path"]: row["caption"].split(" (")[0] for row in rows}
 
 
-def frame_of(splats: Splats, up: UpAxis) -> ObjectFrame:
-    """Return the object frame of a complete object: centre and largest side of its box.
-
-    The box is that of the middle 99.9 % along every axis: trained splats have floaters.
-    """
-    rotated = splats.means.double() @ up_rotation(up).T
-    low, high = np.quantile(rotated.numpy(), [0.0005, 0.9995], axis=0)
-    x, y, z = ((low + high) / 2).tolist()
-    return ObjectFrame.from_z_up(up, (x, y, z), float((high - low).max()))
-
-
 def cut_object(complete: Splats, entry: Entry) -> PartialCut:
     """Apply an entry's cut in the object frame; the mask fits the splats as given.
 
     Raises:
         UserError: the entry has no cut.
     """
-    frame = frame_of(complete, entry.up)
+    frame = ObjectFrame.about(complete, entry.up)
     whole = transform_splats(complete, frame.object_from_file)
     cut = entry.cut
     if isinstance(cut, PlaneCut):

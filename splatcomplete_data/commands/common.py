@@ -14,6 +14,7 @@ import contextlib
 import dataclasses
 import json
 import math
+import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -64,7 +65,7 @@ class ObjectOptions:
     range: float = 50.0
     """V reaches this many degrees of azimuth to either side of c."""
     up: Literal["auto", "X", "Y", "Z", "-X", "-Y", "-Z"] = "auto"
-    """Axis of the source that points up; auto = by the kind of source (see --help above)."""
+    """Axis of the source that points up; auto = by the kind of source, as told above."""
     center: str | None = None
     """Centre of the WHOLE object as X,Y,Z in the source's coordinates, those of --box, also where
     an offset or --level moves the splats; None = known or guessed."""
@@ -79,7 +80,8 @@ class ObjectOptions:
     overwrite: bool = False
     """Replace --out if it exists."""
     json: bool = False
-    """Print the content of object.json on standard output and nothing else there."""
+    """Print the content of object.json, and as complete_command the line that completes the part
+    (null without a part), on standard output and nothing else there."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,10 +120,12 @@ def finish_object(options: ObjectOptions, made: Made) -> int:
 
 def report_object(options: ObjectOptions, made: Made, record: ObjectRecord) -> int:
     """Tell what was made and written; return the exit code."""
-    if options.json:
-        sys.stdout.write(json.dumps(record.to_json()) + "\n")
-        return 0
     folder = options.out or default_folder(made.source_file)
+    command = complete_command(folder, record)
+    if options.json:
+        content = {**record.to_json(), "complete_command": command}
+        sys.stdout.write(json.dumps(content) + "\n")
+        return 0
     for step in record.steps:
         say(options, step.summary())
     say(options, *record.notes)
@@ -133,7 +137,34 @@ def report_object(options: ObjectOptions, made: Made, record: ObjectRecord) -> i
         f"{record.views.elevation_deg:g} +/-{record.views.azimuth_range_deg:g} degrees",
         f"written: {folder} ({', '.join(f'{n:,} {k}' for k, n in record.counts.items())})",
     )
+    if command is not None:
+        say(options, f"complete it: {command}")
     return 0
+
+
+def complete_command(folder: Path, record: ObjectRecord) -> str | None:
+    """Return the shell's line that completes an object's part; None = it has none.
+
+    Centre and size are left to ``gscomplete``: its guesses are as good as the record's.
+    """
+    from splatcomplete_data.objects import PARTIAL_FILE
+
+    if PARTIAL_FILE not in record.files:
+        return None
+    views = record.views
+    words = [
+        *("gscomplete", "complete", str(folder / PARTIAL_FILE)),
+        *(
+            ("--prompt", record.prompt)
+            if record.prompt[0] != "-"
+            else (f"--prompt={record.prompt}",)
+        ),
+        f"--up={record.frame.up}",
+        f"--view={views.azimuth_deg:g},{views.elevation_deg:g}",
+        f"--range={views.azimuth_range_deg:g}",
+        *("--out", f"{folder}_completed"),
+    ]
+    return shlex.join(words)
 
 
 def store_object(options: ObjectOptions, made: Made) -> ObjectRecord:

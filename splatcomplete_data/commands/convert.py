@@ -16,6 +16,8 @@ from splatcomplete_data.commands.common import say
 class ConvertOptions:
     """Convert a splat file: .ply, .compressed.ply, .splat, .spz.
 
+    What the target cannot hold is named, and so are properties and comments beside the splats.
+
     Example: splatcomplete-data convert biker.spz biker.ply
     """
 
@@ -35,7 +37,7 @@ def run(options: ConvertOptions) -> int:
     if options.target.exists() and not options.overwrite:
         raise UserError(f"{options.target}: it exists; replace it with --overwrite")
     found = read_any_splats(options.source)
-    lost = write_any_splats(options.target, found.splats)
+    lost = (*found.left, *write_any_splats(options.target, found.splats))
     say(options, *found.notes)
     if lost:
         say(options, f"lost: {', '.join(lost)}")

@@ -28,7 +28,8 @@ class CropOptions(ObjectOptions):
     """Cut an object out of a trained scene with boxes; records are copied byte for byte.
 
     FILE is a splat PLY, or the capture folder of `images`, whose cameras make `--box auto` better
-    and give the up axis and the input view. Frame and harmonics are not touched; the boxes are
+    and give the up axis and the input view; of a splat file up is -Y unless --up says otherwise,
+    and --up is obeyed for either. Frame and harmonics are not touched; the boxes are
     recorded, and boxes.png shows them over the scene and what they keep.
 
     Example: splatcomplete-data crop capture --box auto --propose
@@ -50,7 +51,7 @@ def run(options: CropOptions) -> int:
     """Crop; return the exit code."""
     from splatcomplete_data.multiview.scene import read_scene
 
-    scene = read_scene(options.file)
+    scene = read_scene(options.file, None if options.up == "auto" else options.up)
     if not options.propose:
         check_out(options, scene.name)
     boxes, notes = _boxes(options, scene)

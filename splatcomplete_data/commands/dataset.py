@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import statistics
 import sys
 from collections import Counter
 from dataclasses import dataclass
@@ -58,7 +59,11 @@ class ValidateOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class StatsOptions:
-    """Print what a dataset holds, and draw its contact sheet."""
+    """Print what a dataset holds, and draw its contact sheet.
+
+    Folders without an object are left out and named, and so are objects that the recipe of the last
+    build does not have.
+    """
 
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """Dataset or object folder."""
@@ -70,7 +75,11 @@ class StatsOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ListOptions:
-    """List the objects of a dataset."""
+    """List the objects of a dataset.
+
+    Folders without an object are left out and named, and so are objects that the recipe of the last
+    build does not have.
+    """
 
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """Dataset or object folder."""
@@ -132,9 +141,10 @@ def run_validate(options: ValidateOptions) -> int:
 def run_stats(options: StatsOptions) -> int:
     """Print the table and draw the sheet; return the exit code."""
     from gscomplete.evaluate.pictures import save_image
-    from splatcomplete_data.dataset.stats import draw_sheet, table
+    from splatcomplete_data.dataset.stats import draw_sheet, survey
 
-    rows = table(options.folder)
+    found = survey(options.folder)
+    rows = found.rows
     subsets = sorted({row.subset for row in rows})
     lines = [
         f"{'subset':12} {'objects':>7} {'splats of the parts':>26} {'with truth':>10} {'MB':>8}"
@@ -143,7 +153,7 @@ def run_stats(options: StatsOptions) -> int:
     for subset in subsets:
         mine = [row for row in rows if row.subset == subset]
         parts = sorted(row.partial or row.complete for row in mine)
-        spread = f"{parts[0]:,} / {parts[len(parts) // 2]:,} / {parts[-1]:,}"
+        spread = f"{parts[0]:,} / {statistics.median(parts):,.10g} / {parts[-1]:,}"
         known = sum(row.complete > 0 for row in mine)
         size = sum(row.megabytes for row in mine)
         lines.append(f"{subset:12} {len(mine):7} {spread:>26} {known:10} {size:8.1f}")
@@ -154,19 +164,22 @@ def run_stats(options: StatsOptions) -> int:
         sys.stdout.write(json.dumps(data) + "\n")
     else:
         say(options, *lines)
+    say(options, *found.notes)
     if options.sheet is not None or not options.json:
         path = options.sheet or Path("contact_sheet.png")
-        save_image(draw_sheet(options.folder), path)
+        save_image(draw_sheet(options.folder, rows), path)
         say(options, f"written: {path}")
     return 0
 
 
 def run_list(options: ListOptions) -> int:
     """List the objects; return the exit code."""
-    from splatcomplete_data.dataset.stats import table
+    from splatcomplete_data.dataset.stats import survey
 
-    rows = table(options.folder)
+    found = survey(options.folder)
+    rows = found.rows
     if options.json:
+        say(options, *found.notes)
         sys.stdout.write(json.dumps([dataclasses.asdict(row) for row in rows]) + "\n")
         return 0
     width = max(len(row.id) for row in rows)
@@ -174,4 +187,5 @@ def run_list(options: ListOptions) -> int:
         whole = f" of {row.complete:,}" if row.complete else ""
         count = f"{row.partial:,}{whole}"
         say(options, f"{row.subset:10} {row.id:{width}} {count:>20}  {row.prompt}")
+    say(options, *found.notes)
     return 0

@@ -101,9 +101,9 @@ def make(options: MeshOptions, enter: Enter = stay_silent) -> Made:
     Raises:
         UserError: the mesh cannot be read or has no surface, or a cut is wrong.
     """
+    from gscomplete.views import ObjectFrame
     from splatcomplete_data.commands.common import framing_request
     from splatcomplete_data.cuts import apply_cuts, parse_cut
-    from splatcomplete_data.framing import frame_of_whole
     from splatcomplete_data.mesh.convert import ConvertSettings, convert_mesh
     from splatcomplete_data.mesh.load import BakedLight, load_mesh
     from splatcomplete_data.mesh.up_axis import up_of_mesh_file
@@ -129,7 +129,7 @@ def make(options: MeshOptions, enter: Enter = stay_silent) -> Made:
     steps: tuple[StepRecord, ...] = ()
     if cuts:
         enter("cutting", 0.5)
-        frame = frame_of_whole(complete, request.up)
+        frame = ObjectFrame.about(complete, request.up)
         part, steps = apply_cuts(complete, frame, cuts, (), str(options.file))
     moved = None if mesh.offset is None else without_offset(mesh.offset)
     far = () if mesh.offset is None else (offset_note(mesh.offset),)

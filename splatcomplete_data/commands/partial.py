@@ -19,15 +19,17 @@ from splatcomplete_data.commands.common import (
 )
 
 if TYPE_CHECKING:
-    from gscomplete.splats import Splats
-    from splatcomplete_data.objects import StepRecord
+    from gscomplete.splats import Similarity, Splats
+    from splatcomplete_data.objects import ObjectRecord, StepRecord
 
 
 @dataclass(frozen=True, kw_only=True)
 class PartialOptions(ObjectOptions):
     """Cut a part out of a complete object, so that a pair (partial, complete) exists.
 
-    FILE is a splat file or an object folder with a complete.ply.
+    FILE is a splat file or an object folder with a complete.ply. Up is what the folder's
+    object.json says, also where FILE is one of its files; of another splat file it is -Y unless
+    --up says otherwise.
 
     Example: splatcomplete-data partial duck --cut scan:30/20 --out duck_scanned
     """
@@ -41,7 +43,7 @@ class PartialOptions(ObjectOptions):
     seen_from_views: int = 0
     """Keep what this many views of V (--view, --range) can see; 0 = do not cut by visibility."""
     subset: Literal["multiview", "singleview", "lidar", "mesh"] = "multiview"
-    """Kind of source recorded for a splat file; an object folder keeps its own."""
+    """Kind of source recorded for a splat file; what is of an object folder keeps its own."""
 
 
 def run(options: PartialOptions) -> int:
@@ -54,31 +56,24 @@ def make(options: PartialOptions) -> tuple[PartialOptions, Made]:
     """Read the whole and cut the part.
 
     Returns:
-        The options, with prompt, licence, origin and up axis of an object folder filled in where
-        they were not given, and what was made.
+        The options, with prompt, licence and origin of an object folder filled in where they were
+        not given, and what was made.
 
     Raises:
         UserError: the file cannot be read, no cut is given, or the cuts keep nothing.
     """
-    from gscomplete.splats import Similarity
+    from gscomplete.views import ObjectFrame
     from splatcomplete_data.boxes import parse_box
     from splatcomplete_data.cuts import ScanCut, apply_cuts, parse_cut
-    from splatcomplete_data.formats import read_any_splats
-    from splatcomplete_data.framing import frame_of_whole
-    from splatcomplete_data.objects import read_object
+    from splatcomplete_data.framing import SPLAT_FILE_UP, UP_ASSUMED
 
     cuts = [parse_cut(text) for text in options.cut]
     boxes = tuple(parse_box(text) for text in options.box)
-    subset = options.subset
-    default_up: Literal["X", "Y", "Z", "-X", "-Y", "-Z"] = "-Y"
+    whole = _read_whole(options.file)
+    subset, default_up = options.subset, SPLAT_FILE_UP
     details: dict[str, str] = {}
-    file_from_source: Similarity | None = None
-    notes: tuple[str, ...] = ()
-    if options.file.is_dir():
-        source = read_object(options.file)
-        if source.complete is None:
-            raise UserError(f"{options.file}: expected complete.ply in the object folder")
-        complete, record = source.complete, source.record
+    notes, record = whole.notes, whole.record
+    if record is not None:
         subset, default_up = record.subset, record.frame.up
         options = dataclasses.replace(
             options,
@@ -87,14 +82,11 @@ def make(options: PartialOptions) -> tuple[PartialOptions, Made]:
             origin=options.origin or record.source.origin,
         )
         details = {"complete_from": record.id, "source": record.source.file}
-        if record.file_from_source is not None:
-            file_from_source = Similarity.from_json(record.file_from_source)
-    else:
-        found = read_any_splats(options.file)
-        complete, notes, file_from_source = found.splats, found.notes, found.file_from_source
-    complete, dropped = _drawable(complete, options.file)
+    elif options.up == "auto":
+        notes = (*notes, UP_ASSUMED)
+    complete, dropped = _drawable(whole.splats, options.file)
     request = framing_request(options, default_up)
-    frame = frame_of_whole(complete, request.up)
+    frame = ObjectFrame.about(complete, request.up)
     if options.seen_from_views > 0:
         from gscomplete.views import ViewDistribution
 
@@ -106,9 +98,55 @@ def make(options: PartialOptions) -> tuple[PartialOptions, Made]:
     if not cuts and not boxes:
         raise UserError("partial: expected --cut, --box or --seen-from-views, found none of them")
     part, steps = apply_cuts(complete, frame, cuts, boxes, str(options.file))
-    steps = (*dropped, *steps)
-    made = Made(subset, options.file, part, complete, request.up, steps, notes, boxes=boxes)
-    return options, dataclasses.replace(made, details=details, file_from_source=file_from_source)
+    made = Made(
+        subset,
+        options.file,
+        part,
+        complete,
+        request.up,
+        (*dropped, *steps),
+        notes,
+        boxes=boxes,
+        file_from_source=whole.file_from_source,
+        details=details,
+    )
+    return options, made
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Whole:
+    """A complete object, as read."""
+
+    splats: Splats
+    record: ObjectRecord | None
+    """What is known of it; None = a splat file alone."""
+    notes: tuple[str, ...] = ()
+    file_from_source: Similarity | None = None
+
+
+def _read_whole(path: Path) -> _Whole:
+    """Read a splat file, alone or of an object folder, or an object folder's whole.
+
+    Raises:
+        UserError: it cannot be read, or the folder has no whole.
+    """
+    from gscomplete.splats import Similarity
+    from splatcomplete_data.formats import read_any_splats
+    from splatcomplete_data.objects import read_object, record_of_file
+
+    notes: tuple[str, ...] = ()
+    if path.is_dir():
+        source = read_object(path)
+        if source.complete is None:
+            raise UserError(f"{path}: expected complete.ply in the object folder")
+        splats, record = source.complete, source.record
+    else:
+        found, known = read_any_splats(path), record_of_file(path)
+        if known is None:
+            return _Whole(found.splats, None, found.notes, found.file_from_source)
+        splats, record, notes = found.splats, known, found.notes
+    turn = record.file_from_source
+    return _Whole(splats, record, notes, None if turn is None else Similarity.from_json(turn))
 
 
 def _drawable(splats: Splats, source: Path) -> tuple[Splats, tuple[StepRecord, ...]]:

@@ -119,8 +119,9 @@ def made_from_points(
     """
     import torch
 
+    from gscomplete.views import ObjectFrame
     from splatcomplete_data.commands.common import framing_request
-    from splatcomplete_data.framing import frame_of_whole, view_from_position
+    from splatcomplete_data.framing import view_from_position
     from splatcomplete_data.points import offset_note
     from splatcomplete_data.scan.make import make_part
     from splatcomplete_data.scan.picture import removed_sheet
@@ -136,7 +137,7 @@ def made_from_points(
         eye = (x, y, z)
     view = (30.0, 25.0)
     if eye is not None:
-        view = view_from_position(frame_of_whole(part.splats, up), eye)
+        view = view_from_position(ObjectFrame.about(part.splats, up), eye)
     pictures = {}
     if (part.reason >= 0).any():
         enter("drawing what was removed", 0.6)

@@ -43,7 +43,7 @@ from splatcomplete_data.dataset.recipe import Entry, Recipe
 from splatcomplete_data.mesh.side_files import side_files
 from splatcomplete_data.multiview.capture import find_masks
 from splatcomplete_data.multiview.capture_folder import clear_capture
-from splatcomplete_data.objects import RECORD_FILE, read_record
+from splatcomplete_data.objects import RECORD_FILE, read_record, record_of_file
 from splatcomplete_data.pictures import allow_large_pictures
 
 STATE_FOLDER = ".build"
@@ -164,6 +164,8 @@ def fingerprint(entry: Entry, data: Path, out: Path) -> str:
         paths += [masks for masks in found if masks is not None]
     for name in entry.captures():
         paths.append(out / STATE_FOLDER / CAPTURE_FOLDER / name / "splats.ply")
+    if entry.command == "partial":  # what is beside the file of an object says which way is up
+        paths += [path.with_name(RECORD_FILE) for path in paths if record_of_file(path)]
     for path in paths:
         inner = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())
         for file in inner:

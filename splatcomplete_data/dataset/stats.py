@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,7 +10,8 @@ from PIL import Image
 
 from gscomplete.errors import UserError
 from gscomplete.splats import transform_splats, usable_rows
-from splatcomplete_data.dataset.validate import object_folders
+from splatcomplete_data.dataset.build import INDEX_FILE
+from splatcomplete_data.dataset.validate import object_folders, read_index
 from splatcomplete_data.objects import Subset, read_object, read_record
 
 
@@ -18,6 +20,8 @@ class ObjectRow:
     """One object in a table."""
 
     id: str
+    folder: str
+    """Its folder, relative to the dataset."""
     subset: Subset
     prompt: str
     partial: int
@@ -27,20 +31,44 @@ class ObjectRow:
     range_deg: float
     megabytes: float
     licence: str
+    in_recipe: bool | None
+    """Whether the recipe of the last build has it; None = not known."""
 
 
-def table(dataset: Path) -> list[ObjectRow]:
-    """Return a row per object, by subset and id.
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """The objects of a dataset that can be read."""
+
+    rows: tuple[ObjectRow, ...]
+    """A row per object, by subset and id."""
+    notes: tuple[str, ...]
+    """Which folders were left out and why, and which objects the recipe does not have."""
+
+
+def survey(dataset: Path) -> Survey:
+    """Read the records of a dataset, leaving out folders without a sound one.
 
     Raises:
-        UserError: there is no object, or a record is broken.
+        UserError: there is no object that can be read.
     """
-    rows = []
-    for folder in object_folders(dataset):
-        record = read_record(folder)
+    listed = None
+    rows, notes = [], []
+    folders = object_folders(dataset)
+    if folders != [dataset]:
+        try:
+            listed = read_index(dataset)
+        except UserError as error:
+            notes.append(str(error))
+    for folder in folders:
+        try:
+            record = read_record(folder)
+        except UserError as error:
+            notes.append(f"left out: {error}")
+            continue
         rows.append(
             ObjectRow(
                 record.id,
+                folder.relative_to(dataset).as_posix(),
                 record.subset,
                 record.prompt,
                 record.counts.get("partial", 0),
@@ -49,27 +77,32 @@ def table(dataset: Path) -> list[ObjectRow]:
                 record.views.azimuth_range_deg,
                 sum(file.bytes for file in record.files.values()) / 1e6,
                 record.source.licence or "not stated",
+                None if listed is None else folder.name in listed,
             )
         )
-    return sorted(rows, key=lambda row: (row.subset, row.id))
+        if rows[-1].in_recipe is False:
+            notes.append(f"not in the recipe (by {INDEX_FILE}): {record.id}")
+    if not rows:
+        raise UserError(f"{dataset}: expected objects, found none; {notes[0]}")
+    return Survey(tuple(sorted(rows, key=lambda row: (row.subset, row.id))), tuple(notes))
 
 
-def draw_sheet(dataset: Path, size_px: int = 160, columns: int = 6) -> Image.Image:
+def draw_sheet(
+    dataset: Path, rows: Sequence[ObjectRow], size_px: int = 160, columns: int = 6
+) -> Image.Image:
     """Draw every object from its input view c and from the opposite side.
 
     Raises:
-        UserError: there is no object, or one cannot be read.
+        UserError: an object cannot be read or drawn.
     """
     from gscomplete.evaluate.pictures import contact_sheet, render_images
 
     tiles = []
-    rows = table(dataset)
-    folders = {read_record(folder).id: folder for folder in object_folders(dataset)}
     for row in rows:
-        item = read_object(folders[row.id])
+        item = read_object(dataset / row.folder)
         usable = usable_rows(item.partial)[0]
         if not bool(usable.any()):
-            raise UserError(f"{folders[row.id]}: no splat can be drawn")
+            raise UserError(f"{item.folder}: no splat can be drawn")
         moved = transform_splats(item.partial.select(usable), item.record.frame.object_from_file)
         pictures = render_images(moved, item.record.views.ring(2, size_px))
         tiles.append(contact_sheet([pictures], title=f"{row.subset}: {row.id}"[:44]))

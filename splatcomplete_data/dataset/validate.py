@@ -65,6 +65,26 @@ def object_folders(dataset: Path) -> list[Path]:
     return folders
 
 
+def read_index(dataset: Path) -> dict[str, str] | None:
+    """Return the SHA-256 of each object.json by id, as the last build listed its recipe's objects.
+
+    None = there is no ``dataset.json``.
+
+    Raises:
+        UserError: it is not what it should be.
+    """
+    path = dataset / INDEX_FILE
+    if not path.is_file():
+        return None
+    data = jsonio.read_json(path)
+    try:
+        if data["schema"] != INDEX_SCHEMA:
+            raise KeyError("schema")
+        return {str(row["id"]): str(row["object_sha256"]) for row in data["objects"]}
+    except (KeyError, TypeError) as error:
+        raise UserError(f"{path}: expected the index of a dataset ({error!r})") from error
+
+
 def validate_dataset(dataset: Path) -> tuple[int, list[ObjectFinding]]:
     """Check a dataset.
 
@@ -204,17 +224,13 @@ def _same_parts(records: dict[str, ObjectRecord]) -> Iterator[ObjectFinding]:
 
 def _check_index(dataset: Path, folders: list[Path]) -> Iterator[ObjectFinding]:
     """Check ``dataset.json`` against the folders."""
-    path = dataset / INDEX_FILE
-    if not path.is_file():
-        yield ObjectFinding("dataset", "no_index", "warning", f"no {INDEX_FILE}")
-        return
     try:
-        data = jsonio.read_json(path)
-        if data["schema"] != INDEX_SCHEMA:
-            raise KeyError("schema")
-        listed = {row["id"]: row["object_sha256"] for row in data["objects"]}
-    except (UserError, KeyError, TypeError) as error:
-        yield ObjectFinding("dataset", "bad_index", "error", f"{INDEX_FILE}: {error}")
+        listed = read_index(dataset)
+    except UserError as error:
+        yield ObjectFinding("dataset", "bad_index", "error", str(error))
+        return
+    if listed is None:
+        yield ObjectFinding("dataset", "no_index", "warning", f"no {INDEX_FILE}")
         return
     names = {folder.name for folder in folders}
     for name in sorted(set(listed) - names):

@@ -3,7 +3,8 @@
 Conventions
 -----------
 * A capture folder (``reconstruct``) gives cameras, what they look at, and the up direction; a
-  plain PLY gives none of them, and its up axis is -Y, as in most trained files.
+  plain PLY gives none of them, and its up axis is -Y, as in most trained files. Who knows better
+  says so, of either.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from gscomplete.splats.ply import SplatFile
 from gscomplete.splats.transform import Similarity
 from gscomplete.views import Cameras, UpAxis, orbit_cameras, radius_to_fit, up_rotation
 from splatcomplete_data.boxes import CropBox
+from splatcomplete_data.framing import SPLAT_FILE_UP, UP_ASSUMED
 from splatcomplete_data.multiview.capture_folder import CAPTURE_FILE, SPLATS_FILE
 from splatcomplete_data.multiview.propose_box import Focus, focus_of_cameras, focus_of_splats
 from splatcomplete_data.multiview.reconstruct import SCHEMA
@@ -42,6 +44,7 @@ class Scene:
     capture: dict[str, Any] | None  # content of capture.json
     cameras: tuple[Cameras, ...]
     up_axis: UpAxis
+    up: NDArray[np.float64]  # [3], in the file's frame
     near: float
     notes: tuple[str, ...]
 
@@ -56,9 +59,9 @@ class Scene:
     def focus(self) -> Focus:
         """Return where to look for the object."""
         if self.capture is None:
-            return focus_of_splats(self.file.splats, self._up())
+            return focus_of_splats(self.file.splats, self.up)
         look_at = np.array(self.capture["look_at"], np.float64)
-        return focus_of_cameras(self.cameras, look_at, self._up())
+        return focus_of_cameras(self.cameras, look_at, self.up)
 
     def picture_cameras(self, boxes: Sequence[CropBox]) -> list[Cameras]:
         """Return cameras to draw from: some of the capture's, or an orbit about the boxes."""
@@ -112,12 +115,6 @@ class Scene:
         low, high = np.quantile(points, [0.02, 0.98], axis=0)
         return (low + high) / 2, max(float((high - low).max()), 1e-9)
 
-    def _up(self) -> NDArray[np.float64]:  # [3]
-        """Return the up direction in the file's frame."""
-        if self.capture is not None:
-            return np.array(self.capture["up"], np.float64)
-        return np.asarray(up_rotation(self.up_axis).numpy()[2])
-
 
 def _fitted(camera: Cameras) -> Cameras:
     """Return a camera whose picture is about as high as the others of a sheet."""
@@ -127,18 +124,23 @@ def _fitted(camera: Cameras) -> Cameras:
     )
 
 
-def read_scene(path: Path) -> Scene:
+def read_scene(path: Path, up_axis: UpAxis | None = None) -> Scene:
     """Read a splat PLY or a capture folder.
+
+    Args:
+        path: the file or folder.
+        up_axis: the file axis that points up; None = as the capture's cameras say, else -Y.
 
     Raises:
         UserError: it is neither, or the capture is not finished.
     """
     if not path.is_dir():
-        note = "no cameras are known: the up axis is taken to be -Y unless --up says otherwise"
         file = read_splats(path)
         low, high = (corner.double() for corner in _bounds(file))
         near = 1e-3 * max(float((high - low).max()), 1e-9)
-        return Scene(path, file, None, (), "-Y", near, (note,))
+        notes = () if up_axis else (UP_ASSUMED,)
+        axis = up_axis or SPLAT_FILE_UP
+        return Scene(path, file, None, (), axis, _direction(axis), near, notes)
     if not (path / CAPTURE_FILE).is_file():
         raise UserError(f"{path}: expected a splat PLY or a capture folder with {CAPTURE_FILE}")
     capture = jsonio.read_json(path / CAPTURE_FILE)
@@ -148,22 +150,37 @@ def read_scene(path: Path) -> Scene:
         raise UserError(f"{path}: the capture is not finished; continue it with images --resume")
     try:
         cameras = tuple(_camera(entry) for entry in capture["cameras"])
-        up = np.array(capture["up"], np.float64)
+        up = np.array(capture["up"], np.float64).reshape(3)
+        if not 0 < np.linalg.norm(up) < np.inf:
+            raise ValueError(f"up: expected a direction, found {capture['up']}")
         near = _NEAR_EXTENT * float(capture["extent"])
         np.array(capture["look_at"], np.float64).reshape(3)
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path / CAPTURE_FILE}: cannot understand it ({error!r})") from error
-    axis, angle = nearest_axis(up)
+    axis = up_axis or nearest_axis(up)
+    angle = _angle_deg(up, _direction(axis))
     note = f"up axis {axis}, {angle:.0f} degrees from the cameras' mean up direction"
-    return Scene(path, read_splats(path / SPLATS_FILE), capture, cameras, axis, near, (note,))
+    if up_axis:
+        up = _direction(up_axis)
+    file = read_splats(path / SPLATS_FILE)
+    return Scene(path, file, capture, cameras, axis, up, near, (note,))
 
 
-def nearest_axis(up: NDArray[np.float64]) -> tuple[UpAxis, float]:  # [3]
-    """Return the file axis nearest to a direction, and the angle between them in degrees."""
+def nearest_axis(up: NDArray[np.float64]) -> UpAxis:  # [3]
+    """Return the file axis nearest to a direction."""
     axes: tuple[UpAxis, ...] = ("X", "Y", "Z", "-X", "-Y", "-Z")
-    along = np.concatenate([up, -up]) / np.linalg.norm(up)
-    best = int(along.argmax())
-    return axes[best], float(np.degrees(np.arccos(min(along[best], 1.0))))
+    return axes[int(np.concatenate([up, -up]).argmax())]
+
+
+def _direction(axis: UpAxis) -> NDArray[np.float64]:  # [3]
+    """Return a file axis as a direction."""
+    return np.asarray(up_rotation(axis).numpy()[2])
+
+
+def _angle_deg(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:  # [3], [3]
+    """Return the angle between two directions in degrees."""
+    along = float(a @ b) / float(np.linalg.norm(a) * np.linalg.norm(b))
+    return float(np.degrees(np.arccos(min(max(along, -1.0), 1.0))))
 
 
 def _bounds(file: SplatFile) -> tuple[torch.Tensor, torch.Tensor]:

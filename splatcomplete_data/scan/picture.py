@@ -11,7 +11,6 @@ from PIL import Image, ImageDraw
 from gscomplete.evaluate.pictures import contact_sheet, render_images
 from gscomplete.splats import Splats, colors_to_sh, transform_splats
 from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution
-from splatcomplete_data.framing import frame_of_whole
 from splatcomplete_data.points import points_to_splats, thin_to_count
 from splatcomplete_data.scan.make import Part
 
@@ -40,8 +39,8 @@ def removed_sheet(
         color = torch.tensor(REASON_COLORS.get(name, OTHER_COLOR))
         gone = torch.from_numpy(reason == index)
         tinted[gone] = 0.25 * tinted[gone] + 0.75 * color
-    frame = frame_of_whole(splats, up)
-    own = frame_of_whole(part.splats, up)
+    frame = ObjectFrame.about(splats, up)
+    own = ObjectFrame.about(part.splats, up)
     shown = [
         (splats, frame),
         (dataclasses.replace(splats, sh=colors_to_sh(tinted)), frame),

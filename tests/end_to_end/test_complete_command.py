@@ -153,12 +153,40 @@ def test_what_the_input_view_does_not_show_is_refused_before_the_run(tmp_path):
     hidden, seen = tmp_path / "hidden.ply", tmp_path / "seen.ply"
     write_splats(hidden, dataclasses.replace(shell(), opacities=torch.zeros(800)))
     write_splats(seen, shell())
-    for path, more in ((hidden, ()), (seen, ("--center", "9,9,9"))):
+    cases = (
+        (hidden, (), "input view"),
+        (seen, ("--center", "9,9,9"), "expected a frame that P lies in"),
+        (seen, ("--size", "1000"), "--size: expected at most"),
+    )
+    for path, more, message in cases:
         result = complete(path, tmp_path / "out", *more)
         assert result.returncode == 2
         assert path.name in result.stderr
-        assert "input view" in result.stderr
+        assert message in result.stderr
         assert not (tmp_path / "out").exists()
+
+
+def test_an_object_folder_is_told_what_to_pass(tmp_path):
+    folder = tmp_path / "object"
+    folder.mkdir()
+    write_splats(folder / "partial.ply", shell())
+    refused = complete(folder, tmp_path / "out")
+    assert refused.returncode == 2
+    assert f"its part is {folder / 'partial.ply'}" in refused.stderr
+    quick = ("--prompt", "a mug", "--preset", "fast", "--json")
+    for number, (record, more, is_told) in enumerate(
+        [
+            ('{"frame": {"up": "-Y"}}', (), True),
+            ('{"frame": {"up": "-Y"}}', ("--up=-Y",), False),
+            ('{"frame": []}', (), False),
+        ]
+    ):
+        (folder / "object.json").write_text(record)
+        out = tmp_path / str(number)
+        result = gscomplete("complete", folder / "partial.ply", "--out", out, *quick, *more)
+        assert result.returncode == 0, result.stderr
+        assert ("-Y points up, but Z is taken to: pass --up=-Y" in result.stderr) == is_told
+        json.loads(result.stdout)
 
 
 def test_single_splat_needs_a_frame_and_then_completes(tmp_path):

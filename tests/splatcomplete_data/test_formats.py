@@ -2,12 +2,15 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 from gscomplete.errors import UserError
-from gscomplete.splats import Splats
+from gscomplete.splats import Splats, read_splats
+from splatcomplete_data.cli import main
 from splatcomplete_data.formats import format_of, read_any_splats, write_any_splats
+from tests.splats.ply_files import FORMATS, make_ply, random_table
 
 DATA = Path(__file__).resolve().parents[2] / "../shared/data/splats"
 
@@ -48,6 +51,35 @@ def test_round_trip(tmp_path: Path, kind: str) -> None:
     assert ((covariances(a) - covariances(b)).abs() / size).median() < 0.05
     if kind == "spz":
         torch.testing.assert_close(a.sh[:, 1:], b.sh[:, 1:], atol=0.08, rtol=0)
+
+
+def convert(tmp_path: Path, raw: bytes, capsys: pytest.CaptureFixture[str]) -> str:
+    (tmp_path / "in.ply").write_bytes(raw)
+    assert main(["convert", str(tmp_path / "in.ply"), str(tmp_path / "out.ply")]) == 0
+    return capsys.readouterr().out
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_what_a_converted_ply_lacks_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], form: str
+) -> None:
+    table = random_table(3, 0)
+    table |= {"nx": np.zeros(3), "ny": np.zeros(3), "nz": np.array([0, 1, 0]), "label": np.ones(3)}
+    extra = ("element camera 0\nproperty float f\n", b"")
+    comments = tuple(f"text {number}" for number in range(7))
+    raw = make_ply(table, form, types={"label": "uchar"}, comments=comments, after=extra)
+    said = convert(tmp_path, raw, capsys)
+    assert "lost: properties label, nx, ny, nz, elements camera, comments 'text 0'," in said
+    assert "'text 4' and 2 more" in said
+    assert read_splats(tmp_path / "out.ply").comments == ()
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_normals_of_zeros_are_no_loss(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], form: str
+) -> None:
+    table = random_table(3, 0) | {name: np.zeros(3) for name in ("nx", "ny", "nz")}
+    assert "lost" not in convert(tmp_path, make_ply(table, form), capsys)
 
 
 def test_odd_files_are_user_errors(tmp_path: Path) -> None:

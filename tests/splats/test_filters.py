@@ -2,8 +2,9 @@
 
 import torch
 
-from gscomplete.splats.filters import usable_rows
+from gscomplete.splats.filters import near_rows, usable_rows
 from gscomplete.splats.record import Splats
+from tests.splats.ply_files import make_splats
 
 
 def test_each_reason_is_counted_once():
@@ -27,3 +28,14 @@ def test_no_splats():
     empty = Splats(*(torch.zeros(0, *s) for s in [(3,), (4,), (3,), (), (1, 3)]))
     keep, counts = usable_rows(empty)
     assert (len(keep), counts) == (0, {})
+
+
+def test_what_is_far_outside_the_others_is_counted():
+    splats = make_splats(200)
+    assert near_rows(splats)[1] == {}
+    splats.means[7, 1] = -1e3
+    keep, counts = near_rows(splats)
+    assert (~keep).nonzero().tolist() == [[7]]
+    assert counts == {"far_away": 1}
+    splats.means[:] = 0  # no extent: nothing is farther than another
+    assert bool(near_rows(splats)[0].all())

@@ -39,6 +39,8 @@ BAD = {
     ),
 }
 
+PACKED = b"ply\nformat ascii 1.0\nelement vertex 0\nproperty uint packed_position\nend_header\n"
+
 
 @pytest.mark.parametrize("name", BAD)
 def test_bad_files(tmp_path, name):
@@ -49,6 +51,22 @@ def test_bad_files(tmp_path, name):
         read_splats(path)
     assert caught.value.finding == finding
     assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("a.compressed.ply", PACKED),
+        ("a.spz", b"NGSP\x04\0\0\0"),
+        ("a.spz", gzip.compress(b"x")),
+        ("a.splat", bytes(32)),
+    ],
+)
+def test_files_that_this_package_converts_say_how(tmp_path, name, content):
+    (tmp_path / name).write_bytes(content)
+    suffix = name.removeprefix("a")
+    with pytest.raises(PlyError, match=f"splatcomplete-data convert IN{suffix} OUT.ply"):
+        read_splats(tmp_path / name)
 
 
 def test_missing_file_and_folder(tmp_path):

@@ -11,12 +11,11 @@ from hypothesis import strategies as st
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, colors_to_sh
-from gscomplete.views import up_rotation
+from gscomplete.views import ObjectFrame, up_rotation
 from recipes.real_objects.catalogue import ENTRIES, BoxCut, Entry, PlaneCut, ScanCut
 from recipes.real_objects.load import (
     cut_object,
     find,
-    frame_of,
     level_rotation,
     load_real_object,
     manifest_captions,
@@ -74,7 +73,7 @@ def test_unknown_names_and_missing_data_are_user_errors(tmp_path: Path) -> None:
 @pytest.mark.parametrize("up", ["X", "Y", "Z", "-X", "-Y", "-Z"])
 def test_cuts_are_made_in_the_object_frame(up: str) -> None:
     splats = box_splats(up)
-    frame = frame_of(splats, up)  # type: ignore[arg-type]
+    frame = ObjectFrame.about(splats, up)  # type: ignore[arg-type]
     assert frame.size_file == pytest.approx(4.0, abs=0.02)
     along = (splats.means - 50.0) @ up_rotation(up).float().T  # type: ignore[arg-type]
 

@@ -84,3 +84,35 @@ def test_a_part_of_an_spz_file_remembers_its_turned_axes(tmp_path):
     assert cli.main(["partial", str(path), "--cut", "plane:90", "--out", str(out)]) == 0
     turned = Similarity.from_json(json.loads((out / "object.json").read_text())["file_from_source"])
     assert turned.rotation.diagonal().tolist() == [1.0, -1.0, -1.0]
+
+
+def record_of(folder):
+    return json.loads((folder / "object.json").read_text())
+
+
+@pytest.mark.parametrize("name", ["complete.ply", "partial.ply"])
+def test_a_file_of_an_object_folder_keeps_its_up_axis(tmp_path, capsys, name):
+    path = file_with(tmp_path / "a.ply", NAN, [])
+    ball, part = tmp_path / "ball", tmp_path / "part"
+    arguments = ["partial", str(path), "--cut", "plane:90", "--up", "X", "--prompt", "a ball"]
+    assert cli.main([*arguments, "--subset", "mesh", "--out", str(ball)]) == 0
+    arguments = ["partial", str(ball / name), "--cut", "plane:0", "--out", str(part)]
+    assert cli.main(arguments) == 0
+    record = record_of(part)
+    assert (record["frame"]["up"], record["prompt"], record["subset"]) == ("X", "a ball", "mesh")
+    assert "unless --up says" not in capsys.readouterr().out
+    write_splats(ball / name, BALL)  # no longer the file that the record speaks of
+    assert cli.main([*arguments, "--overwrite"]) == 0
+    assert record_of(part)["frame"]["up"] == "-Y"
+    assert "up axis is taken to be -Y unless --up says" in capsys.readouterr().out
+
+
+def test_the_up_axis_of_a_splat_file_is_assumed_aloud_unless_given(tmp_path, capsys):
+    path = file_with(tmp_path / "a.ply", NAN, [])
+    arguments = ["partial", str(path), "--cut", "plane:90", "--out", str(tmp_path / "part")]
+    assert cli.main(arguments) == 0
+    assert "up axis is taken to be -Y unless --up says" in capsys.readouterr().out
+    assert cli.main([*arguments, "--overwrite", "--up=-Y"]) == 0
+    assert "unless --up says" not in capsys.readouterr().out
+    (tmp_path / "object.json").write_text("[]")  # of something else
+    assert cli.main([*arguments, "--overwrite"]) == 0

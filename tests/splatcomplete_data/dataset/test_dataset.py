@@ -13,7 +13,7 @@ from splatcomplete_data.cli import main
 from splatcomplete_data.commands.images import ImagesOptions
 from splatcomplete_data.dataset.build import _begin_capture, _make, build, fingerprint
 from splatcomplete_data.dataset.recipe import read_recipe
-from splatcomplete_data.dataset.stats import table
+from splatcomplete_data.dataset.stats import survey
 from splatcomplete_data.dataset.validate import validate_dataset
 
 HEAD = "schema: splatcomplete.recipe\nversion: 1\nname: test\n"
@@ -108,13 +108,41 @@ def test_stats_and_list(
     built: tuple[Path, Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, _, _ = built
-    rows = table(out)
-    assert [(row.id, row.subset) for row in rows] == [("box", "mesh")]
+    rows = survey(out).rows
+    assert [(row.id, row.subset, row.in_recipe) for row in rows] == [("box", "mesh", True)]
     assert 0 < rows[0].partial < rows[0].complete
     assert main(["stats", str(out), "--sheet", str(tmp_path / "sheet.png")]) == 0
     assert (tmp_path / "sheet.png").stat().st_size > 1000
     assert main(["list", str(out), "--json"]) == 0
     assert '"id": "box"' in capsys.readouterr().out
+
+
+def test_stray_folders_and_forgotten_objects_are_named(
+    built: tuple[Path, Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(built[0], out)
+    (out / "notes").mkdir()
+    record = json.loads((out / "box/object.json").read_text())
+    for name, count in (("a", 10), ("b", 21), ("c", 40)):
+        shutil.copytree(out / "box", out / name)
+        changed = {**record, "id": name, "counts": {**record["counts"], "partial": count}}
+        (out / name / "object.json").write_text(json.dumps(changed))
+    assert main(["list", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert f"left out: {out / 'notes'}: expected an object folder" in said
+    assert "not in the recipe (by dataset.json): a" in said
+    assert "dataset.json): box" not in said
+    assert main(["stats", str(out), "--sheet", str(tmp_path / "sheet.png")]) == 0
+    most = record["counts"]["partial"]
+    assert f"10 / 30.5 / {most:,}" in capsys.readouterr().out
+    assert main(["stats", str(out), "--json"]) == 0
+    printed = capsys.readouterr()
+    assert len(json.loads(printed.out)["objects"]) == 4
+    assert "notes" in printed.err
+    (tmp_path / "empty/inner").mkdir(parents=True)
+    with pytest.raises(UserError, match="expected objects, found none"):
+        survey(tmp_path / "empty")
 
 
 def test_what_decides_an_object_is_in_its_fingerprint(
@@ -143,6 +171,23 @@ def test_what_decides_an_object_is_in_its_fingerprint(
     assert not differs()
     monkeypatch.setattr("splatcomplete_data.dataset.build.__version__", "another")
     assert differs()
+
+
+def test_the_record_beside_a_splat_file_is_in_the_fingerprint_of_its_part(
+    built: tuple[Path, Path, Path], tmp_path: Path
+) -> None:
+    data = tmp_path / "data"
+    shutil.copytree(built[0] / "box", data / "box")
+    text = "objects: [{id: a, command: partial, file: box/complete.ply, cut: ['plane:0']}]\n"
+    entry = read_recipe(recipe(tmp_path, text)).objects[0]
+    seen = {fingerprint(entry, data, tmp_path)}
+    path = data / "box/object.json"
+    record = json.loads(path.read_text())
+    path.write_text(json.dumps({**record, "frame": {**record["frame"], "up": "X"}}))
+    seen.add(fingerprint(entry, data, tmp_path))
+    path.unlink()
+    seen.add(fingerprint(entry, data, tmp_path))
+    assert len(seen) == 3
 
 
 @pytest.mark.parametrize("place", ["photos/masks", "masks"])

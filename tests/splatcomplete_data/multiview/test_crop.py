@@ -16,7 +16,8 @@ from splatcomplete_data.commands.crop import box_text
 from splatcomplete_data.multiview.box_picture import box_corners
 from splatcomplete_data.multiview.crop import kept_rows, write_rows
 from splatcomplete_data.multiview.propose_box import Focus, focus_of_splats, propose_box
-from splatcomplete_data.multiview.scene import nearest_axis
+from splatcomplete_data.multiview.reconstruct import SCHEMA
+from splatcomplete_data.multiview.scene import nearest_axis, read_scene
 from tests.splatcomplete_data.multiview import captures
 
 TURN = (0.9, 0.1, -0.3, 0.2)
@@ -133,8 +134,51 @@ def test_printed_boxes_read_back():
 
 
 def test_nearest_axis():
-    assert nearest_axis(np.array([0.1, -2.0, 0.1]))[0] == "-Y"
-    assert nearest_axis(np.array([0.0, 0.0, 5.0])) == ("Z", 0.0)
+    assert nearest_axis(np.array([0.1, -2.0, 0.1])) == "-Y"
+    assert nearest_axis(np.array([0.0, 0.0, 5.0])) == "Z"
+
+
+def test_the_up_axis_that_is_given_decides_the_box_and_the_pictures(tmp_path, capsys):
+    write_splats(tmp_path / "scene.ply", scene())
+    arguments = ["crop", str(tmp_path / "scene.ply"), "--box", "auto", "--propose", "--json"]
+    found = []
+    for more in (["--up", "Y"], ["--up", "Z"], ["--up=-Y"], []):
+        assert main([*arguments, "--out", str(tmp_path / "p"), *more]) == 0
+        printed = capsys.readouterr()
+        assert ("unless --up says" in printed.err) == (more == [])
+        found.append((json.loads(printed.out)["boxes"], (tmp_path / "p/boxes.png").read_bytes()))
+    along = [np.array(up, float) for up in ((0, 1, 0), (0, 0, 1), (0, -1, 0))]
+    splats = read_splats(tmp_path / "scene.ply").splats
+    for (boxes, _), up in zip(found, along, strict=False):
+        expected = propose_box(splats, focus_of_splats(splats, up)).box
+        np.testing.assert_allclose(boxes[0]["center"], expected.center)
+        np.testing.assert_allclose(boxes[0]["half_extents"], expected.half_extents)
+    assert found[2] == found[3]  # -Y is what a splat file has
+    assert found[0][1] != found[1][1] != found[2][1]  # each is drawn upright by its own axis
+
+
+def test_a_capture_obeys_an_up_axis_that_is_given(tmp_path):
+    views = captures.cameras()
+    entries = [
+        {
+            "camera_from_world": views.camera_from_world[index].tolist(),
+            "focal_px": views.focal_px[index].tolist(),
+            "center_px": views.center_px[index].tolist(),
+            "width": views.width,
+            "height": views.height,
+        }
+        for index in range(len(views))
+    ]
+    content = {"schema": SCHEMA, "status": "finished", "cameras": entries, "extent": 1.0}
+    content |= {"up": [0.0, -0.6, 0.8], "look_at": [0.0, 0.0, 0.0]}
+    (tmp_path / "capture.json").write_text(json.dumps(content))
+    write_splats(tmp_path / "splats.ply", captures.ball(50))
+    own, given = read_scene(tmp_path), read_scene(tmp_path, "-Y")
+    assert (own.up_axis, given.up_axis) == ("Z", "-Y")
+    np.testing.assert_array_equal(own.focus().up, [0.0, -0.6, 0.8])
+    np.testing.assert_array_equal(given.focus().up, [0.0, -1.0, 0.0])
+    assert own.notes == ("up axis Z, 37 degrees from the cameras' mean up direction",)
+    assert given.notes == ("up axis -Y, 53 degrees from the cameras' mean up direction",)
 
 
 def test_the_command_writes_an_object_with_its_boxes(tmp_path, capsys):

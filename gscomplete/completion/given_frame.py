@@ -1,0 +1,86 @@
+"""Check the frame of the whole that a user gives against P.
+
+Conventions
+-----------
+* File frame and file units; P's box leaves out the farthest 0.1 % of its splats on each side.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gscomplete.errors import UserError
+from gscomplete.splats import Splats
+from gscomplete.views import ObjectFrame
+
+_LEAST_SHARE = 0.01
+"""A P whose largest side is less of the whole's is a mistake, mostly of units."""
+_SMALL_SHARE = 0.05
+"""One with less is worth a note."""
+
+
+def largest_side(splats: Splats) -> float:
+    """Return the largest side of the splats' box (``_middle_box``).
+
+    Where splats are larger than their box, their median size: one alone may be of any size.
+    """
+    low, high = _middle_box(splats)
+    return max(float((high - low).max()), splats.typical_size)
+
+
+def check_given_frame(partial: Splats, frame: ObjectFrame, path: Path) -> tuple[str, ...]:
+    """Check that a frame which the user gives may be that of the whole.
+
+    A wrong unit is the usual mistake: the run would add a few splats and measure no fault.
+
+    Args:
+        partial: P, in the file frame.
+        frame: the frame of the whole.
+        path: P's file, for errors.
+
+    Returns:
+        What is odd about it.
+
+    Raises:
+        UserError: P is next to nothing in it, or lies outside.
+    """
+    side, size = largest_side(partial), frame.size_file
+    share = side / size
+    sides = (
+        f"P's largest side is {side:.4g}, {100 * share:.2g} % of the whole's {size:.4g} (--size)"
+    )
+    if share < _LEAST_SHARE:
+        raise UserError(
+            f"{path}: --size: expected at most {side / _LEAST_SHARE:.4g} (file units), found "
+            f"{size:.4g}; {sides}"
+        )
+    low, high = _middle_box(partial)
+    center = np.array(frame.center_file)
+    beyond = float(np.maximum(center - low, high - center).max()) / size - 0.5
+    if bool((low > center + size / 2).any() or (high < center - size / 2).any()):
+        raise UserError(
+            f"{path}: --center, --size: expected a frame that P lies in; P reaches from "
+            f"{_point(low)} to {_point(high)}, the frame from {_point(center - size / 2)} to "
+            f"{_point(center + size / 2)} (file units)"
+        )
+    notes = [f"{sides}: are both in the same unit?"] if share < _SMALL_SHARE else []
+    if beyond > 0.5:
+        notes.append(
+            f"P reaches {beyond * size:.4g} beyond the frame of size {size:.4g}: is it that of the "
+            "whole?"
+        )
+    return tuple(notes)
+
+
+def _middle_box(splats: Splats) -> tuple[NDArray[np.float64], NDArray[np.float64]]:  # [3], [3]
+    """Return the box of the splats' centres, without the farthest 0.1 % on each side."""
+    low, high = np.quantile(splats.means.double().numpy(), [0.001, 0.999], axis=0)
+    return low, high
+
+
+def _point(values: NDArray[np.float64]) -> str:
+    """Write a point as ``--center`` reads it."""
+    return ",".join(f"{value:.4g}" for value in values)
