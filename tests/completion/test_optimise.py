@@ -9,6 +9,7 @@ import torch
 
 from gscomplete.completion import schedules
 from gscomplete.completion.finish import finish_splats
+from gscomplete.completion.losses import preservation_loss
 from gscomplete.completion.optimise import Completion, NonFiniteError
 from gscomplete.completion.presets import GUESS, RECONSTRUCT, SMALL_PRIOR
 from gscomplete.completion.settings import LearningRates
@@ -273,3 +274,35 @@ def test_checkpoints_of_rings_without_their_step_can_be_resumed():
     resumed.restore(state)
     a, b = finish(job), finish(resumed)
     assert torch.equal(a.means, b.means)
+
+
+def test_the_preservation_loss_is_unmasked_in_the_warm_up_alone(monkeypatch):
+    seen = []
+
+    def spy(*arguments, masked):
+        seen.append(masked)
+        return preservation_loss(*arguments, masked=masked)
+
+    monkeypatch.setattr("gscomplete.completion.optimise.preservation_loss", spy)
+    settings = {**QUICK, "warmup_steps": 2, "preservation_every": 1}
+    job = completion(dataclasses.replace(SMALL_PRIOR, **settings))
+    for _ in range(4):
+        job.step()
+    assert seen == [False, False, True, True]
+
+
+def test_the_preservation_loss_has_its_weight(monkeypatch):
+    """With a prior that wants nothing, gradients are the preservation loss's, times lambda."""
+    monkeypatch.setattr(OraclePrior, "distill", lambda self, views, *rest: 0.0 * views.color.sum())
+    gradients = []
+    for weight in (1.0, 3.0):
+        settings = {**QUICK, "warmup_steps": 0, "preservation_every": 1}
+        job = completion(dataclasses.replace(SMALL_PRIOR, **settings, preservation_weight=weight))
+
+        def keep_gradient(progress, parameters=job.parameters):
+            gradients.append(parameters.gradients()["gradient of opacity_logits"].clone())
+
+        monkeypatch.setattr(job.parameters, "step", keep_gradient)
+        job.step()
+    assert gradients[0].abs().max() > 0
+    torch.testing.assert_close(gradients[1], 3 * gradients[0], rtol=1e-4, atol=1e-7)
