@@ -8,7 +8,6 @@ from splatcomplete_data.boxes import CropBox
 from splatcomplete_data.scan.clean import (
     CleanSettings,
     clean,
-    cluster,
     find_plane,
     level_rotation,
     not_outliers,
@@ -64,25 +63,6 @@ def test_every_step_has_a_switch() -> None:
     assert nothing.steps == ()
     seeded = clean(points, CleanSettings(seed_point=tuple(points[9200])))  # type: ignore[arg-type]
     assert 500 < seeded.keep.sum() < 700
-
-
-def test_clusters_equal_their_slow_twin() -> None:
-    rng = np.random.default_rng(4)
-    points = rng.uniform(0, 1, (150, 3))
-    radius = 0.12
-    near = np.linalg.norm(points[:, None] - points[None], axis=2) <= radius
-    reach = np.linalg.matrix_power(near.astype(np.float64), 150) > 0
-    labels = cluster(points, radius)
-    for i in range(len(points)):
-        for j in range(i):
-            if near[i, j] and np.linalg.norm(points[i] - points[j]) < radius / np.sqrt(3) * 0.5:
-                assert labels[i] == labels[j]
-            if labels[i] == labels[j]:
-                assert reach[i, j] or len(points) > 1  # coarser cubes may only join neighbours
-    sizes = np.bincount(labels)
-    assert (np.diff(sizes) <= 0).all()
-    far = np.concatenate([points, points + 50])
-    assert set(cluster(far, radius)[:150]).isdisjoint(set(cluster(far, radius)[150:]))
 
 
 def test_outliers_and_small_clouds() -> None:
