@@ -8,11 +8,12 @@ import pytest
 import torch
 
 from gscomplete.completion import schedules
+from gscomplete.completion.densify import prune_mask
 from gscomplete.completion.finish import finish_splats
 from gscomplete.completion.losses import preservation_loss
 from gscomplete.completion.optimise import Completion, NonFiniteError
 from gscomplete.completion.presets import GUESS, RECONSTRUCT, SMALL_PRIOR
-from gscomplete.completion.settings import LearningRates
+from gscomplete.completion.settings import DensifySettings, LearningRates
 from gscomplete.errors import UserError
 from gscomplete.evaluate.metrics import against_truth, preservation
 from gscomplete.priors import Guidance
@@ -306,3 +307,22 @@ def test_the_preservation_loss_has_its_weight(monkeypatch):
         job.step()
     assert gradients[0].abs().max() > 0
     torch.testing.assert_close(gradients[1], 3 * gradients[0], rtol=1e-4, atol=1e-7)
+
+
+def test_step_sizes_and_pruning_follow_the_progress(monkeypatch):
+    """Positions move less and less; what is left of failed splats goes in the second half."""
+    progress, limits = [], []
+
+    def spy(splats, opacity, radius):
+        limits.append(opacity)
+        return prune_mask(splats, opacity, radius)
+
+    monkeypatch.setattr("gscomplete.completion.optimise.prune_mask", spy)
+    densify = DensifySettings(every=2, final_from=0.5, final_opacity=0.2, prune_opacity=0.01)
+    settings = {**QUICK, "steps": 12, "densify": densify}
+    job = completion(dataclasses.replace(SMALL_PRIOR, **settings))
+    step = job.parameters.step
+    monkeypatch.setattr(job.parameters, "step", lambda at: progress.append(at) or step(at))
+    finish(job)
+    assert progress == pytest.approx([k / 12 for k in range(12)])
+    assert limits == [0.01, 0.01, 0.2, 0.2, 0.2]  # after steps 2, 4, 6, 8 and 10
