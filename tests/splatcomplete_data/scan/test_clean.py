@@ -152,3 +152,15 @@ def test_georeferenced_points_keep_their_digits(level: bool) -> None:
     assert part.sigma == pytest.approx(near.sigma, rel=1e-6)
     assert len(part.splats) == len(near.splats)
     assert len(part.splats.means.unique(dim=0)) == len(part.splats)
+
+
+@pytest.mark.parametrize("neighbours", [1, 3, 16])
+def test_outliers_equal_their_slow_twin(neighbours: int) -> None:
+    """Sparse points make the nearest neighbour and the farthest of a few quite different."""
+    points = np.random.default_rng(3).lognormal(0, 1, (200, 3))
+    apart = np.linalg.norm(points[:, None] - points[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    mean = np.sort(apart, axis=1)[:, :neighbours].mean(axis=1)
+    expected = mean <= mean.mean() + 1.5 * mean.std()
+    assert 0 < (~expected).sum() < 40
+    assert np.array_equal(not_outliers(points, neighbours, 1.5), expected)
