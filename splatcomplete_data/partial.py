@@ -114,7 +114,7 @@ def by_visibility(
 
     Every splat is drawn as a square of its footprint into a coarse depth image; a splat is seen
     where it is not deeper than the nearest one by more than the tolerance. Very faint splats
-    (opacity below 0.2) neither hide nor are hidden.
+    (opacity below 0.2) hide nothing.
 
     Args:
         splats: the object.

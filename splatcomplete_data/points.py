@@ -161,15 +161,26 @@ def thin_to_spacing(
     if not 0 < spacing < float("inf"):
         raise UserError(f"--spacing: expected a positive length, found {spacing:g}")
     local = (np.asarray(points, np.float64) - points.min(axis=0)) / spacing
-    cubes = np.floor(local).astype(np.int64)
+    cubes = np.floor(local)
     off_center = np.square(local - cubes - 0.5).sum(axis=1)
-    extent = cubes.max(axis=0) + 1
-    keys = (cubes[:, 0] * extent[1] + cubes[:, 1]) * extent[2] + cubes[:, 2]
+    keys = _cube_numbers(cubes)
     order = np.lexsort((off_center, keys))
     first = np.flatnonzero(np.diff(keys[order], prepend=-1))
     keep = np.zeros(len(points), np.bool_)
     keep[order[first]] = True
     return keep
+
+
+def _cube_numbers(cubes: NDArray[np.float64]) -> NDArray[np.int64]:  # [N, 3] >= 0, whole -> [N]
+    """Give every cube a number of its own, in the order of x, then y, then z."""
+    extent = cubes.max(axis=0) + 1
+    if extent.prod() < 2.0**62:
+        x, y, z = cubes.astype(np.int64).T
+        _, wide, high = extent.astype(np.int64)
+        numbers: NDArray[np.int64] = (x * wide + y) * high + z
+        return numbers
+    # Places among all cubes of the box would be beyond 64 bits: places among those with points.
+    return np.unique(cubes, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
 
 
 def thin_to_count(

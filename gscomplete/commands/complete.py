@@ -61,7 +61,8 @@ class CompleteOptions:
     preset: Literal["default", "fast", "reconstruct", "distill", "paper"] = "default"
     """default: best of time and quality for the prior. fast: less care. reconstruct: rounds of
     denoised views that the splats are fitted to. distill: the paper's method in fewer steps.
-    paper: the paper's settings to the letter (6,000 steps)."""
+    paper: the paper's settings to the letter (6,000 steps); its sphere of new splats is about
+    P's box centre, here about the (guessed) centre of the whole."""
     steps: int | None = None
     """Optimiser steps; schedules, warm-up and pauses between subdivisions stretch with it. None =
     the preset's (the embedded prior's default takes none: its first guess is the result)."""

@@ -102,7 +102,8 @@ class Completion:
         self.distribution = distribution
         self._size_px = settings.resolution_px or prior.views.resolution_px
         extent = sum(prior.views.extent_range) / 2
-        self._max_radius = settings.max_radius or max(extent / 2, _CORNER_RADIUS)
+        radius = settings.max_radius
+        self._max_radius = max(extent / 2, _CORNER_RADIUS) if radius is None else radius
         bounds = Bounds(settings.min_scale_px * extent / self._size_px, settings.max_scale)
         start, is_guess, self.start_notes = self._start(bounds, initial_diameter)
         _require_finite(0, **{f"{name} at the start": value for name, value in start.fields()})

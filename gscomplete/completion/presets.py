@@ -2,8 +2,10 @@
 
 Conventions
 -----------
-* ``PAPER`` is the paper to the letter; the others differ from what they are made of only in what
-  they list.
+* ``PAPER`` has the paper's settings to the letter; the others differ from what they are made of
+  only in what they list. One thing is no setting: the sphere of the start is about the origin of
+  the object frame, the guessed centre of the whole; the paper's (section 3.3) is about the centre
+  of P's box.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ PresetName = Literal["default", "fast", "reconstruct", "distill", "paper"]
 priors. ``paper``: its settings."""
 
 PAPER = CompletionSettings()
-"""The paper's settings (sections 3.1 to 3.3)."""
+"""The paper's settings (sections 3.1 to 3.3); where the sphere stands: see above."""
 
 SMALL_PRIOR = dataclasses.replace(
     PAPER,

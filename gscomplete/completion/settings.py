@@ -27,6 +27,10 @@ Start = Literal["sphere", "guess"]
 prior with an idea of shape guesses (``priors.base.ShapePrior``), else in the sphere."""
 
 
+LAST_TIMESTEP = 999.0
+"""Pure noise."""
+
+
 @dataclass(frozen=True, slots=True)
 class TimestepStage:
     """Timesteps are uniform in [low, high] until ``until`` of all steps."""
@@ -34,6 +38,20 @@ class TimestepStage:
     until: float
     low: float
     high: float
+
+    def __post_init__(self) -> None:
+        """Check ranges.
+
+        Raises:
+            UserError: a value is outside its range.
+        """
+        if not 0 < self.until <= 1:
+            raise UserError(f"timesteps: expected an end above 0, at most 1, found {self.until}")
+        if not 0 <= self.low <= self.high <= LAST_TIMESTEP:
+            raise UserError(
+                f"timesteps: expected 0 <= low <= high <= {LAST_TIMESTEP:g}, found {self.low} to "
+                f"{self.high}"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +100,20 @@ class DensifySettings:
     """From this fraction of all steps on, ``final_opacity`` takes the place of
     ``prune_opacity``, so that what is left of failed splats does not stay as dust."""
     final_opacity: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Check ranges.
+
+        Raises:
+            UserError: a value is outside its range.
+        """
+        for name in ("until", "growth", "prune_opacity", "final_from", "final_opacity"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise UserError(f"densify.{name}: expected 0 to 1, found {getattr(self, name)}")
+        for name, low in (("every", 1), ("max_new", 0), ("split_scale", 0), ("gradient", 0)):
+            value = getattr(self, name)
+            if value is not None and not low <= value < math.inf:
+                raise UserError(f"densify.{name}: expected at least {low}, found {value}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -296,8 +328,20 @@ class CompletionSettings:
             "checkpoint_every": 0,
         }
         for name, low in least.items():
-            if not getattr(self, name) >= low:
+            if not low <= getattr(self, name) < math.inf:
                 raise UserError(f"{name}: expected at least {low}, found {getattr(self, name)}")
+        for name in ("max_scale", "max_radius"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < math.inf:
+                raise UserError(f"{name}: expected a positive length, found {value}")
+        for name in ("text_scale", "input_scale", "rescale"):
+            value = getattr(self, name)
+            if value is not None and not math.isfinite(value):
+                raise UserError(f"{name}: expected a finite number, found {value}")
+        if self.max_working_splats is not None and self.max_working_splats < 1:
+            raise UserError(
+                f"max_working_splats: expected at least 1, found {self.max_working_splats}"
+            )
         if self.preservation_views is not None and self.preservation_views < 1:
             raise UserError(
                 f"preservation_views: expected at least 1, found {self.preservation_views}"
@@ -306,8 +350,12 @@ class CompletionSettings:
             raise UserError(f"coarse_until: expected 0 to 1, found {self.coarse_until}")
         if self.resolution_px is not None and not 8 <= self.resolution_px <= 4096:
             raise UserError(f"resolution_px: expected 8 to 4096, found {self.resolution_px}")
-        if not self.timesteps or self.timesteps[-1].until < 1.0:
-            raise UserError("timesteps: the last stage must end at 1.0")
+        ends = [stage.until for stage in self.timesteps]
+        if ends != sorted(set(ends)) or ends[-1:] != [1.0]:
+            raise UserError(
+                "timesteps: expected stages that end later and later, the last at 1.0, found "
+                f"{ends}"
+            )
 
     def ablated(self) -> CompletionSettings:
         """Return the settings without preservation loss, schedule and warm-up (Table 2, row 1).

@@ -7,8 +7,8 @@ A splat with camera-space centre (x, y, z), z > near, covers the pixel at p with
 where u is the projected centre, K the inverse of J W Sigma W^T J^T + blur_px2 * I, and alphas below
 ``alpha_min`` count as zero. Splats are composited front to back in order of z (ties by index).
 A backend may stop once the remaining transmittance is below ``transmittance_min``.
-Splats with a value that is not finite, a depth or colour beyond ``MAX_VALUE``, or a width beyond
-1e35 pixels are not drawn.
+Splats with a value that is not finite, an opacity above 1, a depth or colour beyond ``MAX_VALUE``,
+or a width beyond 1e35 pixels are not drawn (gsplat leaves out fewer of them).
 """
 
 from __future__ import annotations

@@ -28,12 +28,13 @@ FAR_FACTOR = 10.0
 
 
 def usable_rows(splats: Splats) -> tuple[Tensor, dict[str, int]]:  # [N] bool
-    """Mark the splats whose values are finite and representable when squared.
+    """Mark the splats whose values are finite, representable when squared, and within their range.
 
     Returns:
         The mask [N], and the number of rows dropped for each reason: ``non_finite_mean``,
         ``non_finite_quaternion``, ``non_finite_scale``, ``non_finite_opacity``, ``non_finite_sh``,
-        ``too_large``. Reasons without rows are left out.
+        ``too_large``, ``opacity_out_of_range`` (outside [0, 1], which is no share of the light).
+        Reasons without rows are left out.
     """
     tests = {
         "non_finite_mean": splats.means.isfinite().all(dim=1),
@@ -44,6 +45,7 @@ def usable_rows(splats: Splats) -> tuple[Tensor, dict[str, int]]:  # [N] bool
         "too_large": (splats.means.abs() < MAX_MAGNITUDE).all(dim=1)
         & (splats.scales < MAX_MAGNITUDE).all(dim=1)
         & (splats.sh.abs() < MAX_COEFFICIENT).flatten(1).all(dim=1),
+        "opacity_out_of_range": (splats.opacities >= 0) & (splats.opacities <= 1),
     }
     keep = torch.ones(len(splats), dtype=torch.bool, device=splats.means.device)
     counts: dict[str, int] = {}

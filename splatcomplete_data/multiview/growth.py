@@ -66,6 +66,8 @@ def grow(
 ) -> GrowthReport:
     """Divide the splats that the picture pulls at most, and remove those that show nothing.
 
+    Where that would remove every splat, none is removed: nothing could grow again.
+
     Args:
         parameters: the splats, changed in place.
         statistics: gradients since the last round.
@@ -80,6 +82,9 @@ def grow(
     transparent = splats.opacities < settings.prune_opacity
     large = ~transparent & (largest > settings.prune_extent * extent) & prune_large
     stays = ~(transparent | large)
+    if not bool(stays.any()):
+        transparent, large = torch.zeros_like(stays), torch.zeros_like(stays)
+        stays = ~stays
     mean = torch.where(stays, statistics.mean(), 0.0)
     room = settings.max_splats - int(stays.sum())
     ranked = torch.argsort(mean, descending=True, stable=True)[: max(room, 0)]

@@ -177,7 +177,7 @@ def execute(run: Reconstruction, on_step: Callable[[StepReport], None]) -> dict[
     """Take all remaining steps, write the results, and return the content of ``capture.json``.
 
     Raises:
-        UserError: a value stopped being finite, or a file cannot be written.
+        UserError: a value stopped being finite, no splat is left, or a file cannot be written.
     """
     out, training = run.request.out, run.training
     started = time.perf_counter()
@@ -187,9 +187,18 @@ def execute(run: Reconstruction, on_step: Callable[[StepReport], None]) -> dict[
 
 
 def _finish(run: Reconstruction) -> dict[str, Any]:
-    """Write the splats, measure, and draw the preview."""
+    """Write the splats, measure, and draw the preview.
+
+    Raises:
+        UserError: no splat is left, or a file cannot be written.
+    """
     out, settings = run.request.out, run.request.training
     splats = run.training.splats()
+    if len(splats) == 0:
+        raise UserError(
+            f"{run.request.images}: expected splats at the end of the training, found none left; "
+            "--steps or --random-points may be too few"
+        )
     write_splats(
         out / SPLATS_FILE, splats, (f"splatcomplete-data images {gscomplete.__version__}",)
     )

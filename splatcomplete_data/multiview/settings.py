@@ -37,7 +37,7 @@ class GrowthSettings:
     until_share: float = 0.6
     """Share of the steps after which no splat is added or removed."""
     every: int = 100
-    """Steps between two divisions."""
+    """Steps between two divisions; at most a third of those between two resets of opacities."""
     gradient: float = 2e-4
     """Splats whose mean screen gradient is larger are divided (loss per half image)."""
     split_extent: float = 0.01

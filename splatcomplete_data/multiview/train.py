@@ -30,7 +30,10 @@ from splatcomplete_data.multiview.settings import TrainingSettings
 from splatcomplete_data.multiview.ssim import Reference, ssim_map
 
 CHECK_EVERY = 100
-"""Steps between two looks for values that are not finite."""
+"""Steps between two looks for values that are not finite, besides the one before every save."""
+_DIVISIONS_PER_RESET = 3
+"""Fewest rounds of division between two resets of opacities. In short runs resets and the removal
+of large splats, which stretch with the steps, would otherwise come before any splat is divided."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +48,7 @@ class StepReport:
 
 
 class NonFiniteError(UserError):
-    """A parameter stopped being finite; the last checkpoint is still good."""
+    """A value stopped being finite; the last checkpoint is still good."""
 
     exit_code = 3
 
@@ -221,7 +224,10 @@ class Training:
         reset_every = 0
         if growth.reset_share is not None:
             reset_every = max(1, round(growth.reset_share * self.settings.steps))
-        if number % growth.every == 0 and number > growth.from_share * self.settings.steps:
+        every = growth.every
+        if reset_every:
+            every = min(every, max(1, reset_every // _DIVISIONS_PER_RESET))
+        if number % every == 0 and number > growth.from_share * self.settings.steps:
             report = grow(
                 self.parameters,
                 self._statistics,
@@ -237,13 +243,22 @@ class Training:
         return report
 
     def state(self) -> dict[str, Tensor]:
-        """Return all that the next step depends on."""
-        return {
+        """Return all that the next step depends on.
+
+        Raises:
+            NonFiniteError: a value is not finite: no checkpoint may hold it.
+        """
+        state = {
             "step": torch.tensor(self.step_number),
             "gradient.total": self._statistics.total,
             "gradient.seen": self._statistics.seen,
             **self.parameters.state(),
         }
+        for name, value in state.items():
+            if not bool(torch.isfinite(value).all()):
+                step = self.step_number - 1
+                raise NonFiniteError(f"training: by step {step}: {name} is not finite")
+        return state
 
     def restore(self, state: dict[str, Tensor]) -> None:
         """Continue from :meth:`state`."""

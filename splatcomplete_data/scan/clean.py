@@ -9,7 +9,7 @@ Conventions
 * Planes: RANSAC, a function of the seed alone (Open3D's runs in parallel and is not). The plane
   with most points goes first; planes below a share of the cloud stay.
 * Outliers: mean distance to k neighbours beyond mean + ratio x standard deviation over the cloud.
-* Clutter: connected clusters (points closer than a radius), of which one, or the largest few, stay.
+* Clutter: connected clusters (``clusters``), of which one, or the largest few, stay.
 """
 
 from __future__ import annotations
@@ -18,13 +18,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from gscomplete.errors import UserError
 from splatcomplete_data.objects import StepRecord
 from splatcomplete_data.points import median_spacing
+from splatcomplete_data.scan.clusters import cluster
 
 BoolArray = NDArray[np.bool_]
 Points = NDArray[np.float64]
@@ -49,7 +48,7 @@ class CleanSettings:
     clusters: int = 1
     """Clusters to keep, largest first; 0 = do not cluster."""
     cluster_radius: float = 5.0
-    """Points closer than this are of one cluster, in spacings."""
+    """Points no farther apart than this are of one cluster, in spacings."""
     seed_point: tuple[float, float, float] | None = None
     """Keep the cluster nearest to this point instead of the largest, file frame."""
     seed: int = 0
@@ -161,30 +160,6 @@ def not_outliers(points: Points, neighbours: int, ratio: float) -> BoolArray:  #
     distances = cKDTree(points).query(points, k=count + 1)[0][:, 1:].mean(axis=1)
     kept: BoolArray = distances <= distances.mean() + ratio * distances.std() + 1e-300
     return kept
-
-
-def cluster(points: Points, radius: float) -> NDArray[np.int64]:  # [N] -> [N]
-    """Number the connected clusters, largest first.
-
-    Points are gathered in cubes of side radius / sqrt(3), within which any two are close enough;
-    only cubes near each other are compared, so dense clouds cost no more than sparse ones.
-    """
-    side = radius / np.sqrt(3.0)
-    cubes = np.floor((points - points.min(axis=0)) / side).astype(np.int64)
-    unique, inverse = np.unique(cubes, axis=0, return_inverse=True)
-    inverse = inverse.reshape(-1)
-    middles = np.zeros((len(unique), 3))
-    np.add.at(middles, inverse, points)
-    middles /= np.bincount(inverse)[:, None]
-    pairs = cKDTree(middles).query_pairs(radius, output_type="ndarray")
-    graph = coo_matrix(
-        (np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), (len(unique), len(unique))
-    )
-    labels = connected_components(graph, directed=False)[1][inverse]
-    sizes = np.bincount(labels)
-    rank = np.empty(len(sizes), np.int64)
-    rank[np.argsort(-sizes, kind="stable")] = np.arange(len(sizes))
-    return rank[labels]
 
 
 def _chosen_clusters(

@@ -1,5 +1,8 @@
 """Subdivision and pruning of new splats."""
 
+import dataclasses
+
+import pytest
 import torch
 
 from gscomplete.completion.densify import GradientStatistics, prune_mask, subdivide
@@ -56,16 +59,65 @@ def test_split_replaces_a_large_splat_by_two_smaller_ones():
     assert not torch.equal(after.means[0], after.means[1])
 
 
-def test_kept_rows_keep_their_momentum():
+def pulled(gradients: torch.Tensor) -> GradientStatistics:
+    """One view with these gradients."""
+    statistics = GradientStatistics(len(gradients))
+    statistics.total, statistics.views = gradients, torch.ones(len(gradients))
+    return statistics
+
+
+def test_splats_that_nothing_pulls_are_left_alone():
+    job = parameters(10)
+    settings = DensifySettings(growth=1.0)
+    assert subdivide(job, GradientStatistics(10), settings, seed=0, step=0) == 0
+    at_the_limit = dataclasses.replace(settings, gradient=0.5)
+    assert subdivide(job, pulled(torch.full((10,), 0.5)), at_the_limit, seed=0, step=0) == 0
+
+
+def test_only_a_share_of_the_splats_is_divided_at_once():
+    job = parameters(100)
+    settings = DensifySettings(growth=0.15, split_scale=1.0)
+    assert subdivide(job, pulled(torch.ones(100)), settings, seed=0, step=0) == 15
+
+
+def needles(count: int) -> SplatParameters:
+    """At the origin, long along their x axes, which their quaternions turn into y."""
+    half = 0.5**0.5
+    base = dataclasses.replace(
+        splats(count),
+        means=torch.zeros(count, 3),
+        quaternions=torch.tensor([[half, 0.0, 0.0, half]]).repeat(count, 1),
+        scales=torch.tensor([[0.1, 1e-3, 1e-3]]).repeat(count, 1),
+    )
+    return SplatParameters(base, Bounds(1e-6, 1.0), LearningRates())
+
+
+def test_halves_lie_along_the_splat_that_they_are_of():
+    job = needles(200)
+    assert subdivide(job, pulled(torch.ones(200)), DensifySettings(growth=1.0), 0, 0) == 200
+    means = job.splats().means.detach()
+    assert 0.08 < float(means[:, 1].std()) < 0.12  # 400 draws of 0.1: +- 0.004
+    assert float(means[:, [0, 2]].abs().max()) < 6e-3
+
+
+def test_one_long_side_makes_a_splat_large():
+    job = needles(1)
+    subdivide(job, pulled(torch.ones(1)), DensifySettings(growth=1.0, split_scale=0.05), 0, 0)
+    assert job.splats().scales.detach()[:, 0].tolist() == pytest.approx([0.1 / 1.6] * 2)
+
+
+@pytest.mark.parametrize("moment", ["exp_avg", "exp_avg_sq"])
+def test_kept_rows_keep_their_momentum(moment):
     job = parameters(10)
     job.splats().means.square().sum().backward()
     job.step(0.0)
-    moments = job.state()["adam.means.exp_avg"].clone()
+    moments = job.state()[f"adam.means.{moment}"].clone()
+    assert moments.any()
     mask = torch.arange(10) % 2 == 0
     job.keep(mask)
-    assert torch.equal(job.state()["adam.means.exp_avg"], moments[mask])
+    assert torch.equal(job.state()[f"adam.means.{moment}"], moments[mask])
     job.extend(splats(3), torch.ones(5, dtype=torch.bool))
-    state = job.state()["adam.means.exp_avg"]
+    state = job.state()[f"adam.means.{moment}"]
     assert torch.equal(state[:5], moments[mask])
     assert not state[5:].any()
 

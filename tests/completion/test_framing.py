@@ -14,6 +14,7 @@ from gscomplete.completion.framing import (
     guess_framing,
     object_splats,
     outward_normals,
+    score_views,
 )
 from gscomplete.errors import UserError
 from gscomplete.splats import Similarity, concatenate, transform_splats
@@ -107,3 +108,11 @@ def test_outward_normals_point_away_from_the_centroid() -> None:
     whole = cylinder()
     radial = torch.nn.functional.normalize(whole.means * torch.tensor([1.0, 1.0, 0.0]), dim=1)
     assert float((outward_normals(whole) * radial).sum(dim=1).min()) > 0.99
+
+
+def test_fewer_splats_grow_to_cover_the_same_surface():
+    whole = cylinder(4000)
+    full = score_views(whole, FramingSettings())
+    thinned = score_views(whole, FramingSettings(max_splats=500))
+    ratio = thinned.area / full.area
+    assert 0.85 < float(ratio.min()) <= float(ratio.max()) < 1.15

@@ -219,3 +219,27 @@ def test_pixels_where_p_is_faint_can_be_left_out():
     free = preserve_hard(IN_FRONT, faint, VIEWS, dataclasses.replace(SMALL, mask_from=0.9))
     assert free.report.before.color == 0.0
     assert free.report.untouched == len(IN_FRONT)
+
+
+def test_no_more_is_taken_than_has_to_be():
+    """Half of what the last round or fading did is taken back while the bounds still hold."""
+    new = concatenate([IN_FRONT, BEHIND])
+    results = {
+        halvings: preserve_hard(
+            new, PARTIAL, VIEWS, dataclasses.replace(SMALL, rounds=0, halvings=halvings)
+        )
+        for halvings in (0, 4)
+    }
+    for result in results.values():
+        assert result.report.met
+    assert results[4].report.fadings == results[0].report.fadings > 0
+    left = [float(result.splats.opacities.sum()) for result in results.values()]
+    assert left[1] > left[0]
+    shares = [
+        max(
+            result.report.after.color / (SMALL.margin * SMALL.color_bound),
+            result.report.after.depth / (SMALL.margin * SMALL.depth_bound),
+        )
+        for result in results.values()
+    ]
+    assert shares[0] < shares[1] <= 1

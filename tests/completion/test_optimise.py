@@ -8,10 +8,12 @@ import pytest
 import torch
 
 from gscomplete.completion import schedules
+from gscomplete.completion.densify import prune_mask
 from gscomplete.completion.finish import finish_splats
+from gscomplete.completion.losses import preservation_loss
 from gscomplete.completion.optimise import Completion, NonFiniteError
 from gscomplete.completion.presets import GUESS, RECONSTRUCT, SMALL_PRIOR
-from gscomplete.completion.settings import LearningRates
+from gscomplete.completion.settings import DensifySettings, LearningRates
 from gscomplete.errors import UserError
 from gscomplete.evaluate.metrics import against_truth, preservation
 from gscomplete.priors import Guidance
@@ -286,3 +288,54 @@ def test_checkpoints_of_rings_without_their_step_can_be_resumed():
     resumed.restore(state)
     a, b = finish(job), finish(resumed)
     assert torch.equal(a.means, b.means)
+
+
+def test_the_preservation_loss_is_unmasked_in_the_warm_up_alone(monkeypatch):
+    seen = []
+
+    def spy(*arguments, masked):
+        seen.append(masked)
+        return preservation_loss(*arguments, masked=masked)
+
+    monkeypatch.setattr("gscomplete.completion.optimise.preservation_loss", spy)
+    settings = {**QUICK, "warmup_steps": 2, "preservation_every": 1}
+    job = completion(dataclasses.replace(SMALL_PRIOR, **settings))
+    for _ in range(4):
+        job.step()
+    assert seen == [False, False, True, True]
+
+
+def test_the_preservation_loss_has_its_weight(monkeypatch):
+    """With a prior that wants nothing, gradients are the preservation loss's, times lambda."""
+    monkeypatch.setattr(OraclePrior, "distill", lambda self, views, *rest: 0.0 * views.color.sum())
+    gradients = []
+    for weight in (1.0, 3.0):
+        settings = {**QUICK, "warmup_steps": 0, "preservation_every": 1}
+        job = completion(dataclasses.replace(SMALL_PRIOR, **settings, preservation_weight=weight))
+
+        def keep_gradient(progress, parameters=job.parameters):
+            gradients.append(parameters.gradients()["gradient of opacity_logits"].clone())
+
+        monkeypatch.setattr(job.parameters, "step", keep_gradient)
+        job.step()
+    assert gradients[0].abs().max() > 0
+    torch.testing.assert_close(gradients[1], 3 * gradients[0], rtol=1e-4, atol=1e-7)
+
+
+def test_step_sizes_and_pruning_follow_the_progress(monkeypatch):
+    """Positions move less and less; what is left of failed splats goes in the second half."""
+    progress, limits = [], []
+
+    def spy(splats, opacity, radius):
+        limits.append(opacity)
+        return prune_mask(splats, opacity, radius)
+
+    monkeypatch.setattr("gscomplete.completion.optimise.prune_mask", spy)
+    densify = DensifySettings(every=2, final_from=0.5, final_opacity=0.2, prune_opacity=0.01)
+    settings = {**QUICK, "steps": 12, "densify": densify}
+    job = completion(dataclasses.replace(SMALL_PRIOR, **settings))
+    step = job.parameters.step
+    monkeypatch.setattr(job.parameters, "step", lambda at: progress.append(at) or step(at))
+    finish(job)
+    assert progress == pytest.approx([k / 12 for k in range(12)])
+    assert limits == [0.01, 0.01, 0.2, 0.2, 0.2]  # after steps 2, 4, 6, 8 and 10

@@ -12,6 +12,7 @@ from gscomplete.completion.partial_views import PartialViews
 from gscomplete.completion.presets import RECONSTRUCT
 from gscomplete.completion.settings import SkipSettings
 from gscomplete.errors import UserError
+from gscomplete.render import prepare_frozen
 from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution, join_cameras
 
@@ -102,3 +103,36 @@ def test_coarse_steps_are_taken_at_half_the_size():
 def test_settings_out_of_range_are_named(name, value):
     with pytest.raises(UserError, match=name):
         dataclasses.replace(RECONSTRUCT, **{name: value})
+
+
+@pytest.mark.parametrize(("name", "factor"), [("focal_px", 1.5), ("center_px", 0.7)])
+def test_views_that_differ_in_the_lens_alone_are_others(name, factor):
+    ring = VIEWS.ring(4, 24)
+    other = dataclasses.replace(ring, **{name: factor * getattr(ring, name)})
+    kept, plain = PartialViews(PARTIAL), PartialViews(PARTIAL, SkipSettings(prepared_partial=False))
+    first = kept.alone(ring)
+    assert not torch.equal(kept.alone(other).alpha, first.alpha)
+    assert torch.equal(kept.alone(other).alpha, plain.alone(other).alpha)
+
+
+def test_the_batch_used_longest_ago_is_forgotten_first(monkeypatch):
+    prepared = []
+
+    def spy(partial, cameras, settings):
+        prepared.append(float(cameras.positions[0, 1]))
+        return prepare_frozen(partial, cameras, settings)
+
+    monkeypatch.setattr("gscomplete.completion.partial_views.prepare_frozen", spy)
+    a, b, c = (dataclasses.replace(VIEWS, azimuth_deg=90.0 * k).ring(1, 40) for k in range(3))
+    free = PartialViews(PARTIAL)
+    for ring in (a, b, c):
+        free.alone(ring)
+    views = PartialViews(PARTIAL, max_bytes=free.nbytes - 1)
+    for ring in (a, b, a, c):  # b goes
+        views.alone(ring)
+    prepared.clear()
+    for ring in (a, c):
+        views.alone(ring)
+    assert prepared == []
+    views.alone(b)
+    assert len(prepared) == 1

@@ -6,7 +6,7 @@ import pytest
 
 from gscomplete.completion import schedules
 from gscomplete.completion.presets import PAPER, preset
-from gscomplete.completion.settings import CompletionSettings
+from gscomplete.completion.settings import CompletionSettings, TimestepStage
 from gscomplete.errors import UserError
 
 
@@ -47,6 +47,22 @@ def test_rounds_cover_the_run():
     starts = [s for s in range(settings.steps) if schedules.is_round_start(settings, s)]
     assert starts[0] == 0
     assert len(starts) == settings.rounds
+
+
+def test_stages_end_with_the_step_that_the_paper_names():
+    coarse = dataclasses.replace(PAPER, coarse_until=0.5)
+    assert schedules.resolution_at(coarse, 2999, 256) == 128
+    assert schedules.resolution_at(coarse, 3000, 256) == 256
+    assert schedules.is_densify_step(PAPER, 1450)
+    assert not schedules.is_densify_step(PAPER, 1500)
+    assert schedules.is_prune_step(PAPER, 1500)
+    assert not schedules.is_prune_step(PAPER, 0)
+
+
+def test_the_ablation_has_one_stage_and_nothing_that_preserves():
+    ablated = PAPER.ablated()
+    assert ablated.timesteps == (TimestepStage(1.0, 20.0, 980.0),)
+    assert (ablated.warmup_steps, ablated.preservation_weight) == (0, 0.0)
 
 
 @pytest.mark.parametrize(

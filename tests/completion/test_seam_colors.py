@@ -1,6 +1,7 @@
 """Colours pass into P's at the seam, and nowhere else."""
 
 import dataclasses
+import math
 
 import pytest
 import torch
@@ -15,7 +16,7 @@ from gscomplete.completion.seam_colors import (
 )
 from gscomplete.completion.settings import SeamColorSettings
 from gscomplete.errors import UserError
-from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.splats import Splats, colors_to_sh, concatenate
 
 SETTINGS = SeamColorSettings()
 
@@ -107,3 +108,39 @@ def test_without_a_seam_nothing_changes(shift):
 def test_settings_out_of_range_are_refused(field, value):
     with pytest.raises(UserError, match=field):
         SeamColorSettings(**{field: value})
+
+
+def test_faint_splats_have_no_say():
+    green = torch.tensor([0.1, 0.9, 0.1])
+    expected, _ = match_seam_colors(NEW, PARTIAL, SETTINGS)
+    dust = strip(-0.05, 0.05, green)
+    dust = dataclasses.replace(dust, opacities=torch.full((len(dust),), 0.09))
+    matched, _ = match_seam_colors(NEW, concatenate([PARTIAL, dust]), SETTINGS)
+    assert torch.equal(matched.sh, expected.sh)
+    matched, report = match_seam_colors(concatenate([NEW, dust]), PARTIAL, SETTINGS)
+    assert torch.equal(matched.sh[: len(NEW)], expected.sh)
+    assert report.seam_splats < len(NEW)
+
+
+def test_the_shift_is_the_weighted_mean_of_the_differences_at_the_seam():
+    """Two pairs at the seam, 0.04 apart, and one new splat 0.03 and 0.05 from them."""
+    places = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.04, 0.0]])
+    colors = torch.tensor([[0.8, 0.3, 0.2], [0.3, 0.4, 0.7]])
+    partial = dataclasses.replace(
+        PARTIAL.select(torch.arange(2)), means=places, sh=colors_to_sh(colors)
+    )
+    own = torch.tensor([[0.5, 0.4, 0.5], [0.5, 0.5, 0.4], [0.6, 0.5, 0.5]])
+    new = dataclasses.replace(
+        NEW.select(torch.arange(3)),
+        means=torch.cat([places, torch.tensor([[0.03, 0.0, 0.0]])]),
+        sh=colors_to_sh(own),
+    )
+    settings = SeamColorSettings(reach=0.01, smoothness=0.04, fade=0.05, neighbours=1)
+    matched, report = match_seam_colors(new, partial, settings)
+    assert report.seam_splats == 2
+    gap = oklab_from_srgb(colors) - oklab_from_srgb(own[:2])
+    squared = torch.tensor([0.03**2, 0.05**2], dtype=torch.float64)
+    weight = torch.exp(-0.5 * squared / 0.04**2)
+    shift = math.exp(-0.5 * (0.03 / 0.05) ** 2) * (weight[:, None] * gap).sum(0) / weight.sum()
+    found = oklab_from_srgb(matched.base_colors[2:]) - oklab_from_srgb(own[2:])
+    assert found[0].tolist() == pytest.approx(shift.tolist(), abs=1e-5)

@@ -141,3 +141,17 @@ def test_covering_the_input_costs_and_adding_behind_it_does_not() -> None:
     assert right.hidden_iou == 1.0
     assert wrong.hidden_iou < 0.2
     assert (wrong.hidden_color_psnr_db or 0) < 20
+
+
+def test_views_that_show_neither_have_no_say_in_the_silhouette() -> None:
+    """The second view is empty in O as in T: the first alone is compared."""
+    truth = torch.zeros(2, 4, 4)
+    truth[0] = 1.0
+    half = truth.clone()
+    half[0, :2] = 0.0
+    color = torch.zeros(2, 4, 4, 3)
+    nothing = Render(color, torch.zeros(2, 4, 4), torch.zeros(2, 4, 4))
+    real = Render(color, truth, 2 * truth)
+    for alpha, iou in ((truth, 1.0), (half, 0.5)):
+        errors = truth_errors_of_renders(Render(color, alpha, 2 * alpha), nothing, real)
+        assert errors.silhouette_iou == iou

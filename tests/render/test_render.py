@@ -147,7 +147,7 @@ def test_nothing_to_draw():
     assert not render(far, cameras()).alpha.any()
 
 
-def test_nonfinite_splats_are_not_drawn():
+def test_splats_that_make_no_sense_are_not_drawn():
     base = random_splats(1, 50)
     broken = Splats(**{n: v.clone() for n, v in base.fields()})
     broken.means[0] = torch.nan
@@ -158,8 +158,9 @@ def test_nonfinite_splats_are_not_drawn():
     broken.quaternions[5] = torch.inf
     broken.means[6] = 1e38
     broken.opacities[7] = torch.inf
+    broken.opacities[8] = 1e4  # its alpha would not fall off: exponents end at -12
     rest = torch.ones(50, dtype=torch.bool)
-    rest[:8] = False
+    rest[:9] = False
     for backend in ("cpu", "reference"):
         drawn = render(broken, cameras(), backend=backend)
         expected = render(base.select(rest), cameras(), backend=backend)
@@ -229,3 +230,36 @@ def test_tile_lists_too_long_to_number_are_refused(monkeypatch):
     monkeypatch.setattr(one_view, "MAX_ENTRIES", 100)
     with pytest.raises(UserError, match="expected at most 100 pairs of a splat and a tile"):
         render(random_splats(0, 300, scale=1.0), cameras())
+
+
+def one_ball(opacity: float, scale: float = 0.5) -> Splats:
+    return Splats(
+        torch.zeros(1, 3),
+        torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
+        torch.full((1, 3), scale),
+        torch.tensor([opacity]),
+        torch.ones(1, 1, 3),
+    )
+
+
+def test_pixels_at_the_largest_alpha_pass_no_gradient():
+    """Only those around them do; with an alpha_max of 0.6 that is less than half of them."""
+    gradients = {}
+    for backend in ("cpu", "reference"):
+        splats = leaves(one_ball(1.0))
+        settings = RenderSettings(alpha_max=0.6)
+        render(splats, cameras(24)[:1], settings=settings, backend=backend).color.sum().backward()
+        gradients[backend] = splats
+    for name in ("opacities", "scales"):
+        found, expected = (getattr(gradients[b], name).grad for b in ("cpu", "reference"))
+        assert float(expected.abs().max()) > 1
+        torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-3)
+
+
+def test_a_faint_splat_is_as_far_away_as_it_is():
+    """Expected depth is over what is seen, however little that is."""
+    view = four_view_orbit(0.0, 0.0, radius=2.5, fov_deg=45.0, size_px=8)[:1]
+    for opacity in (0.02, 0.9):
+        picture = render(one_ball(opacity), view)
+        assert float(picture.alpha[0, 4, 4]) < opacity
+        assert float(picture.depth[0, 4, 4]) == pytest.approx(2.5, abs=1e-4)

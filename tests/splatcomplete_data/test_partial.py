@@ -94,3 +94,25 @@ def test_visibility_of_nothing_and_wrong_positions():
     )
     near = by_visibility(BALL, [[1.6, 0, 0]]).mask
     assert (by_visibility(far, [[1.6e6, 0, 0]]).mask == near).float().mean() > 0.999
+
+
+def pair(opacity: float) -> Splats:
+    """Two balls on the x axis, the one in front of the given opacity, seen from +x."""
+    return Splats(
+        torch.tensor([[0.5, 0.0, 0.0], [-0.5, 0.0, 0.0]]),
+        torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(2, 1),
+        torch.full((2, 3), 0.2),
+        torch.tensor([opacity, 0.9]),
+        torch.zeros(2, 1, 3),
+    )
+
+
+@pytest.mark.parametrize(("opacity", "hides"), [(0.9, True), (0.2, True), (0.19, False)])
+def test_faint_splats_hide_nothing(opacity, hides):
+    cut = by_visibility(pair(opacity), [[3.0, 0.0, 0.0]], tolerance=0.05)
+    assert cut.mask.tolist() == [True, not hides]
+
+
+@pytest.mark.parametrize(("tolerance", "seen"), [(0.9, False), (1.1, True)])
+def test_what_lies_within_the_tolerance_is_of_one_surface(tolerance, seen):
+    assert by_visibility(pair(0.9), [[3.0, 0, 0]], tolerance=tolerance).mask.tolist()[1] == seen

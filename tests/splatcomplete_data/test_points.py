@@ -13,6 +13,7 @@ from splatcomplete_data.points import (
     offset_for_float32,
     offset_note,
     points_to_splats,
+    thin_to_spacing,
     without_offset,
 )
 
@@ -52,6 +53,23 @@ def test_too_few_distinct_points_are_a_user_error(count: int) -> None:
     points = np.ones((count, 3))
     with pytest.raises(UserError, match="at least 2 distinct points"):
         points_to_splats(points, points)
+
+
+@pytest.mark.parametrize("span", [8.0, 2.0**20, 2.0**22, 2.0**40])
+def test_thinning_keeps_one_point_a_cube_nearest_to_its_middle(span: float) -> None:
+    """However many cubes there are from end to end: 64 bits can number those of 2^21 a side."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform(0, span - 1, (2000, 3))
+    points = np.concatenate([points, points + rng.uniform(0, 0.3, points.shape)])
+    points[:3] = [[0, 0, 0], [span / 4, 0, 0], [span - 0.5] * 3]  # 2^22: the first two coincided
+    kept = thin_to_spacing(points, 1.0)
+    local = points - points.min(axis=0)
+    best: dict[tuple[float, ...], tuple[float, int]] = {}
+    for number, place in enumerate(local):
+        off_center = float(np.square(place - np.floor(place) - 0.5).sum())
+        cube = tuple(np.floor(place).tolist())
+        best[cube] = min(best.get(cube, (np.inf, -1)), (off_center, number))
+    assert np.flatnonzero(kept).tolist() == sorted(number for _, number in best.values())
 
 
 @pytest.mark.parametrize(

@@ -52,3 +52,14 @@ def test_of_a_slight_cut_that_takes_too_much_nothing_is_taken():
     assert all(bool(slight_partial(one, 0, index).mask.all()) for index in range(20))
     with pytest.raises(ValueError, match="no splats"):
         slight_partial(one.select(torch.zeros(1, dtype=torch.bool)), 0, 0)
+
+
+@pytest.mark.parametrize("limits", [{"most_share": 0.6}, {"fewest_share": 0.6}])
+def test_cuts_that_keep_too_much_or_too_little_become_planes(limits):
+    share = (0.4, 0.5) if "most_share" in limits else (0.7, 0.8)
+    chosen = CutSettings(weights=(0.0, 1.0, 0.0, 0.0, 0.0), keep_share=share, **limits)
+    cuts = [random_partial(BALL, 0, index, chosen) for index in range(30)]
+    kept = [cut.mask.float().mean().item() for cut in cuts]
+    assert {cut.kind for cut in cuts} == {"plane", "box"}
+    assert chosen.fewest_share - 1e-3 <= min(kept)
+    assert max(kept) <= chosen.most_share + 1e-3

@@ -24,6 +24,26 @@ def test_each_reason_is_counted_once():
     assert "non_finite_sh" not in counts
 
 
+def test_one_axis_too_long_is_enough():
+    splats = Splats(
+        torch.zeros(2, 3), torch.ones(2, 4), torch.ones(2, 3), torch.ones(2), torch.zeros(2, 1, 3)
+    )
+    splats.scales[1, 2] = 1e19
+    keep, counts = usable_rows(splats)
+    assert keep.tolist() == [True, False]
+    assert counts == {"too_large": 1}
+
+
+def test_opacities_outside_0_to_1_are_of_no_use():
+    opacities = torch.tensor([0.0, 1.0, 1.0 + 1e-6, 700.0, -0.1, float("inf")])
+    splats = Splats(
+        torch.zeros(6, 3), torch.ones(6, 4), torch.ones(6, 3), opacities, torch.zeros(6, 1, 3)
+    )
+    keep, counts = usable_rows(splats)
+    assert keep.tolist() == [True, True, False, False, False, False]
+    assert counts == {"non_finite_opacity": 1, "opacity_out_of_range": 3}
+
+
 def test_no_splats():
     empty = Splats(*(torch.zeros(0, *s) for s in [(3,), (4,), (3,), (), (1, 3)]))
     keep, counts = usable_rows(empty)

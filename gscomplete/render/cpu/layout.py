@@ -8,7 +8,9 @@ Conventions
 * A projected splat is one row of PACKED float32 values (the ``P_*`` columns): screen centre (u, v),
   whitening L = [[LA, LB], [0, LC]], opacity, colour, depth, and the half height and width of its
   pixel box at alpha_min. L^T L is the inverse screen covariance, so with the whitened offset
-  w = L (p - u) the exponent is -|w|^2 / 2: no cancellation, however long a needle is.
+  w = L (p - u) the exponent is -|w|^2 / 2, and only p - u cancels: u and v are float32, so a thin
+  needle far longer than the image has the wrong alpha by up to 1.8e-4 at a length of 6.4e3 pixels
+  and 1.8e-3 at 6.4e4 (centre off the image, slanted across it).
 """
 
 P_U, P_V, P_LA, P_LB, P_LC, P_OPACITY = range(6)

@@ -68,7 +68,7 @@ def project(
             mx, my, mz = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
             z = camera[8] * mx + camera[9] * my + camera[10] * mz + camera[11]
             opacity = np.float64(opacities[i])
-            if not (z > near and alpha_min <= opacity < MAX_VALUE):
+            if not (z > near and alpha_min <= opacity <= 1.0):
                 continue
             x = camera[0] * mx + camera[1] * my + camera[2] * mz + camera[3]
             y = camera[4] * mx + camera[5] * my + camera[6] * mz + camera[7]

@@ -5,6 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gscomplete.priors.mvdream.cameras import camera_matrices
+from gscomplete.priors.mvdream.prior import MVDREAM_VIEWS
 from gscomplete.views import Cameras, four_view_orbit
 
 ANGLES = st.floats(-720, 720)
@@ -67,3 +68,10 @@ def test_rigid_with_unit_translation_along_the_view(azimuth_deg, elevation_deg):
     assert torch.allclose(torch.linalg.det(rotation), torch.ones(4), atol=1e-5)
     assert torch.allclose(translation.norm(dim=1), torch.ones(4), atol=1e-5)
     assert torch.allclose(rotation[:, :, 2], translation, atol=1e-5)  # looks along -z at the origin
+
+
+def test_rings_are_framed_as_the_model_was_trained():
+    """Elevations 0 to 30 degrees, as its data set was drawn from."""
+    assert MVDREAM_VIEWS.elevation_range_deg == (0.0, 30.0)
+    assert MVDREAM_VIEWS.fov_deg == 40.0
+    assert MVDREAM_VIEWS.resolution_px == 256

@@ -62,6 +62,13 @@ def test_pruned_splats_are_counted_by_reason_and_never_divided():
     assert len(target) == 1
 
 
+def test_where_all_would_be_removed_none_is():
+    target = parameters([0.001, 0.5], [0.001, 0.5])
+    report = step(target, [0.0, 1.0], prune_large=True)
+    assert (report.transparent, report.large, report.split) == (0, 0, 1)
+    assert len(target) == 3
+
+
 def test_the_cap_takes_the_largest_gradients_first():
     target = parameters([0.5] * 4, [0.001] * 4)
     report = step(target, [1.0, 4.0, 3.0, 2.0], dataclasses.replace(SETTINGS, max_splats=6))

@@ -54,3 +54,18 @@ def test_far_points_are_dropped(tmp_path):
     posed = read_transforms(captures.transforms_capture(tmp_path) / "transforms.json")
     kept = near_points(cloud(np.array([[0.0, 0, 0], [8.9, 0, 0], [9.1, 0, 0]])), posed)
     assert len(kept) == 2  # cameras stand 3 away, three times that is the limit
+
+
+def test_random_points_are_seen_by_two_cameras(tmp_path):
+    posed = read_transforms(captures.transforms_capture(tmp_path) / "transforms.json")
+    views = load_views(posed, max_side_px=100)
+    with pytest.raises(UserError, match="no place that two of them see"):
+        random_points(posed, views[:1], 300, seed=1)
+    points = random_points(posed, views[:4], 300, seed=1).points
+    times = np.zeros(300, np.int64)
+    for view in views[:4]:  # their fields of view are 50 degrees wide
+        pose = view.camera.camera_from_world[0].double().numpy()
+        local = points @ pose[:3, :3].T + pose[:3, 3]
+        slope = np.abs(local[:, :2]).max(axis=1) / local[:, 2]
+        times += (local[:, 2] > 0) & (slope < np.tan(np.deg2rad(25.0)))
+    assert times.min() == 2

@@ -74,6 +74,16 @@ def test_resuming_with_other_options_is_refused(photos, tmp_path, capsys):
     assert "nothing to resume" in capsys.readouterr().err
 
 
+def test_a_training_without_splats_is_not_finished(photos, tmp_path):
+    run = prepared(photos, tmp_path / "a")
+    run.training.parameters.edit(torch.zeros(len(run.training.parameters), dtype=torch.bool))
+    run.training.step_number = run.training.settings.steps
+    with pytest.raises(UserError, match=r"expected splats .* found none left"):
+        reconstruct.execute(run, lambda report: None)
+    assert not (tmp_path / "a/splats.ply").exists()
+    assert json.loads((tmp_path / "a/capture.json").read_text())["status"] == "running"
+
+
 def test_an_old_capture_is_only_overwritten_when_asked(photos, tmp_path, capsys):
     out = tmp_path / "a"
     assert images(photos, out) == 0
@@ -250,5 +260,6 @@ def test_masks_restrict_the_splats_to_the_object(tmp_path):
     folder = captures.transforms_capture(tmp_path / "c", alpha=True)
     assert images(folder, tmp_path / "a") == 0
     means = read_splats(tmp_path / "a/splats.ply").splats.means
-    # Without masks random points reach 4.5 to either side; within them, less than half of that.
-    assert means.abs().max() < 2.2
+    # Without masks random points reach 4.5 to either side; within them, less than half of that,
+    # and the halves of those divided not much farther.
+    assert means.abs().max() < 2.5

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 import torch
 
+from gscomplete.completion.checkpoint import load_checkpoint
+from gscomplete.completion.long_run import CHECKPOINTS, take_steps
 from gscomplete.splats import Splats
 from splatcomplete_data.multiview.images import View, load_views
 from splatcomplete_data.multiview.initial import random_points, splats_from_points
@@ -17,6 +19,7 @@ from splatcomplete_data.multiview.settings import (
 )
 from splatcomplete_data.multiview.train import (
     NonFiniteError,
+    StepReport,
     Target,
     Training,
     evaluate_views,
@@ -25,7 +28,7 @@ from splatcomplete_data.multiview.train import (
 from splatcomplete_data.multiview.transforms_json import read_transforms
 from tests.splatcomplete_data.multiview import captures
 
-GROWTH = GrowthSettings(max_splats=900, from_share=0.1, every=10, reset_share=0.4)
+GROWTH = GrowthSettings(max_splats=900, from_share=0.1, every=10, reset_share=0.5)
 FAST = LearningRates(means=2e-3, log_scales=0.02, opacity_logits=0.1, sh_base=0.05)
 SETTINGS = TrainingSettings(steps=60, sh_share=0.1, rates=FAST, growth=GROWTH)
 
@@ -103,6 +106,33 @@ def test_the_cap_holds_and_splats_grow(capture):
     assert counts[0] == 300
 
 
+def test_a_short_run_divides_its_splats_before_it_removes_them(capture):
+    """300 random points start wider than what is removed after the first reset of opacities."""
+    views, start = capture
+    settings = TrainingSettings(steps=180)
+    assert float(start.scales.min()) > settings.growth.prune_extent * 3.0
+    training = Training(views, start, 3.0, settings)
+    reports = [training.step() for _ in range(settings.steps)]
+    rounds = [report.step + 1 for report in reports if report.growth is not None]
+    assert rounds == list(range(12, 109, 6))  # resets are 18 steps apart, from 4 % to 60 %
+    assert min(report.splats for report in reports) > 50
+    # Nothing at all, which is what used to be left, is as good as a black picture.
+    nothing = start.select(torch.arange(0))
+    gains = np.subtract(
+        evaluate_views(training.splats(), views, 3.0, settings),
+        evaluate_views(nothing, views, 3.0, settings),
+    )
+    assert gains.mean() > 3
+
+
+def test_divisions_of_long_runs_keep_their_own_interval(capture):
+    training = Training(*capture, 3.0, TrainingSettings(steps=7000))
+    training.step_number = 299
+    assert training.step().growth is not None
+    training.step_number = 332
+    assert training.step().growth is None
+
+
 def test_every_photo_takes_part_once_a_round(capture):
     training = Training(*capture, 3.0, SETTINGS)
     names = [training.step().photo for _ in range(16)]
@@ -163,6 +193,26 @@ def test_values_that_are_not_finite_stop_the_run(capture):
     training.parameters._values["sh_base"].data[3] = float("inf")
     with pytest.raises(NonFiniteError, match="not finite"):
         training.step()
+
+
+@pytest.mark.parametrize("where", ["value.means", "adam.means.exp_avg_sq"])
+@pytest.mark.parametrize("checkpoint_every", [10, 15])
+def test_the_last_checkpoint_before_such_a_value_stays(where, checkpoint_every, capture, tmp_path):
+    """Values are only looked at now and then while no checkpoint is due."""
+    settings = dataclasses.replace(SETTINGS, growth=dataclasses.replace(GROWTH, until_share=0.0))
+    training = Training(*capture, 3.0, settings)
+
+    def poison(report: StepReport) -> None:
+        if report.step == 20:
+            state = training.state()
+            state[where][3] = float("inf")
+            training.restore(state)
+
+    with pytest.raises(NonFiniteError, match=r"means.* is not finite"):
+        take_steps(training, tmp_path, checkpoint_every, poison)
+    state = load_checkpoint(tmp_path / CHECKPOINTS)
+    assert state is not None
+    assert int(state["step"]) == 20 // checkpoint_every * checkpoint_every
 
 
 @pytest.mark.parametrize("values", [{"steps": 0}, {"ssim_weight": 2.0}, {"sh_degree": 4}])

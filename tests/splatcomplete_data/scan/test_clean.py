@@ -8,7 +8,6 @@ from splatcomplete_data.boxes import CropBox
 from splatcomplete_data.scan.clean import (
     CleanSettings,
     clean,
-    cluster,
     find_plane,
     level_rotation,
     not_outliers,
@@ -64,25 +63,6 @@ def test_every_step_has_a_switch() -> None:
     assert nothing.steps == ()
     seeded = clean(points, CleanSettings(seed_point=tuple(points[9200])))  # type: ignore[arg-type]
     assert 500 < seeded.keep.sum() < 700
-
-
-def test_clusters_equal_their_slow_twin() -> None:
-    rng = np.random.default_rng(4)
-    points = rng.uniform(0, 1, (150, 3))
-    radius = 0.12
-    near = np.linalg.norm(points[:, None] - points[None], axis=2) <= radius
-    reach = np.linalg.matrix_power(near.astype(np.float64), 150) > 0
-    labels = cluster(points, radius)
-    for i in range(len(points)):
-        for j in range(i):
-            if near[i, j] and np.linalg.norm(points[i] - points[j]) < radius / np.sqrt(3) * 0.5:
-                assert labels[i] == labels[j]
-            if labels[i] == labels[j]:
-                assert reach[i, j] or len(points) > 1  # coarser cubes may only join neighbours
-    sizes = np.bincount(labels)
-    assert (np.diff(sizes) <= 0).all()
-    far = np.concatenate([points, points + 50])
-    assert set(cluster(far, radius)[:150]).isdisjoint(set(cluster(far, radius)[150:]))
 
 
 def test_outliers_and_small_clouds() -> None:
@@ -172,3 +152,15 @@ def test_georeferenced_points_keep_their_digits(level: bool) -> None:
     assert part.sigma == pytest.approx(near.sigma, rel=1e-6)
     assert len(part.splats) == len(near.splats)
     assert len(part.splats.means.unique(dim=0)) == len(part.splats)
+
+
+@pytest.mark.parametrize("neighbours", [1, 3, 16])
+def test_outliers_equal_their_slow_twin(neighbours: int) -> None:
+    """Sparse points make the nearest neighbour and the farthest of a few quite different."""
+    points = np.random.default_rng(3).lognormal(0, 1, (200, 3))
+    apart = np.linalg.norm(points[:, None] - points[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    mean = np.sort(apart, axis=1)[:, :neighbours].mean(axis=1)
+    expected = mean <= mean.mean() + 1.5 * mean.std()
+    assert 0 < (~expected).sum() < 40
+    assert np.array_equal(not_outliers(points, neighbours, 1.5), expected)

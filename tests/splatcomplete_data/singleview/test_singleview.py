@@ -98,6 +98,25 @@ def test_flying_pixels_go_and_clean_edges_stay() -> None:
     assert flying_pixels(depth).sum() == 2
 
 
+@pytest.mark.parametrize(
+    ("row", "flying"),
+    [
+        ([1.0, 1.0, 1.5, 2.0, 2.0], True),  # between a near and a far surface
+        ([2.0, 2.0, 1.5, 1.0, 1.0], True),
+        ([1.0, 1.0, 1.5, np.nan, np.nan], True),  # one side is unknown
+        ([np.nan, np.nan, 1.5, 1.0, 1.0], True),
+        ([2.0, 2.0, 1.0, 2.0, 2.0], False),  # a pole, one pixel wide
+        ([1.0, 1.0, 2.0, 1.0, 1.0], False),  # a gap, one pixel wide
+        ([np.nan, np.nan, 1.0, np.nan, np.nan], False),
+    ],
+)
+def test_thin_things_stay_and_what_hangs_between_goes(row: list[float], flying: bool) -> None:
+    marked = flying_pixels(np.array([row] * 5))
+    assert marked[:, 2].tolist() == [flying] * 5
+    assert not marked[:, [0, 1, 3, 4]].any()
+    assert np.array_equal(flying_pixels(np.array([row] * 5).T), marked.T)
+
+
 def test_masks_alpha_crop_range_and_confidence(tmp_path: Path) -> None:
     depth = write_depth(tmp_path, "npz")
     base = {"fov_deg": 60.0, "flying_jump": 0.0}
