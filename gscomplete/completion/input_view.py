@@ -21,6 +21,7 @@ import torch
 from gscomplete.completion.framing import ViewScores, score_partial
 from gscomplete.render import render
 from gscomplete.splats import Splats, concatenate
+from gscomplete.splats.filters import thinned
 from gscomplete.views import ViewDistribution
 
 _SIDES = (0.0, -0.6, 0.6)
@@ -47,6 +48,8 @@ class InputViewSettings:
     """In object sizes: hidden is what lies this much behind the whole."""
     size_px: int = 48
     """Side of the renders."""
+    max_splats: int = 20_000
+    """Splats of P that are drawn, chosen at random where it has more and widened to match."""
 
 
 def settled_view(
@@ -67,7 +70,8 @@ def settled_view(
         ``guessed`` itself and "" unless another view is clearly better.
     """
     chosen = settings or InputViewSettings()
-    partial = partial.with_sh_degree(0)
+    generator = torch.Generator().manual_seed(0)
+    partial = thinned(partial.with_sh_degree(0), chosen.max_splats, generator)
     whole = concatenate([partial, new.with_sh_degree(0)])
     before = hidden_share(partial, whole, guessed, chosen)
     if before <= chosen.most_hidden:

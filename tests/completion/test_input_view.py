@@ -50,6 +50,11 @@ def test_nothing_new_changes_nothing() -> None:
     assert settled_view(PART, PART.select(torch.arange(0)), WRONG) == (WRONG, "")
 
 
+def test_a_choice_of_p_s_splats_is_enough() -> None:
+    few = InputViewSettings(max_splats=len(PART) // 3)
+    assert settled_view(PART, REST, WRONG, few)[0] == settled_view(PART, REST, WRONG)[0]
+
+
 def test_views_that_show_p_badly_are_not_asked() -> None:
     only_best = InputViewSettings(least_score=1.0)
     best = guess_framing(PART)
