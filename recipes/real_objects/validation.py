@@ -12,6 +12,7 @@ Conventions
 * Slight parts lack little: what a scanner misses from four sides, what it misses from three sides
   above, and nothing. A completion should add as little.
 * A turned object is turned about its up axis, as captures are, after it was cut.
+* Random parts: a plane for two of three, else what a scanner sees from one or two sides; turned.
 """
 
 from __future__ import annotations
@@ -27,14 +28,19 @@ import torch
 from rich.console import Console
 from rich.progress import track
 
+from gscomplete.completion.input_view import InputViewSettings, hidden_share
+from gscomplete.errors import UserError
 from gscomplete.priors import load_prior
 from gscomplete.priors.base import prior_identity
+from gscomplete.splats import concatenate
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.views import up_rotation
 from recipes.entry_point import start
+from recipes.in_memory import Answer
 from recipes.real_objects.catalogue import ENTRIES, BoxCut, Cut, Entry, PlaneCut, ScanCut
 from recipes.real_objects.compare import (
     OBJECTS,
+    Posed,
     completed_as_run,
     mean_of_known,
     measure,
@@ -65,6 +71,8 @@ class Options:
     """Complete parts that lack little or nothing instead."""
     turned: bool = False
     """Turn every object about its up axis by 15 to 75 degrees."""
+    random: int = 0
+    """Cut every object so many times at random instead, and turn it by any angle."""
     data: Path = DATA
     """Folder of the real data."""
 
@@ -72,12 +80,35 @@ class Options:
 def parts(*, slight: bool = False) -> list[Entry]:
     """Return the parts, three of each object; slight ones lack little."""
     cuts = slight_cuts_of if slight else cuts_of
-    chosen = [e for e in ENTRIES if e.source != "scan" and e.name not in OBJECTS]
     return [
         dataclasses.replace(entry, name=f"{entry.name}-{n}", cut=cut)
-        for k, entry in enumerate(chosen)
+        for k, entry in enumerate(_objects())
         for n, cut in enumerate(cuts(entry, k))
     ]
+
+
+def _objects() -> list[Entry]:
+    """Return the objects that ``compare`` leaves alone."""
+    return [e for e in ENTRIES if e.source != "scan" and e.name not in OBJECTS]
+
+
+def random_parts(count: int) -> list[tuple[Entry, float]]:
+    """Return so many random parts of each object, and the angles that they are turned by."""
+    found = []
+    for n in range(count):
+        for k, entry in enumerate(_objects()):
+            random = np.random.default_rng((k, n, 1234))
+            side_deg = float(random.uniform(0.0, 360.0))
+            cut: Cut
+            if random.integers(0, 3) < 2:
+                cut = PlaneCut(side_deg, float(random.uniform(-0.12, 0.12)))
+            elif random.uniform() < 0.5:
+                cut = ScanCut((side_deg,))
+            else:
+                cut = ScanCut((side_deg, side_deg + float(random.uniform(30.0, 90.0))))
+            part = dataclasses.replace(entry, name=f"{entry.name}-r{n}", cut=cut)
+            found.append((part, float(random.uniform(0.0, 360.0))))
+    return found
 
 
 def cuts_of(entry: Entry, number: int) -> tuple[Cut, Cut, Cut]:
@@ -106,10 +137,9 @@ def side_taken_away_deg(cut: Cut) -> float:
     return 180.0 if isinstance(cut, BoxCut) else cut.from_deg[0] + 180.0
 
 
-def turned_object(item: RealObject, index: int) -> RealObject:
-    """Turn an object and its part about the up axis, by an angle that the index determines."""
+def turned_object(item: RealObject, angle_deg: float) -> RealObject:
+    """Turn an object and its part about the up axis."""
     assert item.complete is not None
-    angle_deg = float(np.random.default_rng((index, 77)).uniform(*_TURN_DEG))
     up = up_rotation(item.up).double()
     turn = torch.from_numpy(turn_about("z", angle_deg)).double()
     similarity = Similarity(1.0, up.T @ turn @ up, torch.zeros(3).double())
@@ -120,21 +150,54 @@ def turned_object(item: RealObject, index: int) -> RealObject:
     )
 
 
+def chosen_parts(options: Options) -> list[tuple[Entry, float]]:
+    """Return the parts that are asked for and the angles that they are turned by.
+
+    Raises:
+        UserError: options that exclude each other.
+    """
+    if options.random:
+        if options.slight or options.turned:
+            raise UserError("--random: expected without --slight and --turned")
+        return random_parts(options.random)
+    entries = parts(slight=options.slight)
+    angles = [
+        float(np.random.default_rng((index, 77)).uniform(*_TURN_DEG)) if options.turned else 0.0
+        for index in range(len(entries))
+    ]
+    return list(zip(entries, angles, strict=True))
+
+
+def views_settled(posed: Posed, answer: Answer) -> dict[str, Any]:
+    """Tell what became of the input view, and how much of P the truth hides from it."""
+    assert posed.truth is not None
+    partial = posed.partial.with_sh_degree(0)
+    whole = concatenate([partial, posed.truth.with_sh_degree(0)])
+    knobs = InputViewSettings()
+    return {
+        "view_gave_way": answer.views != posed.views,
+        "truth_hides_from_guessed_view": hidden_share(partial, whole, posed.views, knobs),
+        "truth_hides_from_view": hidden_share(partial, whole, answer.views, knobs),
+    }
+
+
 def main(options: Options) -> None:
     """Complete and measure."""
     prior = load_prior("embedded", "cpu")
     settings = settings_of(options.preset, prior, 0)
     kind = ("-slight" if options.slight else "") + ("-turned" if options.turned else "")
+    kind += f"-random{options.random}" if options.random else ""
     made_with = {"prior": prior_identity(prior), "settings": settings}
     results = Results(options.out / f"{options.preset}{kind}.json", made_with)
     rows = results.rows
-    entries = parts(slight=options.slight)
-    for index, entry in enumerate(track(entries, "parts", console=Console(file=sys.stderr))):
+    chosen = chosen_parts(options)
+    for entry, angle_deg in track(chosen, "parts", console=Console(file=sys.stderr)):
         if entry.name in rows:
             continue
         item = load_entry(entry, options.data)
-        posed = pose(turned_object(item, index) if options.turned else item)
-        rows[entry.name] = measure(posed, completed_as_run(posed, prior, settings))
+        posed = pose(turned_object(item, angle_deg) if angle_deg else item)
+        answer = completed_as_run(posed, prior, settings)
+        rows[entry.name] = measure(posed, answer) | views_settled(posed, answer)
         results.save()
     sys.stdout.write(table(rows))
 
@@ -147,6 +210,13 @@ def table(rows: dict[str, dict[str, Any]]) -> str:
         values = [row[key] for row in rows.values()]
         known = sum(value is not None for value in values)
         lines.append(f"mean {key:22}{mean_of_known(values, '9.4f')} over {known}")
+    moved = [row for row in rows.values() if row["view_gave_way"]]
+    lines.append(f"input views that gave way: {len(moved)} of {len(rows)}")
+    if moved:
+        keys = ("truth_hides_from_guessed_view", "truth_hides_from_view")
+        before, after = (np.mean([row[key] for row in moved]) for key in keys)
+        less = sum(row[keys[1]] < row[keys[0]] for row in moved)
+        lines.append(f"of P the truth hides from them {before:.3f}, then {after:.3f}; less: {less}")
     return "\n".join(lines) + "\n"
 
 
