@@ -78,14 +78,17 @@ def settled_view(
         return guessed, ""
     scores = score_partial(partial)
     shares = scores.score / max(float(scores.score.max()), 1e-12)
-    asked = [
-        (_looking_from(guessed, scores, row, column), float(shares[row, column]))
-        for row, column in np.argwhere(shares >= chosen.least_score)
-    ]
-    hidden = [hidden_share(partial, whole, views, chosen) for views, _ in asked]
-    worths = [share * (1.0 - lost) ** 2 for (_, share), lost in zip(asked, hidden, strict=True)]
-    first = int(np.argmax(worths))
-    best, least = asked[first][0], hidden[first]
+    best, least, most_worth = guessed, before, 0.0
+    for row, column in sorted(
+        np.argwhere(shares >= chosen.least_score), key=lambda at: -shares[*at]
+    ):
+        if shares[row, column] <= most_worth:  # no later one can be worth more than its share
+            break
+        views = _looking_from(guessed, scores, row, column)
+        hidden = hidden_share(partial, whole, views, chosen)
+        worth = float(shares[row, column]) * (1.0 - hidden) ** 2
+        if worth > most_worth:
+            best, least, most_worth = views, hidden, worth
     if least >= chosen.least_hidden:
         return guessed, ""
     return best, (
