@@ -24,9 +24,6 @@ from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.filters import thinned
 from gscomplete.views import ViewDistribution
 
-_SIDES = (0.0, -0.6, 0.6)
-"""Azimuths of the views, in ranges of V about c."""
-
 
 @dataclass(frozen=True, slots=True)
 class InputViewSettings:
@@ -103,11 +100,7 @@ def hidden_share(
     partial: Splats, whole: Splats, views: ViewDistribution, settings: InputViewSettings
 ) -> float:
     """Return the share of P's pixels that the whole hides, seen from about c; 0 where P is not."""
-    angles = (
-        views.azimuth_deg + np.array(_SIDES) * views.azimuth_range_deg,
-        np.full(len(_SIDES), views.elevation_deg),
-    )
-    cameras = views.cameras(angles, settings.size_px)
+    cameras = views.sides(settings.size_px)
     with torch.no_grad():
         alone, together = render(partial, cameras), render(whole, cameras)
     shown = alone.alpha > 0.5

@@ -105,8 +105,9 @@ class Completion:
         radius = settings.max_radius
         self._max_radius = max(extent / 2, _CORNER_RADIUS) if radius is None else radius
         bounds = Bounds(settings.min_scale_px * extent / self._size_px, settings.max_scale)
-        start, is_guess, self.start_notes = self._start(bounds, initial_diameter)
+        start, is_guess, note = self._start(bounds, initial_diameter)
         _require_finite(0, **{f"{name} at the start": value for name, value in start.fields()})
+        self.start_notes: tuple[str, ...] = (note,)
         if is_guess and view_is_guess:
             self.distribution, note = settled_view(self.partial, start, distribution)
             self.start_notes += (note,) if note else ()
@@ -210,7 +211,7 @@ class Completion:
         self._statistics.views = state["statistics.views"].clone()
         self._rings.restore(state)
 
-    def _start(self, bounds: Bounds, diameter: float) -> tuple[Splats, bool, tuple[str, ...]]:
+    def _start(self, bounds: Bounds, diameter: float) -> tuple[Splats, bool, str]:
         """Return the new splats of step 0, whether the prior guessed them, and where they are.
 
         Raises:
@@ -228,7 +229,7 @@ class Completion:
             )
             if guess is not None and (len(guess.splats) or not settings.steps):
                 how_many = f"start: {len(guess.splats):,} splats that the prior guesses"
-                return guess.splats, True, ("; ".join([how_many, *guess.notes]),)
+                return guess.splats, True, "; ".join([how_many, *guess.notes])
         if settings.start == "guess" and not settings.steps:
             raise UserError(
                 "0 steps: expected a prior that guesses the whole, found one that cannot; "
@@ -242,7 +243,7 @@ class Completion:
             min_scale=bounds.min_scale,
             max_scale=bounds.max_scale,
         )
-        return scattered, False, (f"start: {len(scattered):,} splats in a sphere",)
+        return scattered, False, f"start: {len(scattered):,} splats in a sphere"
 
     @property
     def heeds_negative_prompt(self) -> bool:

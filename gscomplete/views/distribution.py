@@ -34,6 +34,9 @@ _PHILOX_STREAM = 0x5649455753
 """Second key word of the generator, so that views share no random numbers with other uses."""
 _FIRST_MEASURED_VIEW = 20_000
 """Place in the sequence of V's views from which on they are for measuring."""
+_SIDES = (0.0, -0.6, 0.6)
+"""Azimuths of c and of views to both sides of it, in ranges of V about c."""
+_MAX_SIDE_ELEVATION_DEG = 80.0
 _PLASTIC = 1.3247179572447460
 """Real root of x^3 = x + 1, the base of the two-dimensional R2 sequence."""
 
@@ -123,6 +126,13 @@ class ViewDistribution:
     def input_camera(self, size_px: int) -> Cameras:
         """Place one camera at the input view c."""
         return self.cameras(self.low_discrepancy(1), size_px)
+
+    def sides(self, size_px: int) -> Cameras:
+        """Place cameras at c and to both sides of it, well within V: what they see V sees."""
+        azimuths = self.azimuth_deg + np.array(_SIDES) * self.azimuth_range_deg
+        limit = _MAX_SIDE_ELEVATION_DEG
+        elevations = np.full(len(_SIDES), np.clip(self.elevation_deg, -limit, limit))
+        return self.cameras((azimuths, elevations), size_px)
 
     def ring(self, count: int, size_px: int) -> Cameras:
         """Place cameras evenly round the object at c's elevation, c first, azimuth rising."""

@@ -17,6 +17,8 @@ Every object is completed (or not) in nine ways and compared with the truth from
 * ``true_shape``: the truth's own splats where P lacks them, in the colours of P's nearest ones:
   what someone gets who knows the shape exactly and no colour that P does not show.
 
+Silhouettes and hidden colours are seen from the same eight views for all ways; preservation errors
+are over the V that a way ends up with (``input_view_deg``), which runs may settle anew.
 Scans have no truth: their pictures are drawn and their preservation errors measured. Results go to
 ``comparison.json`` and ``comparison.png``; an interrupted comparison goes on where it stopped.
 """

@@ -152,3 +152,12 @@ def test_measured_views_are_of_v_and_none_of_those_that_runs_fit() -> None:
     assert np.abs(fitted[:, :, None] - measured[:, None]).max(axis=0).min() > 1e-4
     later = views.low_discrepancy(5, 7)
     assert np.array_equal(np.stack(later), np.stack(views.low_discrepancy(12))[:, 7:])
+
+
+def test_sides_are_c_and_views_of_v_on_either_hand() -> None:
+    views = ViewDistribution(30.0, 10.0, azimuth_range_deg=50.0)
+    sides = views.sides(32)
+    expected = views.cameras((np.array([30.0, 0.0, 60.0]), np.full(3, 10.0)), 32)
+    torch.testing.assert_close(sides.camera_from_world, expected.camera_from_world)
+    steep = ViewDistribution(0.0, 90.0).sides(32).camera_from_world
+    assert bool(steep.isfinite().all())

@@ -22,8 +22,6 @@ from gscomplete.render import render
 from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution
 
-_VIEW_OFFSETS = (0.0, -0.6, 0.6)
-"""Azimuths of the views in ranges of V, about c."""
 SIZE_PX = 48
 FRONT_TOLERANCE = 0.03
 """A point this much nearer than P's surface is in front of it (object sizes)."""
@@ -45,12 +43,7 @@ class Evidence:
 
 def gather_evidence(partial: Splats, distribution: ViewDistribution) -> Evidence:
     """Render P's depth from c and to both sides of it."""
-    offsets = np.array(_VIEW_OFFSETS) * distribution.azimuth_range_deg
-    angles = (
-        distribution.azimuth_deg + offsets,
-        np.full(len(offsets), np.clip(distribution.elevation_deg, -80.0, 80.0)),
-    )
-    cameras = distribution.cameras(angles, SIZE_PX)
+    cameras = distribution.sides(SIZE_PX)
     with torch.no_grad():
         seen = render(partial.with_sh_degree(0), cameras)
     depth = torch.where(seen.alpha > 0.5, seen.depth, torch.inf).float().numpy()
