@@ -11,6 +11,7 @@ Conventions
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -32,6 +33,7 @@ from gscomplete.priors.embedded.shape.planes import (
     ANGLES,
     OFFSETS,
     PartSamples,
+    open_cut,
     plane_features,
     plane_places,
 )
@@ -109,7 +111,20 @@ def candidate_planes(look: PartLook, count: int, *, bfloat16: bool = False) -> l
         score = belief[near[ranked.planes[:, 0], ranked.planes[:, 1]]].sum()
         place = refined(part, tree, float(angles[index]), float(offsets[index]))
         found.append(mirror(*place, float(score)))
-    return found
+    return _with_cut(found, part)
+
+
+def _with_cut(planes: list[SymmetryMap], part: PartSamples) -> list[SymmetryMap]:
+    """Add the plane that P was cut along, in the place of one like it or of the least likely."""
+    cut = open_cut(part)
+    if cut is None:
+        return planes
+    plane = mirror(cut[0], cut[1], planes[0].score)
+    alike = [k for k, other in enumerate(planes) if plane.is_like(other, part.points)]
+    if alike:
+        planes[alike[0]] = dataclasses.replace(plane, score=planes[alike[0]].score)
+        return planes
+    return [plane, *planes[:-1]]
 
 
 def refined(

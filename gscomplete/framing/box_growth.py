@@ -1,0 +1,133 @@
+"""A small network that guesses how far the complete object reaches beyond P's box.
+
+Conventions
+-----------
+* P is in z-up axes. Its volume covers P's box, centred and scaled to largest side 1, with a margin:
+  the share of filled cells and the mean outward normal of each, [4, C, C, C].
+* Growths are in sides (the largest) of P's box, all at least 0, ordered x-, x+, y-, y+, z-, z+.
+* The network does not know which way objects face: its answer is the mean over four quarter turns
+  about z, each mirrored or not.
+"""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from numpy.typing import NDArray
+from safetensors.torch import load_file
+from torch import Tensor, nn
+
+from gscomplete.completion.framing import outward_normals
+from gscomplete.splats import Splats
+
+WEIGHTS_FILE = "box.safetensors"
+_CELLS = 32
+_MARGIN = 1.1
+"""Side of the volume in sides of P's box."""
+_WIDTHS = (16, 32, 64, 128)
+_SPLATS = 20_000
+FloatArray = NDArray[np.float32]
+
+
+class BoxGrowth(nn.Module):
+    """Four strided stages, the mean and the maximum over cells, and two layers."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        before = 4 + 3
+        for width in _WIDTHS:
+            layers += [
+                nn.Conv3d(before, width, 3, stride=2, padding=1),
+                nn.GroupNorm(8, width),
+                nn.SiLU(),
+                nn.Conv3d(width, width, 3, padding=1),
+                nn.GroupNorm(8, width),
+                nn.SiLU(),
+            ]
+            before = width
+        self.body = nn.Sequential(*layers)
+        self.head = nn.Sequential(nn.Linear(before * 8, 192), nn.SiLU(), nn.Linear(192, 6))
+        along = torch.linspace(-1, 1, _CELLS)
+        place = torch.stack(torch.meshgrid(along, along, along, indexing="ij"))
+        self.register_buffer("place", place, persistent=False)
+
+    def forward(self, volume: Tensor) -> Tensor:  # [B, 4, C, C, C] -> [B, 6]
+        """Return the growths."""
+        assert isinstance(self.place, Tensor)
+        place = self.place.expand(len(volume), -1, -1, -1, -1)
+        x = self.body(torch.cat([volume, place], dim=1))
+        return F.softplus(self.head(x.flatten(1)) - 2.0)
+
+    @torch.no_grad()
+    def averaged(self, volume: Tensor) -> Tensor:  # [B, 4, C, C, C] -> [B, 6]
+        """Return the mean over all orientations."""
+        total = torch.zeros(len(volume), 6)
+        for k in range(8):
+            turned, _ = oriented(volume, total, k % 4, k >= 4)
+            total = total + _unoriented(self(turned), k % 4, k >= 4)
+        return total / 8
+
+
+def oriented(
+    volume: Tensor,  # [B, 4, C, C, C]
+    growth: Tensor,  # [B, 6]
+    turns: int,
+    mirror: bool,
+) -> tuple[Tensor, Tensor]:
+    """Turn P and the growths by quarter turns about z, then mirror x."""
+    for _ in range(turns):
+        volume = torch.rot90(volume, 1, dims=(-3, -2))
+        filled, x, y, z = volume.unbind(1)
+        volume = torch.stack([filled, -y, x, z], dim=1)
+        growth = growth[:, [3, 2, 0, 1, 4, 5]]
+    if mirror:
+        volume = volume.flip(-3) * volume.new_tensor([1, -1, 1, 1]).view(4, 1, 1, 1)
+        growth = growth[:, [1, 0, 2, 3, 4, 5]]
+    return volume, growth
+
+
+def _unoriented(growth: Tensor, turns: int, mirror: bool) -> Tensor:  # [B, 6]
+    """Undo :func:`oriented` for growths."""
+    if mirror:
+        growth = growth[:, [1, 0, 2, 3, 4, 5]]
+    for _ in range(turns):
+        growth = growth[:, [2, 3, 1, 0, 4, 5]]
+    return growth
+
+
+def part_volume(partial: Splats) -> FloatArray:  # [4, C, C, C] in [-1, 1]
+    """Return P's volume; see the module's conventions."""
+    step = max(1, len(partial) // _SPLATS)
+    partial = partial.select(torch.arange(0, len(partial), step))
+    low, high = (corner.double().numpy() for corner in partial.bounds())
+    size = max(float((high - low).max()), 1e-12) * _MARGIN
+    place = (partial.means.double().numpy() - (low + high) / 2) / size + 0.5
+    cells = np.clip((place * _CELLS).astype(np.int64), 0, _CELLS - 1)
+    index = (cells[:, 0] * _CELLS + cells[:, 1]) * _CELLS + cells[:, 2]
+    normals = outward_normals(partial).double().numpy()
+    count = np.bincount(index, minlength=_CELLS**3)
+    sums = [np.bincount(index, normals[:, k], _CELLS**3) for k in range(3)]
+    volume = np.stack([(count > 0).astype(np.float64), *(s / np.maximum(count, 1) for s in sums)])
+    return volume.reshape(4, _CELLS, _CELLS, _CELLS).astype(np.float32)
+
+
+def growth_of(low: NDArray, high: NDArray, complete: Splats) -> FloatArray:  # [3], [3] -> [6]
+    """Return how far the complete object reaches beyond P's box."""
+    all_low, all_high = (corner.double().numpy() for corner in complete.bounds())
+    size = float((high - low).max())
+    growth = np.empty(6, np.float32)
+    growth[::2], growth[1::2] = (low - all_low) / size, (all_high - high) / size
+    return np.maximum(growth, 0.0)
+
+
+@functools.cache
+def packaged_box_growth() -> BoxGrowth:
+    """Return the network with the weights of the package."""
+    model = BoxGrowth()
+    model.load_state_dict(load_file(Path(__file__).parent / "weights" / WEIGHTS_FILE))
+    return model.eval()
