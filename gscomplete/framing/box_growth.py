@@ -16,7 +16,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from numpy.typing import NDArray
 from safetensors.torch import load_file
 from torch import Tensor, nn
@@ -57,11 +56,11 @@ class BoxGrowth(nn.Module):
         self.register_buffer("place", place, persistent=False)
 
     def forward(self, volume: Tensor) -> Tensor:  # [B, 4, C, C, C] -> [B, 6]
-        """Return the growths."""
+        """Return the growths; a little below 0 where P ends with the object."""
         assert isinstance(self.place, Tensor)
         place = self.place.expand(len(volume), -1, -1, -1, -1)
         x = self.body(torch.cat([volume, place], dim=1))
-        return F.softplus(self.head(x.flatten(1)) - 2.0)
+        return self.head(x.flatten(1))
 
     @torch.no_grad()
     def averaged(self, volume: Tensor) -> Tensor:  # [B, 4, C, C, C] -> [B, 6]
@@ -70,7 +69,7 @@ class BoxGrowth(nn.Module):
         for k in range(8):
             turned, _ = oriented(volume, total, k % 4, k >= 4)
             total = total + _unoriented(self(turned), k % 4, k >= 4)
-        return total / 8
+        return (total / 8).clamp_min(0.0)
 
 
 def oriented(
