@@ -61,7 +61,7 @@ def decide_framing(partial: Splats, complete: Splats | None, request: FramingReq
     Raises:
         UserError: a guess is needed and the part has no finite splat or no extent.
     """
-    from gscomplete.completion.framing import guess_framing
+    from gscomplete.framing.guess import guess_framing
 
     center, size, view = request.center_file, request.size_file, request.view_deg
     origin: Literal["truth", "guess", "given"] = "given"

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gscomplete import jsonio
 from gscomplete.errors import UserError
+from gscomplete.util import jsonio
 from splatcomplete_data.optional import import_optional
 
 SCHEMA = "splatcomplete.recipe"
