@@ -3,19 +3,24 @@
 Conventions
 -----------
 * Standard input: one JSON object, the request of ``structure_from_motion``. Standard output: one
-  JSON object a line, either {"stage", "total", and "done" or the database "table" that counts it}
-  or, at the end, {"result": {"registered"}}. COLMAP's own log goes to standard error.
+  JSON object a line, either {"stage", "done", "total"} or, at the end, {"result": {"registered"}}.
+  COLMAP's own log goes to standard error.
+* Nobody but this process opens the database. COLMAP does not wait for a locked one: it fails with
+  "No registered database factory succeeded". Progress is counted over one connection, opened
+  before COLMAP's own and closed after them, so that opening and closing it locks nobody out.
 * The model's folder appears whole or not at all.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
 import sys
 import threading
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -39,8 +44,13 @@ def main() -> int:
         answers.write(json.dumps(message) + "\n")
         answers.flush()
 
-    _extract(request, say)
-    _match(request, say)
+    store = pycolmap.Database.open(request["database"])
+    with _counted("features", request["total"], store.num_images, say):
+        _extract(request)
+    pairs = _pairs(request)
+    with _counted("pairs", pairs, store.num_verified_image_pairs, say):
+        _match(request)
+    store.close()
     model = reconstruct(request, say)
     registered = 0 if model is None else model.num_reg_images()
     if model is not None:
@@ -56,11 +66,29 @@ def _end_with_parent(parent: int) -> None:
     os._exit(1)
 
 
-def _extract(request: dict[str, Any], say: Any) -> None:
+@contextlib.contextmanager
+def _counted(stage: str, total: int, count: Callable[[], int], say: Any) -> Iterator[None]:
+    """Tell the progress of a stage while it runs, as ``count`` gives it."""
+    finished = threading.Event()
+
+    def tell() -> None:
+        say(stage=stage, done=0, total=total)
+        while not finished.wait(_POLL_S):
+            say(stage=stage, done=min(count(), total), total=total)
+
+    teller = threading.Thread(target=tell)
+    teller.start()
+    try:
+        yield
+    finally:
+        finished.set()
+        teller.join()
+
+
+def _extract(request: dict[str, Any]) -> None:
     """Extract SIFT features; photos that the database holds already are passed over."""
     extraction = pycolmap.FeatureExtractionOptions(max_image_size=request["max_image_px"])
     extraction.sift.max_num_features = request["max_features"]
-    say(stage="features", table="keypoints", total=request["total"])
     for group in request["groups"]:
         reader = pycolmap.ImageReaderOptions(camera_model=group["model"])
         reader.camera_params = group["params"]
@@ -75,16 +103,21 @@ def _extract(request: dict[str, Any], say: Any) -> None:
         )
 
 
-def _match(request: dict[str, Any], say: Any) -> None:
+def _pairs(request: dict[str, Any]) -> int:
+    """Return how many pairs of photos are compared, at most."""
+    total = int(request["total"])
+    if request["matching"] == "exhaustive":
+        return total * (total - 1) // 2
+    return total * int(request["overlap"])
+
+
+def _match(request: dict[str, Any]) -> None:
     """Match features and check the geometry of every pair."""
-    total = request["total"]
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = request["seed"]
     if request["matching"] == "exhaustive":
-        say(stage="pairs", table="two_view_geometries", total=total * (total - 1) // 2)
         pycolmap.match_exhaustive(request["database"], verification_options=verification)
         return
-    say(stage="pairs", table="two_view_geometries", total=total * request["overlap"])
     pycolmap.match_sequential(
         request["database"],
         pairing_options=pycolmap.SequentialPairingOptions(overlap=request["overlap"]),

@@ -7,8 +7,8 @@ Conventions
   was made from the same photos, settings and cameras (``sfm_folder``).
 * COLMAP's world frame has no meaning: its scale is arbitrary and its up axis is not known.
 * COLMAP runs in a process of its own (``colmap_process``), because its native code ends the whole
-  process on errors of its own and can only be stopped with it, and because its SQLite and Python's
-  must not have one database open in one process.
+  process on errors of its own and can only be stopped with it. Its database is its own: COLMAP
+  fails where anybody else has it open.
 """
 
 from __future__ import annotations
@@ -17,8 +17,6 @@ import contextlib
 import dataclasses
 import importlib.util
 import json
-import selectors
-import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable
@@ -43,7 +41,6 @@ Matching = Literal["auto", "exhaustive", "sequential"]
 LensModel = Literal["SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE"]
 
 MOST_EXHAUSTIVE = 250
-_POLL_S = 0.5
 _ADVICE = (
     "Try more overlap between neighbouring photos (60 % and more), sharper photos, more texture "
     "around the object, nothing that moves, --sfm-lens OPENCV for wide lenses, or "
@@ -239,7 +236,7 @@ def _run_colmap(request: dict[str, Any], progress: Progress | None) -> dict[str,
             with contextlib.suppress(BrokenPipeError):
                 process.stdin.write(json.dumps(request).encode())
                 process.stdin.close()
-            answer = _listen(process, request, progress)
+            answer = _listen(process, progress)
         except BaseException:
             process.kill()
             raise
@@ -250,39 +247,13 @@ def _run_colmap(request: dict[str, Any], progress: Progress | None) -> dict[str,
     return answer
 
 
-def _listen(
-    process: subprocess.Popen[bytes], request: dict[str, Any], progress: Progress | None
-) -> dict[str, Any] | None:
+def _listen(process: subprocess.Popen[bytes], progress: Progress | None) -> dict[str, Any] | None:
     """Pass progress on until the process ends; return its result, None if it gave none."""
-    stage: dict[str, Any] = {}
     assert process.stdout is not None
-    with selectors.DefaultSelector() as selector:
-        selector.register(process.stdout, selectors.EVENT_READ)
-        while True:
-            if selector.select(_POLL_S):
-                line = process.stdout.readline()
-                if not line:
-                    return None
-                message = json.loads(line)
-                if "result" in message:
-                    return dict(message["result"])
-                stage = message
-            if progress is None or not stage:
-                continue
-            done = stage.get("done")
-            if done is None:
-                done = _rows(Path(request["database"]), stage["table"])
-            progress(stage["stage"], min(done, stage["total"]), stage["total"])
-
-
-def _rows(database: Path, table: str) -> int:
-    """Return how many rows a table of COLMAP's database has; 0 while it cannot be read."""
-    with contextlib.suppress(sqlite3.Error):
-        connection = sqlite3.connect(
-            f"{database.resolve().as_uri()}?mode=ro", uri=True, timeout=0.1
-        )
-        try:
-            return int(connection.execute(f"SELECT COUNT(*) FROM {table}").fetchone()[0])
-        finally:
-            connection.close()
-    return 0
+    for line in process.stdout:
+        message = json.loads(line)
+        if "result" in message:
+            return dict(message["result"])
+        if progress is not None:
+            progress(message["stage"], message["done"], message["total"])
+    return None

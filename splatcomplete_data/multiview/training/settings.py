@@ -1,7 +1,7 @@
 """Every knob of the training of splats from photos.
 
 Defaults are those of the original 3DGS (Kerbl et al. 2023, 30,000 steps) with its schedules as
-shares of ``steps``, so that a shorter run does everything, only sooner.
+shares of ``steps``. Runs too short for opacities to recover from a reset have none.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class GrowthSettings:
     until_share: float = 0.6
     """Share of the steps after which no splat is added or removed."""
     every: int = 100
-    """Steps between two divisions; at most a third of those between two resets of opacities."""
+    """Steps between two divisions; fewer in runs shorter than 18 times this, but at least 10."""
     gradient: float = 2e-4
     """Splats whose mean screen gradient is larger are divided (loss per half image)."""
     split_extent: float = 0.01
@@ -47,8 +47,9 @@ class GrowthSettings:
     prune_extent: float = 0.1
     """Splats larger than this share of the extent are removed (after the first opacity reset)."""
     reset_share: float | None = 0.1
-    """Opacities are lowered every this share of the steps while splats are divided; None = never.
-    What is needed recovers, floaters do not."""
+    """Opacities are lowered every this share of the steps while splats are divided, and at most
+    every 600 steps, which is what they need to recover; None = never. What is needed recovers,
+    floaters do not."""
     reset_opacity: float = 0.01
     """Opacities are lowered to this."""
 

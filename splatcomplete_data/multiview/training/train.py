@@ -31,9 +31,15 @@ from splatcomplete_data.multiview.training.ssim import Reference, ssim_map
 
 CHECK_EVERY = 100
 """Steps between two looks for values that are not finite, besides the one before every save."""
-_DIVISIONS_PER_RESET = 3
-"""Fewest rounds of division between two resets of opacities. In short runs resets and the removal
-of large splats, which stretch with the steps, would otherwise come before any splat is divided."""
+_DIVISIONS_PER_RUN = 18
+"""At least this many intervals of division fit into a run, of which the schedule uses about ten:
+with the interval of long runs, short ones would hardly divide."""
+_FEWEST_STEPS_PER_DIVISION = 10
+"""Gradients are averaged over at least this many steps before splats are divided by them."""
+_RECOVERY_STEPS = 600
+"""Fewest steps between two resets of opacities, and after the last: from 0.01 a splat needs over a
+hundred of its own steps to become opaque again. Resets that come sooner leave short runs with
+splats that are removed or kept by rounding errors."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,15 +225,13 @@ class Training:
 
     def _edit(self) -> GrowthReport | None:
         """Divide, prune and lower opacities when it is time to."""
-        growth, number = self.settings.growth, self.step_number
+        growth, number, steps = self.settings.growth, self.step_number, self.settings.steps
         report = None
         reset_every = 0
         if growth.reset_share is not None:
-            reset_every = max(1, round(growth.reset_share * self.settings.steps))
-        every = growth.every
-        if reset_every:
-            every = min(every, max(1, reset_every // _DIVISIONS_PER_RESET))
-        if number % every == 0 and number > growth.from_share * self.settings.steps:
+            reset_every = max(_RECOVERY_STEPS, round(growth.reset_share * steps))
+        every = min(growth.every, max(_FEWEST_STEPS_PER_DIVISION, steps // _DIVISIONS_PER_RUN))
+        if number % every == 0 and number > growth.from_share * steps:
             report = grow(
                 self.parameters,
                 self._statistics,
@@ -238,7 +242,7 @@ class Training:
                 step=number,
             )
             self._statistics = GradientStatistics(len(self.parameters), self._device)
-        if reset_every and number % reset_every == 0:
+        if reset_every and number % reset_every == 0 and number + reset_every <= steps:
             self.parameters.lower_opacities(growth.reset_opacity)
         return report
 

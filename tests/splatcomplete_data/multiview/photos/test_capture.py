@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sqlite3
 from pathlib import Path
 
 import numpy as np
@@ -165,7 +166,9 @@ def test_missing_pycolmap_is_one_line(tmp_path, monkeypatch):
 
 
 @pytest.mark.skipif(not sfm.has_pycolmap(), reason="pycolmap is not installed")
-def test_photos_that_do_not_register_say_how_many_and_what_to_try(tmp_path):
+def test_photos_that_do_not_register_say_how_many_and_what_to_try(tmp_path, monkeypatch):
+    # COLMAP does not wait for a locked database: a reader beside it makes it fail.
+    monkeypatch.delattr(sqlite3, "connect")
     for index in range(3):
         noise = np.random.default_rng(index).integers(0, 256, (64, 64, 3), dtype=np.uint8)
         (tmp_path / "images").mkdir(exist_ok=True)
@@ -175,7 +178,7 @@ def test_photos_that_do_not_register_say_how_many_and_what_to_try(tmp_path):
         sfm.find_poses(
             tmp_path / "images", tmp_path / "work", progress=lambda *told: stages.append(told[0])
         )
-    assert set(stages) <= {"features", "pairs", "cameras"}
+    assert set(stages) == {"features", "pairs", "cameras"}
 
 
 @pytest.mark.skipif(not sfm.has_pycolmap(), reason="pycolmap is not installed")

@@ -106,16 +106,24 @@ def test_the_cap_holds_and_splats_grow(capture):
     assert counts[0] == 300
 
 
-def test_a_short_run_divides_its_splats_before_it_removes_them(capture):
-    """300 random points start wider than what is removed after the first reset of opacities."""
+@pytest.mark.parametrize("nudge", [0.0, 1e-6])
+def test_a_short_run_divides_its_splats_and_keeps_them(capture, nudge):
+    """300 random points start wider than what is removed after the first reset of opacities.
+
+    A nudge of a rounding error's size is what another processor's kernels do; resets of opacities
+    that come too soon to recover from left 0.8 to 7.6 dB to it (400 steps).
+    """
     views, start = capture
-    settings = TrainingSettings(steps=180)
+    noise = torch.randn(start.means.shape, generator=torch.Generator().manual_seed(1))
+    start = dataclasses.replace(start, means=start.means + nudge * noise)
+    growth = GrowthSettings(max_splats=4000)
+    settings = TrainingSettings(steps=180, growth=growth)
     assert float(start.scales.min()) > settings.growth.prune_extent * 3.0
     training = Training(views, start, 3.0, settings)
     reports = [training.step() for _ in range(settings.steps)]
     rounds = [report.step + 1 for report in reports if report.growth is not None]
-    assert rounds == list(range(12, 109, 6))  # resets are 18 steps apart, from 4 % to 60 %
-    assert min(report.splats for report in reports) > 50
+    assert rounds == list(range(10, 109, 10))  # from 4 % to 60 %
+    assert min(report.splats for report in reports) >= 300
     # Nothing at all, which is what used to be left, is as good as a black picture.
     nothing = start.select(torch.arange(0))
     gains = np.subtract(
@@ -123,6 +131,23 @@ def test_a_short_run_divides_its_splats_before_it_removes_them(capture):
         evaluate_views(nothing, views, 3.0, settings),
     )
     assert gains.mean() > 3
+
+
+@pytest.mark.parametrize(
+    ("steps", "number", "lowered"),
+    [
+        (180, 18, False),
+        (1000, 600, False),
+        (1500, 600, True),
+        (7000, 600, False),
+        (7000, 700, True),
+    ],
+)
+def test_opacities_are_lowered_where_they_can_recover(capture, steps, number, lowered):
+    training = Training(*capture, 3.0, TrainingSettings(steps=steps))
+    training.step_number = number - 1
+    training.step()
+    assert (float(training.splats().opacities.max()) < 0.02) == lowered
 
 
 def test_divisions_of_long_runs_keep_their_own_interval(capture):
