@@ -336,6 +336,6 @@ def _begin_capture(state: Path, print_: str, options: Any) -> Any:
 
 def _run_command(entry: Entry, options: Any, said: io.StringIO) -> None:
     """Run the entry's command, catching what it prints."""
-    module = importlib.import_module(f"splatcomplete_data.commands.{entry.command}")
+    module = importlib.import_module(f"splatcomplete_data.cli.{entry.command}")
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(io.StringIO()):
         module.run(options)

@@ -58,7 +58,7 @@ class Entry:
             UserError: an option is unknown or of the wrong type.
         """
         table = CAPTURE_COMMANDS if self.is_capture else OBJECT_COMMANDS
-        module = importlib.import_module(f"splatcomplete_data.commands.{self.command}")
+        module = importlib.import_module(f"splatcomplete_data.cli.{self.command}")
         cls = getattr(module, table[self.command])
         values = {}
         for field in dataclasses.fields(cls):
