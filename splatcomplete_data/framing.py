@@ -3,7 +3,7 @@
 Conventions
 -----------
 * What the user gives is taken; what the known whole says comes next; the rest is guessed from the
-  part as ``gscomplete complete`` would (``completion.framing``), with reasons.
+  part as ``gscomplete complete`` would (``gscomplete.framing``), with reasons.
 * The box of a known whole is that of the middle 99.9 % of its splats along every axis, since
   trained splats have floaters; centres and sizes are in the file frame.
 """
