@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from gscomplete.completion.framing import outward_normals
 from gscomplete.splats import Splats
 
 WEIGHTS_FILE = "box.safetensors"
@@ -28,8 +27,7 @@ _CELLS = 32
 _MARGIN = 1.1
 """Side of the volume in sides of P's box."""
 _WIDTHS = (16, 32, 64, 128)
-_SPLATS = 20_000
-FloatArray = NDArray[np.float32]
+FloatArray = NDArray[np.floating]
 
 
 class BoxGrowth(nn.Module):
@@ -99,23 +97,37 @@ def _unoriented(growth: Tensor, turns: int, mirror: bool) -> Tensor:  # [B, 6]
     return growth
 
 
-def part_volume(partial: Splats) -> FloatArray:  # [4, C, C, C] in [-1, 1]
+def part_volume(
+    points: FloatArray,  # [N, 3]
+    normals: FloatArray,  # [N, 3] outward
+) -> FloatArray:  # [4, C, C, C] in [-1, 1]
     """Return P's volume; see the module's conventions."""
-    step = max(1, len(partial) // _SPLATS)
-    partial = partial.select(torch.arange(0, len(partial), step))
-    low, high = (corner.double().numpy() for corner in partial.bounds())
+    low, high = points.min(axis=0), points.max(axis=0)
     size = max(float((high - low).max()), 1e-12) * _MARGIN
-    place = (partial.means.double().numpy() - (low + high) / 2) / size + 0.5
+    place = (points - (low + high) / 2) / size + 0.5
     cells = np.clip((place * _CELLS).astype(np.int64), 0, _CELLS - 1)
     index = (cells[:, 0] * _CELLS + cells[:, 1]) * _CELLS + cells[:, 2]
-    normals = outward_normals(partial).double().numpy()
     count = np.bincount(index, minlength=_CELLS**3)
     sums = [np.bincount(index, normals[:, k], _CELLS**3) for k in range(3)]
     volume = np.stack([(count > 0).astype(np.float64), *(s / np.maximum(count, 1) for s in sums)])
     return volume.reshape(4, _CELLS, _CELLS, _CELLS).astype(np.float32)
 
 
-def growth_of(low: NDArray, high: NDArray, complete: Splats) -> FloatArray:  # [3], [3] -> [6]
+def box_growth(
+    points: FloatArray,  # [N, 3] of P, z up
+    normals: FloatArray,  # [N, 3] outward
+) -> FloatArray:  # [6]
+    """Return how far the complete object is believed to reach beyond P's box."""
+    volume = torch.from_numpy(part_volume(points, normals))[None]
+    growth: FloatArray = packaged_box_growth().averaged(volume)[0].double().numpy()
+    return growth
+
+
+def growth_of(
+    low: FloatArray,  # [3] of P's box
+    high: FloatArray,  # [3]
+    complete: Splats,
+) -> FloatArray:  # [6]
     """Return how far the complete object reaches beyond P's box."""
     all_low, all_high = (corner.double().numpy() for corner in complete.bounds())
     size = float((high - low).max())

@@ -40,8 +40,8 @@ from recipes.real_objects.load import RealObject
 from recipes.results import Results
 from recipes.train_embedded_prior.mesh_pack import PackEntry, PackMesh, read_manifest, read_mesh
 from recipes.train_embedded_prior.procedural.quads import turn_about
+from splatcomplete_data.cuts.geometry import by_box, by_plane, by_visibility, splat_points
 from splatcomplete_data.mesh.discs import ColoredTriangles, sample_triangles, triangles_to_discs
-from splatcomplete_data.partial import by_box, by_plane, by_visibility, splat_points
 
 PartKind = Literal["scan", "arc", "half", "box", "complete"]
 _SCANNED = ("gso", "gso-shape")
@@ -52,6 +52,8 @@ _SCAN_DISTANCE = 2.2
 _ARC_DEG = 100.0
 _BOX_SHARE = 0.4
 _LARGEST_OFFSET = 0.12
+_FEWEST_SHARE = 0.1
+"""A half that keeps less of a thin object is cut through the middle instead."""
 _FLAT_COLOR = (0.6, 0.6, 0.6)
 _F_DISTANCES = (0.01, 0.03)
 _OWN = 0.015
@@ -127,7 +129,10 @@ def part_of(splats: Splats, kind: PartKind, rng: np.random.Generator) -> Splats:
         return splats
     if kind == "half":
         normal = (math.cos(azimuth), math.sin(azimuth), 0.0)
-        return splats.select(by_plane(splats, normal, offset).mask)
+        mask = by_plane(splats, normal, offset).mask
+        if float(mask.float().mean()) < _FEWEST_SHARE:
+            mask = by_plane(splats, normal, 0.0).mask
+        return splats.select(mask)
     if kind == "box":
         points = splat_points(splats)
         anchor = points[int(rng.integers(len(points)))]

@@ -26,7 +26,6 @@ from rich.progress import track
 from safetensors.torch import save_file
 from torch import Tensor
 
-from gscomplete.completion.framing import FramingSettings, guess_framing, object_splats
 from gscomplete.errors import UserError
 from gscomplete.framing.box_growth import (
     WEIGHTS_FILE,
@@ -34,6 +33,12 @@ from gscomplete.framing.box_growth import (
     growth_of,
     oriented,
     part_volume,
+)
+from gscomplete.framing.guess import (
+    FramingSettings,
+    guess_framing,
+    object_splats,
+    points_and_normals,
 )
 from gscomplete.splats import Splats
 from recipes.entry_point import start
@@ -94,7 +99,9 @@ def make_parts(
             size = float((high - low).max())
             if not size > 0.05:
                 continue
-            volumes.append(np.round(part_volume(kept) * 127 + 128).astype(np.uint8))
+            volumes.append(
+                np.round(part_volume(*points_and_normals(kept)) * 127 + 128).astype(np.uint8)
+            )
             targets.append(growth_of(low, high, item.splats))
             if held_out:
                 guess = guess_framing(part)

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.rotations import rotation_matrices
 from recipes.train_embedded_prior.procedural.quads import FloatArray
+from splatcomplete_data.cuts.geometry import by_box, by_plane, by_visibility, splat_points
+from splatcomplete_data.cuts.random_cuts import random_partial, slight_partial
 from splatcomplete_data.flaws import corrupt
-from splatcomplete_data.partial import by_box, by_plane, by_visibility, splat_points
-from splatcomplete_data.random_cuts import random_partial, slight_partial
 
 _SHARES = (0.28, 0.2, 0.24, 0.13, 0.15)
 """Of one view, an arc, a plane, a box, and ``random_partial``."""
