@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gscomplete.errors import UserError
-from gscomplete.framing.box_growth import box_growth
+from gscomplete.framing.missing import guess_missing
 from gscomplete.render import render
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.rotations import rotation_matrices
@@ -160,7 +160,7 @@ def guess_framing(partial: Splats, settings: FramingSettings | None = None) -> F
 def _complete_box(kept: Splats) -> tuple[FloatArray, float, str]:
     """Return the centre [3] and the largest side of the complete object's box, and the reason."""
     points, normals = points_and_normals(kept)
-    growth = box_growth(points, normals)
+    growth = guess_missing(points, normals).growth
     growth = np.where(growth >= _LEAST_GROWTH, growth, 0.0)
     low, high = points.min(axis=0), points.max(axis=0)
     side = float((high - low).max())

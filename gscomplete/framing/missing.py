@@ -1,10 +1,11 @@
-"""A small network that guesses how far the complete object reaches beyond P's box.
+"""A small network that guesses what P lacks: how far the object reaches beyond P, and how much.
 
 Conventions
 -----------
 * P is in z-up axes. Its volume covers P's box, centred and scaled to largest side 1, with a margin:
   the share of filled cells and the mean outward normal of each, [4, C, C, C].
 * Growths are in sides (the largest) of P's box, all at least 0, ordered x-, x+, y-, y+, z-, z+.
+* The missing share is that of the complete object's surface that is not P's.
 * The network does not know which way objects face: its answer is the mean over four quarter turns
   about z, each mirrored or not.
 """
@@ -12,6 +13,7 @@ Conventions
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +22,7 @@ from numpy.typing import NDArray
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from gscomplete.splats import Splats
-
-WEIGHTS_FILE = "box.safetensors"
+WEIGHTS_FILE = "missing.safetensors"
 _CELLS = 32
 _MARGIN = 1.1
 """Side of the volume in sides of P's box."""
@@ -30,8 +30,17 @@ _WIDTHS = (16, 32, 64, 128)
 FloatArray = NDArray[np.floating]
 
 
-class BoxGrowth(nn.Module):
-    """Four strided stages, the mean and the maximum over cells, and two layers."""
+@dataclass(frozen=True, slots=True)
+class Missing:
+    """What P is believed to lack."""
+
+    growth: FloatArray  # [6]
+    share: float
+    """Of the complete object's surface, in [0, 1]."""
+
+
+class MissingNetwork(nn.Module):
+    """Four strided stages, then two layers on all of the 2 x 2 x 2 cells left."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -48,26 +57,30 @@ class BoxGrowth(nn.Module):
             ]
             before = width
         self.body = nn.Sequential(*layers)
-        self.head = nn.Sequential(nn.Linear(before * 8, 192), nn.SiLU(), nn.Linear(192, 6))
+        self.head = nn.Sequential(nn.Linear(before * 8, 192), nn.SiLU(), nn.Linear(192, 7))
         along = torch.linspace(-1, 1, _CELLS)
         place = torch.stack(torch.meshgrid(along, along, along, indexing="ij"))
         self.register_buffer("place", place, persistent=False)
 
-    def forward(self, volume: Tensor) -> Tensor:  # [B, 4, C, C, C] -> [B, 6]
-        """Return the growths; a little below 0 where P ends with the object."""
+    def forward(self, volume: Tensor) -> tuple[Tensor, Tensor]:  # [B, 4, C, C, C]
+        """Return the growths [B, 6], a little below 0 where P ends with the object, and the logits
+        of the missing shares [B].
+        """
         assert isinstance(self.place, Tensor)
         place = self.place.expand(len(volume), -1, -1, -1, -1)
-        x = self.body(torch.cat([volume, place], dim=1))
-        return self.head(x.flatten(1))
+        found = self.head(self.body(torch.cat([volume, place], dim=1)).flatten(1))
+        return found[:, :6], found[:, 6]
 
     @torch.no_grad()
-    def averaged(self, volume: Tensor) -> Tensor:  # [B, 4, C, C, C] -> [B, 6]
-        """Return the mean over all orientations."""
-        total = torch.zeros(len(volume), 6)
+    def averaged(self, volume: Tensor) -> tuple[Tensor, Tensor]:  # [B, 4, C, C, C]
+        """Return the mean over all orientations: growths [B, 6] and missing shares [B]."""
+        total, shares = torch.zeros(len(volume), 6), torch.zeros(len(volume))
         for k in range(8):
             turned, _ = oriented(volume, total, k % 4, k >= 4)
-            total = total + _unoriented(self(turned), k % 4, k >= 4)
-        return (total / 8).clamp_min(0.0)
+            growth, logit = self(turned)
+            total = total + _unoriented(growth, k % 4, k >= 4)
+            shares = shares + logit.sigmoid()
+        return (total / 8).clamp_min(0.0), shares / 8
 
 
 def oriented(
@@ -97,10 +110,10 @@ def _unoriented(growth: Tensor, turns: int, mirror: bool) -> Tensor:  # [B, 6]
     return growth
 
 
-def part_volume(
+def partial_volume(
     points: FloatArray,  # [N, 3]
     normals: FloatArray,  # [N, 3] outward
-) -> FloatArray:  # [4, C, C, C] in [-1, 1]
+) -> NDArray[np.float32]:  # [4, C, C, C] in [-1, 1]
     """Return P's volume; see the module's conventions."""
     low, high = points.min(axis=0), points.max(axis=0)
     size = max(float((high - low).max()), 1e-12) * _MARGIN
@@ -113,32 +126,19 @@ def part_volume(
     return volume.reshape(4, _CELLS, _CELLS, _CELLS).astype(np.float32)
 
 
-def box_growth(
+def guess_missing(
     points: FloatArray,  # [N, 3] of P, z up
     normals: FloatArray,  # [N, 3] outward
-) -> FloatArray:  # [6]
-    """Return how far the complete object is believed to reach beyond P's box."""
-    volume = torch.from_numpy(part_volume(points, normals))[None]
-    growth: FloatArray = packaged_box_growth().averaged(volume)[0].double().numpy()
-    return growth
-
-
-def growth_of(
-    low: FloatArray,  # [3] of P's box
-    high: FloatArray,  # [3]
-    complete: Splats,
-) -> FloatArray:  # [6]
-    """Return how far the complete object reaches beyond P's box."""
-    all_low, all_high = (corner.double().numpy() for corner in complete.bounds())
-    size = float((high - low).max())
-    growth = np.empty(6, np.float32)
-    growth[::2], growth[1::2] = (low - all_low) / size, (all_high - high) / size
-    return np.maximum(growth, 0.0)
+) -> Missing:
+    """Return what P is believed to lack."""
+    volume = torch.from_numpy(partial_volume(points, normals))[None]
+    growth, share = packaged_network().averaged(volume)
+    return Missing(growth[0].double().numpy(), float(share[0]))
 
 
 @functools.cache
-def packaged_box_growth() -> BoxGrowth:
+def packaged_network() -> MissingNetwork:
     """Return the network with the weights of the package."""
-    model = BoxGrowth()
+    model = MissingNetwork()
     model.load_state_dict(load_file(Path(__file__).parent / "weights" / WEIGHTS_FILE))
     return model.eval()
