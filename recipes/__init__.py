@@ -1,5 +1,5 @@
 """Recipes: scripts that train, benchmark and check what the packages ship."""
 
-from gscomplete.command_line import let_threads_sleep
+from gscomplete.cli.guard import let_threads_sleep
 
 let_threads_sleep()  # recipes are programs, and most of them load PyTorch

@@ -8,7 +8,7 @@ from typing import NoReturn, TypeVar
 
 import tyro
 
-from gscomplete.command_line import run_guarded
+from gscomplete.cli.guard import run_guarded
 
 Options = TypeVar("Options")
 

@@ -12,9 +12,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from gscomplete import jsonio
-from gscomplete.atomic import atomic_path
 from gscomplete.errors import UserError
+from gscomplete.util import jsonio
+from gscomplete.util.atomic import atomic_path
 
 
 class Results:

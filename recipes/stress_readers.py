@@ -52,12 +52,12 @@ def seed_files(folder: Path) -> list[tuple[Path, Reader]]:
     import trimesh
     from PIL import Image
 
-    from gscomplete.commands.validate import validate_file
+    from gscomplete.cli.validate import validate_file
     from gscomplete.splats import write_splats
     from recipes.benchmarks.ply_io import random_splats
     from splatcomplete_data.dataset.recipe import read_recipe
     from splatcomplete_data.formats import read_any_splats, write_any_splats
-    from splatcomplete_data.mesh.load import load_mesh
+    from splatcomplete_data.mesh.files.load import load_mesh
     from splatcomplete_data.objects import read_record
     from splatcomplete_data.scan.read import read_scan
     from splatcomplete_data.singleview.depth_file import read_depth
@@ -113,7 +113,7 @@ def _las(folder: Path, points: np.ndarray, reader: Reader) -> list[tuple[Path, R
 
 def _record(folder: Path, reader: Reader) -> list[tuple[Path, Reader]]:
     """Write an object.json."""
-    from gscomplete import jsonio
+    from gscomplete.util import jsonio
     from gscomplete.views import ObjectFrame, ViewDistribution
     from splatcomplete_data.objects import ObjectRecord, SourceRecord
 

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from gscomplete.splats.record import SH_C0, Splats, concatenate
-from splatcomplete_data.partial import splat_points
+from splatcomplete_data.cuts.geometry import splat_points
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,6 @@ from typing import Any, Literal
 import numpy as np
 import torch
 
-from gscomplete.atomic import atomic_path
 from gscomplete.errors import UserError
 from gscomplete.splats import (
     SH_C0,
@@ -39,6 +38,7 @@ from gscomplete.splats.ply import SplatFile, splat_element
 from gscomplete.splats.ply_header import Element
 from gscomplete.splats.ply_layout import find_layout
 from gscomplete.splats.ply_records import LOG_SCALE_LIMIT, LOGIT_LIMIT
+from gscomplete.util.atomic import atomic_path
 from splatcomplete_data.optional import import_optional
 
 SplatFormat = Literal["ply", "compressed.ply", "splat", "spz"]

@@ -3,7 +3,7 @@
 Conventions
 -----------
 * What the user gives is taken; what the known whole says comes next; the rest is guessed from the
-  part as ``gscomplete complete`` would (``completion.framing``), with reasons.
+  part as ``gscomplete complete`` would (``gscomplete.framing``), with reasons.
 * The box of a known whole is that of the middle 99.9 % of its splats along every axis, since
   trained splats have floaters; centres and sizes are in the file frame.
 """
@@ -61,7 +61,7 @@ def decide_framing(partial: Splats, complete: Splats | None, request: FramingReq
     Raises:
         UserError: a guess is needed and the part has no finite splat or no extent.
     """
-    from gscomplete.completion.framing import guess_framing
+    from gscomplete.framing.guess import guess_framing
 
     center, size, view = request.center_file, request.size_file, request.view_deg
     origin: Literal["truth", "guess", "given"] = "given"

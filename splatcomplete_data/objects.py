@@ -25,13 +25,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from gscomplete import __version__, jsonio
-from gscomplete.digests import sha256_of
+from gscomplete import __version__
 from gscomplete.errors import UserError
 from gscomplete.splats import Similarity, Splats, read_splats, write_splats
+from gscomplete.util import jsonio
+from gscomplete.util.digests import sha256_of
 from gscomplete.views import ObjectFrame, ViewDistribution
 from splatcomplete_data.atomic_folder import atomic_folder
-from splatcomplete_data.boxes import CropBox
+from splatcomplete_data.cuts.boxes import CropBox
 
 if TYPE_CHECKING:
     from PIL import Image

@@ -16,10 +16,11 @@ from dataclasses import dataclass
 
 from PIL import Image
 
-from gscomplete.completion.randomness import generator_for
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.evaluate.pictures import contact_sheet, render_images
-from gscomplete.priors.base import ChosenMirror, Conditioning, Prior, ShapePrior
+from gscomplete.fitting.randomness import generator_for
+from gscomplete.priors.base import Conditioning, Prior, ShapePrior
+from gscomplete.shape.mirror_plane import ChosenMirror
 from gscomplete.splats import Splats, concatenate
 from gscomplete.views import ViewDistribution
 

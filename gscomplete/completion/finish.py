@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from gscomplete.completion.hard_preservation import HardPreservationReport, preserve_hard
-from gscomplete.completion.seam_colors import SeamColorReport, match_seam_colors
+from gscomplete.completion.preserve.bounds import HardPreservationReport, preserve_hard
+from gscomplete.completion.seam import SeamColorReport, match_seam_colors
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution

@@ -18,18 +18,18 @@ import torch
 from torch import Tensor
 
 from gscomplete.completion import schedules
-from gscomplete.completion.densify import GradientStatistics, prune_mask, subdivide
-from gscomplete.completion.initialise import initial_splats
-from gscomplete.completion.input_view import settled_view
 from gscomplete.completion.losses import fit_loss, preservation_loss, random_background
-from gscomplete.completion.parameters import Bounds, SplatParameters
-from gscomplete.completion.partial_views import PartialViews
-from gscomplete.completion.randomness import generator_for, uniform
 from gscomplete.completion.rings import Ring, RingMemory, inside_distribution, random_ring
 from gscomplete.completion.settings import CompletionSettings
+from gscomplete.completion.start import initial_splats
 from gscomplete.errors import UserError
+from gscomplete.fitting.densify import GradientStatistics, prune_mask, subdivide
+from gscomplete.fitting.parameters import Bounds, SplatParameters
+from gscomplete.fitting.randomness import generator_for, uniform
+from gscomplete.framing.input_view import settled_view
 from gscomplete.priors.base import Conditioning, FourViews, Guidance, Prior, ShapePrior
 from gscomplete.render import Render
+from gscomplete.render.partial_views import PartialViews
 from gscomplete.splats import Splats
 from gscomplete.splats.filters import MAX_MAGNITUDE
 from gscomplete.views import Cameras, ViewDistribution

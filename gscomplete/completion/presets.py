@@ -15,12 +15,11 @@ from typing import Literal
 
 from gscomplete.completion.settings import (
     CompletionSettings,
-    DensifySettings,
     HardPreservationSettings,
-    LearningRates,
     TimestepStage,
 )
 from gscomplete.errors import UserError
+from gscomplete.fitting.settings import DensifySettings, LearningRates
 
 PresetName = Literal["default", "fast", "reconstruct", "distill", "paper"]
 """``default``: the best of time and quality for the prior. ``fast``: less care.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from gscomplete.completion.randomness import generator_for, uniform
+from gscomplete.fitting.randomness import generator_for, uniform
 from gscomplete.priors.base import PriorViews
 from gscomplete.views import Cameras, ViewDistribution, four_view_orbit, radius_to_fit
 

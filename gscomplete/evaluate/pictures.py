@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
-from gscomplete.atomic import atomic_path
 from gscomplete.errors import UserError
 from gscomplete.render import render
 from gscomplete.splats import Splats
+from gscomplete.util.atomic import atomic_path
 from gscomplete.views import Cameras, ViewDistribution
 
 LIGHT_GREY = (0.78, 0.78, 0.78)

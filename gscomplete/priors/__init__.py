@@ -11,7 +11,7 @@ from gscomplete.priors.base import Conditioning, FourViews, Guidance, Prior, Pri
 if TYPE_CHECKING:
     import torch
 
-    from gscomplete.priors.mvdream.settings import LatentPriorSettings
+    from gscomplete.priors.latent.settings import LatentPriorSettings
 
 __all__ = [
     "PRIOR_NAMES",

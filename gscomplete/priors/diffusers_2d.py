@@ -21,8 +21,17 @@ import torch
 from torch import Tensor
 
 from gscomplete.errors import UserError
-from gscomplete.jsonio import read_json
 from gscomplete.priors.base import PriorViews
+from gscomplete.priors.latent.guidance import NoiseSchedule
+from gscomplete.priors.latent.prior import (
+    VIEWS,
+    LatentPrior,
+    PriorIdentity,
+    default_guidance,
+)
+from gscomplete.priors.latent.settings import LatentPriorSettings, memory_plan, unet_dtype
+from gscomplete.priors.latent.text import PromptEncoder, cache_home
+from gscomplete.priors.latent.tokenizer import END_ID, OPEN_CLIP_PAD_ID, Tokenizer
 from gscomplete.priors.mvdream.config import PUBLISHED
 from gscomplete.priors.mvdream.folders import (
     find_tensor_file,
@@ -31,19 +40,10 @@ from gscomplete.priors.mvdream.folders import (
     text_part,
     vae_part,
 )
-from gscomplete.priors.mvdream.guidance import NoiseSchedule
-from gscomplete.priors.mvdream.latent_prior import (
-    VIEWS,
-    LatentPrior,
-    PriorIdentity,
-    default_guidance,
-)
 from gscomplete.priors.mvdream.model import build_text_tower, build_vae, load_strictly, require
 from gscomplete.priors.mvdream.prior import deciding_settings, prepare, prepare_codec
-from gscomplete.priors.mvdream.settings import LatentPriorSettings, memory_plan, unet_dtype
 from gscomplete.priors.mvdream.tensor_files import TensorFile, check_tensors, fingerprint
-from gscomplete.priors.mvdream.text import PromptEncoder, cache_home
-from gscomplete.priors.mvdream.tokenizer import END_ID, OPEN_CLIP_PAD_ID, Tokenizer
+from gscomplete.util.jsonio import read_json
 from gscomplete.views import Cameras
 
 GUIDANCE_SCALE = 100.0
@@ -71,7 +71,7 @@ class SingleViewDenoiser:
 
     @torch.no_grad()
     def __call__(self, noisy: Tensor, timestep: int, context: Tensor, cameras: Cameras) -> Tensor:
-        """Predict noise; see :class:`gscomplete.priors.mvdream.latent_prior.Denoiser`."""
+        """Predict noise; see :class:`gscomplete.priors.latent.prior.Denoiser`."""
         output = self._network(
             noisy.to(self._dtype),
             torch.full((len(noisy),), timestep, dtype=torch.int64, device=self._device),

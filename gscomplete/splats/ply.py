@@ -21,7 +21,6 @@ from pathlib import Path
 
 import torch
 
-from gscomplete.atomic import atomic_path
 from gscomplete.errors import UserError
 from gscomplete.splats.ply_header import Element, PlyError, PlyHeader, Property, read_header
 from gscomplete.splats.ply_layout import REQUIRED, SplatLayout, find_layout
@@ -35,6 +34,7 @@ from gscomplete.splats.ply_payload import (
 )
 from gscomplete.splats.ply_records import Decoder, Encoder
 from gscomplete.splats.record import Splats
+from gscomplete.util.atomic import atomic_path
 
 
 @dataclass(frozen=True, slots=True, eq=False)

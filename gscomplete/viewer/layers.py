@@ -16,12 +16,12 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from gscomplete.completion.run import OUTPUT_FILE, RUN_FILE
+from gscomplete.completion.run_folder import OUTPUT_FILE, RUN_FILE
 from gscomplete.errors import UserError
-from gscomplete.jsonio import read_json
 from gscomplete.splats import Splats, read_splats
 from gscomplete.splats.filters import thinned, usable_rows
 from gscomplete.splats.transform import transform_splats
+from gscomplete.util.jsonio import read_json
 from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution
 
 _REACH = 0.8

@@ -19,8 +19,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from gscomplete import jsonio
 from gscomplete.errors import UserError
+from gscomplete.util import jsonio
 from gscomplete.views.cameras import Cameras, orbit_cameras
 
 SCHEMA = "gscomplete.view_distribution"

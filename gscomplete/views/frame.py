@@ -29,10 +29,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gscomplete import jsonio
 from gscomplete.splats.filters import near_rows
 from gscomplete.splats.record import Splats
 from gscomplete.splats.transform import Similarity
+from gscomplete.util import jsonio
 
 UpAxis = Literal["X", "Y", "Z", "-X", "-Y", "-Z"]
 """The file axis that points up."""

@@ -30,12 +30,9 @@ from rich.console import Console
 from rich.progress import track
 
 from gscomplete.completion.presets import FAST, GUESS, PAPER, RECONSTRUCT, SMALL_PRIOR
-from gscomplete.completion.settings import (
-    CompletionSettings,
-    HardPreservationSettings,
-    LearningRates,
-)
+from gscomplete.completion.settings import CompletionSettings, HardPreservationSettings
 from gscomplete.evaluate.pictures import save_image
+from gscomplete.fitting.settings import LearningRates
 from gscomplete.priors import load_prior
 from gscomplete.priors.base import prior_identity
 from recipes.benchmarks.charts import Chart, draw_charts

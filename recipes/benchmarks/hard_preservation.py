@@ -23,14 +23,14 @@ from PIL import Image
 from rich.console import Console
 from rich.progress import track
 
-from gscomplete import jsonio
-from gscomplete.completion.hard_preservation import preserve_hard
+from gscomplete.completion.preserve.bounds import preserve_hard
 from gscomplete.completion.settings import HardPreservationSettings
 from gscomplete.evaluate.metrics import against_truth, preservation
 from gscomplete.evaluate.pictures import contact_sheet, render_images, save_image
 from gscomplete.priors import Prior, load_prior
 from gscomplete.priors.base import prior_identity
 from gscomplete.splats import Splats, concatenate, read_splats, write_splats
+from gscomplete.util import jsonio
 from gscomplete.views import Cameras
 from recipes.entry_point import start
 from recipes.real_objects.compare import Posed, completed_as_run, pose, settings_of

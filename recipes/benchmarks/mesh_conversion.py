@@ -33,16 +33,16 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from gscomplete.atomic import atomic_path
 from gscomplete.errors import UserError
 from gscomplete.render import render
 from gscomplete.splats import Splats, transform_splats
+from gscomplete.util.atomic import atomic_path
 from gscomplete.views import Cameras, ObjectFrame, UpAxis, orbit_cameras
 from recipes.benchmarks.mesh_truth import Truth, cast_mesh
 from recipes.entry_point import start
 from splatcomplete_data.mesh.convert import ConvertMode, ConvertSettings, convert_mesh
-from splatcomplete_data.mesh.load import Mesh, load_mesh
-from splatcomplete_data.mesh.parts import MeshPart
+from splatcomplete_data.mesh.files.load import Mesh, load_mesh
+from splatcomplete_data.mesh.files.parts import MeshPart
 
 GREY = 0.5
 FOV_DEG = 40.0

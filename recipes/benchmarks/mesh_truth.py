@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from gscomplete.views import Cameras, ObjectFrame
-from splatcomplete_data.mesh.load import Mesh
+from splatcomplete_data.mesh.files.load import Mesh
 from splatcomplete_data.optional import import_open3d
 
 MAX_LAYERS = 6

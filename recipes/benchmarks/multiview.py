@@ -16,12 +16,12 @@ from pathlib import Path
 import torch
 
 from recipes.entry_point import start
-from splatcomplete_data.multiview.capture import photo_folder
-from splatcomplete_data.multiview.images import list_photos
+from splatcomplete_data.multiview.photos.capture import photo_folder
+from splatcomplete_data.multiview.photos.images import list_photos
 from splatcomplete_data.multiview.reconstruct import Request, execute, prepare
-from splatcomplete_data.multiview.settings import GrowthSettings, TrainingSettings
-from splatcomplete_data.multiview.structure_from_motion import find_poses
-from splatcomplete_data.multiview.train import StepReport
+from splatcomplete_data.multiview.sfm.structure_from_motion import find_poses
+from splatcomplete_data.multiview.training.settings import GrowthSettings, TrainingSettings
+from splatcomplete_data.multiview.training.train import StepReport
 
 
 @dataclass(frozen=True)

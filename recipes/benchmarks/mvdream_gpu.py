@@ -29,21 +29,21 @@ import torch
 from torch import Tensor
 from torch.utils.flop_counter import FlopCounterMode
 
-from gscomplete.atomic import atomic_path
 from gscomplete.completion.losses import preservation_loss
 from gscomplete.completion.optimise import Completion
-from gscomplete.completion.partial_views import PartialViews
 from gscomplete.completion.presets import PAPER
-from gscomplete.device import choose_device, choose_render_device
 from gscomplete.priors.base import FourViews, PriorViews
+from gscomplete.priors.latent.prior import LatentConditioning, LatentPrior
+from gscomplete.priors.latent.settings import Compile, LatentPriorSettings, Memory
 from gscomplete.priors.mvdream.config import PUBLISHED, MVDreamConfig, UNetConfig, VAEConfig
-from gscomplete.priors.mvdream.latent_prior import LatentConditioning, LatentPrior
 from gscomplete.priors.mvdream.model import MultiViewUNet, build_unet, build_vae
 from gscomplete.priors.mvdream.prior import MVDREAM_VIEWS, mvdream_prior
-from gscomplete.priors.mvdream.settings import Compile, LatentPriorSettings, Memory
 from gscomplete.render import render
+from gscomplete.render.partial_views import PartialViews
 from gscomplete.splats import Splats, concatenate, read_splats
 from gscomplete.splats.filters import usable_rows
+from gscomplete.util.atomic import atomic_path
+from gscomplete.util.device import choose_device, choose_render_device
 from gscomplete.views import ViewDistribution, four_view_orbit
 from recipes.benchmarks.scenes import surface_discs
 from recipes.entry_point import start

@@ -30,11 +30,11 @@ import numba
 import numpy as np
 import torch
 
-from gscomplete.atomic import atomic_path
 from gscomplete.errors import UserError
 from gscomplete.evaluate.pictures import save_image
 from gscomplete.render import render
 from gscomplete.splats import Splats
+from gscomplete.util.atomic import atomic_path
 from gscomplete.views import Cameras
 from recipes.benchmarks.charts import Chart, draw_charts
 from recipes.benchmarks.clocks import Clock, clock_reader

@@ -35,10 +35,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gscomplete.atomic import atomic_path
 from gscomplete.evaluate.pictures import save_image
 from gscomplete.render import Backend, RenderSettings, render
 from gscomplete.splats import Splats
+from gscomplete.util.atomic import atomic_path
 from gscomplete.views import Cameras
 from recipes.benchmarks.charts import Chart, draw_charts
 from recipes.benchmarks.clocks import Clock, clock_reader

@@ -38,10 +38,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gscomplete.atomic import atomic_path
 from gscomplete.errors import UserError
 from gscomplete.render import render
 from gscomplete.splats import Splats
+from gscomplete.util.atomic import atomic_path
 from gscomplete.views import Cameras
 from recipes.benchmarks.clocks import Clock, clock_reader
 from recipes.benchmarks.scenes import bench_camera, surface_discs, trainable_copy

@@ -27,13 +27,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gscomplete.atomic import atomic_path
 from gscomplete.completion.optimise import Completion
-from gscomplete.completion.partial_views import PartialViews
 from gscomplete.completion.presets import RECONSTRUCT, SMALL_PRIOR
 from gscomplete.completion.settings import CompletionSettings, SkipSettings
 from gscomplete.priors import Prior, load_prior
+from gscomplete.render.partial_views import PartialViews
 from gscomplete.splats import Splats
+from gscomplete.util.atomic import atomic_path
 from recipes.entry_point import start
 from recipes.real_objects.compare import Posed, pose
 from recipes.real_objects.complete import DATA

@@ -25,15 +25,15 @@ from PIL import Image, ImageDraw
 from rich.console import Console
 from rich.progress import track
 
-from gscomplete.atomic import atomic_path
-from gscomplete.completion.framing import guess_framing
 from gscomplete.completion.presets import FAST, GUESS, RECONSTRUCT, TEXT_ONLY
 from gscomplete.completion.settings import CompletionSettings, TimestepStage
 from gscomplete.evaluate.metrics import against_truth, preservation
 from gscomplete.evaluate.pictures import contact_sheet, render_images, save_image
+from gscomplete.framing.guess import guess_framing
 from gscomplete.priors import load_prior
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.transform import transform_splats
+from gscomplete.util.atomic import atomic_path
 from gscomplete.views import ObjectFrame, ViewDistribution
 from recipes.entry_point import start
 from recipes.in_memory import completed

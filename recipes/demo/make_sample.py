@@ -11,8 +11,8 @@ from pathlib import Path
 
 import torch
 
-from gscomplete.atomic import atomic_path
 from gscomplete.splats import Splats, write_splats
+from gscomplete.util.atomic import atomic_path
 from recipes.train_embedded_prior.procedural.objects import make_object_of
 
 FOLDER = Path(__file__).resolve().parent

@@ -40,21 +40,21 @@ from rich.console import Console
 from rich.progress import track
 from scipy.spatial import cKDTree
 
-from gscomplete import jsonio
 from gscomplete.completion.alternatives import guess_alternatives
-from gscomplete.completion.framing import FramingGuess, guess_framing
 from gscomplete.completion.presets import PresetName, preset
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.evaluate.metrics import against_truth, preservation
 from gscomplete.evaluate.pictures import contact_sheet, render_images, save_image
+from gscomplete.framing.guess import FramingGuess, guess_framing
 from gscomplete.priors import Prior, load_prior
 from gscomplete.priors.base import prior_identity
-from gscomplete.priors.embedded.shape.choice import CANDIDATES
-from gscomplete.priors.embedded.shape.inputs import look_at
-from gscomplete.priors.embedded.shape.mirrored import mirror_image
-from gscomplete.priors.embedded.shape.proposals import candidate_planes
+from gscomplete.shape.mirrored import mirror_image
+from gscomplete.shape.partial_voxels import look_at
+from gscomplete.shape.symmetry_choice import CANDIDATES
+from gscomplete.shape.symmetry_proposals import candidate_planes
 from gscomplete.splats import Splats, colors_to_sh, concatenate, read_splats, write_splats
 from gscomplete.splats.transform import Similarity, transform_splats
+from gscomplete.util import jsonio
 from gscomplete.views import ObjectFrame, ViewDistribution, up_rotation
 from recipes.entry_point import start
 from recipes.in_memory import Answer, completed

@@ -19,10 +19,8 @@ from PIL import Image
 from rich.console import Console
 from rich.progress import track
 
-from gscomplete import jsonio
-from gscomplete.atomic import atomic_path
 from gscomplete.completion.presets import PresetName, preset
-from gscomplete.completion.run import RUN_FILE, Request, completing_seconds, execute, prepare
+from gscomplete.completion.run_folder import RUN_FILE, Request, completing_seconds, execute, prepare
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.errors import UserError
 from gscomplete.evaluate.metrics import against_truth
@@ -31,6 +29,8 @@ from gscomplete.priors import Prior, load_prior
 from gscomplete.priors.base import prior_identity
 from gscomplete.splats import Splats, concatenate, read_splats, write_splats
 from gscomplete.splats.transform import transform_splats
+from gscomplete.util import jsonio
+from gscomplete.util.atomic import atomic_path
 from gscomplete.views import ObjectFrame, ViewDistribution
 from recipes.entry_point import start
 from recipes.real_objects.load import RealObject, load_real_object, names

@@ -21,8 +21,8 @@ from gscomplete.errors import UserError
 from gscomplete.splats import Splats, read_compressed_ply, transform_splats
 from gscomplete.views import ObjectFrame, UpAxis, up_rotation
 from recipes.real_objects.catalogue import ENTRIES, BoxCut, Entry, PlaneCut, ScanCut
-from splatcomplete_data.mesh.load import BakedLight, GltfColors, load_mesh, mesh_to_discs
-from splatcomplete_data.partial import PartialCut, by_plane, by_visibility, crop
+from splatcomplete_data.cuts.geometry import PartialCut, by_plane, by_visibility, crop
+from splatcomplete_data.mesh.files.load import BakedLight, GltfColors, load_mesh, mesh_to_discs
 from splatcomplete_data.points import points_to_splats
 from splatcomplete_data.scan import PointCloud
 from splatcomplete_data.scan.read import read_scan

@@ -28,8 +28,8 @@ import torch
 from rich.console import Console
 from rich.progress import track
 
-from gscomplete.completion.input_view import InputViewSettings, hidden_share
 from gscomplete.errors import UserError
+from gscomplete.framing.input_view import InputViewSettings, hidden_share
 from gscomplete.priors import load_prior
 from gscomplete.priors.base import prior_identity
 from gscomplete.splats import concatenate

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gscomplete.atomic import atomic_path
+from gscomplete.util.atomic import atomic_path
 from recipes.entry_point import start
 
 

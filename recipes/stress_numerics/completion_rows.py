@@ -14,12 +14,13 @@ from typing import Any
 import torch
 
 from gscomplete.completion import schedules
-from gscomplete.completion.checkpoint import FILE_NAME, load_checkpoint
 from gscomplete.completion.optimise import Completion, NonFiniteError
 from gscomplete.completion.presets import RECONSTRUCT, SMALL_PRIOR
-from gscomplete.completion.run import Request, execute, prepare
-from gscomplete.completion.settings import CompletionSettings, LearningRates
+from gscomplete.completion.run_folder import Request, execute, prepare
+from gscomplete.completion.settings import CompletionSettings
 from gscomplete.errors import UserError
+from gscomplete.fitting.checkpoint import FILE_NAME, load_checkpoint
+from gscomplete.fitting.settings import LearningRates
 from gscomplete.render import render
 from gscomplete.splats import Splats, concatenate, read_splats, write_splats
 from gscomplete.views import ViewDistribution, orbit_cameras

@@ -15,7 +15,7 @@ from typing import Literal
 
 from gscomplete.priors.base import PriorViews
 from gscomplete.priors.embedded.model import ModelConfig
-from gscomplete.priors.embedded.shape.model import ShapeModelConfig
+from gscomplete.shape.network import ShapeModelConfig
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from gscomplete.priors.embedded.shape.choice import WRONG_WEIGHT
-from gscomplete.priors.embedded.shape.grid import (
+from gscomplete.shape.symmetry import SymmetryMap
+from gscomplete.shape.symmetry_choice import WRONG_WEIGHT
+from gscomplete.shape.symmetry_features import OFFSETS, plane_normals
+from gscomplete.shape.voxels import (
     CELL_SIDE,
     CELLS,
     HALF_SIDE,
@@ -24,8 +26,6 @@ from gscomplete.priors.embedded.shape.grid import (
     fill_colored,
     splat_arrays,
 )
-from gscomplete.priors.embedded.shape.planes import OFFSETS, plane_normals
-from gscomplete.priors.embedded.shape.symmetries import SymmetryMap
 from gscomplete.splats import Splats
 
 _SAMPLES = 400

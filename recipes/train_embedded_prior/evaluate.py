@@ -25,7 +25,6 @@ import tyro
 from PIL import Image
 from torch import Tensor
 
-from gscomplete.atomic import atomic_path
 from gscomplete.errors import UserError
 from gscomplete.priors.embedded.diffusion import (
     NUM_TIMESTEPS,
@@ -40,6 +39,7 @@ from gscomplete.priors.embedded.model import FourViewDenoiser
 from gscomplete.priors.embedded.prior import packaged_weights
 from gscomplete.priors.embedded.text import NO_TEXT_TOKEN
 from gscomplete.priors.embedded.weights import load_weights
+from gscomplete.util.atomic import atomic_path
 from recipes.train_embedded_prior.config import DataConfig
 from recipes.train_embedded_prior.dataset import HELD_OUT_SEED_OFFSET, Batch, decode_sets
 from recipes.train_embedded_prior.shards import ShardSpec

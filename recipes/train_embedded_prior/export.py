@@ -23,14 +23,9 @@ import tyro
 from torch import Tensor
 
 from gscomplete.errors import UserError
-from gscomplete.jsonio import from_json, read_json
 from gscomplete.priors.base import PriorViews
 from gscomplete.priors.embedded.model import FourViewDenoiser, ModelConfig, count_parameters
 from gscomplete.priors.embedded.prior import packaged_weights
-from gscomplete.priors.embedded.shape.grid import CELL_SIDE, CELLS
-from gscomplete.priors.embedded.shape.model import ShapeCompleter, ShapeModelConfig
-from gscomplete.priors.embedded.shape.plane_judge import JUDGE_FILE
-from gscomplete.priors.embedded.shape.plane_ranker import RANKER_FILE
 from gscomplete.priors.embedded.text import FIRST_WORD_TOKEN, STOP_WORDS, split_words
 from gscomplete.priors.embedded.weights import (
     FORMAT_VERSION,
@@ -41,6 +36,11 @@ from gscomplete.priors.embedded.weights import (
     load_weights,
     save_weights,
 )
+from gscomplete.shape.coarse_scorer import RANKER_FILE
+from gscomplete.shape.fine_scorer import JUDGE_FILE
+from gscomplete.shape.network import ShapeCompleter, ShapeModelConfig
+from gscomplete.shape.voxels import CELL_SIDE, CELLS
+from gscomplete.util.jsonio import from_json, read_json
 from recipes.train_embedded_prior.config import ShapeTrainConfig, TrainConfig
 from recipes.train_embedded_prior.evaluate import held_out_sets, measure_losses
 from recipes.train_embedded_prior.procedural.objects import make_object

@@ -31,22 +31,22 @@ from rich.progress import track
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from gscomplete.atomic import atomic_path
-from gscomplete.command_line import run_guarded
-from gscomplete.completion.long_run import require_same_identity
-from gscomplete.jsonio import to_json, write_json
+from gscomplete.cli.guard import run_guarded
+from gscomplete.fitting.step_loop import require_same_identity
 from gscomplete.priors.embedded.prior import packaged_weights
-from gscomplete.priors.embedded.shape.plane_judge import (
+from gscomplete.shape.coarse_scorer import packaged_ranker
+from gscomplete.shape.fine_scorer import (
     JUDGE_FILE,
     FoldedVolumes,
     PlaneJudge,
     colored_cells,
     folded_volumes,
 )
-from gscomplete.priors.embedded.shape.plane_ranker import packaged_ranker
-from gscomplete.priors.embedded.shape.planes import plane_places
-from gscomplete.priors.embedded.shape.precision import cpu_precision
-from gscomplete.priors.embedded.shape.proposals import JUDGED
+from gscomplete.shape.precision import cpu_precision
+from gscomplete.shape.symmetry_features import plane_places
+from gscomplete.shape.symmetry_proposals import JUDGED
+from gscomplete.util.atomic import atomic_path
+from gscomplete.util.jsonio import to_json, write_json
 from recipes.train_embedded_prior.plane_sets import (
     BEST_PLANES,
     FILE_OBJECTS,

@@ -25,10 +25,10 @@ from rich.progress import track
 from torch import Tensor, nn
 
 from gscomplete.priors.embedded.prior import packaged_weights
-from gscomplete.priors.embedded.shape.grid import FloatArray
-from gscomplete.priors.embedded.shape.inputs import look_at
-from gscomplete.priors.embedded.shape.plane_ranker import LAYERS, RANKER_FILE, PlaneRanker
-from gscomplete.priors.embedded.shape.planes import FEATURES, plane_features
+from gscomplete.shape.coarse_scorer import LAYERS, RANKER_FILE, PlaneRanker
+from gscomplete.shape.partial_voxels import look_at
+from gscomplete.shape.symmetry_features import FEATURES, plane_features
+from gscomplete.shape.voxels import FloatArray
 from recipes.entry_point import start
 from recipes.train_embedded_prior.copies import Truth
 from recipes.train_embedded_prior.plane_sets import posed_object

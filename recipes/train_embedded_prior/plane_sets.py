@@ -23,13 +23,13 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
-from gscomplete.atomic import atomic_path
-from gscomplete.priors.embedded.shape.grid import FloatArray
-from gscomplete.priors.embedded.shape.inputs import look_at
-from gscomplete.priors.embedded.shape.plane_ranker import packaged_ranker
-from gscomplete.priors.embedded.shape.planes import plane_features
-from gscomplete.priors.embedded.shape.proposals import JUDGED, unlike_planes
 from gscomplete.priors.embedded.text import Tokenizer
+from gscomplete.shape.coarse_scorer import packaged_ranker
+from gscomplete.shape.partial_voxels import look_at
+from gscomplete.shape.symmetry_features import plane_features
+from gscomplete.shape.symmetry_proposals import JUDGED, unlike_planes
+from gscomplete.shape.voxels import FloatArray
+from gscomplete.util.atomic import atomic_path
 from recipes.train_embedded_prior.config import ShapeDataConfig
 from recipes.train_embedded_prior.copies import Truth
 from recipes.train_embedded_prior.shape_dataset import PosedObject, ShapeSetMaker, pack_cells

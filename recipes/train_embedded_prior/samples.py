@@ -22,12 +22,12 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from gscomplete.completion.initialise import initial_splats
 from gscomplete.completion.losses import fit_loss, random_background
-from gscomplete.completion.parameters import Bounds, SplatParameters
-from gscomplete.completion.randomness import generator_for
-from gscomplete.completion.settings import LearningRates
+from gscomplete.completion.start import initial_splats
 from gscomplete.evaluate.pictures import contact_sheet, save_image, to_image
+from gscomplete.fitting.parameters import Bounds, SplatParameters
+from gscomplete.fitting.randomness import generator_for
+from gscomplete.fitting.settings import LearningRates
 from gscomplete.priors.base import FourViews
 from gscomplete.priors.embedded.prior import EmbeddedPrior, packaged_weights
 from gscomplete.render import render

@@ -20,25 +20,25 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from gscomplete.completion.framing import FramingSettings, guess_framing
-from gscomplete.jsonio import dumps
-from gscomplete.priors.embedded.shape.choice import CANDIDATES
-from gscomplete.priors.embedded.shape.grid import (
+from gscomplete.framing.guess import FramingSettings, guess_framing
+from gscomplete.priors.embedded.text import Tokenizer
+from gscomplete.shape.coarse_scorer import packaged_ranker
+from gscomplete.shape.fine_scorer import packaged_judge
+from gscomplete.shape.partial_voxels import ShapeInputs, look_at
+from gscomplete.shape.predict import turned
+from gscomplete.shape.symmetry import COPIES, SOURCES, no_symmetries
+from gscomplete.shape.symmetry_choice import CANDIDATES
+from gscomplete.shape.symmetry_proposals import candidate_planes
+from gscomplete.shape.voxels import (
     CELLS,
     COARSE_CELLS,
     FloatArray,
     fill_colored,
     splat_arrays,
 )
-from gscomplete.priors.embedded.shape.inputs import ShapeInputs, look_at
-from gscomplete.priors.embedded.shape.plane_judge import packaged_judge
-from gscomplete.priors.embedded.shape.plane_ranker import packaged_ranker
-from gscomplete.priors.embedded.shape.predict import turned
-from gscomplete.priors.embedded.shape.proposals import candidate_planes
-from gscomplete.priors.embedded.shape.symmetries import COPIES, SOURCES, no_symmetries
-from gscomplete.priors.embedded.text import Tokenizer
 from gscomplete.splats import Splats
 from gscomplete.splats.transform import transform_splats
+from gscomplete.util.jsonio import dumps
 from gscomplete.views import ObjectFrame, ViewDistribution
 from recipes.train_embedded_prior.config import ShapeDataConfig
 from recipes.train_embedded_prior.copies import Truth

@@ -21,11 +21,11 @@ import torch.nn.functional as F
 from PIL import Image
 from torch import Tensor, nn
 
-from gscomplete.atomic import atomic_path
-from gscomplete.priors.embedded.shape.grid import COARSE_CELLS, grown
-from gscomplete.priors.embedded.shape.model import ShapeCompleter, ShapeOutput
-from gscomplete.priors.embedded.shape.symmetries import SOURCES
 from gscomplete.priors.embedded.text import NO_TEXT_TOKEN
+from gscomplete.shape.network import ShapeCompleter, ShapeOutput
+from gscomplete.shape.symmetry import SOURCES
+from gscomplete.shape.voxels import COARSE_CELLS, grown
+from gscomplete.util.atomic import atomic_path
 from recipes.train_embedded_prior.config import ShapeTrainConfig
 from recipes.train_embedded_prior.dataset import HELD_OUT_SEED_OFFSET, Source
 from recipes.train_embedded_prior.evaluate import autocast

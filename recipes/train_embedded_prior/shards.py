@@ -26,10 +26,10 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 
-from gscomplete.atomic import atomic_path
 from gscomplete.errors import UserError
-from gscomplete.jsonio import dumps
 from gscomplete.priors.embedded.text import Tokenizer
+from gscomplete.util.atomic import atomic_path
+from gscomplete.util.jsonio import dumps
 from recipes.train_embedded_prior.config import DataConfig
 from recipes.train_embedded_prior.dataset import SetMaker, Source
 

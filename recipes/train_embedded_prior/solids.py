@@ -6,7 +6,7 @@ Conventions
   be reached from the grid's border; behind gaps of up to ``2 * _CLOSING`` cells (a bottle's neck,
   a missing base) it is the room that is out of reach once they are closed, and what is between
   that room and the surface. So a gap between two legs, however narrow, stays empty.
-* The grid is that of ``gscomplete.priors.embedded.shape.grid``.
+* The grid is that of ``gscomplete.shape.voxels``.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from gscomplete.priors.embedded.shape.grid import CELLS, HALF_SIDE, FloatArray
+from gscomplete.shape.voxels import CELLS, HALF_SIDE, FloatArray
 
 _CLOSING = 2
 """Steps of one cell that the surface is grown by, at most, to close its gaps."""

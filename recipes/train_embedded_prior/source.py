@@ -7,8 +7,8 @@ from gscomplete.splats import Splats
 from recipes.train_embedded_prior.dataset import TrainingObject
 from recipes.train_embedded_prior.procedural.captions import vocabulary
 from recipes.train_embedded_prior.procedural.objects import FAMILIES, make_object
+from splatcomplete_data.cuts.random_cuts import random_partial, slight_partial
 from splatcomplete_data.flaws import corrupt
-from splatcomplete_data.random_cuts import random_partial, slight_partial
 
 _CAPTIONS_READ = 1000
 

@@ -19,11 +19,11 @@ from safetensors import safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from gscomplete.atomic import atomic_path
 from gscomplete.errors import UserError
-from gscomplete.jsonio import from_json, read_json, write_json
 from gscomplete.priors.embedded.text import FIRST_WORD_TOKEN
 from gscomplete.priors.embedded.weights import TrainingRecord
+from gscomplete.util.atomic import atomic_path
+from gscomplete.util.jsonio import from_json, read_json, write_json
 from recipes.train_embedded_prior.config import RunConfig, ShapeTrainConfig, TrainConfig
 from recipes.train_embedded_prior.warm_start import fill, start_weights
 

@@ -35,14 +35,15 @@ from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any, Literal
 
-from gscomplete import __version__, jsonio
-from gscomplete.digests import sha256_of
+from gscomplete import __version__
 from gscomplete.errors import UserError
+from gscomplete.util import jsonio
+from gscomplete.util.digests import sha256_of
 from splatcomplete_data.atomic_folder import forget_leftovers
 from splatcomplete_data.dataset.recipe import Entry, Recipe
-from splatcomplete_data.mesh.side_files import side_files
-from splatcomplete_data.multiview.capture import find_masks
+from splatcomplete_data.mesh.files.side_files import side_files
 from splatcomplete_data.multiview.capture_folder import clear_capture
+from splatcomplete_data.multiview.photos.capture import find_masks
 from splatcomplete_data.named_files import Reach
 from splatcomplete_data.objects import RECORD_FILE, read_record, record_of_file
 from splatcomplete_data.pictures import allow_large_pictures
@@ -348,6 +349,6 @@ def _begin_capture(state: Path, print_: str, options: Any) -> Any:
 
 def _run_command(entry: Entry, options: Any, said: io.StringIO) -> None:
     """Run the entry's command, catching what it prints."""
-    module = importlib.import_module(f"splatcomplete_data.commands.{entry.command}")
+    module = importlib.import_module(f"splatcomplete_data.cli.{entry.command}")
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(io.StringIO()):
         module.run(options)

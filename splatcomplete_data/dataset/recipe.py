@@ -22,8 +22,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gscomplete import jsonio
 from gscomplete.errors import UserError
+from gscomplete.util import jsonio
 from splatcomplete_data.optional import import_optional
 
 SCHEMA = "splatcomplete.recipe"
@@ -61,7 +61,7 @@ class Entry:
             UserError: an option is unknown or of the wrong type.
         """
         table = CAPTURE_COMMANDS if self.is_capture else OBJECT_COMMANDS
-        module = importlib.import_module(f"splatcomplete_data.commands.{self.command}")
+        module = importlib.import_module(f"splatcomplete_data.cli.{self.command}")
         cls = getattr(module, table[self.command])
         values = {}
         for field in dataclasses.fields(cls):

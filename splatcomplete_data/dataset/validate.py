@@ -15,11 +15,11 @@ from typing import Literal
 
 import torch
 
-from gscomplete import jsonio
-from gscomplete.digests import sha256_of
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, read_splats
 from gscomplete.splats.validation import validate_file
+from gscomplete.util import jsonio
+from gscomplete.util.digests import sha256_of
 from splatcomplete_data.dataset.build import INDEX_FILE, INDEX_SCHEMA
 from splatcomplete_data.objects import (
     COMPLETE_FILE,

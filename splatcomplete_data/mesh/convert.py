@@ -29,8 +29,8 @@ from gscomplete.splats import Splats, colors_to_sh
 from splatcomplete_data.mesh.allot import MAX_SPLATS, Allotment, allot_by_count, allot_by_spacing
 from splatcomplete_data.mesh.cells import Cells, cut_into_cells
 from splatcomplete_data.mesh.edges import marked_edges
+from splatcomplete_data.mesh.files.load import BakedLight, Mesh
 from splatcomplete_data.mesh.grid import grid_cells
-from splatcomplete_data.mesh.load import BakedLight, Mesh
 from splatcomplete_data.mesh.sampling import point_frames, poisson_points, uniform_points
 from splatcomplete_data.mesh.shading import shade_cells
 from splatcomplete_data.objects import StepRecord

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
-from splatcomplete_data.mesh.load import Mesh
+from splatcomplete_data.mesh.files.load import Mesh
+from splatcomplete_data.mesh.files.parts import MeshPart
 from splatcomplete_data.mesh.meshlab import repair_triangles
-from splatcomplete_data.mesh.parts import MeshPart
 from splatcomplete_data.objects import StepRecord
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splatcomplete_data.mesh.cells import Cells
-from splatcomplete_data.mesh.parts import MeshPart
+from splatcomplete_data.mesh.files.parts import MeshPart
 
 FloatArray = NDArray[np.float32]
 

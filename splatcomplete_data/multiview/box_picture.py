@@ -20,7 +20,7 @@ from gscomplete.render import render
 from gscomplete.render.settings import RenderSettings
 from gscomplete.splats import Splats
 from gscomplete.views import Cameras
-from splatcomplete_data.boxes import CropBox
+from splatcomplete_data.cuts.boxes import CropBox
 
 _COLORS = {"keep": (20, 200, 60), "remove": (230, 30, 30)}
 _EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]

@@ -18,8 +18,8 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-from gscomplete.completion.long_run import CHECKPOINTS, LOG_FILE
 from gscomplete.errors import UserError
+from gscomplete.fitting.step_loop import CHECKPOINTS, LOG_FILE
 
 CAPTURE_FILE = "capture.json"
 SPLATS_FILE = "splats.ply"

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gscomplete.atomic import atomic_path
 from gscomplete.errors import UserError
 from gscomplete.splats import usable_rows
 from gscomplete.splats.ply import SplatFile, splat_element
-from splatcomplete_data.boxes import CropBox, inside_boxes
+from gscomplete.util.atomic import atomic_path
+from splatcomplete_data.cuts.boxes import CropBox, inside_boxes
 
 
 def kept_rows(

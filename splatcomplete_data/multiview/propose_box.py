@@ -24,7 +24,7 @@ from scipy import ndimage
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, usable_rows
 from gscomplete.views import Cameras
-from splatcomplete_data.boxes import CropBox
+from splatcomplete_data.cuts.boxes import CropBox
 
 FloatArray = NDArray[np.float64]
 _LEVEL_DEG = 12.0

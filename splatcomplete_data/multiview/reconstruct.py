@@ -22,15 +22,14 @@ import torch
 from PIL import Image
 
 import gscomplete
-from gscomplete import jsonio
-from gscomplete.completion.checkpoint import load_checkpoint
-from gscomplete.completion.long_run import CHECKPOINTS, require_same_identity, take_steps
 from gscomplete.errors import UserError
 from gscomplete.evaluate.pictures import contact_sheet, save_image, to_image
+from gscomplete.fitting.checkpoint import load_checkpoint
+from gscomplete.fitting.step_loop import CHECKPOINTS, require_same_identity, take_steps
 from gscomplete.render import render
 from gscomplete.render.settings import RenderSettings
 from gscomplete.splats import Splats, write_splats
-from splatcomplete_data.multiview.capture import Capture, find_masks, open_capture, up_direction
+from gscomplete.util import jsonio
 from splatcomplete_data.multiview.capture_folder import (
     CAPTURE_FILE,
     PREVIEW_FILE,
@@ -38,27 +37,33 @@ from splatcomplete_data.multiview.capture_folder import (
     SPLATS_FILE,
     capture_folder,
 )
-from splatcomplete_data.multiview.images import (
+from splatcomplete_data.multiview.photos.capture import (
+    Capture,
+    find_masks,
+    open_capture,
+    up_direction,
+)
+from splatcomplete_data.multiview.photos.images import (
     MaskMeaning,
     View,
     load_views,
     orientation_note,
 )
-from splatcomplete_data.multiview.initial import (
-    masked_points,
-    near_points,
-    random_points,
-    splats_from_points,
-)
-from splatcomplete_data.multiview.posed import PosedPhotos
-from splatcomplete_data.multiview.settings import TrainingSettings
-from splatcomplete_data.multiview.structure_from_motion import (
+from splatcomplete_data.multiview.photos.posed import PosedPhotos
+from splatcomplete_data.multiview.sfm.structure_from_motion import (
     Progress,
     SfmSettings,
     has_pycolmap,
     triangulate,
 )
-from splatcomplete_data.multiview.train import StepReport, Training, evaluate_views
+from splatcomplete_data.multiview.training.initial import (
+    masked_points,
+    near_points,
+    random_points,
+    splats_from_points,
+)
+from splatcomplete_data.multiview.training.settings import TrainingSettings
+from splatcomplete_data.multiview.training.train import StepReport, Training, evaluate_views
 from splatcomplete_data.scan import PointCloud
 
 SCHEMA = "splatcomplete.capture"

@@ -18,13 +18,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from gscomplete import jsonio
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, read_splats, usable_rows
 from gscomplete.splats.ply import SplatFile
 from gscomplete.splats.transform import Similarity
+from gscomplete.util import jsonio
 from gscomplete.views import Cameras, UpAxis, orbit_cameras, radius_to_fit, up_rotation
-from splatcomplete_data.boxes import CropBox
+from splatcomplete_data.cuts.boxes import CropBox
 from splatcomplete_data.framing import SPLAT_FILE_UP, UP_ASSUMED
 from splatcomplete_data.multiview.capture_folder import CAPTURE_FILE, SPLATS_FILE
 from splatcomplete_data.multiview.propose_box import Focus, focus_of_cameras, focus_of_splats

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Similarity, Splats
-from splatcomplete_data.boxes import CropBox, inside_boxes
+from splatcomplete_data.cuts.boxes import CropBox, inside_boxes
 from splatcomplete_data.objects import StepRecord
 from splatcomplete_data.points import (
     Offset,

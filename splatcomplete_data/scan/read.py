@@ -172,7 +172,7 @@ def _check_las_header(path: Path) -> None:
 def _read_mesh(path: Path) -> Scan:
     """Sample a scan mesh evenly."""
     from splatcomplete_data.mesh.convert import convert_mesh
-    from splatcomplete_data.mesh.load import load_mesh
+    from splatcomplete_data.mesh.files.load import load_mesh
 
     mesh = load_mesh(path)
     made = convert_mesh(mesh, MESH_POINTS)

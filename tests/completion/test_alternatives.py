@@ -5,11 +5,11 @@ import torch
 
 from gscomplete.completion.alternatives import alternatives_sheet, guess_alternatives
 from gscomplete.completion.presets import preset
-from gscomplete.completion.randomness import generator_for
+from gscomplete.fitting.randomness import generator_for
 from gscomplete.priors import load_prior
-from gscomplete.priors.base import MirrorPlane
+from gscomplete.shape.mirror_plane import MirrorPlane
 from gscomplete.views import ViewDistribution
-from tests.priors.embedded.shape.shapes import half, sphere
+from tests.shape.shapes import half, sphere
 
 PARTIAL = half(sphere(2000))
 VIEWS = ViewDistribution(0.0, 10.0)

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from gscomplete.completion.losses import fit_loss, preservation_loss, random_background
-from gscomplete.completion.randomness import generator_for
+from gscomplete.fitting.randomness import generator_for
 from gscomplete.render import Render
 
 BACKGROUND = torch.tensor([0.2, 0.5, 0.9])

@@ -1,29 +1,25 @@
 """The completion loop, driven by a prior that knows the answer."""
 
 import dataclasses
-import sys
-from pathlib import Path
 
 import pytest
 import torch
 
 from gscomplete.completion import schedules
-from gscomplete.completion.densify import prune_mask
 from gscomplete.completion.finish import finish_splats
 from gscomplete.completion.losses import preservation_loss
 from gscomplete.completion.optimise import Completion, NonFiniteError
 from gscomplete.completion.presets import GUESS, RECONSTRUCT, SMALL_PRIOR
-from gscomplete.completion.settings import DensifySettings, LearningRates
 from gscomplete.errors import UserError
 from gscomplete.evaluate.metrics import against_truth, preservation
+from gscomplete.fitting.densify import prune_mask
+from gscomplete.fitting.settings import DensifySettings, LearningRates
 from gscomplete.priors import Guidance
 from gscomplete.priors.base import FirstGuess
 from gscomplete.splats import concatenate
 from gscomplete.views import ViewDistribution
 from tests.completion.cylinders import half_cylinder
-
-sys.path.insert(0, str(Path(__file__).parent))
-from oracle import OraclePrior, ball
+from tests.completion.oracle import OraclePrior, ball
 
 TRUTH = ball()
 PARTIAL = TRUTH.select(TRUTH.means[:, 0] > 0)

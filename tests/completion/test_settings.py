@@ -4,8 +4,9 @@ import math
 
 import pytest
 
-from gscomplete.completion.settings import CompletionSettings, DensifySettings, TimestepStage
+from gscomplete.completion.settings import CompletionSettings, TimestepStage
 from gscomplete.errors import UserError
+from gscomplete.fitting.settings import DensifySettings
 
 NAN, INF = math.nan, math.inf
 

@@ -9,9 +9,8 @@ import torch
 pytest.importorskip("diffusers", reason="the extra gscomplete[mvdream] is not installed")
 pytest.importorskip("transformers", reason="the extra gscomplete[mvdream] is not installed")
 
-from gscomplete.cli import main
-from gscomplete.commands import complete
-from gscomplete.priors.mvdream.text import CACHE_VARIABLE
+from gscomplete.cli import complete, main
+from gscomplete.priors.latent.text import CACHE_VARIABLE
 from gscomplete.splats import read_splats
 from tests.priors.mvdream.tiny import write_original
 

@@ -11,7 +11,6 @@ import pytest
 import torch
 from rich.console import Console
 
-from gscomplete import jsonio
 from gscomplete.evaluate import (
     EvaluationReport,
     EvaluationSettings,
@@ -22,6 +21,7 @@ from gscomplete.evaluate import (
 )
 from gscomplete.evaluate.perceptual import clip_similarity, lpips_error
 from gscomplete.splats import Splats, colors_to_sh, concatenate
+from gscomplete.util import jsonio
 from gscomplete.views import ViewDistribution
 
 VIEWS = ViewDistribution(0.0, 0.0)

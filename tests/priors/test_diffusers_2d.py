@@ -17,8 +17,8 @@ from gscomplete.errors import UserError
 from gscomplete.priors import load_prior
 from gscomplete.priors.base import FourViews, Guidance
 from gscomplete.priors.diffusers_2d import load_diffusers_2d, read_schedule
-from gscomplete.priors.mvdream.guidance import NoiseSchedule
-from gscomplete.priors.mvdream.text import CACHE_VARIABLE
+from gscomplete.priors.latent.guidance import NoiseSchedule
+from gscomplete.priors.latent.text import CACHE_VARIABLE
 from gscomplete.views import four_view_orbit
 from tests.priors.mvdream.tiny import (
     TINY,

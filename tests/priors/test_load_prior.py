@@ -10,9 +10,9 @@ from safetensors.torch import save_file
 
 from gscomplete.errors import UserError
 from gscomplete.priors import load_prior
-from gscomplete.priors.mvdream.settings import LatentPriorSettings
+from gscomplete.priors.latent.settings import LatentPriorSettings
+from gscomplete.priors.latent.text import CACHE_VARIABLE
 from gscomplete.priors.mvdream.store import MVDREAM, find_mvdream
-from gscomplete.priors.mvdream.text import CACHE_VARIABLE
 
 
 @pytest.fixture

@@ -11,10 +11,10 @@ import types
 import pytest
 import torch
 
-from gscomplete.device import choose_device, choose_render_device
 from gscomplete.errors import UserError
 from gscomplete.render import RenderSettings, cuda, reference, render
 from gscomplete.splats import Splats
+from gscomplete.util.device import choose_device, choose_render_device
 from gscomplete.views import Cameras, orbit_cameras
 
 

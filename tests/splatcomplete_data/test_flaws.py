@@ -1,8 +1,8 @@
 import torch
 
 from gscomplete.splats.record import Splats, colors_to_sh
+from splatcomplete_data.cuts.random_cuts import random_partial
 from splatcomplete_data.flaws import FlawSettings, corrupt
-from splatcomplete_data.random_cuts import random_partial
 from tests.splatcomplete_data.balls import BALL
 
 

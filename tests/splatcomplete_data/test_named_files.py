@@ -15,9 +15,9 @@ from gscomplete.errors import UserError
 from splatcomplete_data import named_files
 from splatcomplete_data.dataset.build import build
 from splatcomplete_data.dataset.recipe import Entry, Recipe
-from splatcomplete_data.mesh.load import load_mesh
-from splatcomplete_data.multiview.colmap_model import read_colmap
-from splatcomplete_data.multiview.transforms_json import read_transforms
+from splatcomplete_data.mesh.files.load import load_mesh
+from splatcomplete_data.multiview.photos.colmap_model import read_colmap
+from splatcomplete_data.multiview.photos.transforms_json import read_transforms
 from splatcomplete_data.named_files import Reach
 from splatcomplete_data.objects import ObjectRecord
 from tests.splatcomplete_data.multiview import captures

@@ -11,13 +11,13 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gscomplete.digests import sha256_of
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.util.digests import sha256_of
 from gscomplete.views import ObjectFrame, ViewDistribution
 from splatcomplete_data.atomic_folder import atomic_folder, forget_leftovers
-from splatcomplete_data.boxes import CropBox, inside_boxes, parse_box
-from splatcomplete_data.commands.common import ObjectOptions, check_out
+from splatcomplete_data.cli.common import ObjectOptions, check_out
+from splatcomplete_data.cuts.boxes import CropBox, inside_boxes, parse_box
 from splatcomplete_data.objects import (
     ObjectRecord,
     SourceRecord,

@@ -13,7 +13,7 @@ from PIL import Image
 from gscomplete.errors import UserError
 from splatcomplete_data import cli
 from splatcomplete_data.dataset import build
-from splatcomplete_data.mesh.textures import open_image
+from splatcomplete_data.mesh.files.textures import open_image
 from splatcomplete_data.pictures import MAX_PIXELS, allow_large_pictures, read_mask
 
 LEFT = np.zeros((6, 8), bool)

@@ -21,15 +21,7 @@ import torch
 from torch import Tensor
 
 from gscomplete.errors import UserError
-from gscomplete.priors.base import (
-    ChosenMirror,
-    Conditioning,
-    FirstGuess,
-    FourViews,
-    Guidance,
-    Mirror,
-    PriorViews,
-)
+from gscomplete.priors.base import Conditioning, FirstGuess, FourViews, Guidance, PriorViews
 from gscomplete.priors.embedded.diffusion import (
     NUM_TIMESTEPS,
     add_noise,
@@ -40,18 +32,19 @@ from gscomplete.priors.embedded.diffusion import (
 from gscomplete.priors.embedded.inputs import images_to_color_alpha, input_map, network_images
 from gscomplete.priors.embedded.model import INPUT_CHANNELS, VIEWS, FourViewDenoiser
 from gscomplete.priors.embedded.rays import ring_numbers
-from gscomplete.priors.embedded.shape.choice import ask_planes
-from gscomplete.priors.embedded.shape.inputs import look_at
-from gscomplete.priors.embedded.shape.model import ShapeCompleter
-from gscomplete.priors.embedded.shape.predict import predict
-from gscomplete.priors.embedded.shape.whole import (
+from gscomplete.priors.embedded.text import Tokenizer
+from gscomplete.priors.embedded.weights import PriorConfig, load_weights, weights_digest
+from gscomplete.shape.assemble import (
     WholeSettings,
     mirror_note,
     mirror_plane_of,
     whole_splats,
 )
-from gscomplete.priors.embedded.text import Tokenizer
-from gscomplete.priors.embedded.weights import PriorConfig, load_weights, weights_digest
+from gscomplete.shape.mirror_plane import ChosenMirror, Mirror
+from gscomplete.shape.network import ShapeCompleter
+from gscomplete.shape.partial_voxels import look_at
+from gscomplete.shape.predict import predict
+from gscomplete.shape.symmetry_choice import ask_planes
 from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution
 

@@ -27,14 +27,14 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from gscomplete.atomic import atomic_path
-from gscomplete.digests import sha256_of
 from gscomplete.errors import UserError
-from gscomplete.jsonio import from_json, read_json, write_json
 from gscomplete.priors.base import PriorViews
 from gscomplete.priors.embedded.model import FourViewDenoiser, ModelConfig
-from gscomplete.priors.embedded.shape.grid import COARSE_CELLS
-from gscomplete.priors.embedded.shape.model import ShapeCompleter, ShapeModelConfig
+from gscomplete.shape.network import ShapeCompleter, ShapeModelConfig
+from gscomplete.shape.voxels import COARSE_CELLS
+from gscomplete.util.atomic import atomic_path
+from gscomplete.util.digests import sha256_of
+from gscomplete.util.jsonio import from_json, read_json, write_json
 
 WEIGHTS_FILE = "model.safetensors"
 SHAPE_FILE = "shape.safetensors"

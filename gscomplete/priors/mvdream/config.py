@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from gscomplete.errors import UserError
-from gscomplete.jsonio import from_json
+from gscomplete.util.jsonio import from_json
 
 _NO_SIZES = ("image_size", "use_checkpoint", "use_fp16")
 """Fields of original configurations that do not change the network."""

@@ -18,9 +18,7 @@ from typing import Any, Literal
 import torch
 from safetensors.torch import save_file
 
-from gscomplete.digests import sha256_of
 from gscomplete.errors import UserError
-from gscomplete.jsonio import read_json, to_json, write_json
 from gscomplete.priors.mvdream.weights import (
     COMPONENTS,
     MANIFEST_FILE,
@@ -30,6 +28,8 @@ from gscomplete.priors.mvdream.weights import (
     open_weights,
     stored_name,
 )
+from gscomplete.util.digests import sha256_of
+from gscomplete.util.jsonio import read_json, to_json, write_json
 
 Storage = Literal["keep", "float16"]
 

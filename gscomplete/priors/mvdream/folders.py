@@ -19,10 +19,10 @@ from typing import Any
 from torch import Tensor
 
 from gscomplete.errors import UserError
-from gscomplete.jsonio import read_json
 from gscomplete.priors.mvdream.config import TextConfig, VAEConfig
 from gscomplete.priors.mvdream.keys import Source
 from gscomplete.priors.mvdream.tensor_files import TensorFile, check_tensors
+from gscomplete.util.jsonio import read_json
 
 _OLD_ATTENTION = (("to_q", "query"), ("to_k", "key"), ("to_v", "value"), ("to_out.0", "proj_attn"))
 _PREFIX = "text_model."

@@ -18,31 +18,31 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from gscomplete.jsonio import to_json
 from gscomplete.priors.base import Guidance, PriorViews
-from gscomplete.priors.mvdream.cameras import camera_matrices
-from gscomplete.priors.mvdream.folders import find_tensor_file
-from gscomplete.priors.mvdream.guidance import NoiseSchedule
-from gscomplete.priors.mvdream.latent_prior import (
+from gscomplete.priors.latent.guidance import NoiseSchedule
+from gscomplete.priors.latent.prior import (
     VIEWS,
     LatentPrior,
     PriorIdentity,
     default_guidance,
 )
-from gscomplete.priors.mvdream.model import MultiViewUNet
-from gscomplete.priors.mvdream.settings import (
+from gscomplete.priors.latent.settings import (
     LatentPriorSettings,
     MemoryPlan,
     memory_plan,
     unet_dtype,
     vae_dtype,
 )
+from gscomplete.priors.latent.text import PromptEncoder, cache_home
+from gscomplete.priors.latent.tokenizer import Tokenizer
+from gscomplete.priors.latent.vae import LatentCodec
+from gscomplete.priors.mvdream.cameras import camera_matrices
+from gscomplete.priors.mvdream.folders import find_tensor_file
+from gscomplete.priors.mvdream.model import MultiViewUNet
 from gscomplete.priors.mvdream.tensor_files import fingerprint
-from gscomplete.priors.mvdream.text import PromptEncoder, cache_home
 from gscomplete.priors.mvdream.tiny_vae import load_tiny_vae
-from gscomplete.priors.mvdream.tokenizer import Tokenizer
-from gscomplete.priors.mvdream.vae import LatentCodec
 from gscomplete.priors.mvdream.weights import Weights, open_weights
+from gscomplete.util.jsonio import to_json
 from gscomplete.views import Cameras
 
 MVDREAM_VIEWS = PriorViews(
@@ -80,7 +80,7 @@ class MultiViewDenoiser:
 
     @torch.no_grad()
     def __call__(self, noisy: Tensor, timestep: int, context: Tensor, cameras: Cameras) -> Tensor:
-        """Predict noise; see :class:`gscomplete.priors.mvdream.latent_prior.Denoiser`."""
+        """Predict noise; see :class:`gscomplete.priors.latent.prior.Denoiser`."""
         passes = len(context)
         matrices = camera_matrices(cameras, self._front_azimuth_deg).to(self._device, self._dtype)
         if self._has_graphs:

@@ -17,11 +17,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gscomplete.digests import sha256_of
 from gscomplete.errors import UserError
+from gscomplete.priors.latent.text import CACHE_VARIABLE, cache_home
 from gscomplete.priors.mvdream.model import require
-from gscomplete.priors.mvdream.text import CACHE_VARIABLE, cache_home
 from gscomplete.priors.mvdream.weights import MANIFEST_FILE, open_weights
+from gscomplete.util.digests import sha256_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,10 +13,10 @@ from typing import Any
 import torch
 
 from gscomplete.errors import UserError
-from gscomplete.jsonio import read_json
 from gscomplete.priors.mvdream.folders import find_tensor_file
 from gscomplete.priors.mvdream.model import load_strictly, require
 from gscomplete.priors.mvdream.tensor_files import TensorFile, check_tensors
+from gscomplete.util.jsonio import read_json
 
 
 def load_tiny_vae(folder: Path) -> Any:

@@ -23,7 +23,7 @@ from typing import Any, Literal
 import torch
 
 from gscomplete.errors import UserError
-from gscomplete.jsonio import from_json, read_json
+from gscomplete.priors.latent.guidance import NoiseSchedule
 from gscomplete.priors.mvdream import keys
 from gscomplete.priors.mvdream.config import PUBLISHED, MVDreamConfig, UNetConfig
 from gscomplete.priors.mvdream.folders import (
@@ -34,7 +34,6 @@ from gscomplete.priors.mvdream.folders import (
     text_part,
     vae_part,
 )
-from gscomplete.priors.mvdream.guidance import NoiseSchedule
 from gscomplete.priors.mvdream.keys import Source
 from gscomplete.priors.mvdream.model import (
     MultiViewUNet,
@@ -44,6 +43,7 @@ from gscomplete.priors.mvdream.model import (
     load_strictly,
 )
 from gscomplete.priors.mvdream.tensor_files import Shape, TensorFile, check_tensors, fingerprint
+from gscomplete.util.jsonio import from_json, read_json
 
 MANIFEST_FILE = "gscomplete_mvdream.json"
 MANIFEST_SCHEMA = "gscomplete.mvdream"

@@ -21,8 +21,8 @@ from gscomplete.views import orbit_cameras
 from gscomplete.views.cameras import radius_to_fit
 from recipes.entry_point import start
 from recipes.train_embedded_prior.procedural.objects import FAMILIES, make_object_of
+from splatcomplete_data.cuts.random_cuts import random_partial
 from splatcomplete_data.flaws import corrupt
-from splatcomplete_data.random_cuts import random_partial
 
 LOG = logging.getLogger(__name__)
 

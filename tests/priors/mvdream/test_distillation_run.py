@@ -10,7 +10,7 @@ pytest.importorskip("transformers", reason="the extra gscomplete[mvdream] is not
 
 from gscomplete.completion.optimise import Completion
 from gscomplete.completion.presets import PAPER, preset
-from gscomplete.completion.settings import DensifySettings
+from gscomplete.fitting.settings import DensifySettings
 from gscomplete.priors.mvdream.prior import mvdream_prior
 from gscomplete.priors.mvdream.weights import open_weights
 from gscomplete.splats import Splats, colors_to_sh

@@ -6,9 +6,9 @@ import torch
 pytest.importorskip("diffusers", reason="the extra gscomplete[mvdream] is not installed")
 
 from gscomplete.priors.base import FourViews, Guidance, PriorViews
-from gscomplete.priors.mvdream.guidance import NoiseSchedule
-from gscomplete.priors.mvdream.latent_prior import LatentConditioning, LatentPrior, PriorIdentity
-from gscomplete.priors.mvdream.settings import PLANS, LatentPriorSettings
+from gscomplete.priors.latent.guidance import NoiseSchedule
+from gscomplete.priors.latent.prior import LatentConditioning, LatentPrior, PriorIdentity
+from gscomplete.priors.latent.settings import PLANS, LatentPriorSettings
 from gscomplete.views import four_view_orbit
 
 SCHEDULE = NoiseSchedule.stable_diffusion()

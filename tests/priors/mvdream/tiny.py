@@ -8,12 +8,12 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor
 
-from gscomplete.jsonio import to_json, write_json
 from gscomplete.priors.base import PriorViews
+from gscomplete.priors.latent.guidance import NoiseSchedule
 from gscomplete.priors.mvdream import keys
 from gscomplete.priors.mvdream.config import MVDreamConfig, TextConfig, UNetConfig, VAEConfig
-from gscomplete.priors.mvdream.guidance import NoiseSchedule
 from gscomplete.priors.mvdream.weights import COMPONENTS, expected_original
+from gscomplete.util.jsonio import to_json, write_json
 
 TINY = MVDreamConfig(
     UNetConfig(

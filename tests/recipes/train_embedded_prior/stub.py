@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from gscomplete.priors.embedded.shape.model import ShapeModelConfig
+from gscomplete.shape.network import ShapeModelConfig
 from gscomplete.splats.record import Splats, colors_to_sh
 from recipes.train_embedded_prior.config import DataConfig, ShapeTrainConfig, TrainConfig
 from recipes.train_embedded_prior.dataset import TrainingObject

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from gscomplete.priors.embedded.shape.grid import CELLS
-from gscomplete.priors.embedded.shape.planes import ANGLES, OFFSETS
+from gscomplete.shape.symmetry_features import ANGLES, OFFSETS
+from gscomplete.shape.voxels import CELLS
 from recipes.train_embedded_prior.copies import Truth, cells_away
-from tests.priors.embedded.shape.shapes import half, mirrors, sphere
+from tests.shape.shapes import half, mirrors, sphere
 
 MIDDLE = OFFSETS.index(0.0)
 

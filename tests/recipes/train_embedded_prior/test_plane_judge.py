@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from gscomplete.errors import UserError
-from gscomplete.priors.embedded.shape.grid import COARSE_CELLS
-from gscomplete.priors.embedded.shape.planes import ANGLES, FEATURES, OFFSETS
-from gscomplete.priors.embedded.shape.proposals import JUDGED
+from gscomplete.shape.symmetry_features import ANGLES, FEATURES, OFFSETS
+from gscomplete.shape.symmetry_proposals import JUDGED
+from gscomplete.shape.voxels import COARSE_CELLS
 from recipes.train_embedded_prior.plane_judge import (
     JudgeConfig,
     JudgeTraining,

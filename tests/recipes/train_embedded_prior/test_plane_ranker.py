@@ -1,7 +1,7 @@
 import numpy as np
 import torch
 
-from gscomplete.priors.embedded.shape.planes import ANGLES, FEATURES
+from gscomplete.shape.symmetry_features import ANGLES, FEATURES
 from recipes.train_embedded_prior.plane_ranker import RankerConfig, fit, worth_of_choice
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from gscomplete.priors.embedded.shape.grid import CELLS
+from gscomplete.shape.voxels import CELLS
 from recipes.train_embedded_prior.shape_dataset import (
     decode_sets,
     pack_cells,
@@ -147,8 +147,8 @@ def test_turning_a_batch_turns_everything_alike(batch):
 
 
 def test_the_truth_scores_full_marks(batch):
-    from gscomplete.priors.embedded.shape.model import ShapeOutput
-    from gscomplete.priors.embedded.shape.symmetries import SOURCES
+    from gscomplete.shape.network import ShapeOutput
+    from gscomplete.shape.symmetry import SOURCES
 
     count = len(batch.solid)
     half = CELLS // 2

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from gscomplete.priors.embedded.shape.grid import CELL_SIDE, CELLS, splat_arrays
+from gscomplete.shape.voxels import CELL_SIDE, CELLS, splat_arrays
 from recipes.train_embedded_prior.solids import fill_inside, fill_shell, solid_cells
-from tests.priors.embedded.shape.shapes import sphere
+from tests.shape.shapes import sphere
 
 
 def test_a_sphere_is_filled_and_a_cup_is_not():

@@ -4,10 +4,10 @@ import pytest
 import torch
 
 from gscomplete.errors import UserError
-from gscomplete.priors.embedded.shape.grid import CELLS, COARSE_CELLS
-from gscomplete.priors.embedded.shape.model import ShapeModelConfig
-from gscomplete.priors.embedded.shape.symmetries import COPIES, SOURCES
 from gscomplete.priors.embedded.text import FIRST_WORD_TOKEN
+from gscomplete.shape.network import ShapeModelConfig
+from gscomplete.shape.symmetry import COPIES, SOURCES
+from gscomplete.shape.voxels import CELLS, COARSE_CELLS
 from recipes.train_embedded_prior.export import TrainedRun, export
 from recipes.train_embedded_prior.shape_task import ShapeTask
 from recipes.train_embedded_prior.state import TrainState, open_run

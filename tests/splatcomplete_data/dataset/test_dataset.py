@@ -10,7 +10,7 @@ import trimesh
 
 from gscomplete.errors import UserError
 from splatcomplete_data.cli import main
-from splatcomplete_data.commands.images import ImagesOptions
+from splatcomplete_data.cli.images import ImagesOptions
 from splatcomplete_data.dataset.build import _begin_capture, _make, build, fingerprint
 from splatcomplete_data.dataset.recipe import read_recipe
 from splatcomplete_data.dataset.stats import survey

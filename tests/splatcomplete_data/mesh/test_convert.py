@@ -13,8 +13,8 @@ from gscomplete.splats.rotations import rotation_matrices
 from splatcomplete_data.mesh.allot import allot_by_spacing
 from splatcomplete_data.mesh.convert import ConvertSettings, convert_mesh
 from splatcomplete_data.mesh.edges import marked_edges
-from splatcomplete_data.mesh.load import Mesh, load_mesh
-from splatcomplete_data.mesh.parts import MeshPart
+from splatcomplete_data.mesh.files.load import Mesh, load_mesh
+from splatcomplete_data.mesh.files.parts import MeshPart
 
 
 def mesh_of(vertices: np.ndarray, **changes: object) -> Mesh:

@@ -12,8 +12,8 @@ from gscomplete.errors import UserError
 from splatcomplete_data import optional
 from splatcomplete_data.mesh import meshlab
 from splatcomplete_data.mesh.convert import ConvertSettings, convert_mesh
-from splatcomplete_data.mesh.load import Mesh
-from splatcomplete_data.mesh.parts import MeshPart
+from splatcomplete_data.mesh.files.load import Mesh
+from splatcomplete_data.mesh.files.parts import MeshPart
 from splatcomplete_data.mesh.repair import repair_mesh
 from splatcomplete_data.mesh.sampling import point_frames, poisson_points, uniform_points
 

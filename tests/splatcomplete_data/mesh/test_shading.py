@@ -1,7 +1,7 @@
 import numpy as np
 
 from splatcomplete_data.mesh.cells import Cells
-from splatcomplete_data.mesh.parts import MeshPart
+from splatcomplete_data.mesh.files.parts import MeshPart
 from splatcomplete_data.mesh.shading import shade_cells
 
 

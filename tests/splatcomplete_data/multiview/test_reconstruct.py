@@ -12,8 +12,9 @@ from PIL import Image
 from gscomplete.errors import UserError
 from gscomplete.splats import read_splats
 from splatcomplete_data.cli import main
-from splatcomplete_data.multiview import reconstruct, structure_from_motion
-from splatcomplete_data.multiview.structure_from_motion import SfmSettings
+from splatcomplete_data.multiview import reconstruct
+from splatcomplete_data.multiview.sfm import structure_from_motion
+from splatcomplete_data.multiview.sfm.structure_from_motion import SfmSettings
 from tests.splatcomplete_data.multiview import captures
 
 FLAGS = ["--start", "random", "--steps", "30", "--hold-out", "4", "--max-splats", "500"]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gscomplete.errors import UserError
-from splatcomplete_data.boxes import CropBox
+from splatcomplete_data.cuts.boxes import CropBox
 from splatcomplete_data.scan.clean import (
     CleanSettings,
     clean,

@@ -9,7 +9,7 @@ from PIL import ExifTags, Image, ImageOps
 
 from gscomplete.errors import UserError
 from splatcomplete_data import cli
-from splatcomplete_data.multiview.images import shown_axes
+from splatcomplete_data.multiview.photos.images import shown_axes
 from splatcomplete_data.singleview.load import SingleViewSettings, load_single_view
 
 STORED = (32, 24)

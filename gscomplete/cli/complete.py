@@ -1,0 +1,368 @@
+"""``gscomplete complete``: complete a partial splat object."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from gscomplete.errors import UserError
+from gscomplete.priors.latent.settings import LatentPriorSettings
+
+if TYPE_CHECKING:
+    from gscomplete.completion.optimise import StepReport
+    from gscomplete.completion.run_folder import Request, Run
+    from gscomplete.completion.settings import CompletionSettings
+    from gscomplete.priors.base import Prior
+    from gscomplete.shape.mirror_plane import Mirror
+
+
+@dataclass(frozen=True)
+class CompleteOptions:
+    """Complete a partial object made of Gaussian splats.
+
+    Reads PARTIAL.ply (P), adds new splats where the prompt and the prior want them, keeps P's looks
+    from the view distribution V, and writes a run folder: completed.ply (P's records first and
+    byte for byte, new ones after), run.json, preview.png, turntable.webp.
+
+    Example: gscomplete complete half_mug.ply --prompt "a red mug" --out runs/mug
+    """
+
+    partial: Annotated[Path, tyro.conf.Positional]
+    """Splat PLY of the partial object, in the layout of the original 3DGS."""
+    prompt: str
+    """What the whole object is, such as "a red mug"."""
+    out: Path | None = None
+    """Run folder; None = PARTIAL's name with _completed, in the current folder."""
+    view: str | None = None
+    """Input view c as AZIMUTH,ELEVATION in degrees (azimuth 0 looks from +x of the z-up object
+    frame, 90 from +y); None = the view that shows most of P from outside, or another if the
+    prior's guess of the whole would hide P from there."""
+    range: float = 50.0
+    """V reaches this many degrees of azimuth to either side of c."""
+    up: Literal["X", "Y", "Z", "-X", "-Y", "-Z"] = "Z"
+    """Axis of the file that points up (glTF: Y; COLMAP and most 3DGS files: -Y). If an object.json
+    of splatcomplete-data beside PARTIAL says another one, that is told."""
+    center: str | None = None
+    """Centre of the WHOLE object as X,Y,Z in file coordinates; None = guessed from P."""
+    size: float | None = None
+    """Largest side of the WHOLE object in file units; None = guessed from P."""
+    prior: str = "embedded"
+    """embedded, mvdream, or the path of weights: MVDream's file or folder, a folder of any
+    diffusers text-to-image model, or an export of the embedded prior."""
+    diffusion: LatentPriorSettings = dataclasses.field(default_factory=LatentPriorSettings)
+    """Knobs of latent diffusion priors (all but embedded)."""
+    negative_prompt: str | None = None
+    """What to lead away from, "" = nothing; None = the prior's default."""
+    preset: Literal["default", "fast", "reconstruct", "distill", "paper"] = "default"
+    """default: best of time and quality for the prior. fast: less care. reconstruct: rounds of
+    denoised views that the splats are fitted to. distill: the paper's method in fewer steps.
+    paper: the paper's settings to the letter (6,000 steps); its sphere of new splats is about
+    P's box centre, here about the (guessed) centre of the whole."""
+    steps: int | None = None
+    """Optimiser steps; schedules, warm-up and pauses between subdivisions stretch with it. None =
+    the preset's (the embedded prior's default takes none: its first guess is the result)."""
+    preserve: str | None = None
+    """Bounds COLOR,DEPTH on E_color and E_depth over V, such as 0.001,0.0005: at the end, new
+    splats that hide P fade, move or go until both hold. None = what the preset gives."""
+    match_seam: bool = False
+    """At the end, shift new splats' colours near P towards P's, so that no seam shows."""
+    mirror: str = "guess"
+    """Upright plane that P is mirrored through: guess, none, or AZIMUTH,OFFSET (of its normal in
+    degrees as in --view; from the frame's centre in object sizes). A run prints the one it took."""
+    alternatives: int = 0
+    """Also guess the whole through this many likely planes (at most 8) and through none, and draw
+    these guesses below the result into alternatives.png, each with the --mirror that makes a run
+    take it."""
+    text_only: bool = False
+    """Withhold P's renders from priors that can see them."""
+    seed: int = 0
+    """Same seed, same bytes."""
+    device: str = "auto"
+    """cpu, cuda, cuda:1, or auto = cuda if there is one."""
+    checkpoint_every: int | None = None
+    """Steps between checkpoints; None = the preset's."""
+    resume: bool = False
+    """Continue the run in --out from its last checkpoint; all other options must be the same."""
+    json: bool = False
+    """Print the content of run.json on standard output and nothing else there."""
+
+
+class GpuMemoryError(UserError):
+    """The GPU's memory is not enough for a run."""
+
+    exit_code = 4
+
+
+def run(options: CompleteOptions) -> int:
+    """Complete the object; return the exit code.
+
+    Raises:
+        GpuMemoryError: the GPU's memory is not enough.
+    """
+    import torch
+
+    try:
+        return _complete(options)
+    except torch.OutOfMemoryError as error:
+        raise GpuMemoryError(
+            "the GPU ran out of memory; a smaller --diffusion.memory (8gb) or --device cpu needs "
+            "less, and --resume continues from the last checkpoint"
+        ) from error
+
+
+def _complete(options: CompleteOptions) -> int:
+    """Load the prior, run, and say what came of it."""
+    from gscomplete.completion.run_folder import completing_seconds, prepare
+    from gscomplete.priors import load_prior
+    from gscomplete.util.device import choose_device, choose_render_device
+
+    _refuse_folder(options.partial)
+    device = choose_device(options.device)
+    render_device, fallback = choose_render_device(options.device, device)
+    knobs = None if options.diffusion == LatentPriorSettings() else options.diffusion
+    prior = load_prior(options.prior, device, knobs)
+    job = prepare(_request(options, prior), prior, render_device)
+    _say(options, *_recorded_up(options), *job.notes, *([fallback] if fallback else []))
+    if job.completion.step_number:
+        _say(options, f"resuming at step {job.completion.step_number}")
+    said = len(job.notes)
+    content = _with_progress(job)
+    if options.json:
+        print(json.dumps(content))
+        return 0
+    result = content["result"]
+    c, views = result["metrics"]["input_view"], result["metrics"]["all_views"]
+    _say(
+        options,
+        *job.notes[said:],
+        f"{result['new_splats']:,} new splats in {completing_seconds(content['timings']):.1f} s"
+        + _memory_note(result["peak_gpu_bytes"]),
+        f"E_color {c['color']:.6f} from c, {views['color']:.6f} over V; "
+        f"E_depth {c['depth']:.6f} from c, {views['depth']:.6f} over V"
+        + ("" if result["measured_with"] == "P" else f" (of {result['measured_with']})"),
+        f"written: {job.request.out}/completed.ply, preview.png, turntable.webp, run.json"
+        + (", alternatives.png" if options.alternatives else ""),
+    )
+    return 0
+
+
+def _refuse_folder(path: Path) -> None:
+    """Name the part in an object folder.
+
+    Raises:
+        UserError: the path is a folder with one.
+    """
+    part = path / "partial.ply"
+    if part.is_file():
+        raise UserError(f"{path}: expected a splat file, found a folder; its part is {part}")
+
+
+def _recorded_up(options: CompleteOptions) -> tuple[str, ...]:
+    """Tell where the object file beside P records another up axis than the one that is taken."""
+    from gscomplete.util.jsonio import read_json
+
+    path = options.partial.with_name("object.json")
+    try:
+        up = read_json(path)["frame"]["up"]
+    except (UserError, KeyError, TypeError):
+        return ()  # there is none, or it is something else
+    if up not in ("X", "Y", "Z", "-X", "-Y", "-Z") or up == options.up:
+        return ()
+    return (f"{path}: {up} points up, but {options.up} is taken to: pass --up={up} to change that",)
+
+
+def _memory_note(peak_bytes: int | None) -> str:
+    """Return the peak of GPU memory as words, or nothing without a GPU."""
+    return "" if peak_bytes is None else f", at most {peak_bytes / 2**30:.2f} GiB of GPU memory"
+
+
+def _request(options: CompleteOptions, prior: Prior) -> Request:
+    """Turn command-line options into a request.
+
+    Raises:
+        UserError: an option has the wrong form.
+    """
+    from gscomplete.completion.presets import preset
+    from gscomplete.completion.run_folder import Request
+    from gscomplete.completion.settings import HardPreservationSettings, SeamColorSettings
+
+    if not options.prompt.strip():
+        raise UserError("--prompt: expected what the whole object is, found an empty text")
+    if not 0 <= options.range <= 180:
+        raise UserError(f"--range: expected 0 to 180 degrees, found {options.range:g}")
+    if options.size is not None and not 0 < options.size < float("inf"):
+        raise UserError(f"--size: expected a positive length, found {options.size:g}")
+    settings = dataclasses.replace(
+        preset(options.preset, prior.name, text_only=options.text_only), seed=options.seed
+    )
+    if options.steps is not None:
+        settings = _stretched(settings, options.steps)
+    if options.checkpoint_every is not None:
+        settings = dataclasses.replace(settings, checkpoint_every=options.checkpoint_every)
+    bounds = parse_numbers(options.preserve, 2, "--preserve", "COLOR,DEPTH")
+    if bounds is not None:
+        if min(bounds) <= 0:
+            raise UserError(f"--preserve: expected positive bounds, found {options.preserve!r}")
+        hard = HardPreservationSettings(color_bound=bounds[0], depth_bound=bounds[1])
+        settings = dataclasses.replace(settings, hard_preservation=hard)
+    if options.match_seam:
+        settings = dataclasses.replace(settings, seam_colors=SeamColorSettings())
+    if options.mirror != "guess":
+        settings = dataclasses.replace(settings, mirror=_mirror(options.mirror))
+        _require_guess("--mirror", options, settings, prior)
+    if not 0 <= options.alternatives <= 8:
+        raise UserError(f"--alternatives: expected 0 to 8, found {options.alternatives}")
+    if options.alternatives:
+        _require_guess("--alternatives", options, settings, prior)
+    view = parse_view(options.view)
+    center = parse_numbers(options.center, 3, "--center", "X,Y,Z")
+    return Request(
+        partial_path=options.partial,
+        prompt=options.prompt,
+        out=options.out or Path(f"{options.partial.stem}_completed"),
+        settings=settings,
+        negative_prompt=options.negative_prompt,
+        up=options.up,
+        view_deg=view,
+        azimuth_range_deg=options.range,
+        center_file=None if center is None else (center[0], center[1], center[2]),
+        size_file=options.size,
+        resume=options.resume,
+        alternatives=options.alternatives,
+    )
+
+
+def _require_guess(
+    name: str, options: CompleteOptions, settings: CompletionSettings, prior: Prior
+) -> None:
+    """Refuse an option about guesses where there is none.
+
+    Raises:
+        UserError: the run starts without a guess of the whole.
+    """
+    from gscomplete.priors.base import ShapePrior
+
+    if settings.start != "guess" or not isinstance(prior, ShapePrior):
+        raise UserError(
+            f"{name}: preset {options.preset} with prior {prior.name} starts without a guess "
+            "of the whole; --preset default, fast or reconstruct of the embedded prior have one"
+        )
+
+
+def _mirror(text: str) -> Mirror:
+    """Parse a plane of symmetry.
+
+    Raises:
+        UserError: it has the wrong form.
+    """
+    from gscomplete.shape.mirror_plane import MirrorPlane
+
+    if text == "none":
+        return "none"
+    numbers = parse_numbers(text, 2, "--mirror", "guess, none or AZIMUTH,OFFSET")
+    assert numbers is not None
+    return MirrorPlane(*numbers)
+
+
+def _stretched(settings: CompletionSettings, steps: int) -> CompletionSettings:
+    """Return the settings for another number of steps, with what is counted in steps in proportion.
+
+    Presets without steps have nothing to stretch.
+    """
+    if settings.steps == 0 or steps <= 0:
+        return dataclasses.replace(settings, steps=steps)
+    share = steps / settings.steps
+    every = max(1, round(share * settings.densify.every))
+    return dataclasses.replace(
+        settings,
+        steps=steps,
+        warmup_steps=round(share * settings.warmup_steps),
+        densify=dataclasses.replace(settings.densify, every=every),
+    )
+
+
+def parse_view(text: str | None, option: str = "--view") -> tuple[float, float] | None:
+    """Parse a view as azimuth and elevation in degrees.
+
+    Raises:
+        UserError: it has the wrong form, or an angle is out of range.
+    """
+    numbers = parse_numbers(text, 2, option, "AZIMUTH,ELEVATION")
+    if numbers is None:
+        return None
+    azimuth, elevation = numbers
+    if not abs(azimuth) <= 360:
+        raise UserError(f"{option}: expected an azimuth of -360 to 360 degrees, found {azimuth:g}")
+    if not -90 <= elevation <= 90:
+        raise UserError(
+            f"{option}: expected an elevation of -90 to 90 degrees, found {elevation:g}"
+        )
+    return azimuth, elevation
+
+
+def parse_numbers(text: str | None, count: int, option: str, form: str) -> list[float] | None:
+    """Parse comma-separated finite numbers."""
+    if text is None:
+        return None
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != count or not all(abs(value) < float("inf") for value in values):
+        raise UserError(f"{option}: expected {form}, {count} finite numbers, found {text!r}")
+    return values
+
+
+def _with_progress(job: Run) -> dict[str, Any]:
+    """Run with a progress bar on standard error."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    from gscomplete.completion.run_folder import execute
+
+    if job.completion.finished:
+        return execute(job, lambda report: None)
+    columns = (
+        TextColumn("completing"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("ETA"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[losses]}"),
+    )
+    with Progress(*columns, console=Console(file=sys.stderr)) as progress:
+        task = progress.add_task(
+            "complete",
+            total=job.request.settings.steps,
+            completed=job.completion.step_number,
+            losses="",
+        )
+
+        def show(report: StepReport) -> None:
+            losses = f"prior {report.guidance_loss:.2f}"
+            if report.preservation_loss is not None:
+                losses += f"  L_p {report.preservation_loss:.4f}"
+            losses += f"  splats {report.new_splats:,}"
+            progress.update(task, advance=1, losses=losses)
+
+        return execute(job, show)
+
+
+def _say(options: CompleteOptions, *lines: str) -> None:
+    """Print lines for a person: standard output, or standard error when that is for a machine."""
+    for line in lines:
+        print(line, file=sys.stderr if options.json else sys.stdout)

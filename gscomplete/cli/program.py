@@ -1,0 +1,48 @@
+"""The ``gscomplete`` command."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any
+
+import tyro
+
+from gscomplete.cli.guard import let_threads_sleep, print_version, run_guarded
+
+let_threads_sleep()  # the commands load PyTorch, and with it the OpenMP runtime
+from gscomplete.cli import complete, render, validate, view, weights
+
+_RUNNERS: dict[type, Callable[[Any], int]] = {
+    complete.CompleteOptions: complete.run,
+    render.RenderOptions: render.run,
+    validate.ValidateOptions: validate.run,
+    view.ViewOptions: view.run,
+    weights.WeightsOptions: weights.run,
+}
+
+Command = (
+    Annotated[complete.CompleteOptions, tyro.conf.subcommand("complete")]
+    | Annotated[render.RenderOptions, tyro.conf.subcommand("render")]
+    | Annotated[validate.ValidateOptions, tyro.conf.subcommand("validate")]
+    | Annotated[view.ViewOptions, tyro.conf.subcommand("view")]
+    | Annotated[weights.WeightsOptions, tyro.conf.subcommand("weights")]
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return the exit code."""
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    if arguments == ["--version"]:
+        return print_version("gscomplete")
+    options = tyro.cli(
+        Command,
+        prog="gscomplete",
+        description="Complete partial 3D objects made of Gaussian splats.",
+        args=arguments,
+    )
+    return run_guarded(
+        "gscomplete",
+        lambda: _RUNNERS[type(options)](options),
+        "--resume continues from the last checkpoint",
+    )

@@ -1,1 +1,0 @@
-"""Bodies of the commands: options in, exit code out; the only place that prints."""

@@ -1,0 +1,1 @@
+"""Bounds on what new splats change of P's appearance from V: fits, fades and removals."""

@@ -1,0 +1,341 @@
+"""Bring the error that new splats cause in P's pictures from V below a bound that the user gives.
+
+The preservation loss of the paper (section 3.2) weighs P's looks against the prior's wishes and
+leaves what it leaves. Here, after the optimisation, the errors E_color and E_depth of
+``evaluate.metrics`` are brought below bounds, at as little cost to the rest as can be:
+
+1. Measure over the check views. Below the bounds: nothing is changed.
+2. Back: where P is thin (its silhouette, gaps between its splats) depth and colour of what lies far
+   behind show through it. Copies of P's own splats just behind its surface close it, so that
+   what is behind need not fade.
+3. Refit, a few rounds (``preserving_fit``): the gradient of the errors with respect to opacities
+   says how much each splat contributes. Those that make up nearly all of it may fade, move (a
+   splat in front of P's surface is drawn back behind it by the depth error) and shrink, against
+   a term that keeps the picture from outside V, and within V beside P, as it was. A last round
+   that went farther than it had to is partly taken back.
+4. Fade, while a bound is exceeded: the splats that contribute most lose most of their opacity, as
+   many as the excess asks for.
+5. Remove, as the last resort, what the errors depend on most, again and again. P alone has none,
+   so this ends.
+
+Conventions
+-----------
+* Object frame. P is read only. Rows that contribute nothing (behind P, or beside its mask from
+  all of V) come back bit for bit.
+* Check views are never fitted to: they are other members of V's low-discrepancy sequence than
+  the views of the rounds, of which every round has its own.
+* Errors over check views are held below ``margin`` times the bounds, for the views in between.
+* All is a function of (splats, P, V, settings, seed).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from gscomplete.completion.preserve.fit import (
+    RoundProblem,
+    fit_round,
+    masked_errors,
+    outside_cameras,
+    relative_error,
+)
+from gscomplete.completion.preserve.report import (
+    CheckedErrors,
+    HardPreservationReport,
+    count_changes,
+)
+from gscomplete.completion.settings import HardPreservationSettings
+from gscomplete.evaluate.metrics import MID_GREY
+from gscomplete.fitting.randomness import generator_for
+from gscomplete.render import PreparedFrozen, Render, prepare_frozen, render
+from gscomplete.splats import Splats, concatenate
+from gscomplete.splats.filters import thinned
+from gscomplete.views import Cameras, ViewDistribution, join_cameras
+
+_FIRST_CHECK_VIEW = 10_000
+"""Place in V's sequence of the first check view; rounds use the places from 1 on."""
+_WATCHED_SHARE = 0.5
+"""Refitting watches errors above this share of what is aimed at, not only those above it."""
+_FAINT = 0.05
+"""Opacity at which it is found out where backing helps."""
+_CLOSE_SHARE = 0.85
+"""Errors above this share of what is aimed at are near enough to it."""
+_FADE = 0.5
+"""A fading leaves this share of an opacity."""
+_FADED_SHARE = 0.8
+"""Splats that make up this share of all contributions may be faded at once."""
+_CLEARED_SHARE = 0.9
+"""As the last resort, splats that make up this share of all contributions are removed at once."""
+_FADE_SWEEPS = 24
+"""Most fadings before the last resort."""
+
+
+@dataclass(frozen=True, slots=True)
+class HardPreservation:
+    """The new splats after the bound was enforced."""
+
+    splats: Splats
+    """The rows of ``kept``, then those that were added."""
+    kept: Tensor  # [N] bool: which of the rows that were given are left
+    report: HardPreservationReport
+
+
+def preserve_hard(
+    new: Splats,
+    partial: Splats,
+    distribution: ViewDistribution,
+    settings: HardPreservationSettings,
+    seed: int = 0,
+) -> HardPreservation:
+    """Change or remove new splats until P's looks from V are within the bounds.
+
+    Args:
+        new: N new splats in the object frame.
+        partial: P in the object frame; it is not changed.
+        distribution: V.
+        settings: bounds and knobs.
+        seed: of the run; decides which views a step of refitting is fitted to.
+    """
+    started = time.perf_counter()
+    original = new.detach()
+    work = _Work(original, partial.detach(), distribution, settings, seed)
+    found = before = work.check(original)
+    start = original
+    if work.above(found):
+        start, found = work.backed(original, found)
+    current, rounds, fadings = start, 0, 0
+    while work.above(found) and rounds < settings.rounds:
+        previous, current = current, work.refit(current, found, rounds)
+        found, rounds = work.check(current), rounds + 1
+        if not work.above(found):
+            current, found = work.no_further_than_needed(previous, current, found)
+    cleared = torch.zeros(len(start), dtype=torch.bool, device=new.means.device)
+    while work.above(found):
+        previous, last_resort = current, fadings >= _FADE_SWEEPS
+        current, chosen = work.fade(current, found, rounds, fadings, entirely=last_resort)
+        if last_resort and not bool(chosen.any()):
+            break
+        cleared |= chosen & last_resort
+        found, fadings = work.check(current), fadings + 1
+        if not (last_resort or work.above(found)):
+            current, found = work.no_further_than_needed(previous, current, found)
+    kept = _still_visible(start, current, settings.prune_opacity)
+    count = len(original)
+    return HardPreservation(
+        current.select(kept),
+        kept[:count],
+        HardPreservationReport(
+            before=before,
+            after=found,
+            met=found.color <= settings.color_bound and found.depth <= settings.depth_bound,
+            rounds=rounds,
+            fadings=fadings,
+            seconds=time.perf_counter() - started,
+            added=int(kept[count:].sum()),
+            **count_changes(
+                original, current.select(torch.arange(count)), kept[:count], cleared[:count]
+            ),
+        ),
+    )
+
+
+class _Work:
+    """P, its views and the knobs: what stays the same while the splats change."""
+
+    def __init__(
+        self,
+        original: Splats,
+        partial: Splats,
+        distribution: ViewDistribution,
+        settings: HardPreservationSettings,
+        seed: int,
+    ) -> None:
+        """Draw P from the check views, and the completion as it was from outside V."""
+        self._partial, self._distribution = partial, distribution
+        self._settings, self._seed, self._original = settings, seed, original
+        self._background = partial.means.new_tensor(MID_GREY)
+        checked = self._views(_FIRST_CHECK_VIEW, settings.check_views, settings.check_px)
+        self._check = prepare_frozen(partial, checked)
+        self._outside = outside_cameras(distribution, settings.fit_px)
+
+    @torch.no_grad()
+    def check(self, splats: Splats) -> CheckedErrors:
+        """Measure the errors over the check views."""
+        visible = splats.select(splats.opacities > 0)
+        drawn = render(visible, self._check.cameras, self._background, frozen=self._check)
+        color, depth = masked_errors(
+            drawn, self._check.picture(self._background), self._settings.mask_from
+        )
+        return CheckedErrors(float(color), float(depth))
+
+    def above(self, found: CheckedErrors, share: float = 1.0) -> dict[str, float]:
+        """Return the errors, in units of what is aimed at, that are above a share of that."""
+        settings = self._settings
+        relative = {
+            "color": found.color / (settings.margin * settings.color_bound),
+            "depth": found.depth / (settings.margin * settings.depth_bound),
+        }
+        return {name: value for name, value in relative.items() if value > share}
+
+    def backed(self, splats: Splats, found: CheckedErrors) -> tuple[Splats, CheckedErrors]:
+        """Back P's thin places with copies of its own splats, if that makes the errors smaller."""
+        settings = self._settings
+        if settings.max_backing == 0:
+            return splats, found
+        generator = generator_for(self._seed, 0, "backing")
+        copies = thinned(self._partial, settings.max_backing, generator)
+        camera = self._distribution.input_camera(settings.check_px)
+        away = camera.camera_from_world[0, 2, :3].to(copies.means)
+        copies = dataclasses.replace(
+            copies.with_sh_degree(splats.sh_degree),
+            means=copies.means + settings.backing_distance * away,
+        )
+        faint = dataclasses.replace(copies, opacities=torch.full_like(copies.opacities, _FAINT))
+        prepared = prepare_frozen(self._partial, self._round_views(0, settings.fit_px))
+        watched = tuple(self.above(found))
+        gain = -self._contributions(concatenate([splats, faint]), prepared, watched)[len(splats) :]
+        helpful = largest_share(gain.clamp_min(0.0), settings.active_share)
+        joined = concatenate([splats, copies.select(helpful)])
+        errors = self.check(joined)
+        better = sum(self.above(errors, 0.0).values()) < sum(self.above(found, 0.0).values())
+        return (joined, errors) if better else (splats, found)
+
+    def refit(self, splats: Splats, found: CheckedErrors, round_: int) -> Splats:
+        """Let the splats that contribute fade, move and shrink for some steps."""
+        settings = self._settings
+        cameras = self._round_views(round_, settings.fit_px)
+        prepared = prepare_frozen(self._partial, cameras)
+        watched = tuple(self.above(found, _WATCHED_SHARE))
+        contributions = self._contributions(splats, prepared, watched)
+        active = largest_share(contributions.abs(), settings.active_share)
+        if not bool(active.any()):
+            return splats
+        everything = cameras if self._outside is None else join_cameras([cameras, self._outside])
+        backdrop = concatenate([self._partial, splats.select(~active)])
+        problem = RoundProblem(
+            frozen=prepare_frozen(backdrop, everything),
+            before=self._as_it_was(everything),
+            target=prepared.picture(self._background),
+            background=self._background,
+            watched=watched,
+        )
+        generator = generator_for(self._seed, round_, "hard preservation")
+        fitted = fit_round(splats.select(active), problem, settings, 2.0**round_, generator)
+        return _replaced(splats, active, fitted)
+
+    def no_further_than_needed(
+        self, far: Splats, near: Splats, found: CheckedErrors
+    ) -> tuple[Splats, CheckedErrors]:
+        """Go back from splats within the bounds towards those before, by halving."""
+        low, high = 0.0, 1.0
+        best = near
+        for _ in range(self._settings.halvings):
+            if self.above(found, _CLOSE_SHARE):
+                break
+            middle = 0.5 * (low + high)
+            blend = _blended(far, near, middle)
+            errors = self.check(blend)
+            if self.above(errors):
+                low = middle
+            else:
+                high, best, found = middle, blend, errors
+        return best, found
+
+    def fade(
+        self, splats: Splats, found: CheckedErrors, rounds: int, sweep: int, *, entirely: bool
+    ) -> tuple[Splats, Tensor]:  # [N] bool: faded
+        """Fade the largest contributors, as many as the excess asks for; or clear them."""
+        prepared = self._check
+        if not entirely:
+            views = self._round_views(rounds + sweep, self._settings.check_px)
+            prepared = prepare_frozen(self._partial, views)
+        too_large = self.above(found)
+        contributions = self._contributions(splats, prepared, too_large)
+        if entirely:
+            chosen = largest_share(contributions.abs(), _CLEARED_SHARE)
+        else:
+            excess = sum(value - 1.0 for value in too_large.values())
+            # Estimates of the first order may fall short, so every sweep asks for twice as much.
+            chosen = enough_of(contributions, 2.0**sweep * excess / (1.0 - _FADE))
+            chosen &= largest_share(contributions.clamp_min(0.0), _FADED_SHARE)
+        share = torch.where(chosen, 0.0 if entirely else _FADE, 1.0)
+        opacities = splats.opacities * share
+        opacities = torch.where(chosen & (opacities < self._settings.prune_opacity), 0.0, opacities)
+        return dataclasses.replace(splats, opacities=opacities), chosen
+
+    def _views(self, first: int, count: int, size_px: int) -> Cameras:
+        """Return ``count`` members of V's sequence from the one at ``first`` on."""
+        return self._distribution.cameras(self._distribution.low_discrepancy(count, first), size_px)
+
+    def _round_views(self, round_: int, size_px: int) -> Cameras:
+        """Return the views of one round, which no other round has."""
+        count = self._settings.fit_views
+        return self._views(1 + round_ * count, count, size_px)
+
+    @torch.no_grad()
+    def _as_it_was(self, cameras: Cameras) -> Render:
+        """Draw the completion before anything was changed, over black."""
+        return render(self._original, cameras, frozen=self._partial)
+
+    def _contributions(
+        self, splats: Splats, prepared: PreparedFrozen, watched: Collection[str]
+    ) -> Tensor:  # [N]
+        """Return how much of the watched errors each splat causes, to first order."""
+        # A pixel at the renderer's largest alpha passes no gradient, so opacities stay below it.
+        opacities = splats.opacities.clamp_max(0.99).requires_grad_()
+        drawn = render(
+            dataclasses.replace(splats, opacities=opacities),
+            prepared.cameras,
+            self._background,
+            frozen=prepared,
+        )
+        error = relative_error(drawn, prepared.picture(self._background), watched, self._settings)
+        (gradient,) = torch.autograd.grad(error, opacities)
+        return gradient * opacities.detach()
+
+
+def largest_share(amounts: Tensor, share: float) -> Tensor:  # [N] >= 0 -> [N] bool
+    """Mark the fewest amounts that make up a share of their sum."""
+    order = torch.argsort(amounts, descending=True, stable=True)
+    before = amounts[order].double().cumsum(0) - amounts[order].double()
+    marked = torch.zeros_like(amounts, dtype=torch.bool)
+    marked[order] = (before < share * amounts.double().sum()) & (amounts[order] > 0)
+    return marked
+
+
+def enough_of(amounts: Tensor, needed: float) -> Tensor:  # [N] -> [N] bool
+    """Mark the fewest positive amounts whose sum is at least ``needed``, all if none are enough."""
+    order = torch.argsort(amounts, descending=True, stable=True)
+    positive = amounts[order].clamp_min(0.0).double()
+    marked = torch.zeros_like(amounts, dtype=torch.bool)
+    marked[order] = (positive.cumsum(0) - positive < needed) & (positive > 0)
+    return marked
+
+
+def _blended(first: Splats, second: Splats, share: float) -> Splats:
+    """Return splats part of the way from the first to the second; equal rows stay as they are."""
+    return dataclasses.replace(
+        second,
+        means=torch.lerp(first.means, second.means, share),
+        scales=torch.lerp(first.scales, second.scales, share),
+        opacities=torch.lerp(first.opacities, second.opacities, share),
+    )
+
+
+def _replaced(splats: Splats, rows: Tensor, values: Splats) -> Splats:  # rows: [N] bool
+    """Return the splats with new values in some rows."""
+    out = {name: value.clone() for name, value in splats.fields()}
+    for name, value in values.fields():
+        out[name][rows] = value
+    return Splats(**out)
+
+
+def _still_visible(before: Splats, after: Splats, least: float) -> Tensor:  # [N] bool
+    """Mark the splats that were not faded below the least opacity."""
+    return (after.opacities == before.opacities) | (after.opacities >= least)

@@ -1,0 +1,1 @@
+"""Splats as optimiser parameters: row Adam, densification, random numbers, checkpoints."""

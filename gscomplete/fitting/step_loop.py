@@ -1,0 +1,119 @@
+"""The loop of jobs that take many steps: one log line per step, checkpoints, and going on.
+
+Conventions
+-----------
+* A job's folder holds ``log.jsonl`` (a line per step taken) and ``checkpoints/``.
+* A job is interrupted by Ctrl-C or killed; either way it goes on from its last checkpoint, to the
+  same bytes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+
+from torch import Tensor
+
+from gscomplete.errors import UserError
+from gscomplete.fitting.checkpoint import save_checkpoint
+from gscomplete.util.atomic import atomic_path
+from gscomplete.util.jsonio import read_json
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+LOG_FILE = "log.jsonl"
+CHECKPOINTS = "checkpoints"
+
+Report = TypeVar("Report", bound="DataclassInstance")
+Report_co = TypeVar("Report_co", bound="DataclassInstance", covariant=True)
+
+
+class LongJob(Protocol[Report_co]):
+    """A job that is done step by step."""
+
+    step_number: int
+    """Steps taken."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether all steps are taken."""
+
+    @property
+    def between_updates(self) -> bool:
+        """Whether :meth:`state` is one that the job may go on from."""
+
+    def step(self) -> Report_co:
+        """Take a step."""
+
+    def state(self) -> dict[str, Tensor]:
+        """Return all that the next step depends on."""
+
+
+def take_steps(
+    job: LongJob[Report], out: Path, checkpoint_every: int, on_step: Callable[[Report], None]
+) -> None:
+    """Take all remaining steps.
+
+    Args:
+        job: what to do.
+        out: the job's folder.
+        checkpoint_every: steps; 0 = only at the end, or when interrupted.
+        on_step: is told of every step.
+    """
+    folder = out / CHECKPOINTS
+    _trim_log(out / LOG_FILE, job.step_number)
+    with (out / LOG_FILE).open("a", encoding="utf-8") as log:
+        try:
+            while not job.finished:
+                report = job.step()
+                log.write(json.dumps(dataclasses.asdict(report)) + "\n")
+                on_step(report)
+                if checkpoint_every and job.step_number % checkpoint_every == 0:
+                    log.flush()
+                    save_checkpoint(folder, job.state())
+        except KeyboardInterrupt:
+            if job.between_updates:
+                log.flush()
+                save_checkpoint(folder, job.state())
+            raise
+    save_checkpoint(folder, job.state())
+
+
+def require_same_identity(path: Path, identity: dict[str, Any]) -> None:
+    """Refuse to go on with anything that would change the result.
+
+    Args:
+        path: JSON file of the job, with what decided its result under "identity".
+        identity: what would decide it now.
+
+    Raises:
+        UserError: they differ; it names what differs.
+    """
+    data = read_json(path)
+    stored = data.get("identity", {}) if isinstance(data, dict) else {}
+    for key, value in identity.items():
+        found = stored.get(key)
+        if found == value:
+            continue
+        if isinstance(value, dict) and isinstance(found, dict):
+            names = [name for name in value if found.get(name) != value[name]]
+            detail = "; ".join(
+                f"{name}: the run has {found.get(name)!r}, asked for {value[name]!r}"
+                for name in names
+            )
+        else:
+            detail = f"the run has {found!r}, asked for {value!r}"
+        raise UserError(f"{path}: cannot resume with another {key}: {detail}")
+
+
+def _trim_log(path: Path, step: int) -> None:
+    """Drop log lines of steps that will be taken again."""
+    if not path.exists():
+        return
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)[:step]
+    with atomic_path(path) as temporary:
+        temporary.write_text("".join(lines), encoding="utf-8")

@@ -1,1 +1,0 @@
-"""The embedded prior's first guess of the whole: one pass of a three-dimensional network."""

@@ -1,0 +1,1 @@
+"""What latent diffusion priors share: codec, prompt encoder, guidance, distillation, settings."""

@@ -1,0 +1,94 @@
+"""What the input views say about space: seen to be empty, hidden behind P, or beside P.
+
+Conventions
+-----------
+* P is rendered from a few views of V. A point in front of P's surface was seen to be empty, else
+  it would hide P; behind it, nothing is known; on a ray that misses P there may be something that
+  was cut away.
+* Depth is camera-space z; pixels as in ``views.cameras``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from gscomplete.render import render
+from gscomplete.shape.voxels import FloatArray
+from gscomplete.splats import Splats
+from gscomplete.views import ViewDistribution
+
+SIZE_PX = 48
+FRONT_TOLERANCE = 0.03
+"""A point this much nearer than P's surface is in front of it (object sizes)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """P's depth from a few views of V."""
+
+    depth: FloatArray  # [V, S, S] of P's surface; inf where P is not
+    camera_from_world: FloatArray  # [V, 4, 4]
+    focal_px: float
+
+    def classify(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
+        """Return for every point the shares of views that find it in front, behind, beside P."""
+        flat = np.ascontiguousarray(points.reshape(-1, 3).astype(np.float32))
+        return _classify(flat, self.depth, self.camera_from_world, self.focal_px)
+
+
+def gather_evidence(partial: Splats, distribution: ViewDistribution) -> Evidence:
+    """Render P's depth from c and to both sides of it."""
+    cameras = distribution.sides(SIZE_PX)
+    with torch.no_grad():
+        seen = render(partial.with_sh_degree(0), cameras)
+    depth = torch.where(seen.alpha > 0.5, seen.depth, torch.inf).float().numpy()
+    return Evidence(
+        np.ascontiguousarray(depth),
+        np.ascontiguousarray(cameras.camera_from_world.float().numpy()),
+        float(cameras.focal_px[0, 0]),
+    )
+
+
+@numba.njit(cache=True)
+def kind_of(
+    x: float,
+    y: float,
+    z: float,
+    depth: FloatArray,  # [S, S]
+    m: FloatArray,  # [4, 4] camera from world
+    focal_px: float,
+) -> int:
+    """Return whether one view finds a point in front of P (0), behind it (1) or beside it (2)."""
+    size = depth.shape[0]
+    far = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+    if far <= 1e-3:
+        return 2
+    px = (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]) / far * focal_px + 0.5 * size
+    py = (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]) / far * focal_px + 0.5 * size
+    if not (0 <= px < size and 0 <= py < size):
+        return 2
+    surface = depth[int(py), int(px)]
+    if surface == np.inf:
+        return 2
+    return 0 if far < surface - FRONT_TOLERANCE else 1
+
+
+@numba.njit(cache=True)
+def _classify(
+    points: FloatArray,  # [N, 3]
+    depth: FloatArray,  # [V, S, S]
+    camera_from_world: FloatArray,  # [V, 4, 4]
+    focal_px: float,
+) -> NDArray[np.float32]:  # [N, 3]
+    shares = np.zeros((len(points), 3), np.float32)
+    views = depth.shape[0]
+    for n in range(len(points)):
+        x, y, z = points[n]
+        for v in range(views):
+            shares[n, kind_of(x, y, z, depth[v], camera_from_world[v], focal_px)] += 1.0 / views
+    return shares

@@ -1,0 +1,91 @@
+"""What the shape network is shown of P: its voxels, its mirror images' voxels, the views' evidence.
+
+Conventions
+-----------
+* Volumes are those of ``grid``: occupancy and colour at ``CELLS``, evidence (in front, behind,
+  beside) at ``COARSE_CELLS``.
+* The first colour volume is P, then follow ``COPIES`` mirror images of P.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gscomplete.shape.evidence import Evidence, gather_evidence
+from gscomplete.shape.symmetry import (
+    SymmetryMap,
+    companion,
+    shown_symmetries,
+)
+from gscomplete.shape.symmetry_features import PartSamples, part_samples
+from gscomplete.shape.voxels import (
+    CELLS,
+    COARSE_CELLS,
+    FloatArray,
+    cell_centers,
+    fill_colored,
+    splat_arrays,
+)
+from gscomplete.splats import Splats
+from gscomplete.views import ViewDistribution
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeInputs:
+    """Everything the network sees but the prompt."""
+
+    volumes: FloatArray  # [SOURCES, 4, C, C, C] occupancy and colour
+    evidence: FloatArray  # [3, C/2, C/2, C/2]
+    scores: FloatArray  # [COPIES]
+    symmetries: tuple[SymmetryMap, ...]  # COPIES
+
+
+@dataclass(frozen=True, slots=True)
+class PartLook:
+    """P as the network sees it, whatever mirror images are shown beside it."""
+
+    positions: FloatArray  # [N, 3]
+    tangents: FloatArray  # [N, 2, 3]
+    opacities: FloatArray  # [N]
+    colors: FloatArray  # [N, 3]
+    volume: FloatArray  # [4, C, C, C]
+    evidence: Evidence
+    shares: FloatArray  # [3, C/2, C/2, C/2]
+
+    def samples(self) -> PartSamples:
+        """Return P as planes are judged on it."""
+        return part_samples(self.positions, self.tangents, self.colors, self.volume)
+
+    def shown_first(
+        self, planes: Sequence[SymmetryMap], first: int
+    ) -> tuple[SymmetryMap, ...]:  # COPIES
+        """Return what the network is to be shown: one of the planes, and what goes with it."""
+        return shown_symmetries(planes[first], companion(planes, first, self.positions))
+
+    def with_copies(self, symmetries: tuple[SymmetryMap, ...]) -> ShapeInputs:
+        """Return what the network is shown with these mirror images."""
+        volumes = [self.volume]
+        for symmetry in symmetries:
+            turned = np.ascontiguousarray(self.tangents @ symmetry.matrix.T)
+            copies = symmetry.apply(self.positions)
+            volumes.append(fill_colored(copies, turned, self.opacities, self.colors, CELLS))
+        scores = np.array([s.score for s in symmetries], np.float32)
+        return ShapeInputs(np.stack(volumes), self.shares, scores, symmetries)
+
+
+def look_at(partial: Splats, distribution: ViewDistribution) -> PartLook:
+    """Look at P.
+
+    Args:
+        partial: P in the object frame.
+        distribution: V.
+    """
+    positions, tangents, opacities, colors = splat_arrays(partial)
+    volume = fill_colored(positions, tangents, opacities, colors, CELLS)
+    evidence = gather_evidence(partial, distribution)
+    shares = evidence.classify(cell_centers(COARSE_CELLS))
+    split = np.ascontiguousarray(shares.T.reshape(3, *(COARSE_CELLS,) * 3))
+    return PartLook(positions, tangents, opacities, colors, volume, evidence, split)

@@ -1,0 +1,120 @@
+"""The shape network's answer for one object, averaged over the ways it may be asked.
+
+Conventions
+-----------
+* The network is not told which way an object faces, so the same object turned by quarter turns
+  about z, or mirrored, should get the same answer. The mean of the answers, carried back, is better
+  than any one of them. (Frames moved by half a cell or a whole one are not: thin parts blur.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from gscomplete.shape.mirror_plane import Mirror
+from gscomplete.shape.network import ShapeCompleter, ShapeOutput
+from gscomplete.shape.partial_voxels import PartLook, ShapeInputs, look_at
+from gscomplete.shape.precision import cpu_precision
+from gscomplete.shape.symmetry_choice import choose_symmetries
+from gscomplete.splats import Splats
+from gscomplete.views import ViewDistribution
+
+ORIENTATIONS = 8
+"""Four quarter turns, each mirrored or not."""
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """The network's answer about one object."""
+
+    look: PartLook
+    seen: ShapeInputs
+    """What the network was shown of P."""
+    output: ShapeOutput
+    """Its answer, for a batch of one."""
+    worth: float
+    """Of the first mirror image; see ``choice.Choice``."""
+
+
+def predict(
+    model: ShapeCompleter,
+    partial: Splats,
+    distribution: ViewDistribution,
+    tokens: Tensor,  # [L]
+    *,
+    bfloat16: bool = False,
+    mirror_plane: Mirror = "guess",
+) -> Prediction:
+    """Look at P, choose its mirror images, and ask the network.
+
+    Args:
+        model: in evaluation mode, on the CPU.
+        partial: P in the object frame.
+        distribution: V.
+        tokens: the prompt.
+        bfloat16: precision of the network.
+        mirror_plane: which plane of symmetry to show first.
+    """
+    look = look_at(partial, distribution)
+    choice = choose_symmetries(model, look, tokens, bfloat16=bfloat16, mirror_plane=mirror_plane)
+    seen = look.with_copies(choice.symmetries)
+    output = predict_whole(model, seen, tokens, bfloat16=bfloat16)
+    return Prediction(look, seen, output, choice.worth)
+
+
+@torch.no_grad()
+def predict_whole(
+    model: ShapeCompleter,
+    seen: ShapeInputs,
+    tokens: Tensor,  # [L]
+    *,
+    orientations: int = ORIENTATIONS,
+    bfloat16: bool = False,
+) -> ShapeOutput:
+    """Ask the network about one object.
+
+    Args:
+        model: in evaluation mode, on the CPU.
+        seen: what it is shown.
+        tokens: the prompt.
+        orientations: how many of the eight are asked and averaged.
+        bfloat16: precision of the network.
+
+    Returns:
+        The answer for a batch of one.
+    """
+    volumes = torch.from_numpy(seen.volumes)[None]
+    evidence = torch.from_numpy(seen.evidence)[None]
+    scores = torch.from_numpy(seen.scores)[None]
+    sums: list[Tensor] = []
+    for index in range(orientations):
+        turns, mirror = index % 4, index >= 4
+        with cpu_precision(bfloat16=bfloat16):
+            out = model(
+                turned(volumes, turns, mirror),
+                turned(evidence, turns, mirror),
+                scores,
+                tokens[None],
+            )
+        parts = [
+            turned_back(part.float(), turns, mirror)
+            for part in (out.occupancy, out.colors, out.sources)
+        ]
+        sums = [a + b for a, b in zip(sums, parts, strict=True)] if sums else parts
+    occupancy, colors, sources = (part / orientations for part in sums)
+    return ShapeOutput(occupancy, colors, sources)
+
+
+def turned(volume: Tensor, turns: int, mirror: bool) -> Tensor:  # [..., x, y, z]
+    """Turn a volume by quarter turns about z, then mirror x."""
+    volume = torch.rot90(volume, turns, dims=(-3, -2))
+    return volume.flip(-3) if mirror else volume
+
+
+def turned_back(volume: Tensor, turns: int, mirror: bool) -> Tensor:  # [..., x, y, z]
+    """Undo :func:`turned`."""
+    volume = volume.flip(-3) if mirror else volume
+    return torch.rot90(volume, -turns, dims=(-3, -2))

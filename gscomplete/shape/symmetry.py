@@ -1,0 +1,96 @@
+"""Mirror images of P that may show what is missing.
+
+Most objects have an upright plane of symmetry, and many have two, so what P lacks is often there,
+elsewhere: on real objects one well-chosen plane shows most of what is missing. ``proposals`` finds
+likely planes, ``choice`` chooses among them; the shape network is shown the copies through two that
+differ and their composition, and decides what to take.
+
+Conventions
+-----------
+* A map takes x to ``matrix x + shift`` in the object frame.
+* A map's score is the belief in its plane and those near it, in [0, 1].
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gscomplete.shape.voxels import FloatArray
+
+COPIES = 3
+SOURCES = 1 + COPIES
+"""P and its mirror images."""
+_ALIKE = 0.08
+"""Maps that carry P's points to places nearer than this (mean, object sizes) show the same."""
+
+
+@dataclass(frozen=True, slots=True)
+class SymmetryMap:
+    """A rigid map of P onto what it may lack."""
+
+    matrix: FloatArray  # [3, 3] orthogonal
+    shift: FloatArray  # [3]
+    score: float
+
+    def apply(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
+        """Map points."""
+        return np.ascontiguousarray(points @ self.matrix.T + self.shift, dtype=np.float32)
+
+    def is_like(self, other: SymmetryMap, points: FloatArray) -> bool:  # points [N, 3] of P
+        """Tell whether two maps carry P to nearly the same place."""
+        apart = np.linalg.norm(self.apply(points) - other.apply(points), axis=1)
+        return bool(apart.mean() <= _ALIKE)
+
+    def undo(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
+        """Map points back."""
+        return np.ascontiguousarray((points - self.shift) @ self.matrix, dtype=np.float32)
+
+
+def companion(
+    planes: Sequence[SymmetryMap], first: int, points: FloatArray
+) -> SymmetryMap:  # points [N, 3] of P
+    """Return the first of the other planes that shows something else, or else the first other."""
+    others = [plane for index, plane in enumerate(planes) if index != first]
+    for other in others:
+        if not other.is_like(planes[first], points):
+            return other
+    return others[0]
+
+
+def shown_symmetries(one: SymmetryMap, other: SymmetryMap) -> tuple[SymmetryMap, ...]:
+    """Return what the shape network is shown: two mirror images, and one after the other."""
+    both = SymmetryMap(
+        other.matrix @ one.matrix,
+        other.matrix @ one.shift + other.shift,
+        0.5 * (one.score + other.score),
+    )
+    return one, other, both
+
+
+def no_symmetries() -> tuple[SymmetryMap, ...]:  # COPIES
+    """Return what the shape network is shown where no mirror image is right: P itself."""
+    nothing = SymmetryMap(np.eye(3, dtype=np.float32), np.zeros(3, np.float32), 0.0)
+    return (nothing,) * COPIES
+
+
+def plane_of(symmetry: SymmetryMap) -> tuple[float, float]:
+    """Return the plane of a mirror image: its normal's azimuth in radians, and its offset.
+
+    Undoes :func:`mirror` up to half a turn of the normal, which changes the offset's sign.
+    """
+    (a, b), _ = symmetry.matrix[:2, :2].tolist()
+    angle = 0.5 * math.atan2(-b, -a)
+    x, y, _ = symmetry.shift.tolist()
+    return angle, 0.5 * (x * math.cos(angle) + y * math.sin(angle))
+
+
+def mirror(angle: float, offset: float, score: float) -> SymmetryMap:
+    """Return the mirror image through a plane."""
+    normal = np.array([math.cos(angle), math.sin(angle), 0.0])
+    matrix = np.eye(3) - 2 * np.outer(normal, normal)
+    shift = 2 * offset * normal
+    return SymmetryMap(matrix.astype(np.float32), shift.astype(np.float32), score)

@@ -1,0 +1,289 @@
+"""The upright planes that P may be mirrored through, and what speaks for each of them.
+
+Conventions
+-----------
+* Plane (a, o) holds the points x with ``normal(a) . x = OFFSETS[o]``; its normal is horizontal, at
+  azimuth ``pi a / ANGLES``.
+* Everything is measured on samples of P and of its rim (where its surface ends, by a cut or by
+  what a scanner saw), in the cells of ``grid``: a copy's sample is on P if P fills its cell or one
+  beside it, and new if there is nothing of P within two cells.
+* Features are shares of samples or lengths in object sizes; ``FEATURES`` names them in order.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from gscomplete.shape.evidence import Evidence, kind_of
+from gscomplete.shape.voxels import CELLS, HALF_SIDE, FloatArray
+
+ANGLES = 36
+OFFSETS = tuple(round(0.025 * k, 3) for k in range(-18, 19))
+FEATURES = (
+    "new",
+    "near",  # two cells from P: the plane is slightly wrong
+    "on",
+    "exact",  # in a cell of P
+    "color_error",  # of the exact ones, their mean times their share
+    "aligned",  # of the exact ones: normals agree, their mean times their share
+    "front",  # new, and seen to be empty
+    "behind",  # new, and hidden behind P
+    "beside",  # new, and on rays that miss P
+    "outside_box",
+    "outside_grid",
+    "gap",  # between P and the plane
+    "offset",  # of the plane from the frame's centre
+    "edge",  # of the plane's place across P: 0 at its side, 0.5 in its middle
+    "from_mean",  # of the plane from P's mean
+    "width",  # of P across the plane
+    "rim_on",  # of the rim's copy: it closes onto P
+    "rim_on_afar",  # so it does, and from farther than a cell
+    "rim_at_plane",  # the rim lies in the plane: P was cut there
+    "rim_closed",  # one of the two
+    "rim_share",  # of P's samples that are on the rim
+)
+_SAMPLES = 500
+_RIM_TREE = 6000
+_RIM_TESTED = 1500
+_RIM_SAMPLES = 400
+_FEWEST_RIM = 8
+_RIM_NEIGHBOURS = 24
+_ONE_SIDED = 0.5
+"""A sample is on the rim if the mean of the ways to its neighbours is this share of their mean
+length; within a surface it is near 0."""
+_BOX_SIDE = 0.53
+_AT_PLANE = 0.03
+
+
+@dataclass(frozen=True, slots=True)
+class PartSamples:
+    """P, as planes are judged on it."""
+
+    points: FloatArray  # [N, 3]
+    colors: FloatArray  # [N, 3]
+    normals: FloatArray  # [N, 3] of either sign
+    rim: FloatArray  # [R, 3]
+    rim_share: float
+    spread: FloatArray  # [M, 3] many points, for extents
+    distance: NDArray[np.uint8]  # [C, C, C] cells to P, at most 3
+    cell_colors: FloatArray  # [3, C, C, C]
+    cell_normals: FloatArray  # [C, C, C, 3]
+
+
+def part_samples(
+    positions: FloatArray,  # [N, 3]
+    tangents: FloatArray,  # [N, 2, 3]
+    colors: FloatArray,  # [N, 3]
+    volume: FloatArray,  # [4, C, C, C] of P
+) -> PartSamples:
+    """Draw samples of P and of its rim."""
+    normals = np.cross(tangents[:, 0], tangents[:, 1])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-12)
+    chosen = _every(len(positions), _SAMPLES)
+    spread = np.ascontiguousarray(positions[_every(len(positions), _RIM_TREE)])
+    rim, share = _rim(spread)
+    return PartSamples(
+        np.ascontiguousarray(positions[chosen]),
+        np.ascontiguousarray(colors[chosen]),
+        np.ascontiguousarray(normals[chosen], dtype=np.float32),
+        rim,
+        share,
+        spread,
+        _cells_to_surface(volume[0]),
+        np.ascontiguousarray(volume[1:]),
+        _cell_normals(positions, normals.astype(np.float32)),
+    )
+
+
+def plane_normals() -> FloatArray:  # [ANGLES, 2]
+    """Return the planes' normals, x and y."""
+    angles = math.pi * np.arange(ANGLES) / ANGLES
+    return np.stack([np.cos(angles), np.sin(angles)], axis=1).astype(np.float32)
+
+
+def plane_places(
+    planes: NDArray[np.integer],  # [K, 2] angle, offset
+) -> tuple[FloatArray, FloatArray]:  # [K] radians, [K] object sizes
+    """Return the azimuths of planes' normals, and the planes' places along them."""
+    angles = (math.pi / ANGLES * planes[:, 0]).astype(np.float32)
+    return angles, np.array(OFFSETS, np.float32)[planes[:, 1]]
+
+
+def plane_features(part: PartSamples, evidence: Evidence) -> FloatArray:  # [A, O, F]
+    """Measure what speaks for each plane and against it."""
+    normals, offsets = plane_normals(), np.array(OFFSETS, np.float32)
+    counted = _count_samples(
+        part.points, part.colors, part.normals, part.distance, part.cell_colors,
+        part.cell_normals, evidence.depth, evidence.camera_from_world, evidence.focal_px,
+        normals, offsets,
+    )  # fmt: skip
+    rim = _count_rim(part.rim, part.distance, normals, offsets)
+    along = part.spread[:, :2] @ normals.T
+    low, high = np.quantile(along, [0.005, 0.995], axis=0)[:, :, None].astype(np.float32)
+    width = (high - low).clip(1e-6)
+    share = ((offsets - low) / width).clip(0, 1)
+    lengths = [
+        np.maximum(np.maximum(low - offsets, offsets - high), 0),
+        np.broadcast_to(np.abs(offsets), share.shape),
+        np.minimum(share, 1 - share),
+        np.abs(offsets - along.mean(axis=0)[:, None]),
+        np.broadcast_to(width, share.shape),
+    ]
+    rim_share = np.full((*share.shape, 1), part.rim_share, np.float32)
+    features = [counted, np.stack(lengths, axis=-1), rim, rim_share]
+    return np.concatenate(features, axis=-1, dtype=np.float32)
+
+
+def _every(count: int, most: int) -> NDArray[np.int64]:
+    """Return indices of at most ``most`` of ``count``, evenly over them."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
+
+
+def _rim(points: FloatArray) -> tuple[FloatArray, float]:  # [N, 3] -> [R, 3], share
+    """Return the points whose neighbours lie to one side, or the most one-sided few."""
+    tested = points[_every(len(points), _RIM_TESTED)]
+    neighbours = min(_RIM_NEIGHBOURS + 1, len(points))
+    _, index = cKDTree(points).query(tested, k=range(1, neighbours + 1))
+    ways = points[index[:, 1:]] - tested[:, None]
+    length = np.linalg.norm(ways, axis=2).mean(axis=1) if neighbours > 1 else np.ones(len(tested))
+    middle = np.linalg.norm(ways.sum(axis=1), axis=1) / max(neighbours - 1, 1)
+    one_sided = middle / length.clip(1e-6)
+    on_rim = one_sided > _ONE_SIDED
+    rim = tested[on_rim]
+    if len(rim) < _FEWEST_RIM:
+        rim = tested[np.argsort(-one_sided, kind="stable")[:_FEWEST_RIM]]
+    return np.ascontiguousarray(rim[_every(len(rim), _RIM_SAMPLES)]), float(on_rim.mean())
+
+
+@numba.njit(cache=True)
+def _cell(place: float) -> int:
+    """Return the cell that a coordinate lies in; below 0 or from ``CELLS`` on outside the grid."""
+    return math.floor((place + HALF_SIDE) * (CELLS / (2 * HALF_SIDE)))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _count_samples(
+    points: FloatArray,
+    colors: FloatArray,
+    normals: FloatArray,
+    distance: NDArray[np.uint8],
+    cell_colors: FloatArray,
+    cell_normals: FloatArray,
+    depth: FloatArray,
+    camera_from_world: FloatArray,
+    focal_px: float,
+    plane_normals: FloatArray,
+    offsets: FloatArray,
+) -> FloatArray:  # [A, O, 11]
+    """Return the first eleven features."""
+    planes, places, samples = len(plane_normals), len(offsets), len(points)
+    views = depth.shape[0]
+    out = np.zeros((planes, places, 11), np.float32)
+    kinds = np.zeros(3, np.float32)
+    for a in range(planes):
+        nx, ny = plane_normals[a, 0], plane_normals[a, 1]
+        for o in range(places):
+            row = out[a, o]
+            for n in range(samples):
+                shift = 2 * (offsets[o] - points[n, 0] * nx - points[n, 1] * ny)
+                x, y = points[n, 0] + shift * nx, points[n, 1] + shift * ny
+                z = points[n, 2]
+                i = _cell(x)
+                j = _cell(y)
+                k = _cell(z)
+                inside = 0 <= i < CELLS and 0 <= j < CELLS and 0 <= k < CELLS
+                far = distance[i, j, k] if inside else 3
+                if max(abs(x), abs(y), abs(z)) > _BOX_SIDE:
+                    row[9] += 1
+                if not inside:
+                    row[10] += 1
+                if far <= 1:
+                    row[2] += 1
+                    if far == 0:
+                        row[3] += 1
+                        error = np.float32(0)
+                        for c in range(3):
+                            error += abs(colors[n, c] - cell_colors[c, i, j, k])
+                        row[4] += error / 3
+                        turned = normals[n, 0] * nx + normals[n, 1] * ny
+                        agree = normals[n, 2] * cell_normals[i, j, k, 2]
+                        agree += (normals[n, 0] - 2 * turned * nx) * cell_normals[i, j, k, 0]
+                        agree += (normals[n, 1] - 2 * turned * ny) * cell_normals[i, j, k, 1]
+                        row[5] += abs(agree)
+                    continue
+                row[0] += 1
+                if far == 2:
+                    row[1] += 1
+                kinds[:] = 0
+                for v in range(views):
+                    kinds[kind_of(x, y, z, depth[v], camera_from_world[v], focal_px)] += 1
+                for c in range(3):
+                    row[6 + c] += kinds[c] / views
+            row /= samples
+    return out
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _count_rim(
+    rim: FloatArray,  # [R, 3]
+    distance: NDArray[np.uint8],
+    plane_normals: FloatArray,
+    offsets: FloatArray,
+) -> FloatArray:  # [A, O, 4]
+    """Return where the rim's copy lies."""
+    planes, places = len(plane_normals), len(offsets)
+    out = np.zeros((planes, places, 4), np.float32)
+    for a in range(planes):
+        nx, ny = plane_normals[a, 0], plane_normals[a, 1]
+        for o in range(places):
+            for n in range(len(rim)):
+                away = offsets[o] - rim[n, 0] * nx - rim[n, 1] * ny
+                i = _cell(rim[n, 0] + 2 * away * nx)
+                j = _cell(rim[n, 1] + 2 * away * ny)
+                k = _cell(rim[n, 2])
+                inside = 0 <= i < CELLS and 0 <= j < CELLS and 0 <= k < CELLS
+                on = inside and distance[i, j, k] <= 1
+                close = abs(away) < _AT_PLANE
+                out[a, o, 0] += on
+                out[a, o, 1] += on and not close
+                out[a, o, 2] += close
+                out[a, o, 3] += on or close
+            out[a, o] /= len(rim)
+    return out
+
+
+@numba.njit(cache=True)
+def _cell_normals(positions: FloatArray, normals: FloatArray) -> FloatArray:  # [C, C, C, 3]
+    """Return the normal of one splat per cell; zero where there is none."""
+    out = np.zeros((CELLS, CELLS, CELLS, 3), np.float32)
+    for n in range(len(positions)):
+        i = _cell(positions[n, 0])
+        j = _cell(positions[n, 1])
+        k = _cell(positions[n, 2])
+        if 0 <= i < CELLS and 0 <= j < CELLS and 0 <= k < CELLS:
+            out[i, j, k] = normals[n]
+    return out
+
+
+@numba.njit(cache=True)
+def _cells_to_surface(occupancy: FloatArray) -> NDArray[np.uint8]:
+    """Return the distance to P in cells (largest coordinate difference), at most 3."""
+    n = occupancy.shape[0]
+    distance = np.full((n, n, n), 3, np.uint8)
+    for i in range(n):
+        for j in range(n):
+            for k in range(n):
+                if occupancy[i, j, k] <= 0.2:
+                    continue
+                for x in range(max(i - 2, 0), min(i + 3, n)):
+                    for y in range(max(j - 2, 0), min(j + 3, n)):
+                        for z in range(max(k - 2, 0), min(k + 3, n)):
+                            away = max(abs(x - i), abs(y - j), abs(z - k))
+                            distance[x, y, z] = min(distance[x, y, z], np.uint8(away))
+    return distance

@@ -1,0 +1,69 @@
+"""Which splats of P take part in the optimisation. The output has them all, whatever this says.
+
+Left out are splats that cannot be drawn (not finite, far too large), and of very large inputs an
+even choice is drawn with widths grown to match: at the resolutions priors see, millions of splats
+cost time and change nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gscomplete.errors import UserError
+from gscomplete.fitting.randomness import generator_for
+from gscomplete.splats import Splats
+from gscomplete.splats.filters import thinned, usable_rows
+
+
+@dataclass(frozen=True, slots=True)
+class WorkingSet:
+    """The splats of P that are drawn, and what happened to the others."""
+
+    splats: Splats
+    total: int
+    """Splats in the file."""
+    unusable: dict[str, int]
+    """Rows that cannot be drawn, by reason."""
+    thinned: int
+    """Splats left out because there were more than the limit."""
+
+    @property
+    def stands_for(self) -> str:
+        """Whose looks are measured and drawn where these splats are."""
+        if not self.thinned:
+            return "P"
+        return f"{len(self.splats):,} splats that stand for P's {self.total:,}"
+
+    def summary(self) -> str:
+        """Describe the choice in one line."""
+        parts = [f"{len(self.splats):,} of {self.total:,} splats of P take part"]
+        parts += [f"{count:,} left out ({reason})" for reason, count in self.unusable.items()]
+        if self.thinned:
+            parts.append(f"{self.thinned:,} left out (thinned, widths grown to match)")
+        return "; ".join(parts)
+
+
+def working_set(partial: Splats, limit: int | None, path: str) -> WorkingSet:
+    """Choose the splats of P that take part.
+
+    Args:
+        partial: P as read.
+        limit: most splats to draw; None = all.
+        path: the file named in errors.
+
+    Raises:
+        UserError: no splat can be drawn.
+    """
+    usable, reasons = usable_rows(partial)
+    if not bool(usable.any()):
+        found = "; ".join(f"{reason}: {count}" for reason, count in reasons.items())
+        raise UserError(
+            f"{path}: expected at least one splat that can be drawn, found none of "
+            f"{len(partial)} ({found or 'no splats'})"
+        )
+    splats = partial if bool(usable.all()) else partial.select(usable)
+    count = len(splats)
+    if limit is None or count <= limit:
+        return WorkingSet(splats, len(partial), reasons, 0)
+    drawn = thinned(splats, limit, generator_for(0, 0, "working set"))
+    return WorkingSet(drawn, len(partial), reasons, count - limit)

@@ -1,0 +1,12 @@
+"""The ``splatcomplete-data`` command: its subcommands, their options, and the guard about them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return the exit code."""
+    from splatcomplete_data.cli import program
+
+    return program.main(arguments)

@@ -1,0 +1,341 @@
+"""What the commands share: their common flags, the writing of the object, reports, progress.
+
+Conventions
+-----------
+* A command's option class inherits ``ObjectOptions`` and adds its own; a ``run(options)`` turns
+  it into a call of a Python function of the package and hands the result to ``finish_object``.
+* People's lines go to standard output, or to standard error when that is for ``--json``.
+* Options that decide nothing about the result (``NOT_RECORDED``) are left out of the record.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import math
+import shlex
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from gscomplete.cli.complete import parse_numbers, parse_view
+from gscomplete.errors import UserError
+from gscomplete.util import jsonio
+from gscomplete.views import UpAxis
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+    from gscomplete.splats import Similarity, Splats
+    from splatcomplete_data.cuts.boxes import CropBox
+    from splatcomplete_data.framing import FramingRequest
+    from splatcomplete_data.objects import ObjectRecord, StepRecord, Subset
+
+NOT_RECORDED = ("out", "json", "overwrite", "prompt", "licence", "origin", "id")
+"""Options that are not repeated in ``object.json``'s options: they have fields of their own, or
+decide nothing."""
+
+Report = Callable[[int, int], None]
+"""Progress callback: (done, total) in whatever unit the step counts."""
+
+
+Enter = Callable[[str, float], None]
+"""Says that a stage begins: (what is done now, share of the work that is behind, 0 to 1)."""
+
+
+def stay_silent(name: str, share: float) -> None:
+    """Ignore a stage; the ``Enter`` of callers that show no progress."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectOptions:
+    """Flags of every command that writes an object folder."""
+
+    out: Path | None = None
+    """Object folder to write; None = the source's name, in the current folder."""
+    prompt: str | None = None
+    """What the whole object is, such as "a red mug"; None = the source's name as words."""
+    view: str | None = None
+    """Input view c as AZIMUTH,ELEVATION in degrees (azimuth 0 looks from +x of the z-up object
+    frame, 90 from +y); None = the camera's own view where there is one, else the view that shows
+    most of the part from outside."""
+    range: float = 50.0
+    """V reaches this many degrees of azimuth to either side of c."""
+    up: Literal["auto", "X", "Y", "Z", "-X", "-Y", "-Z"] = "auto"
+    """Axis of the source that points up; auto = by the kind of source, as told above."""
+    center: str | None = None
+    """Centre of the WHOLE object as X,Y,Z in the source's coordinates, those of --box, also where
+    an offset or --level moves the splats; None = known or guessed."""
+    size_whole: float | None = None
+    """Largest side of the WHOLE object in the source's units; None = known or guessed."""
+    id: str | None = None
+    """Name within a dataset; None = the folder's name."""
+    licence: str | None = None
+    """Licence of the source, for the record."""
+    origin: str | None = None
+    """Origin of the source, for the record."""
+    overwrite: bool = False
+    """Replace --out if it exists."""
+    json: bool = False
+    """Print the content of object.json, and as complete_command the line that completes the part
+    (null without a part), on standard output and nothing else there."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Made:
+    """What a pipeline made, before frame and record are decided."""
+
+    subset: Subset
+    source_file: Path
+    partial: Splats | None
+    """The part, file frame; None = only the whole was asked for."""
+    complete: Splats | None
+    default_up: UpAxis
+    steps: tuple[StepRecord, ...] = ()
+    notes: tuple[str, ...] = ()
+    boxes: tuple[CropBox, ...] = ()
+    splat_size: float | None = None
+    camera_position_file: tuple[float, float, float] | None = None
+    """Where the source was seen from, in the file frame; gives the default input view."""
+    file_from_source: Similarity | None = None
+    is_center_of_source: bool = False
+    """Whether ``--center`` lies in the source's frame and is moved along; else in the file's."""
+    details: dict[str, Any] = dataclasses.field(default_factory=dict)
+    partial_file: Path | None = None
+    """PLY whose bytes are the part; None = written anew."""
+    extra_pictures: dict[str, Image.Image] = dataclasses.field(default_factory=dict)
+
+
+def finish_object(options: ObjectOptions, made: Made) -> int:
+    """Decide frame and views, write the folder, report; return the exit code.
+
+    Raises:
+        UserError: an option is wrong, nothing is left, or the folder cannot be written.
+    """
+    return report_object(options, made, store_object(options, made))
+
+
+def report_object(options: ObjectOptions, made: Made, record: ObjectRecord) -> int:
+    """Tell what was made and written; return the exit code."""
+    folder = options.out or default_folder(made.source_file)
+    command = complete_command(folder, record)
+    if options.json:
+        content = {**record.to_json(), "complete_command": command}
+        sys.stdout.write(json.dumps(content) + "\n")
+        return 0
+    for step in record.steps:
+        say(options, step.summary())
+    say(options, *record.notes)
+    x, y, z = record.frame.center_file
+    say(
+        options,
+        f"frame ({record.frame_origin}): up {record.frame.up}, centre {x:.6g},{y:.6g},{z:.6g}, "
+        f"size {record.frame.size_file:.6g}; input view {record.views.azimuth_deg:g},"
+        f"{record.views.elevation_deg:g} +/-{record.views.azimuth_range_deg:g} degrees",
+        f"written: {folder} ({', '.join(f'{n:,} {k}' for k, n in record.counts.items())})",
+    )
+    if command is not None:
+        say(options, f"complete it: {command}")
+    return 0
+
+
+def complete_command(folder: Path, record: ObjectRecord) -> str | None:
+    """Return the shell's line that completes an object's part; None = it has none.
+
+    Centre and size are left to ``gscomplete``: its guesses are as good as the record's.
+    """
+    from splatcomplete_data.objects import PARTIAL_FILE
+
+    if PARTIAL_FILE not in record.files:
+        return None
+    views = record.views
+    words = [
+        *("gscomplete", "complete", str(folder / PARTIAL_FILE)),
+        *(
+            ("--prompt", record.prompt)
+            if record.prompt[0] != "-"
+            else (f"--prompt={record.prompt}",)
+        ),
+        f"--up={record.frame.up}",
+        f"--view={views.azimuth_deg:g},{views.elevation_deg:g}",
+        f"--range={views.azimuth_range_deg:g}",
+        *("--out", f"{folder}_completed"),
+    ]
+    return shlex.join(words)
+
+
+def store_object(options: ObjectOptions, made: Made) -> ObjectRecord:
+    """Decide frame and views and write the folder; return the record.
+
+    Raises:
+        UserError: as ``finish_object``.
+    """
+    from gscomplete.util.digests import sha256_of
+    from splatcomplete_data import framing
+    from splatcomplete_data.objects import ObjectRecord, SourceRecord, write_object
+
+    folder = options.out or default_folder(made.source_file)
+    shown = made.partial if made.partial is not None else made.complete
+    if shown is None or len(shown) == 0:
+        raise UserError(f"{made.source_file}: no splats are left to write")
+    request = dataclasses.replace(
+        framing_request(options, made.default_up), camera_position_file=made.camera_position_file
+    )
+    turn = made.file_from_source
+    given_in = turn if made.is_center_of_source else None
+    if given_in is not None:
+        request = framing.moved_center(request, given_in)
+    decided = framing.decide_framing(shown, made.complete, request)
+    if request.center_file is not None or request.size_file is not None:
+        framing.require_touching(decided.frame, shown, given_in)
+    is_file = made.source_file.is_file()
+    try:
+        record = ObjectRecord(
+            id=options.id or folder.name,
+            subset=made.subset,
+            prompt=options.prompt or made.source_file.stem.replace("_", " ").strip() or "an object",
+            source=SourceRecord(
+                made.source_file.as_posix(),
+                sha256_of(made.source_file) if is_file else None,
+                options.licence,
+                options.origin,
+            ),
+            frame=decided.frame,
+            frame_origin=decided.origin,
+            views=decided.views,
+            file_from_source=None if turn is None else turn.to_json(),
+            boxes=made.boxes,
+            splat_size=made.splat_size,
+            steps=made.steps,
+            notes=(*made.notes, *decided.notes),
+            details=made.details,
+            options=recorded_options(options),
+        )
+    except ValueError as error:
+        raise UserError(f"{folder}: {error}") from error
+    return write_object(
+        folder,
+        record,
+        made.partial,
+        made.complete,
+        overwrite=options.overwrite,
+        partial_file=made.partial_file,
+        extra_pictures=made.extra_pictures,
+    )
+
+
+def framing_request(options: ObjectOptions, default_up: UpAxis) -> FramingRequest:
+    """Parse the flags about frame and views into a ``FramingRequest``.
+
+    Raises:
+        UserError: a flag has the wrong form.
+    """
+    from splatcomplete_data.framing import FramingRequest
+
+    view = parse_view(options.view)
+    center = parse_numbers(options.center, 3, "--center", "X,Y,Z")
+    if not 0 <= options.range <= 180:
+        raise UserError(f"--range: expected 0 to 180 degrees, found {options.range:g}")
+    if options.size_whole is not None and not 0 < options.size_whole < float("inf"):
+        raise UserError(f"--size-whole: expected a positive length, found {options.size_whole:g}")
+    return FramingRequest(
+        up=default_up if options.up == "auto" else options.up,
+        view_deg=view,
+        azimuth_range_deg=options.range,
+        center_file=None if center is None else (center[0], center[1], center[2]),
+        size_file=options.size_whole,
+    )
+
+
+def check_out(options: ObjectOptions, source_file: Path) -> None:
+    """Check the destination, and what the record will say, before the work starts.
+
+    Raises:
+        UserError: it holds something, and ``--overwrite`` is not given or it is no object folder;
+            or an option is a number that is not finite.
+    """
+    from splatcomplete_data.atomic_folder import check_destination
+    from splatcomplete_data.objects import BOXES_FILE, RECORD_FILE
+
+    for field in dataclasses.fields(options):
+        value = getattr(options, field.name)
+        if isinstance(value, float) and not math.isfinite(value):
+            name = field.name.replace("_", "-")
+            raise UserError(f"--{name}: expected a finite number, found {value:g}")
+    check_destination(
+        options.out or default_folder(source_file),
+        marker=RECORD_FILE,
+        spare=(BOXES_FILE,),
+        overwrite=options.overwrite,
+    )
+
+
+def default_folder(source_file: Path) -> Path:
+    """Return the object folder of a source when ``--out`` is not given."""
+    return Path(f"{source_file.stem or 'object'}_object")
+
+
+def recorded_options(options: ObjectOptions) -> dict[str, Any]:
+    """Return the options that decide the result, as JSON values."""
+    values = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
+    return {name: jsonio.to_json(v) for name, v in values.items() if name not in NOT_RECORDED}
+
+
+def say(options: Any, *lines: str) -> None:
+    """Print lines for a person: standard output, or standard error when that is for a machine."""
+    stream = sys.stderr if getattr(options, "json", False) else sys.stdout
+    for line in lines:
+        stream.write(f"{line}\n")
+
+
+@contextlib.contextmanager
+def progress(title: str) -> Iterator[Report]:
+    """Show a bar with an ETA on standard error; yield the callback that moves it."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import TimeRemainingColumn as Remaining
+
+    columns: Sequence[Any] = (
+        TextColumn(title),
+        BarColumn(),
+        TextColumn("{task.completed:,.0f}/{task.total:,.0f}"),
+        TimeElapsedColumn(),
+        TextColumn("ETA"),
+        Remaining(),
+    )
+    with Progress(*columns, console=Console(file=sys.stderr), transient=True) as bar:
+        task = bar.add_task(title, total=1)
+
+        def report(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=max(total, 1))
+
+        yield report
+
+
+@contextlib.contextmanager
+def stages(title: str) -> Iterator[Enter]:
+    """Show the stage, a bar and an ETA on standard error; yield what says that a stage begins.
+
+    The shares that callers give are rough, and so is the ETA. Nothing is shown where standard
+    error is not a terminal.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import TimeRemainingColumn as Remaining
+
+    console = Console(file=sys.stderr)
+    columns: Sequence[Any] = (
+        TextColumn(f"{title}: {{task.description}}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        TextColumn("ETA"),
+        Remaining(),
+    )
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
+        task = bar.add_task("starting", total=1.0)
+        yield lambda name, share: bar.update(task, description=name, completed=share)

@@ -1,0 +1,162 @@
+"""``splatcomplete-data crop``: cut the object out of a scene."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from gscomplete.errors import UserError
+from splatcomplete_data.cli.common import (
+    Made,
+    ObjectOptions,
+    check_out,
+    finish_object,
+    say,
+)
+
+if TYPE_CHECKING:
+    from splatcomplete_data.multiview.scene import Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class CropOptions(ObjectOptions):
+    """Cut an object out of a trained scene with boxes; records are copied byte for byte.
+
+    FILE is a splat PLY, or the capture folder of `images`, whose cameras make `--box auto` better
+    and give the up axis and the input view; of a splat file up is -Y unless --up says otherwise,
+    and --up is obeyed for either. Frame and harmonics are not touched; the boxes are
+    recorded, and boxes.png shows them over the scene and what they keep.
+
+    Example: splatcomplete-data crop capture --box auto --propose
+
+    Then, with the numbers that it prints, corrected: splatcomplete-data crop capture
+    --box 0.1,0,0.2,0.3,0.3,0.4 --box remove:0,0,-0.3,1,1,0.05 --prompt "a plush doll" --out doll
+    """
+
+    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    """Splat PLY or capture folder."""
+    box: tuple[str, ...] = ()
+    """Boxes in the file's frame, in order: auto, or [keep:|remove:]CX,CY,CZ,HX,HY,HZ (centre and
+    half extents), with ,QW,QX,QY,QZ behind for an oriented box. None = keep everything."""
+    propose: bool = False
+    """Only draw the boxes into boxes.png in the current folder (or --out) and print them."""
+
+
+def run(options: CropOptions) -> int:
+    """Crop; return the exit code."""
+    from splatcomplete_data.multiview.scene import read_scene
+
+    scene = read_scene(options.file, None if options.up == "auto" else options.up)
+    if not options.propose:
+        check_out(options, scene.name)
+    boxes, notes = _boxes(options, scene)
+    if options.propose:
+        return _propose(options, scene, boxes, notes)
+    with tempfile.TemporaryDirectory(prefix="splatcomplete_crop.") as folder:
+        return finish_object(options, make(options, scene, boxes, notes, Path(folder)))
+
+
+def make(
+    options: CropOptions,
+    scene: Scene,
+    boxes: list[Any],
+    notes: list[str],
+    folder: Path,
+) -> Made:
+    """Cut the part; its PLY goes into ``folder``.
+
+    Raises:
+        UserError: the boxes keep nothing.
+    """
+    import torch
+
+    from splatcomplete_data.multiview.box_picture import box_sheet
+    from splatcomplete_data.multiview.crop import kept_rows, write_rows
+    from splatcomplete_data.objects import BOXES_FILE, StepRecord
+
+    mask, reasons = kept_rows(scene.file, boxes)
+    part = scene.file.splats.select(torch.from_numpy(mask))
+    path = folder / "partial.ply"
+    write_rows(path, scene.file, mask)
+    step = StepRecord("crop", scene.file.n_rows, len(part), reasons)
+    sheet = box_sheet(scene.drawable(), part, boxes, scene.picture_cameras(boxes), scene.near)
+    return Made(
+        "multiview",
+        scene.name,
+        part,
+        None,
+        scene.up_axis,
+        (step,),
+        tuple(notes),
+        tuple(boxes),
+        camera_position_file=scene.front_position(boxes),
+        details=scene.details(),
+        partial_file=path,
+        extra_pictures={BOXES_FILE: sheet},
+    )
+
+
+def _boxes(options: CropOptions, scene: Scene) -> tuple[list[Any], list[str]]:
+    """Read the boxes, proposing one where ``auto`` stands."""
+    from splatcomplete_data.cuts.boxes import parse_box
+    from splatcomplete_data.multiview.propose_box import propose_box
+
+    boxes, notes = [], list(scene.notes)
+    for text in options.box:
+        if text == "auto":
+            proposal = propose_box(scene.file.splats, scene.focus())
+            notes += [f"--box auto: {note}" for note in proposal.notes]
+            boxes.append(proposal.box)
+        else:
+            boxes.append(parse_box(text))
+    return boxes, notes
+
+
+def _propose(options: CropOptions, scene: Scene, boxes: list[Any], notes: list[str]) -> int:
+    """Draw and print the boxes, and write nothing else."""
+    import json
+
+    import torch
+
+    from gscomplete.evaluate.pictures import save_image
+    from gscomplete.util import jsonio
+    from splatcomplete_data.multiview.box_picture import box_sheet
+    from splatcomplete_data.multiview.crop import kept_rows
+    from splatcomplete_data.objects import BOXES_FILE, RECORD_FILE
+
+    if not boxes:
+        raise UserError("--propose: expected --box auto or a box as numbers, found none")
+    if options.out is not None and (options.out / RECORD_FILE).exists():
+        raise UserError(
+            f"{options.out}: --propose: expected a folder without a finished object, whose "
+            f"{BOXES_FILE} would be replaced"
+        )
+    mask, _ = kept_rows(scene.file, boxes)
+    part = scene.file.splats.select(torch.from_numpy(mask))
+    path = (options.out or Path()) / BOXES_FILE
+    if options.out is not None:
+        options.out.mkdir(parents=True, exist_ok=True)
+    sheet = box_sheet(scene.drawable(), part, boxes, scene.picture_cameras(boxes), scene.near)
+    save_image(sheet, path)
+    say(options, *notes)
+    for box in boxes:
+        say(options, f"--box {box_text(box)}")
+    say(options, f"keeps {int(mask.sum()):,} of {len(mask):,} splats; drawn: {path}")
+    if options.json:
+        data = {"boxes": jsonio.to_json(boxes), "kept": int(mask.sum()), "splats": len(mask)}
+        sys.stdout.write(json.dumps(data) + "\n")
+    return 0
+
+
+def box_text(box: Any) -> str:
+    """Write a box as ``--box`` reads it."""
+    numbers = [*box.center, *box.half_extents]
+    if box.quaternion != (1.0, 0.0, 0.0, 0.0):
+        numbers += box.quaternion
+    prefix = "remove:" if box.action == "remove" else ""
+    return prefix + ",".join(f"{number:.6g}" for number in numbers)

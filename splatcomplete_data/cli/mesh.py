@@ -1,0 +1,155 @@
+"""``splatcomplete-data mesh``: a mesh file to splats, whole and part."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from gscomplete.views import UpAxis
+from splatcomplete_data.cli.common import (
+    Enter,
+    Made,
+    ObjectOptions,
+    check_out,
+    report_object,
+    stages,
+    stay_silent,
+    store_object,
+)
+
+if TYPE_CHECKING:
+    from gscomplete.splats import Splats
+    from splatcomplete_data.objects import StepRecord
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshOptions(ObjectOptions):
+    """Turn a mesh into flat splats on its surface.
+
+    Writes complete.ply, and partial.ply when --cut is given. Up is Y for glTF and GLB, what
+    the file says for DAE (Y if it says nothing), else Z, unless --up says otherwise; the file's
+    own axes and units are kept either way.
+
+    Example: splatcomplete-data mesh duck.glb --count 100000 --cut plane:90 --out duck
+    """
+
+    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    """GLB, glTF, OBJ, PLY, STL, DAE or OFF."""
+    count: int | None = None
+    """About how many splats; None = 100,000, unless --spacing is given."""
+    spacing: float | None = None
+    """Side of the square of surface that a splat stands for, in file units, instead of --count."""
+    mode: Literal["cells", "grid", "random", "poisson"] = "cells"
+    """cells: every triangle cut into equal cells. grid: mesh2splat's density, one splat per grid
+    cell. random: uniform random points with round splats, for comparison. poisson:
+    round discs on blue noise (Poisson disks, pymeshlab), for an even look without rows."""
+    repair: bool = False
+    """Before converting, merge duplicate vertices, drop null and duplicate faces and orient the
+    rest (pymeshlab), each with a count."""
+    sigma: float = 0.5
+    """Tangent standard deviation over the cell's side; below 0.45 holes show."""
+    cut: tuple[str, ...] = ()
+    """What to keep for partial.ply: plane:AZIMUTH[,OFFSET], box:LX,LY,LZ,HX,HY,HZ (object frame) or
+    scan:AZ/EL[,AZ/EL...]."""
+    texture: Path | None = None
+    """Picture for a mesh whose file lost its own."""
+    allow_outside: Path | None = None
+    """Folder below which files that the mesh names (textures, materials, buffers) are read, too;
+    None = only those below its own folder."""
+    gltf_colors: Literal["linear", "srgb"] = "linear"
+    """srgb for glTF files whose exporter wrote sRGB numbers as factors."""
+    light: bool = False
+    """Multiply soft light from above into the colours, as a photo would show them; recorded."""
+    seed: int = 0
+    """Seed of the sampling."""
+
+
+LIGHT_Z_UP = (0.5, -0.35, 0.8)
+"""Where the soft light comes from, z up."""
+
+
+def in_file_axes(
+    direction_z_up: tuple[float, float, float], up: UpAxis
+) -> tuple[float, float, float]:
+    """Turn a z-up direction into the file's axes."""
+    import torch
+
+    from gscomplete.views import up_rotation
+
+    turned = up_rotation(up).T @ torch.tensor(direction_z_up, dtype=torch.float64)
+    x, y, z = turned.tolist()
+    return x, y, z
+
+
+def run(options: MeshOptions) -> int:
+    """Convert the mesh; return the exit code."""
+    check_out(options, options.file)
+    with stages("mesh") as enter:
+        made = make(options, enter)
+        enter("writing the object", 0.6)
+        record = store_object(options, made)
+    return report_object(options, made, record)
+
+
+def make(options: MeshOptions, enter: Enter = stay_silent) -> Made:
+    """Convert the mesh and cut the part.
+
+    Args:
+        options: the flags.
+        enter: told when a stage begins.
+
+    Raises:
+        UserError: the mesh cannot be read or has no surface, or a cut is wrong.
+    """
+    from gscomplete.views import ObjectFrame
+    from splatcomplete_data.cli.common import framing_request
+    from splatcomplete_data.cuts.named import apply_cuts, parse_cut
+    from splatcomplete_data.mesh.convert import ConvertSettings, convert_mesh
+    from splatcomplete_data.mesh.files.load import BakedLight, load_mesh
+    from splatcomplete_data.mesh.files.up_axis import up_of_mesh_file
+    from splatcomplete_data.points import offset_note, without_offset
+
+    cuts = [parse_cut(text) for text in options.cut]
+    enter("reading", 0.0)
+    mesh = load_mesh(
+        options.file,
+        texture=options.texture,
+        gltf_colors=options.gltf_colors,
+        allow_outside=options.allow_outside,
+    )
+    repairs: tuple[StepRecord, ...] = ()
+    if options.repair:
+        from splatcomplete_data.mesh.repair import repair_mesh
+
+        enter("repairing", 0.1)
+        mesh, repairs = repair_mesh(mesh)
+    settings = ConvertSettings(options.mode, options.sigma, seed=options.seed)
+    count = 100_000 if options.count is None and options.spacing is None else options.count
+    request = framing_request(options, up_of_mesh_file(options.file))
+    light = BakedLight(in_file_axes(LIGHT_Z_UP, request.up)) if options.light else None
+    enter("converting", 0.2)
+    made = convert_mesh(mesh, count, spacing=options.spacing, settings=settings, light=light)
+    complete = made.splats
+    part: Splats | None = None
+    steps: tuple[StepRecord, ...] = ()
+    if cuts:
+        enter("cutting", 0.5)
+        frame = ObjectFrame.about(complete, request.up)
+        part, steps = apply_cuts(complete, frame, cuts, (), str(options.file))
+    moved = None if mesh.offset is None else without_offset(mesh.offset)
+    far = () if mesh.offset is None else (offset_note(mesh.offset),)
+    size = f"{len(complete):,} splats, spacing {made.spacing:.4g} file units"
+    return Made(
+        "mesh",
+        options.file,
+        part,
+        complete,
+        request.up,
+        (*repairs, *made.steps, *steps),
+        (*mesh.notes, *far, size),
+        file_from_source=moved,
+        is_center_of_source=True,
+    )

@@ -1,0 +1,167 @@
+"""``splatcomplete-data partial``: a part cut out of a complete splat object."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from gscomplete.errors import UserError
+from splatcomplete_data.cli.common import (
+    Made,
+    ObjectOptions,
+    check_out,
+    finish_object,
+    framing_request,
+)
+
+if TYPE_CHECKING:
+    from gscomplete.splats import Similarity, Splats
+    from splatcomplete_data.objects import ObjectRecord, StepRecord
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartialOptions(ObjectOptions):
+    """Cut a part out of a complete object, so that a pair (partial, complete) exists.
+
+    FILE is a splat file or an object folder with a complete.ply. Up is what the folder's
+    object.json says, also where FILE is one of its files; of another splat file it is -Y unless
+    --up says otherwise.
+
+    Example: splatcomplete-data partial duck --cut scan:30/20 --out duck_scanned
+    """
+
+    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    """Splat file (.ply, .compressed.ply, .splat, .spz) or object folder."""
+    cut: tuple[str, ...] = ()
+    """plane:AZIMUTH[,OFFSET], box:LX,LY,LZ,HX,HY,HZ or scan:AZ/EL[,AZ/EL...] (object frame)."""
+    box: tuple[str, ...] = ()
+    """Boxes in the file frame: [keep:|remove:]CX,CY,CZ,HX,HY,HZ[,QW,QX,QY,QZ]."""
+    seen_from_views: int = 0
+    """Keep what this many views of V (--view, --range) can see; 0 = do not cut by visibility."""
+    subset: Literal["multiview", "singleview", "lidar", "mesh"] = "multiview"
+    """Kind of source recorded for a splat file; what is of an object folder keeps its own."""
+
+
+def run(options: PartialOptions) -> int:
+    """Cut the part; return the exit code."""
+    check_out(options, options.file)
+    return finish_object(*make(options))
+
+
+def make(options: PartialOptions) -> tuple[PartialOptions, Made]:
+    """Read the whole and cut the part.
+
+    Returns:
+        The options, with prompt, licence and origin of an object folder filled in where they were
+        not given, and what was made.
+
+    Raises:
+        UserError: the file cannot be read, no cut is given, or the cuts keep nothing.
+    """
+    from gscomplete.views import ObjectFrame
+    from splatcomplete_data.cuts.boxes import parse_box
+    from splatcomplete_data.cuts.named import ScanCut, apply_cuts, parse_cut
+    from splatcomplete_data.framing import SPLAT_FILE_UP, UP_ASSUMED
+
+    cuts = [parse_cut(text) for text in options.cut]
+    boxes = tuple(parse_box(text) for text in options.box)
+    whole = _read_whole(options.file)
+    subset, default_up = options.subset, SPLAT_FILE_UP
+    details: dict[str, str] = {}
+    notes, record = whole.notes, whole.record
+    if record is not None:
+        subset, default_up = record.subset, record.frame.up
+        options = dataclasses.replace(
+            options,
+            prompt=options.prompt or record.prompt,
+            licence=options.licence or record.source.licence,
+            origin=options.origin or record.source.origin,
+        )
+        details = {"complete_from": record.id, "source": record.source.file}
+    elif options.up == "auto":
+        notes = (*notes, UP_ASSUMED)
+    complete, dropped = _drawable(whole.splats, options.file)
+    request = framing_request(options, default_up)
+    frame = ObjectFrame.about(complete, request.up)
+    if options.seen_from_views > 0:
+        from gscomplete.views import ViewDistribution
+
+        if request.view_deg is None:
+            raise UserError("--seen-from-views: expected --view AZ,EL as the middle of the views")
+        views = ViewDistribution(*request.view_deg, azimuth_range_deg=request.azimuth_range_deg)
+        angles = zip(*views.low_discrepancy(options.seen_from_views), strict=True)
+        cuts.append(ScanCut(tuple((float(a), float(e)) for a, e in angles)))
+    if not cuts and not boxes:
+        raise UserError("partial: expected --cut, --box or --seen-from-views, found none of them")
+    part, steps = apply_cuts(complete, frame, cuts, boxes, str(options.file))
+    made = Made(
+        subset,
+        options.file,
+        part,
+        complete,
+        request.up,
+        (*dropped, *steps),
+        notes,
+        boxes=boxes,
+        file_from_source=whole.file_from_source,
+        details=details,
+    )
+    return options, made
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Whole:
+    """A complete object, as read."""
+
+    splats: Splats
+    record: ObjectRecord | None
+    """What is known of it; None = a splat file alone."""
+    notes: tuple[str, ...] = ()
+    file_from_source: Similarity | None = None
+
+
+def _read_whole(path: Path) -> _Whole:
+    """Read a splat file, alone or of an object folder, or an object folder's whole.
+
+    Raises:
+        UserError: it cannot be read, or the folder has no whole.
+    """
+    from gscomplete.splats import Similarity
+    from splatcomplete_data.formats import read_any_splats
+    from splatcomplete_data.objects import read_object, record_of_file
+
+    notes: tuple[str, ...] = ()
+    if path.is_dir():
+        source = read_object(path)
+        if source.complete is None:
+            raise UserError(f"{path}: expected complete.ply in the object folder")
+        splats, record = source.complete, source.record
+    else:
+        found, known = read_any_splats(path), record_of_file(path)
+        if known is None:
+            return _Whole(found.splats, None, found.notes, found.file_from_source)
+        splats, record, notes = found.splats, known, found.notes
+    turn = record.file_from_source
+    return _Whole(splats, record, notes, None if turn is None else Similarity.from_json(turn))
+
+
+def _drawable(splats: Splats, source: Path) -> tuple[Splats, tuple[StepRecord, ...]]:
+    """Leave out splats that cannot be drawn, such as those at a NaN; record it where there are any.
+
+    Raises:
+        UserError: there are no others.
+    """
+    from gscomplete.splats import usable_rows
+    from splatcomplete_data.objects import StepRecord
+
+    usable, reasons = usable_rows(splats)
+    if bool(usable.all()):
+        return splats, ()
+    kept = splats.select(usable)
+    if len(kept) == 0:
+        raise UserError(f"{source}: expected splats that can be drawn, found {dict(reasons)}")
+    return kept, (StepRecord("drawable", len(splats), len(kept), reasons),)

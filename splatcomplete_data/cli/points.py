@@ -1,0 +1,162 @@
+"""Flags and steps that ``scan`` and ``depth`` share: both turn points into fixed-size splats."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gscomplete.cli.complete import parse_numbers
+from gscomplete.errors import UserError
+from gscomplete.views import UpAxis
+from splatcomplete_data.cli.common import Enter, Made, ObjectOptions, stay_silent
+
+if TYPE_CHECKING:
+    from splatcomplete_data.objects import StepRecord, Subset
+    from splatcomplete_data.scan.cloud import PointCloud
+    from splatcomplete_data.scan.make import PartSettings
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointOptions(ObjectOptions):
+    """Flags of commands that turn points into splats."""
+
+    box: tuple[str, ...] = ()
+    """Boxes in the source's frame, several allowed: [keep:|remove:]CX,CY,CZ,HX,HY,HZ[,QW,QX,QY,QZ]
+    (centre, half extents, rotation)."""
+    planes: int = 0
+    """Remove up to this many planes: floor, walls, table."""
+    plane_thickness: float = 4.0
+    """A point this close to a plane belongs to it, in point spacings."""
+    outliers: bool = True
+    """Remove statistical outliers."""
+    clusters: int = 0
+    """Keep this many of the largest connected clusters; 0 = all."""
+    cluster_radius: float = 5.0
+    """Points closer than this are of one cluster, in point spacings."""
+    seed_point: str | None = None
+    """Keep the cluster nearest to X,Y,Z (source's frame) instead of the largest."""
+    level: bool = False
+    """Turn the object so that the first plane found is horizontal and z is up; recorded. Up is the
+    side of the scanner or, if that is unknown, of most points that stay."""
+    count: int | None = None
+    """Thin to at most this many evenly spread points; None = keep all."""
+    spacing: float | None = None
+    """Thin to one point per cube of this side; None = keep all."""
+    size: str = "auto"
+    """Standard deviation of the splats in the source's units; auto = --sigma point spacings."""
+    sigma: float = 0.6
+    """Standard deviation over the point spacing; below 0.5 surfaces seen aslant show holes."""
+
+
+def part_settings(options: PointOptions) -> PartSettings:
+    """Parse the flags.
+
+    Raises:
+        UserError: one has the wrong form.
+    """
+    from splatcomplete_data.cuts.boxes import parse_box
+    from splatcomplete_data.scan.clean import CleanSettings
+    from splatcomplete_data.scan.make import PartSettings
+
+    seed = parse_numbers(options.seed_point, 3, "--seed-point", "X,Y,Z")
+    if options.level and options.up not in ("auto", "Z"):
+        raise UserError(f"--level, --up: levelled points have z up, found --up {options.up}")
+    size = None if options.size == "auto" else parse_numbers(options.size, 1, "--size", "SIGMA")
+    if not 0 < options.sigma < 100:
+        raise UserError(f"--sigma: expected a positive number, found {options.sigma:g}")
+    for name in ("planes", "clusters"):
+        if getattr(options, name) < 0:
+            raise UserError(f"--{name}: expected 0 or more, found {getattr(options, name)}")
+    cleaning = CleanSettings(
+        planes=options.planes or int(options.level),
+        plane_thickness=options.plane_thickness,
+        outlier_ratio=CleanSettings().outlier_ratio if options.outliers else None,
+        clusters=max(options.clusters, 1) if seed else options.clusters,
+        cluster_radius=options.cluster_radius,
+        seed_point=None if seed is None else (seed[0], seed[1], seed[2]),
+    )
+    return PartSettings(
+        boxes=tuple(parse_box(text) for text in options.box),
+        cleaning=cleaning,
+        level=options.level,
+        count=options.count,
+        spacing=options.spacing,
+        sigma=None if size is None else size[0],
+        sigma_per_spacing=options.sigma,
+    )
+
+
+def made_from_points(
+    options: PointOptions,
+    cloud: PointCloud,
+    source: Path,
+    subset: Subset,
+    default_up: UpAxis,
+    *,
+    viewpoint: tuple[float, float, float] | None,
+    steps: tuple[StepRecord, ...],
+    notes: tuple[str, ...],
+    details: dict[str, object],
+    enter: Enter = stay_silent,
+) -> Made:
+    """Run the shared steps on points in the source's frame.
+
+    Args:
+        options: the flags.
+        cloud: the points.
+        source: the source file.
+        subset: its kind.
+        default_up: up axis of the source's frame; Z after levelling.
+        viewpoint: where the scanner stood in the source's frame; None = unknown.
+        steps: what was done before.
+        notes: what was noticed before.
+        details: what only this kind of source has.
+        enter: told when a stage begins.
+
+    Raises:
+        UserError: a flag is wrong, or a step keeps nothing.
+    """
+    import torch
+
+    from gscomplete.views import ObjectFrame
+    from splatcomplete_data.cli.common import framing_request
+    from splatcomplete_data.framing import view_from_position
+    from splatcomplete_data.points import offset_note
+    from splatcomplete_data.scan.make import make_part
+    from splatcomplete_data.scan.picture import removed_sheet
+
+    settings = part_settings(options)
+    enter(f"cleaning {len(cloud):,} points", 0.2)
+    part = make_part(cloud, settings, str(source), viewpoint)
+    moved = part.file_from_source
+    up: UpAxis = "Z" if options.level else framing_request(options, default_up).up
+    eye = viewpoint
+    if viewpoint is not None and moved is not None:
+        x, y, z = moved.apply(torch.tensor(viewpoint, dtype=torch.float64)).tolist()
+        eye = (x, y, z)
+    view = (30.0, 25.0)
+    if eye is not None:
+        view = view_from_position(ObjectFrame.about(part.splats, up), eye)
+    pictures = {}
+    if (part.reason >= 0).any():
+        enter("drawing what was removed", 0.6)
+        pictures["removed.png"] = removed_sheet(part, up, view, f"{source.name}: what was removed")
+    far = () if part.offset is None else (offset_note(part.offset),)
+    size = f"splat size {part.sigma:.4g} source units ({options.size})"
+    return Made(
+        subset,
+        source,
+        part.splats,
+        None,
+        up,
+        (*steps, *part.steps),
+        (*notes, *far, size),
+        boxes=settings.boxes,
+        splat_size=part.sigma,
+        camera_position_file=eye,
+        file_from_source=moved,
+        is_center_of_source=True,
+        details=details,
+        extra_pictures=pictures,
+    )

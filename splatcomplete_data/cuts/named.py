@@ -1,0 +1,175 @@
+"""Named ways to cut a part out of a complete object, as text and as values.
+
+Conventions
+-----------
+* Cuts are given in the object frame of the complete object: z up, centred on its box, largest
+  side 1. They return a mask with its reason (``partial.PartialCut``) and change no splat.
+* As text: ``plane:AZIMUTH[,OFFSET]`` takes away what lies beyond an upright plane towards that
+  azimuth, at a signed distance from the centre; ``box:LX,LY,LZ,HX,HY,HZ`` keeps what lies inside;
+  ``scan:AZ/EL[,AZ/EL...]`` keeps what a scanner sees from those directions.
+* Several cuts keep what all of them keep.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from gscomplete.errors import UserError
+from gscomplete.splats import Splats, transform_splats
+from gscomplete.views import ObjectFrame
+from splatcomplete_data.cuts.boxes import CropBox, inside_boxes
+from splatcomplete_data.cuts.geometry import PartialCut, by_plane, by_visibility, crop
+from splatcomplete_data.objects import StepRecord
+
+SCAN_DISTANCE = 2.2
+"""Distance of a scanner from the centre, in object sizes (as ``ViewDistribution.radius``)."""
+SCAN_WIDTH = 2.54
+"""What a scanner's depth image spans at the centre, in object sizes."""
+MAX_SCAN_GRID_PX = 256
+"""Largest side of a scanner's depth image."""
+_OBJECT_SHARE = 0.995
+"""A scanner's picture is wide enough for this share of the splats: trained ones have floaters."""
+_MOST_REACH = 1.0
+"""Object sizes from the centre; the corners of the object's box are nearer."""
+FORMS = "plane:AZIMUTH[,OFFSET], box:LX,LY,LZ,HX,HY,HZ or scan:AZ/EL[,AZ/EL...]"
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneCut:
+    """Take away everything beyond an upright plane."""
+
+    toward_deg: float
+    """Azimuth of the side taken away."""
+    offset: float = 0.0
+    """Signed distance of the plane from the centre, in object sizes."""
+
+    def apply(self, whole: Splats) -> PartialCut:
+        """Return what is kept of splats in the object frame."""
+        angle = math.radians(self.toward_deg)
+        return by_plane(whole, (-math.cos(angle), -math.sin(angle), 0.0), -self.offset)
+
+
+@dataclass(frozen=True, slots=True)
+class BoxCut:
+    """Keep what lies inside a box."""
+
+    low: tuple[float, float, float]
+    """Lower corner in the object frame."""
+    high: tuple[float, float, float]
+    """Upper corner in the object frame."""
+
+    def apply(self, whole: Splats) -> PartialCut:
+        """Return what is kept of splats in the object frame."""
+        return crop(whole, self.low, self.high)
+
+
+@dataclass(frozen=True, slots=True)
+class ScanCut:
+    """Keep what a scanner sees."""
+
+    directions_deg: tuple[tuple[float, float], ...]
+    """Azimuth and elevation of every viewpoint."""
+
+    def apply(self, whole: Splats) -> PartialCut:
+        """Return what is kept of splats in the object frame."""
+        azimuths, elevations = np.deg2rad(np.array(self.directions_deg, np.float64)).T
+        level = np.cos(elevations)
+        eyes = np.stack([level * np.cos(azimuths), level * np.sin(azimuths), np.sin(elevations)], 1)
+        # a pixel no finer than the splats, else far ones show between near ones; and a slack of
+        # what a slanted surface spans within two pixels
+        typical = float(whole.scales.amax(dim=1).median())
+        grid_px = int(np.clip(SCAN_WIDTH / max(2.0 * typical, 1e-9), 40, MAX_SCAN_GRID_PX))
+        slack = 2.5 * SCAN_WIDTH / grid_px
+        reach = float(np.quantile(whole.means.double().norm(dim=1).numpy(), _OBJECT_SHARE))
+        return by_visibility(
+            whole,
+            SCAN_DISTANCE * eyes,
+            grid_px=grid_px,
+            tolerance=slack,
+            target=(0.0, 0.0, 0.0),
+            reach=min(reach, _MOST_REACH),
+        )
+
+
+Cut = PlaneCut | BoxCut | ScanCut
+
+
+def parse_cut(text: str, option: str = "--cut") -> Cut:
+    """Read a cut from text (module conventions).
+
+    Raises:
+        UserError: the text has another form.
+    """
+    kind, _, rest = text.partition(":")
+    try:
+        if kind == "scan":
+            pairs = [tuple(map(_number, word.split("/"))) for word in rest.split(",")]
+            if all(len(pair) == 2 and abs(pair[1]) <= 90 for pair in pairs):
+                return ScanCut(tuple((pair[0], pair[1]) for pair in pairs))
+        values = [_number(word) for word in rest.split(",")]
+        if kind == "plane" and len(values) in (1, 2):
+            return PlaneCut(*values)
+        if kind == "box" and len(values) == 6 and all(np.less(values[:3], values[3:])):
+            return BoxCut((values[0], values[1], values[2]), (values[3], values[4], values[5]))
+    except ValueError:
+        pass
+    raise UserError(f"{option}: expected {FORMS}, found {text!r}")
+
+
+def apply_cuts(
+    complete: Splats,
+    frame: ObjectFrame,
+    cuts: Sequence[Cut],
+    boxes: Sequence[CropBox],
+    source: str,
+) -> tuple[Splats, tuple[StepRecord, ...]]:
+    """Cut a part out of complete splats in the file frame.
+
+    Args:
+        complete: the whole, file frame.
+        frame: its object frame.
+        cuts: cuts in the object frame.
+        boxes: boxes in the file frame, applied after the cuts.
+        source: the file named in errors.
+
+    Returns:
+        The part, file frame, and a record of every cut.
+
+    Raises:
+        UserError: the cuts keep nothing, or everything.
+    """
+    whole = transform_splats(complete, frame.object_from_file)
+    mask = torch.ones(len(whole), dtype=torch.bool)
+    steps = []
+    for cut in cuts:
+        result = cut.apply(whole)
+        before = int(mask.sum())
+        mask = mask & result.mask
+        after = int(mask.sum())
+        removed: dict[str, int] = {result.kind: before - after} if after < before else {}
+        steps.append(StepRecord(f"cut_{result.kind}", before, after, removed, result.reason))
+    if boxes:
+        before = int(mask.sum())
+        mask = mask & torch.from_numpy(inside_boxes(complete.means.numpy(), boxes))
+        after = int(mask.sum())
+        steps.append(StepRecord("boxes", before, after, {"outside_boxes": before - after}))
+    kept = int(mask.sum())
+    if kept in (0, len(whole)):
+        what = "nothing" if kept == 0 else "everything"
+        raise UserError(
+            f"{source}: cut: expected to keep a part of {len(whole)} splats, kept {what}"
+        )
+    return complete.select(mask), tuple(steps)
+
+
+def _number(word: str) -> float:
+    """Parse a finite number."""
+    value = float(word)
+    if not math.isfinite(value):
+        raise ValueError(word)
+    return value

@@ -1,0 +1,1 @@
+"""Mesh files to coloured triangles: loading, textures, side files, numbers, up axis."""

@@ -1,0 +1,75 @@
+"""What can be told from a mesh file before, or in spite of, what trimesh makes of it.
+
+Conventions
+-----------
+* What would give a wrong surface is refused; what takes only colours away is told in notes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from gscomplete.errors import UserError
+from splatcomplete_data.mesh.files.side_files import gltf_text, side_files
+from splatcomplete_data.mesh.files.textures import open_image
+from splatcomplete_data.named_files import Reach
+
+GLTF_SUFFIXES = (".gltf", ".glb")
+_PICTURE_SUFFIXES = (
+    *(".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff", ".gif", ".tga", ".dds"),
+    *(".exr", ".hdr", ".ktx", ".ktx2", ".jp2", ".ppm"),
+)
+
+
+def check_not_splats(path: Path) -> None:
+    """Refuse a splat PLY where a mesh is expected.
+
+    Raises:
+        UserError: the file holds splats.
+    """
+    if path.suffix.lower() != ".ply":
+        return
+    with path.open("rb") as stream:
+        head = stream.read(4096)
+    if b"property float rot_0" in head or b"packed_position" in head:
+        raise UserError(f"{path}: expected a mesh, found Gaussian splats (use: partial, crop)")
+
+
+def refuse_unknown_geometry(path: Path) -> None:
+    """Refuse glTF of which trimesh would read another surface.
+
+    Of Draco or meshopt geometry it reads nothing but zeros, of instances only the first.
+
+    Raises:
+        UserError: the file needs a decoder, or its instances written out.
+    """
+    if path.suffix.lower() not in GLTF_SUFFIXES:
+        return
+    text = gltf_text(path)
+    for name in ("KHR_draco_mesh_compression", "EXT_meshopt_compression"):
+        if name in text:
+            raise UserError(
+                f"{path}: geometry is compressed with {name}, expected plain buffers; decode it "
+                "first: npx @gltf-transform/cli copy in.glb out.glb (Draco), or export without"
+            )
+    if "EXT_mesh_gpu_instancing" in text:
+        raise UserError(
+            f"{path}: instances are given by EXT_mesh_gpu_instancing, expected nodes of their own; "
+            "write them out first: npx @gltf-transform/cli uninstance in.glb out.glb"
+        )
+
+
+def lost_files(path: Path, reach: Reach) -> Iterator[str]:
+    """Yield a note for every file that a mesh names and that is missing or not read."""
+    for name, file in side_files(path, reach).items():
+        refusal = reach.refusal(file)
+        if refusal is not None:
+            yield f"file {name} {refusal}: parts of the mesh are without it"
+        elif not file.exists():
+            yield f"missing file {name}: parts of the mesh are without their texture or material"
+        elif file.suffix.lower() in _PICTURE_SUFFIXES:
+            try:
+                open_image(file).close()
+            except UserError as error:
+                yield f"texture {name}: parts of the mesh are without it: {error}"

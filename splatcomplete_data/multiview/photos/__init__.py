@@ -1,0 +1,1 @@
+"""Photos and their cameras: COLMAP models, transforms.json, lenses, training views."""

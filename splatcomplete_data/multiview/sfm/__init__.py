@@ -1,0 +1,1 @@
+"""Structure from motion with pycolmap: its process, its folder, its poses."""

@@ -1,0 +1,1 @@
+"""Training of splats from posed photos: start, loss, growth, steps."""

@@ -1,0 +1,36 @@
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from gscomplete.cli.complete import CompleteOptions, _request
+from gscomplete.errors import UserError
+
+
+@pytest.mark.parametrize("mirror", ["none", "30,0.1"])
+def test_a_plane_is_refused_where_the_prior_cannot_guess_the_whole(mirror):
+    """``reconstruct`` starts from a guess, but only if the prior has one."""
+    options = CompleteOptions(
+        partial=Path("half.ply"), prompt="a mug", preset="reconstruct", mirror=mirror
+    )
+    with pytest.raises(UserError, match="preset reconstruct with prior known starts without"):
+        _request(options, SimpleNamespace(name="known"))
+
+
+def request_of(**changes):
+    options = CompleteOptions(partial=Path("half.ply"), prompt="a mug", **changes)
+    return _request(options, SimpleNamespace(name="mvdream"))
+
+
+@pytest.mark.parametrize("steps", [6000, 600, 12_000])
+def test_what_is_counted_in_steps_stretches_with_their_number(steps):
+    whole = request_of().settings
+    chosen = request_of(steps=steps).settings
+    assert chosen.steps == steps
+    share = steps / whole.steps
+    assert chosen.warmup_steps == round(share * whole.warmup_steps)
+    assert chosen.densify.every == round(share * whole.densify.every)
+    within = range(1, int(chosen.densify.until * steps))
+    assert sum(step % chosen.densify.every == 0 for step in within) == sum(
+        step % whole.densify.every == 0 for step in range(1, int(whole.densify.until * whole.steps))
+    )

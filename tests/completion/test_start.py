@@ -1,0 +1,43 @@
+"""The splats of the first step."""
+
+import pytest
+import torch
+
+from gscomplete.completion.start import INITIAL_OPACITY, initial_splats
+from tests.completion.oracle import ball
+
+PARTIAL = ball()
+
+
+def start(seed: int = 0, diameter: float = 0.8, **bounds: float):
+    limits = {"min_scale": 1e-6, "max_scale": 1.0, **bounds}
+    return initial_splats(PARTIAL, 4000, diameter, seed, **limits)
+
+
+def test_they_fill_the_sphere_evenly():
+    radius = start().means.norm(dim=1)
+    assert float(radius.max()) <= 0.4 + 1e-6
+    # Of a uniform ball an eighth lies within half the radius: 500 of 4000, +- 21.
+    assert int((radius < 0.2).sum()) == pytest.approx(500, abs=100)
+    assert float(start().means.mean(dim=0).abs().max()) < 0.02
+
+
+def test_they_are_faint_and_in_the_colours_of_the_input():
+    splats = start()
+    assert torch.equal(splats.opacities, torch.full((4000,), INITIAL_OPACITY))
+    assert torch.allclose(splats.quaternions.norm(dim=1), torch.ones(4000))
+    colors = splats.base_colors
+    assert 0.02 - 1e-6 <= float(colors.min()) <= float(colors.max()) <= 0.98 + 1e-6
+    assert torch.allclose(colors.mean(dim=0), PARTIAL.base_colors.mean(dim=0), atol=0.03)
+
+
+def test_their_size_is_half_their_spacing_within_bounds():
+    spacing = (torch.pi / 6 * 0.8**3 / 4000) ** (1 / 3)
+    assert start().scales.unique().tolist() == pytest.approx([0.5 * spacing])
+    assert start(min_scale=0.1).scales.unique().tolist() == pytest.approx([0.1])
+    assert start(max_scale=0.01).scales.unique().tolist() == pytest.approx([0.01])
+
+
+def test_the_seed_decides():
+    assert torch.equal(start(3).means, start(3).means)
+    assert not torch.equal(start(3).means, start(4).means)

@@ -1,0 +1,118 @@
+"""Guesses of centre, size and input view on shapes whose whole is known."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gscomplete.errors import UserError
+from gscomplete.framing.guess import (
+    FramingSettings,
+    extended_box,
+    guess_framing,
+    object_splats,
+    outward_normals,
+    score_views,
+)
+from gscomplete.splats import Similarity, concatenate, transform_splats
+from tests.completion.cylinders import angle_between, cylinder, half_cylinder
+
+
+@pytest.mark.parametrize("azimuth_deg", [0.0, 75.0, 200.0])
+@pytest.mark.parametrize("is_flat", [True, False])
+def test_half_a_cylinder_is_seen_from_outside_and_completed(
+    azimuth_deg: float, is_flat: bool
+) -> None:
+    guess = guess_framing(half_cylinder(azimuth_deg, is_flat))
+    assert angle_between(guess.view_azimuth_deg, azimuth_deg) <= 45
+    assert np.linalg.norm(guess.center) < 0.05  # the box of P is off by 0.25
+    assert guess.size == pytest.approx(1.0, abs=0.1)
+    assert "grows" in guess.box_reason
+
+
+def test_a_whole_object_keeps_its_box() -> None:
+    guess = guess_framing(cylinder())
+    assert np.linalg.norm(guess.center) < 0.02
+    assert guess.size == pytest.approx(1.0, abs=0.02)
+
+
+@given(st.integers(-5, 5), st.floats(-1e3, 1e3))
+@settings(max_examples=5, deadline=None)
+def test_place_and_size_carry_through(power: int, shift: float) -> None:
+    part = half_cylinder(75.0)
+    scale = 10.0**power
+    moved = transform_splats(
+        part, Similarity(scale, torch.eye(3), scale * torch.tensor([shift, 0.0, -shift]))
+    )
+    plain, found = guess_framing(part), guess_framing(moved)
+    assert found.size / scale == pytest.approx(plain.size, abs=2e-3)
+    expected = np.array(plain.center) + np.array([shift, 0.0, -shift])
+    np.testing.assert_allclose(np.array(found.center) / scale, expected, atol=5e-3)
+
+
+@pytest.mark.parametrize("distance", [1.0, 1e3, 1e12])
+def test_floaters_are_ignored_and_counted(distance: float) -> None:
+    part = half_cylinder(0.0)
+    some = part.select(torch.arange(8))
+    generator = torch.Generator().manual_seed(1)
+    away = torch.nn.functional.normalize(torch.randn(8, 3, generator=generator)) * (distance + 1)
+    kept, reasons = object_splats(
+        concatenate([part, dataclasses.replace(some, means=away)]), FramingSettings()
+    )
+    assert len(kept) == len(part)
+    assert reasons == ["8 floating splats ignored"]
+
+
+def test_a_sparse_object_is_not_taken_for_floaters() -> None:
+    kept, reasons = object_splats(cylinder(40), FramingSettings())
+    assert len(kept) == 40
+    assert reasons == []
+
+
+def test_non_finite_splats_are_ignored_and_counted() -> None:
+    part = half_cylinder(0.0)
+    means = part.means.clone()
+    means[:3] = torch.tensor([[np.nan, 0, 0], [np.inf, 0, 0], [0, 0, -np.inf]])
+    kept, reasons = object_splats(dataclasses.replace(part, means=means), FramingSettings())
+    assert len(kept) == len(part) - 3
+    assert reasons == ["3 invisible or non-finite splats ignored"]
+
+
+def test_degenerate_inputs_are_user_errors() -> None:
+    part = cylinder(5)
+    nowhere = dataclasses.replace(part, means=torch.full((5, 3), torch.nan))
+    with pytest.raises(UserError, match="finite position"):
+        guess_framing(nowhere)
+    point = dataclasses.replace(part, means=torch.ones(5, 3))
+    with pytest.raises(UserError, match="--size"):
+        guess_framing(point)
+    with pytest.raises(UserError, match="--size"):
+        guess_framing(part.select(torch.arange(1)))
+
+
+def test_extended_box_grows_at_most_to_width_and_twice_depth() -> None:
+    generator = np.random.default_rng(0)
+    points = generator.random((500, 3)) * [0.2, 1.0, 0.5]
+    points = np.concatenate([points, [[0, 0, 0], [0.2, 1.0, 0.5]]])
+    center, size, _ = extended_box(points, 0.0)
+    np.testing.assert_allclose(center, [0.2, 0.5, 0.25])  # 0.2 deep: grows to 0.4
+    assert size == pytest.approx(1.0)
+    center, size, _ = extended_box(points, 270.0)  # deeper than wide: stays
+    np.testing.assert_allclose(center, [0.1, 0.5, 0.25], atol=1e-12)
+
+
+def test_outward_normals_point_away_from_the_centroid() -> None:
+    whole = cylinder()
+    radial = torch.nn.functional.normalize(whole.means * torch.tensor([1.0, 1.0, 0.0]), dim=1)
+    assert float((outward_normals(whole) * radial).sum(dim=1).min()) > 0.99
+
+
+def test_fewer_splats_grow_to_cover_the_same_surface():
+    whole = cylinder(4000)
+    full = score_views(whole, FramingSettings())
+    thinned = score_views(whole, FramingSettings(max_splats=500))
+    ratio = thinned.area / full.area
+    assert 0.85 < float(ratio.min()) <= float(ratio.max()) < 1.15

@@ -1,0 +1,80 @@
+"""The input view settles by what a guess of the whole hides of P."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from gscomplete.framing.guess import guess_framing
+from gscomplete.framing.input_view import InputViewSettings, hidden_share, settled_view
+from gscomplete.splats import Splats, concatenate, transform_splats
+from gscomplete.splats.transform import Similarity
+from gscomplete.views import ViewDistribution
+from tests.completion.cylinders import angle_between, cylinder, half_cylinder
+
+PART, REST = half_cylinder(75.0), half_cylinder(255.0)
+WHOLE = concatenate([PART, REST])
+WRONG = ViewDistribution(255.0, 15.0)
+"""From here P shows its inside, and the rest of the cylinder hides that."""
+
+
+def test_the_wrong_side_gives_way_to_the_right_one() -> None:
+    settled, note = settled_view(PART, REST, WRONG)
+    assert angle_between(settled.azimuth_deg, 75.0) <= 45
+    assert "from 255,15 the guess of the whole hides" in note
+    # All that has nothing to do with c stays as it was.
+    c = {"azimuth_deg": WRONG.azimuth_deg, "elevation_deg": WRONG.elevation_deg}
+    assert dataclasses.replace(settled, **c) == WRONG
+
+
+def test_what_the_note_says_of_hidden_shares_is_so() -> None:
+    settled, note = settled_view(PART, REST, WRONG)
+    shares = [hidden_share(PART, WHOLE, v, InputViewSettings()) for v in (WRONG, settled)]
+    assert shares[0] > 0.5 > 0.05 > shares[1]
+    assert f"hides {100 * shares[0]:.0f} % of P, from here {100 * shares[1]:.0f} %" in note
+
+
+def test_the_right_side_stays() -> None:
+    guess = guess_framing(PART)
+    right = ViewDistribution(guess.view_azimuth_deg, guess.view_elevation_deg)
+    assert settled_view(PART, REST, right) == (right, "")
+
+
+def test_a_whole_that_hides_p_from_everywhere_is_rather_wrong_itself() -> None:
+    wrapping = transform_splats(cylinder(), Similarity(1.3, torch.eye(3), torch.zeros(3)))
+    settled, note = settled_view(PART, wrapping, WRONG)
+    assert (settled, note) == (WRONG, "")
+
+
+def test_nothing_new_changes_nothing() -> None:
+    assert settled_view(PART, PART.select(torch.arange(0)), WRONG) == (WRONG, "")
+
+
+def test_a_choice_of_p_s_splats_is_enough() -> None:
+    few = InputViewSettings(max_splats=len(PART) // 3)
+    assert settled_view(PART, REST, WRONG, few)[0] == settled_view(PART, REST, WRONG)[0]
+
+
+def test_views_that_show_p_badly_are_not_asked() -> None:
+    only_best = InputViewSettings(least_score=1.0)
+    best = guess_framing(PART)
+    settled, _ = settled_view(PART, REST, WRONG, only_best)
+    assert settled.azimuth_deg == best.view_azimuth_deg
+
+
+@pytest.mark.parametrize("far", [0.02, 0.05])
+def test_a_layer_within_the_tolerance_hides_nothing(far: float) -> None:
+    board = Splats(
+        torch.cartesian_prod(
+            torch.zeros(1), torch.linspace(-0.4, 0.4, 40), torch.linspace(-0.4, 0.4, 40)
+        ),
+        torch.tensor([[1.0, 0.0, 0.0, 0.0]]).expand(1600, 4),
+        torch.full((1600, 3), 0.015),
+        torch.full((1600,), 0.99),
+        torch.zeros(1600, 1, 3),
+    )
+    before = dataclasses.replace(board, means=board.means + torch.tensor([far, 0.0, 0.0]))
+    share = hidden_share(
+        board, concatenate([board, before]), ViewDistribution(0.0, 0.0, 0.0), InputViewSettings()
+    )
+    assert share < 0.01 if far < InputViewSettings().depth_tolerance else share > 0.95

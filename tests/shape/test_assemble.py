@@ -1,0 +1,158 @@
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial import cKDTree
+
+from gscomplete.render import render
+from gscomplete.shape.assemble import WholeSettings, mirror_note, whole_splats
+from gscomplete.shape.network import ShapeOutput
+from gscomplete.shape.partial_voxels import look_at
+from gscomplete.shape.predict import Prediction
+from gscomplete.shape.surface import SurfaceSettings, surface_splats
+from gscomplete.shape.symmetry import SOURCES, no_symmetries
+from gscomplete.shape.voxels import CELLS, COARSE_CELLS, cell_centers
+from gscomplete.splats import concatenate
+from gscomplete.views import ViewDistribution
+from tests.shape.shapes import half, mirrors, sphere
+
+VIEWS = ViewDistribution(0.0, 10.0)
+
+
+def predicted(worth: float, *, confidence: float = 200.0) -> Prediction:
+    """Half a ball and its mirror image, of which the network thinks a ball (blurred inwards)."""
+    partial = half(sphere())
+    look = look_at(partial, VIEWS)
+    distance = torch.from_numpy(np.linalg.norm(cell_centers(CELLS), axis=-1))
+    nothing = torch.zeros(1, SOURCES + 1, *(COARSE_CELLS,) * 3)
+    output = ShapeOutput((confidence * (0.42 - distance))[None], nothing[:, :3], nothing)
+    return Prediction(look, look.with_copies(mirrors()), output, worth)
+
+
+def put_together(prediction: Prediction, **changes: object):
+    settings = dataclasses.replace(WholeSettings(count=8000), **changes)
+    return whole_splats(
+        prediction, half(sphere()), settings, torch.Generator().manual_seed(0)
+    ).splats
+
+
+def test_a_believed_mirror_image_is_shown_by_ps_own_splats():
+    partial, new = half(sphere()), put_together(predicted(0.9))
+    image = partial.means * torch.tensor([-1.0, 1.0, 1.0])
+    away, index = cKDTree(image.numpy()).query(new.means.numpy())
+    mirrored = away < 1e-6
+    # The others close the gaps that randomly placed splats leave.
+    assert mirrored.mean() > 0.7
+    torch.testing.assert_close(
+        new.base_colors[torch.from_numpy(mirrored)],
+        partial.base_colors[torch.from_numpy(index[mirrored])],
+        atol=1e-6,
+        rtol=0,
+    )
+
+
+def test_without_belief_the_networks_surface_is_all():
+    prediction, partial = predicted(0.1), half(sphere())
+    generator = torch.Generator().manual_seed(0)
+    settings = SurfaceSettings(8000, filled_logit=-0.3)
+    alone = surface_splats(prediction.output, prediction.seen, partial, settings, generator)
+    found = put_together(prediction, sure_logit=-0.3, unsure_logit=-0.3)
+    assert torch.equal(found.means, alone.means)
+
+
+@pytest.mark.parametrize(
+    ("worth", "shares", "is_sure"),
+    [
+        (0.5, (0.0, 0.1), False),  # a copy adds something, and half the ball is missing
+        (0.0, (0.0, 0.1), True),  # no copy adds anything
+        (0.5, (0.9, 0.95), True),  # less than nine tenths are missing
+    ],
+)
+def test_where_little_is_missing_the_network_has_to_be_surer(worth, shares, is_sure):
+    prediction = predicted(worth, confidence=40.0)
+    found = put_together(prediction, sure_shares=shares, sure_logit=2.0, unsure_logit=-2.0)
+    level = 2.0 if is_sure else -2.0
+    same = put_together(prediction, sure_logit=level, unsure_logit=level)
+    assert torch.equal(found.means, same.means)
+    if is_sure:  # whoever asks for no mirror image says nothing about what is missing
+        alone = dataclasses.replace(prediction, seen=prediction.look.with_copies(no_symmetries()))
+        asked = put_together(alone, sure_shares=(0.0, 0.1), sure_logit=2.0, unsure_logit=-2.0)
+        unsure = put_together(alone, sure_logit=-2.0, unsure_logit=-2.0)
+        assert torch.equal(asked.means, unsure.means)
+    other = put_together(prediction, sure_logit=-level, unsure_logit=-level)
+    farthest = found.means.norm(dim=1).max()
+    assert bool(other.means.norm(dim=1).max() > farthest) is is_sure
+
+
+@pytest.mark.parametrize(("count", "is_sure"), [(60, False), (4000, True)])
+def test_scattered_splats_are_no_whole_surface(count, is_sure):
+    """All of a ball is there; of few splats, as far scanners see it, most of it is open."""
+    partial = sphere(count)
+    look = look_at(partial, VIEWS)
+    half_ball = predicted(0.5, confidence=40.0)
+    prediction = dataclasses.replace(half_ball, look=look, seen=look.with_copies(mirrors()))
+
+    def found(sure: float, unsure: float):
+        settings = WholeSettings(count=4000, sure_logit=sure, unsure_logit=unsure)
+        return whole_splats(prediction, partial, settings, torch.Generator().manual_seed(0)).splats
+
+    level = 3.0 if is_sure else -3.0
+    assert torch.equal(found(3.0, -3.0).means, found(level, level).means)
+    assert not torch.equal(found(3.0, -3.0).means, found(-level, -level).means)
+
+
+def test_the_mirrored_whole_is_that_of_the_truth():
+    whole = concatenate([half(sphere()), put_together(predicted(0.9))])
+    cameras = VIEWS.ring(8, 96)
+    with torch.no_grad():
+        ours, truth = render(whole, cameras), render(sphere(), cameras)
+    iou = ((ours.alpha > 0.5) & (truth.alpha > 0.5)).sum() / (
+        (ours.alpha > 0.5) | (truth.alpha > 0.5)
+    ).sum()
+    assert float(iou) > 0.98
+
+
+@pytest.mark.parametrize("count", [1, 2, 100, 3000])
+def test_no_more_splats_than_asked_for(count):
+    new = put_together(predicted(0.9), count=count)
+    assert 0 < len(new) <= count
+    for _, value in new.fields():
+        assert torch.isfinite(value).all()
+
+
+def test_what_the_network_leaves_empty_is_not_mirrored():
+    prediction = predicted(0.9)
+    empty = dataclasses.replace(
+        prediction.output, occupancy=torch.full_like(prediction.output.occupancy, -8.0)
+    )
+    assert len(put_together(dataclasses.replace(prediction, output=empty))) == 0
+
+
+def test_the_note_tells_the_plane_as_users_ask_for_it():
+    assert mirror_note(predicted(0.9), 7) == (
+        "mirrored by P's own splats through the upright plane 0.0,0.000 (--mirror)"
+    )
+    assert "as a hint" in mirror_note(predicted(0.9), 0)
+    prediction = predicted(0.0)
+    alone = prediction.look.with_copies(no_symmetries())
+    assert mirror_note(dataclasses.replace(prediction, seen=alone), 0) == "not mirrored"
+
+
+def test_where_no_mirrored_splat_is_left_the_networks_surface_is_all():
+    prediction = predicted(0.9)
+    across, along, turn = mirrors()
+    far = dataclasses.replace(across, shift=np.array([5.0, 0.0, 0.0], np.float32))
+    # A box away from the border, whose logits would bear out copies beyond it.
+    occupancy = torch.full_like(prediction.output.occupancy, -8.0)
+    occupancy[:, 16:32, 16:32, 16:32] = 8.0
+    nowhere = dataclasses.replace(
+        prediction,
+        seen=prediction.look.with_copies((far, along, turn)),
+        output=dataclasses.replace(prediction.output, occupancy=occupancy),
+    )
+    level = {"sure_logit": 0.0, "unsure_logit": 0.0}
+    found = put_together(nowhere, **level)
+    assert len(found) > 0
+    not_believed = put_together(dataclasses.replace(nowhere, worth=0.0), **level)
+    assert torch.equal(found.means, not_believed.means)

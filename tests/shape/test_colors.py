@@ -1,0 +1,132 @@
+import dataclasses
+
+import pytest
+import torch
+
+from gscomplete.shape.colors import ColorSettings, nearest_colors, source_colors
+from gscomplete.shape.network import ShapeOutput
+from gscomplete.shape.partial_voxels import look_at
+from gscomplete.shape.symmetry import SOURCES
+from gscomplete.shape.voxels import CELLS, COARSE_CELLS
+from gscomplete.splats import Splats, colors_to_sh, concatenate
+from gscomplete.views import ViewDistribution
+from tests.shape.shapes import half, mirrors, sphere
+
+VIEWS = ViewDistribution(0.0, 10.0)
+OWN = SOURCES
+
+
+def pointing_at(*sources: int) -> ShapeOutput:
+    """Return what a network that trusts some sources equally would say; its own colour is green."""
+    n = COARSE_CELLS
+    logits = torch.full((1, SOURCES + 1, n, n, n), -9.0)
+    logits[:, list(sources)] = 9.0
+    own = torch.zeros(1, 3, n, n, n)
+    own[:, 1] = 1.0
+    return ShapeOutput(torch.zeros(1, CELLS, CELLS, CELLS), own, logits)
+
+
+def colors_at(points, output, partial=None, settings=None):
+    partial = half(sphere()) if partial is None else partial
+    inputs = look_at(partial, VIEWS).with_copies(mirrors())
+    generator = torch.Generator().manual_seed(0)
+    return source_colors(output, inputs, partial, points, generator, settings), inputs
+
+
+def hidden_points(count=200):
+    """Return points of the sphere where the half of it lacks splats."""
+    points = sphere().means
+    return points[points[:, 0] < -0.2][:count]
+
+
+def test_colours_come_from_the_source_that_is_trusted():
+    points = hidden_points()
+    taken, _ = colors_at(points, pointing_at(1))
+    # P's colours run with its normals; those of its mirror image run the other way.
+    expected = 0.5 - 0.4 * points[:, 0] / 0.4
+    assert float((taken[:, 0] - expected).abs().mean()) < 0.05
+
+
+def test_the_colour_of_the_network_is_never_mixed_in():
+    partial = half(sphere())
+    red = torch.tensor([0.9, 0.1, 0.2]).expand(len(partial), 3)
+    partial = dataclasses.replace(partial, sh=colors_to_sh(red))
+    taken, _ = colors_at(hidden_points(), pointing_at(OWN), partial)
+    torch.testing.assert_close(taken, red[: len(taken)], atol=1e-4, rtol=0)
+
+
+def test_of_two_sources_trusted_alike_the_likelier_is_taken_whole():
+    points = hidden_points()
+    both, _ = colors_at(points, pointing_at(1, 3))
+    first, _ = colors_at(points, pointing_at(1))
+    near = (both - first).abs().amax(dim=1) < 0.02
+    assert float(near.float().mean()) > 0.9
+    mixed, _ = colors_at(points, pointing_at(1, 3), settings=ColorSettings(preference=0.0))
+    assert float((mixed - first).abs().mean()) > float((both - first).abs().mean())
+
+
+def test_far_from_every_source_the_nearest_is_taken():
+    taken, inputs = colors_at(torch.tensor([[-0.7, 0.0, 0.0]]), pointing_at(0))
+    partial = half(sphere())
+    images = [torch.from_numpy(s.apply(partial.means.numpy())) for s in inputs.symmetries]
+    places = torch.stack([partial.means, *images])
+    nearest = (places + torch.tensor([0.7, 0.0, 0.0])).norm(dim=2).amin(dim=0).argmin()
+    torch.testing.assert_close(taken[0], partial.base_colors[nearest], atol=0.1, rtol=0)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_a_few_splats_are_enough(count):
+    partial = Splats(
+        torch.rand(count, 3, generator=torch.Generator().manual_seed(1)) * 0.1,
+        torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(count, 1),
+        torch.full((count, 3), 0.02),
+        torch.full((count,), 0.9),
+        colors_to_sh(torch.full((count, 3), 0.7)),
+    )
+    taken, _ = colors_at(hidden_points(5), pointing_at(0), partial)
+    torch.testing.assert_close(taken, torch.full((5, 3), 0.7), atol=1e-4, rtol=0)
+
+
+def test_of_two_layers_the_outer_one_gives_its_colour_to_what_lies_between_them():
+    inner = sphere()
+    normals = torch.nn.functional.normalize(inner.means, dim=1)
+    outer = dataclasses.replace(
+        inner, means=inner.means * 1.1, sh=colors_to_sh(torch.zeros_like(inner.means))
+    )
+    white = dataclasses.replace(inner, sh=colors_to_sh(torch.ones_like(inner.means)))
+    shown, points = concatenate([white, outer]), inner.means * 1.02
+    generator = torch.Generator().manual_seed(0)
+    assert float(nearest_colors(shown, points, normals, generator).mean()) < 0.1
+    straight = ColorSettings(outward=0.0)
+    assert float(nearest_colors(shown, points, normals, generator, straight).mean()) > 0.6
+
+
+def test_a_gap_takes_the_colours_of_its_two_sides():
+    whole = sphere()
+    sides = whole.select(whole.means[:, 0].abs() > 0.03)
+    left = (sides.means[:, :1] < 0).float().expand(-1, 3)
+    sides = dataclasses.replace(sides, sh=colors_to_sh(left))
+    gap = whole.means[whole.means[:, 0].abs() < 0.02]
+    normals = torch.nn.functional.normalize(gap, dim=1)
+    taken = nearest_colors(sides, gap, normals, torch.Generator().manual_seed(0))
+    is_left = gap[:, 0] < -0.01
+    assert float(taken[is_left].mean()) > 0.7
+    assert float(taken[gap[:, 0] > 0.01].mean()) < 0.3
+
+
+def test_bands_go_on_round_what_stands_upright():
+    whole = sphere()
+    heights = whole.means[:, 2]
+    red = (torch.floor(heights / 0.1) % 2 == 0).float()
+    banded = dataclasses.replace(whole, sh=colors_to_sh(red[:, None].expand(-1, 3)))
+    front = banded.select(whole.means[:, 0] > 0)
+    behind = (whole.means[:, 0] < -0.1) & (heights.abs() < 0.25)
+    points = whole.means[behind]
+    normals = torch.nn.functional.normalize(points, dim=1)
+
+    def share_kept(settings: ColorSettings) -> float:
+        taken = nearest_colors(front, points, normals, torch.Generator().manual_seed(0), settings)
+        return float(((taken[:, 0] > 0.5) == (red[behind] > 0.5)).float().mean())
+
+    kept, as_near = share_kept(ColorSettings()), share_kept(ColorSettings(height_weight=1.0))
+    assert kept > as_near + 0.1

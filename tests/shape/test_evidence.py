@@ -1,0 +1,28 @@
+import numpy as np
+import pytest
+
+from gscomplete.shape.evidence import FRONT_TOLERANCE, gather_evidence, kind_of
+from gscomplete.views import ViewDistribution
+from tests.shape.shapes import half, sphere
+
+VIEWS = ViewDistribution(0.0, 10.0)
+
+
+def test_views_tell_front_behind_and_beside():
+    evidence = gather_evidence(half(sphere()), VIEWS)
+    points = np.array([[0.45, 0, 0], [0.0, 0, 0], [-0.3, 0, 0], [0, 0.69, 0.5]], np.float32)
+    shares = evidence.classify(points)
+    assert shares.sum(axis=1) == pytest.approx(1.0, abs=1e-6)
+    assert shares[0, 0] > 0.9  # between the camera and the half sphere
+    assert shares[1, 1] == pytest.approx(1.0)  # behind its surface
+    assert shares[2, 1] == pytest.approx(1.0)
+    assert shares[3, 2] > 0.6  # beside it
+    assert FRONT_TOLERANCE > 0
+
+
+@pytest.mark.parametrize(("nearer", "kind"), [(-1.0, 1), (0.0, 1), (0.5, 1), (1.5, 0), (10.0, 0)])
+def test_a_point_is_in_front_from_the_tolerance_on(nearer, kind):
+    """P's surface is 2 away everywhere; the camera stands at the origin and looks along z."""
+    depth = np.full((8, 8), 2.0, np.float32)
+    camera = np.eye(4, dtype=np.float32)
+    assert kind_of(0.0, 0.0, 2.0 - nearer * FRONT_TOLERANCE, depth, camera, 8.0) == kind

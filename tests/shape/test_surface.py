@@ -1,0 +1,156 @@
+import numpy as np
+import pytest
+import torch
+
+from gscomplete.render import render
+from gscomplete.shape.network import ShapeOutput
+from gscomplete.shape.partial_voxels import look_at
+from gscomplete.shape.surface import (
+    SurfaceSettings,
+    is_missing,
+    on_copies,
+    surface_splats,
+)
+from gscomplete.shape.symmetry import SOURCES
+from gscomplete.shape.voxels import (
+    CELL_SIDE,
+    CELLS,
+    COARSE_CELLS,
+    cell_centers,
+    sample_volume,
+)
+from gscomplete.splats import concatenate
+from gscomplete.splats.rotations import rotation_matrices
+from gscomplete.views import ViewDistribution
+from tests.shape.shapes import half, likeliest_inputs, mirrors, sphere
+
+VIEWS = ViewDistribution(0.0, 10.0)
+
+
+def ball_output(radius=0.4):
+    """Return what a network that believes in a ball would say."""
+    distance = torch.from_numpy(np.linalg.norm(cell_centers(CELLS), axis=-1))
+    coarse = torch.zeros(1, 3, COARSE_CELLS, COARSE_CELLS, COARSE_CELLS)
+    sources = torch.zeros(1, SOURCES + 1, COARSE_CELLS, COARSE_CELLS, COARSE_CELLS)
+    return ShapeOutput((40 * (radius - distance))[None], coarse, sources)
+
+
+def guess(settings=None, output=None, partial=None):
+    partial = half(sphere()) if partial is None else partial
+    generator = torch.Generator().manual_seed(0)
+    return surface_splats(
+        output or ball_output(),
+        likeliest_inputs(partial, VIEWS),
+        partial,
+        settings or SurfaceSettings(),
+        generator,
+    )
+
+
+def test_interpolation_reads_cell_centres():
+    volume = torch.rand(2, CELLS, CELLS, CELLS)
+    centers = torch.from_numpy(cell_centers(CELLS))
+    places = torch.tensor([[3, 5, 7], [20, 0, 47], [10, 11, 12]])
+    points = centers[places[:, 0], places[:, 1], places[:, 2]]
+    expected = volume[:, places[:, 0], places[:, 1], places[:, 2]].T
+    torch.testing.assert_close(sample_volume(volume, points), expected, atol=2e-5, rtol=0)
+
+
+def test_discs_lie_on_the_surface_and_not_on_p():
+    splats = guess()
+    distance = splats.means.norm(dim=1)
+    # The level lies 0.025 outside; set inside by a cell (0.03), and smoothed.
+    assert float((distance - 0.4).abs().max()) < 0.035
+    # All but a few in the random gaps between P's own splats.
+    assert float((splats.means[:, 0] < 0.05).float().mean()) > 0.99
+    assert len(splats) > 1000
+
+
+def test_whole_is_closed_and_of_the_right_size():
+    partial = half(sphere())
+    whole = concatenate([partial, guess()])
+    cameras = VIEWS.ring(8, 96)
+    with torch.no_grad():
+        ours = render(whole, cameras).alpha > 0.5
+        truth = render(sphere(), cameras).alpha > 0.5
+    iou = (ours & truth).sum(dim=(1, 2)) / (ours | truth).sum(dim=(1, 2))
+    assert float(iou.min()) > 0.93
+
+
+def test_discs_of_a_thin_rod_hardly_pass_its_axis():
+    away = torch.from_numpy(cell_centers(CELLS)) / CELL_SIDE
+    output = ball_output()
+    output.occupancy[0] = 1.0 - 2.0 * away[..., :2].norm(dim=-1)
+    output.occupancy[0][away[..., 2].abs() > 12] = -8.0
+    splats = guess(output=output)
+    beside = splats.means[:, 2].abs() < 0.2  # of the rod's ends
+    normals = rotation_matrices(splats.quaternions)[:, :, 2]
+    outside = (splats.means * normals).sum(dim=1)[beside] / CELL_SIDE
+    assert len(outside) > 100
+    assert float(outside.min()) > -0.25  # one of the steps inward; all of them: -0.5
+    assert float(outside.max()) < 0.05
+
+
+@pytest.mark.parametrize("count", [1, 50, 3000])
+def test_no_more_splats_than_asked_for(count):
+    splats = guess(SurfaceSettings(count=count))
+    assert 0 < len(splats) <= count
+    for _, value in splats.fields():
+        assert torch.isfinite(value).all()
+
+
+def test_nothing_believed_gives_nothing_and_everything_gives_something_finite():
+    empty = ball_output(radius=-2.0)
+    assert len(guess(output=empty)) == 0
+    full = guess(output=ball_output(radius=5.0))
+    assert torch.isfinite(full.means).all()
+
+
+def test_the_same_seed_gives_the_same_splats():
+    first, again = guess(), guess()
+    for (_, a), (_, b) in zip(first.fields(), again.fields(), strict=True):
+        assert torch.equal(a, b)
+
+
+def test_the_surface_goes_on_from_ps_rim_without_a_gap():
+    """Within P nothing is added, however near its splats are to each other; beyond its rim there
+    are splats nearer than ``near_partial``, so that no seam shows."""
+    partial = half(sphere(20_000))
+    new = guess(SurfaceSettings(count=20_000), partial=partial).means
+    distance = torch.cdist(new, partial.means).amin(dim=1)
+    beyond = new[:, 0] < 0.0
+    assert int((distance[beyond] < 0.025).sum()) > 50
+    inside = new[:, 0] > 0.02  # a few, in the random gaps between P's own splats
+    assert int(inside.sum()) < 0.005 * len(new)
+    apart = guess(SurfaceSettings(count=20_000, near_rim=0.03), partial=partial).means
+    # Kept points then move onto a copy, if one is near: here by little, for it is the same ball.
+    assert float(torch.cdist(apart, partial.means).min()) >= 0.03 - 0.1 * CELL_SIDE
+
+
+def test_points_near_a_copy_move_onto_it_and_others_stay():
+    partial = half(sphere(12_000))
+    inputs = look_at(partial, VIEWS).with_copies(mirrors())
+    normals = torch.nn.functional.normalize(
+        torch.from_numpy(inputs.symmetries[0].apply(partial.means.numpy()[::40])), dim=1
+    )
+    near = on_copies((0.4 + 0.7 * CELL_SIDE) * normals, normals, partial.means, inputs)
+    # P's own splats lie on the sphere; the mean of four of them lies a little inside it.
+    assert float((near.norm(dim=1) - 0.4).abs().max()) < 0.1 * CELL_SIDE
+    apart = (0.4 + 2 * CELL_SIDE) * normals
+    assert torch.equal(on_copies(apart, normals, partial.means, inputs), apart)
+
+
+def test_gaps_are_told_from_surface_that_is_there():
+    """Two sheets 0.01 apart in spacing, 0.04 from each other; points 0.02 above all that."""
+    along = torch.arange(-0.3, 0.3, 0.01)
+    x, y = torch.meshgrid(along, along, indexing="ij")
+    sheet = torch.stack([x, y, torch.zeros_like(x)], dim=-1).reshape(-1, 3)
+    there = sheet[sheet[:, 0].abs() > 0.02]
+    points = torch.tensor([[0.0, 0.0, 0.02], [0.003, 0.1, 0.02], [0.1, 0.0, 0.02]])
+    normals = torch.tensor([[0.0, 0.0, 1.0]]).expand(3, -1)
+    left = SurfaceSettings(near_partial=0.045)
+    assert is_missing(points, normals, there, left).tolist() == [False, False, False]
+    closed = SurfaceSettings(near_partial=0.045, gap_spacings=1.5)
+    assert is_missing(points, normals, there, closed).tolist() == [True, True, False]
+    wide = SurfaceSettings(near_partial=0.045, gap_spacings=4.0)
+    assert is_missing(points, normals, there, wide).tolist() == [False, False, False]

@@ -1,0 +1,50 @@
+import numpy as np
+import pytest
+
+from gscomplete.shape.voxels import (
+    CELL_SIDE,
+    CELLS,
+    HALF_SIDE,
+    cell_centers,
+    fill_colored,
+    splat_arrays,
+)
+from tests.shape.shapes import sphere
+
+
+def test_cells_hold_the_splats_in_them_and_their_mean_colour():
+    """The obvious way, in float64, cell by cell."""
+    positions, tangents, opacities, colors = splat_arrays(sphere(300))
+    volume = fill_colored(positions, tangents, opacities, colors, CELLS)
+    weight = np.zeros((CELLS,) * 3)
+    color = np.zeros((3, *weight.shape))
+    for n in range(len(positions)):
+        steps = [np.zeros(3), *(s * tangents[n, a] for a in (0, 1) for s in (-1, 1))]
+        for step in steps:
+            cell = np.floor((positions[n].astype(np.float64) + step + HALF_SIDE) / CELL_SIDE)
+            i, j, k = cell.astype(int)
+            weight[i, j, k] += opacities[n]
+            color[:, i, j, k] += opacities[n] * colors[n]
+    filled = weight > 0
+    # A point within a float32 rounding of a border may fall to either side: hardly any does.
+    assert (filled != (volume[0] > 0)).sum() <= 2
+    both = filled & (volume[0] > 0)
+    wrong = np.abs(volume[1:, both] - color[:, both] / weight[both]).max(axis=0) > 1e-4
+    assert wrong.mean() < 0.01
+    assert volume[0].max() <= 1.0
+
+
+def test_what_lies_outside_the_cube_or_is_transparent_is_left_out():
+    positions, tangents, opacities, colors = splat_arrays(sphere(200))
+    far = positions + np.float32(10)
+    assert fill_colored(far, tangents, opacities, colors, CELLS).sum() == 0
+    nan = np.full_like(positions, np.nan)
+    assert fill_colored(nan, tangents, opacities, colors, CELLS).sum() == 0
+    assert fill_colored(positions, tangents, 0 * opacities, colors, CELLS).sum() == 0
+
+
+def test_cell_centers_are_where_points_of_the_cell_fall():
+    centers = cell_centers(CELLS)
+    assert centers[0, 0, 0] == pytest.approx(np.full(3, -HALF_SIDE + CELL_SIDE / 2), abs=1e-6)
+    found = np.floor((centers + HALF_SIDE) / CELL_SIDE).astype(int)
+    assert np.array_equal(found[3, 5, 7], [3, 5, 7])

@@ -1,0 +1,42 @@
+"""What the commands that write an object folder tell at the end."""
+
+import json
+import shlex
+
+import pytest
+import tyro
+
+from gscomplete.cli.program import Command
+from gscomplete.splats import write_splats
+from splatcomplete_data import cli
+from tests.splatcomplete_data.balls import BALL
+
+
+@pytest.mark.parametrize("prompt", ['a "ball" of Ann\'s $HOME', "-1 degrees"])
+def test_the_line_that_completes_the_part_is_told(tmp_path, capsys, prompt):
+    write_splats(tmp_path / "a ball.ply", BALL)
+    out = tmp_path / "my part"
+    arguments = ["partial", str(tmp_path / "a ball.ply"), "--cut=plane:90", "--up=-Y"]
+    arguments += ["--view=-30,10", "--range=40", f"--prompt={prompt}", "--out", str(out)]
+    assert cli.main(arguments) == 0
+    line = capsys.readouterr().out.splitlines()[-1].removeprefix("complete it: ")
+    program, *words = shlex.split(line)
+    assert program == "gscomplete"
+    options = tyro.cli(Command, args=words)
+    assert (options.partial, options.out) == (out / "partial.ply", tmp_path / "my part_completed")
+    assert (options.prompt, options.up) == (prompt, "-Y")
+    assert (options.view, options.range) == ("-30,10", 40.0)
+    assert (options.center, options.size) == (None, None)
+    assert cli.main([*arguments, "--overwrite", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["complete_command"] == line
+    assert "complete_command" not in json.loads((out / "object.json").read_text())
+
+
+def test_a_whole_alone_has_no_such_line(tmp_path, capsys):
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.box().export(tmp_path / "box.ply")
+    arguments = ["mesh", str(tmp_path / "box.ply"), "--count", "500", "--out", str(tmp_path / "o")]
+    assert cli.main(arguments) == 0
+    assert "complete it" not in capsys.readouterr().out
+    assert cli.main([*arguments, "--overwrite", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["complete_command"] is None
