@@ -63,8 +63,9 @@ class MissingNetwork(nn.Module):
         self.register_buffer("place", place, persistent=False)
 
     def forward(self, volume: Tensor) -> tuple[Tensor, Tensor]:  # [B, 4, C, C, C]
-        """Return the growths [B, 6], a little below 0 where P ends with the object, and the logits
-        of the missing shares [B].
+        """Return the growths [B, 6] and the logits of the missing shares [B].
+
+        Growths are not bounded: where P ends with the object they lie about 0.
         """
         assert isinstance(self.place, Tensor)
         place = self.place.expand(len(volume), -1, -1, -1, -1)

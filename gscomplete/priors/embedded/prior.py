@@ -21,6 +21,8 @@ import torch
 from torch import Tensor
 
 from gscomplete.errors import UserError
+from gscomplete.framing.guess import points_and_normals
+from gscomplete.framing.missing import guess_missing
 from gscomplete.priors.base import Conditioning, FirstGuess, FourViews, Guidance, PriorViews
 from gscomplete.priors.embedded.diffusion import (
     NUM_TIMESTEPS,
@@ -54,6 +56,13 @@ DEFAULT_GUIDANCE = Guidance(text_scale=1.0, input_scale=1.0, rescale=0.0)
 """With P in sight plain conditional denoising is best, and takes a single pass."""
 TEXT_ONLY_GUIDANCE = Guidance(text_scale=3.0, input_scale=1.0, rescale=0.5)
 """Without P the text must decide more."""
+
+_COMPLETE_BELOW = 0.04
+"""Where a smaller share of the surface is believed to be missing, P counts as complete."""
+_COMPLETE_NOTE = (
+    "P looks complete (about {:.0f} % of its surface is missing): nothing is added; "
+    "--mirror none completes it all the same"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +160,10 @@ class EmbeddedPrior:
         if self._shape is None:
             return None
         assert isinstance(conditioning, EmbeddedConditioning)
+        missing = guess_missing(*points_and_normals(partial))
+        if mirror == "guess" and missing.share < _COMPLETE_BELOW:
+            nothing = partial.with_sh_degree(0).select(torch.arange(0))
+            return FirstGuess(nothing, (_COMPLETE_NOTE.format(100 * missing.share),))
         prediction = predict(
             self._shape,
             partial,
