@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gscomplete.errors import UserError
-from gscomplete.framing.missing import guess_missing
+from gscomplete.framing.exposure import is_closed
+from gscomplete.framing.growth import guess_growth
 from gscomplete.render import render
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.rotations import rotation_matrices
@@ -36,7 +37,7 @@ from gscomplete.views import Cameras, orbit_cameras
 FloatArray = NDArray[np.float64]
 _BOX_SPLATS = 20_000
 """Splats of P that the box of the complete object is guessed from."""
-_LEAST_GROWTH = 0.03
+_LEAST_GROWTH = 0.05
 """Guessed growths below this, in sides of P's box, count as none."""
 
 
@@ -160,14 +161,17 @@ def guess_framing(partial: Splats, settings: FramingSettings | None = None) -> F
 def _complete_box(kept: Splats) -> tuple[FloatArray, float, str]:
     """Return the centre [3] and the largest side of the complete object's box, and the reason."""
     points, normals = points_and_normals(kept)
-    growth = guess_missing(points, normals).growth
+    closed = is_closed(points)
+    growth = np.zeros(6) if closed else guess_growth(points, normals)
     growth = np.where(growth >= _LEAST_GROWTH, growth, 0.0)
-    low, high = points.min(axis=0), points.max(axis=0)
+    low, high = (corner.double().numpy() for corner in kept.bounds())
     side = float((high - low).max())
     low, high = low - growth[::2] * side, high + growth[1::2] * side
     names = ("x-", "x+", "y-", "y+", "z-", "z+")
     grown = [f"{name} {100 * g:.0f} %" for name, g in zip(names, growth, strict=True) if g > 0]
     reason = f"the box grows: {', '.join(grown)}" if grown else "centre and size are the box's"
+    if closed:
+        reason = f"P's surface is closed: {reason}"
     return (low + high) / 2, float((high - low).max()), reason
 
 

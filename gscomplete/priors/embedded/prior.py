@@ -21,8 +21,7 @@ import torch
 from torch import Tensor
 
 from gscomplete.errors import UserError
-from gscomplete.framing.guess import points_and_normals
-from gscomplete.framing.missing import guess_missing
+from gscomplete.framing.exposure import is_closed
 from gscomplete.priors.base import Conditioning, FirstGuess, FourViews, Guidance, PriorViews
 from gscomplete.priors.embedded.diffusion import (
     NUM_TIMESTEPS,
@@ -57,11 +56,9 @@ DEFAULT_GUIDANCE = Guidance(text_scale=1.0, input_scale=1.0, rescale=0.0)
 TEXT_ONLY_GUIDANCE = Guidance(text_scale=3.0, input_scale=1.0, rescale=0.5)
 """Without P the text must decide more."""
 
-_COMPLETE_BELOW = 0.04
-"""Where a smaller share of the surface is believed to be missing, P counts as complete."""
 _COMPLETE_NOTE = (
-    "P looks complete (about {:.0f} % of its surface is missing): nothing is added; "
-    "--mirror none completes it all the same"
+    "P's surface is closed: it is taken for complete, and nothing is added "
+    "(--mirror none completes it all the same)"
 )
 
 
@@ -160,10 +157,9 @@ class EmbeddedPrior:
         if self._shape is None:
             return None
         assert isinstance(conditioning, EmbeddedConditioning)
-        missing = guess_missing(*points_and_normals(partial))
-        if mirror == "guess" and missing.share < _COMPLETE_BELOW:
+        if mirror == "guess" and is_closed(partial.means.double().numpy()):
             nothing = partial.with_sh_degree(0).select(torch.arange(0))
-            return FirstGuess(nothing, (_COMPLETE_NOTE.format(100 * missing.share),))
+            return FirstGuess(nothing, (_COMPLETE_NOTE,))
         prediction = predict(
             self._shape,
             partial,

@@ -1,15 +1,14 @@
-"""Train the network that guesses what P lacks (``gscomplete.framing.missing``).
+"""Train the network that guesses the complete object's box (``gscomplete.framing.growth``).
 
-``python -m recipes.train_embedded_prior.missing --meshes PACK --out DIR`` makes parts of meshes and
-procedural objects (kept in ``DIR/parts.npz``, so that another training starts at once), trains on
-the pack's training split and measures on its validation split. ``missing.safetensors`` then goes
+``python -m recipes.train_embedded_prior.box_growth --meshes PACK --out DIR`` makes parts of meshes
+and procedural objects (kept in ``DIR/parts.npz``, so that another training starts at once), trains
+on the pack's training split and measures on its validation split. ``growth.safetensors`` then goes
 into ``gscomplete/framing/weights``.
 
 Conventions
 -----------
 * One object gives several parts. Of each the target is how far the complete object's box reaches
-  beyond the part's, in sides of the part's box (x-, x+, y-, y+, z-, z+), and the share of its
-  surface that is missing.
+  beyond the part's, in sides of the part's box (x-, x+, y-, y+, z-, z+).
 """
 
 from __future__ import annotations
@@ -25,12 +24,11 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from rich.progress import track
 from safetensors.torch import save_file
-from scipy.spatial import cKDTree
 from torch import Tensor
 
 from gscomplete.errors import UserError
+from gscomplete.framing.growth import WEIGHTS_FILE, GrowthNetwork, oriented, partial_volume
 from gscomplete.framing.guess import FramingSettings, object_splats, points_and_normals
-from gscomplete.framing.missing import WEIGHTS_FILE, MissingNetwork, oriented, partial_volume
 from gscomplete.splats import Splats
 from recipes.entry_point import start
 from recipes.train_embedded_prior.dataset import HELD_OUT_SEED_OFFSET
@@ -47,14 +45,11 @@ _BATCH = 32
 _MESH_SHARE = 0.85
 _QUADRATIC_BELOW = 0.2
 """Errors of growths below this count squared."""
-_OWN = 0.02
-"""Surface this near to the part's splats, in object sizes, is the part's."""
-_SURFACE_SAMPLES = 3000
 
 
 @dataclass(frozen=True)
 class Options:
-    """Train the network that guesses what P lacks."""
+    """Train the network that guesses the complete object's box."""
 
     meshes: Path
     """Folder of the pack of meshes."""
@@ -70,13 +65,13 @@ class Options:
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """Parts and what they lack."""
+    """Parts and how far the objects reach beyond them."""
 
     volumes: NDArray[np.uint8]  # [N, 4, C, C, C]
-    targets: FloatArray  # [N, 7]
+    targets: FloatArray  # [N, 6]
 
     def batch(self, index: NDArray[np.intp] | slice) -> tuple[Tensor, Tensor]:
-        """Return volumes [B, 4, C, C, C] in [-1, 1] and targets [B, 7]."""
+        """Return volumes [B, 4, C, C, C] in [-1, 1] and targets [B, 6]."""
         volumes = (torch.from_numpy(self.volumes[index]).float() - 128) / 127
         return volumes, torch.from_numpy(self.targets[index])
 
@@ -103,43 +98,39 @@ def make_parts(source: MixedSource, seed: int, count: int) -> Parts:
             if float((high - low).max()) > 0.05:
                 volume = partial_volume(*points_and_normals(kept))
                 volumes.append(np.round(volume * 127 + 128).astype(np.uint8))
-                targets.append(missing_of(kept, item.splats))
+                targets.append(growth_of(kept, item.splats))
     return Parts(np.stack(volumes), np.stack(targets))
 
 
-def missing_of(part: Splats, complete: Splats) -> FloatArray:  # [7]
-    """Return the growths and the missing share; see the module's conventions."""
+def growth_of(part: Splats, complete: Splats) -> FloatArray:  # [6]
+    """Return how far the complete object reaches; see the module's conventions."""
     low, high = (corner.double().numpy() for corner in part.bounds())
     all_low, all_high = (corner.double().numpy() for corner in complete.bounds())
     size = float((high - low).max())
-    target = np.empty(7, np.float32)
-    target[0:6:2], target[1:6:2] = (low - all_low) / size, (all_high - high) / size
-    step = max(1, len(complete) // _SURFACE_SAMPLES)
-    away, _ = cKDTree(part.means.numpy()).query(complete.means.numpy()[::step])
-    target[6] = (away > _OWN).mean()
+    target = np.empty(6, np.float32)
+    target[::2], target[1::2] = (low - all_low) / size, (all_high - high) / size
     return np.maximum(target, 0.0)
 
 
-def missing_loss(found: tuple[Tensor, Tensor], target: Tensor) -> Tensor:  # target [B, 7] -> []
-    """Return the error of growths, of the centre and the sides that follow, and of the share.
+def growth_loss(found: Tensor, target: Tensor) -> Tensor:  # [B, 6] both -> []
+    """Return the error of growths, and of the centre and the sides that follow.
 
     Most growths are 0: an absolute error would be smallest for a network that always answers 0.
     """
-    growth, share = found
-    difference = growth - target[:, :6]
+    difference = found - target
     center = difference[:, 1::2] - difference[:, ::2]
     side = difference[:, 1::2] + difference[:, ::2]
-    box = sum(
+    parts = [
         F.smooth_l1_loss(part, torch.zeros_like(part), beta=_QUADRATIC_BELOW)
         for part in (difference, center, side)
-    )
-    return 10.0 * box + F.binary_cross_entropy_with_logits(share, target[:, 6])
+    ]
+    return torch.stack(parts).sum()
 
 
-def train(options: Options, parts: Parts) -> MissingNetwork:
+def train(options: Options, parts: Parts) -> GrowthNetwork:
     """Train on all parts, each epoch in other orientations."""
     torch.manual_seed(_SEED)
-    model = MissingNetwork()
+    model = GrowthNetwork()
     optimizer = torch.optim.AdamW(model.parameters(), lr=options.learning_rate, weight_decay=0.02)
     per_epoch = len(parts.volumes) // _BATCH
     schedule = torch.optim.lr_scheduler.OneCycleLR(
@@ -151,10 +142,10 @@ def train(options: Options, parts: Parts) -> MissingNetwork:
         order, total, began = rng.permutation(len(parts.volumes)), 0.0, time.monotonic()
         for step in range(per_epoch):
             volume, target = parts.batch(order[step * _BATCH : (step + 1) * _BATCH])
-            volume, growth = oriented(
-                volume, target[:, :6], int(rng.integers(4)), bool(rng.random() < 0.5)
+            volume, target = oriented(
+                volume, target, int(rng.integers(4)), bool(rng.random() < 0.5)
             )
-            loss = missing_loss(model(volume), torch.cat([growth, target[:, 6:]], dim=1))
+            loss = growth_loss(model(volume), target)
             optimizer.zero_grad()
             loss.backward()
             torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
@@ -166,24 +157,12 @@ def train(options: Options, parts: Parts) -> MissingNetwork:
     return model.eval()
 
 
-def report(model: MissingNetwork, held_out: Parts) -> str:
+def report(model: GrowthNetwork, held_out: Parts) -> str:
     """Say how far off the network is on held-out parts."""
     volumes, target = held_out.batch(slice(None))
-    growth, share = model.averaged(volumes)
-    none, true = target[:, :6].abs().mean(), target[:, 6]
-    lines = [
-        f"{len(target)} held-out parts: growths off by {(growth - target[:, :6]).abs().mean():.4f} "
-        f"(none: {none:.4f}), missing share off by {(share - true).abs().mean():.3f}"
-    ]
-    for limit in (0.03, 0.05, 0.08, 0.12):
-        called = share < limit
-        lines.append(
-            f"share below {limit}: {int(called.sum())} parts, of which lack less than 2 %: "
-            f"{int((called & (true < 0.02)).sum())}, more than 10 %: "
-            f"{int((called & (true > 0.1)).sum())}; of all {int((true < 0.02).sum())} that lack "
-            "less than 2 %"
-        )
-    return "\n".join(lines)
+    growth = model.averaged(volumes)
+    error, none = (growth - target).square().mean().sqrt(), target.square().mean().sqrt()
+    return f"{len(target)} held-out parts: growths off by {error:.3f} (none: {none:.3f}), RMS"
 
 
 def main(options: Options) -> None:

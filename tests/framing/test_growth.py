@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 import torch
-
 from gscomplete.framing.missing import MissingNetwork, guess_missing, oriented, partial_volume
 from gscomplete.framing.missing import packaged_network as packaged
 from recipes.train_embedded_prior.missing import missing_loss, missing_of
+
 from recipes.train_embedded_prior.procedural.quads import turn_about
 from tests.shape.shapes import half, sphere
 

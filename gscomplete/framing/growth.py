@@ -1,11 +1,10 @@
-"""A small network that guesses what P lacks: how far the object reaches beyond P, and how much.
+"""A small network that guesses how far the complete object reaches beyond P's box.
 
 Conventions
 -----------
 * P is in z-up axes. Its volume covers P's box, centred and scaled to largest side 1, with a margin:
   the share of filled cells and the mean outward normal of each, [4, C, C, C].
 * Growths are in sides (the largest) of P's box, all at least 0, ordered x-, x+, y-, y+, z-, z+.
-* The missing share is that of the complete object's surface that is not P's.
 * The network does not know which way objects face: its answer is the mean over four quarter turns
   about z, each mirrored or not.
 """
@@ -13,7 +12,6 @@ Conventions
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +20,7 @@ from numpy.typing import NDArray
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-WEIGHTS_FILE = "missing.safetensors"
+WEIGHTS_FILE = "growth.safetensors"
 _CELLS = 32
 _MARGIN = 1.1
 """Side of the volume in sides of P's box."""
@@ -30,16 +28,7 @@ _WIDTHS = (16, 32, 64, 128)
 FloatArray = NDArray[np.floating]
 
 
-@dataclass(frozen=True, slots=True)
-class Missing:
-    """What P is believed to lack."""
-
-    growth: FloatArray  # [6]
-    share: float
-    """Of the complete object's surface, in [0, 1]."""
-
-
-class MissingNetwork(nn.Module):
+class GrowthNetwork(nn.Module):
     """Four strided stages, then two layers on all of the 2 x 2 x 2 cells left."""
 
     def __init__(self) -> None:
@@ -57,31 +46,26 @@ class MissingNetwork(nn.Module):
             ]
             before = width
         self.body = nn.Sequential(*layers)
-        self.head = nn.Sequential(nn.Linear(before * 8, 192), nn.SiLU(), nn.Linear(192, 7))
+        self.head = nn.Sequential(nn.Linear(before * 8, 192), nn.SiLU(), nn.Linear(192, 6))
         along = torch.linspace(-1, 1, _CELLS)
         place = torch.stack(torch.meshgrid(along, along, along, indexing="ij"))
         self.register_buffer("place", place, persistent=False)
 
-    def forward(self, volume: Tensor) -> tuple[Tensor, Tensor]:  # [B, 4, C, C, C]
-        """Return the growths [B, 6] and the logits of the missing shares [B].
-
-        Growths are not bounded: where P ends with the object they lie about 0.
-        """
+    def forward(self, volume: Tensor) -> Tensor:  # [B, 4, C, C, C] -> [B, 6]
+        """Return the growths, not bounded: where P ends with the object they lie about 0."""
         assert isinstance(self.place, Tensor)
         place = self.place.expand(len(volume), -1, -1, -1, -1)
-        found = self.head(self.body(torch.cat([volume, place], dim=1)).flatten(1))
-        return found[:, :6], found[:, 6]
+        found: Tensor = self.head(self.body(torch.cat([volume, place], dim=1)).flatten(1))
+        return found
 
     @torch.no_grad()
-    def averaged(self, volume: Tensor) -> tuple[Tensor, Tensor]:  # [B, 4, C, C, C]
-        """Return the mean over all orientations: growths [B, 6] and missing shares [B]."""
-        total, shares = torch.zeros(len(volume), 6), torch.zeros(len(volume))
+    def averaged(self, volume: Tensor) -> Tensor:  # [B, 4, C, C, C] -> [B, 6]
+        """Return the mean over all orientations, at least 0."""
+        total = torch.zeros(len(volume), 6)
         for k in range(8):
             turned, _ = oriented(volume, total, k % 4, k >= 4)
-            growth, logit = self(turned)
-            total = total + _unoriented(growth, k % 4, k >= 4)
-            shares = shares + logit.sigmoid()
-        return (total / 8).clamp_min(0.0), shares / 8
+            total = total + _unoriented(self(turned), k % 4, k >= 4)
+        return (total / 8).clamp_min(0.0)
 
 
 def oriented(
@@ -127,19 +111,19 @@ def partial_volume(
     return volume.reshape(4, _CELLS, _CELLS, _CELLS).astype(np.float32)
 
 
-def guess_missing(
+def guess_growth(
     points: FloatArray,  # [N, 3] of P, z up
     normals: FloatArray,  # [N, 3] outward
-) -> Missing:
-    """Return what P is believed to lack."""
+) -> FloatArray:  # [6]
+    """Return how far the complete object is believed to reach beyond P's box."""
     volume = torch.from_numpy(partial_volume(points, normals))[None]
-    growth, share = packaged_network().averaged(volume)
-    return Missing(growth[0].double().numpy(), float(share[0]))
+    growth: FloatArray = packaged_network().averaged(volume)[0].double().numpy()
+    return growth
 
 
 @functools.cache
-def packaged_network() -> MissingNetwork:
+def packaged_network() -> GrowthNetwork:
     """Return the network with the weights of the package."""
-    model = MissingNetwork()
+    model = GrowthNetwork()
     model.load_state_dict(load_file(Path(__file__).parent / "weights" / WEIGHTS_FILE))
     return model.eval()
