@@ -16,7 +16,7 @@ from gscomplete.priors.latent.settings import LatentPriorSettings
 
 if TYPE_CHECKING:
     from gscomplete.completion.optimise import StepReport
-    from gscomplete.completion.run_folder import Request, Run
+    from gscomplete.completion.run_folder import Run, RunRequest
     from gscomplete.completion.settings import CompletionSettings
     from gscomplete.priors.base import Prior
     from gscomplete.shape.mirror_plane import Mirror
@@ -129,8 +129,8 @@ def _complete(options: CompleteOptions) -> int:
     prior = load_prior(options.prior, device, knobs)
     job = prepare(_request(options, prior), prior, render_device)
     _say(options, *_recorded_up(options), *job.notes, *([fallback] if fallback else []))
-    if job.completion.step_number:
-        _say(options, f"resuming at step {job.completion.step_number}")
+    if job.steps.step_number:
+        _say(options, f"resuming at step {job.steps.step_number}")
     said = len(job.notes)
     content = _with_progress(job)
     if options.json:
@@ -182,15 +182,17 @@ def _memory_note(peak_bytes: int | None) -> str:
     return "" if peak_bytes is None else f", at most {peak_bytes / 2**30:.2f} GiB of GPU memory"
 
 
-def _request(options: CompleteOptions, prior: Prior) -> Request:
+def _request(options: CompleteOptions, prior: Prior) -> RunRequest:
     """Turn command-line options into a request.
 
     Raises:
         UserError: an option has the wrong form.
     """
+    from gscomplete.completion.pipeline import Request
     from gscomplete.completion.presets import preset
-    from gscomplete.completion.run_folder import Request
+    from gscomplete.completion.run_folder import RunRequest
     from gscomplete.completion.settings import HardPreservationSettings, SeamColorSettings
+    from gscomplete.framing.decide import FramingRequest
 
     if not options.prompt.strip():
         raise UserError("--prompt: expected what the whole object is, found an empty text")
@@ -222,20 +224,16 @@ def _request(options: CompleteOptions, prior: Prior) -> Request:
         _require_guess("--alternatives", options, settings, prior)
     view = parse_view(options.view)
     center = parse_numbers(options.center, 3, "--center", "X,Y,Z")
-    return Request(
-        partial_path=options.partial,
-        prompt=options.prompt,
-        out=options.out or Path(f"{options.partial.stem}_completed"),
-        settings=settings,
-        negative_prompt=options.negative_prompt,
-        up=options.up,
-        view_deg=view,
-        azimuth_range_deg=options.range,
-        center_file=None if center is None else (center[0], center[1], center[2]),
-        size_file=options.size,
-        resume=options.resume,
-        alternatives=options.alternatives,
+    framing = FramingRequest(
+        options.up,
+        view,
+        options.range,
+        None if center is None else (center[0], center[1], center[2]),
+        options.size,
     )
+    completion = Request(options.prompt, settings, framing, options.negative_prompt)
+    out = options.out or Path(f"{options.partial.stem}_completed")
+    return RunRequest(options.partial, out, completion, options.resume, options.alternatives)
 
 
 def _require_guess(
@@ -333,7 +331,7 @@ def _with_progress(job: Run) -> dict[str, Any]:
 
     from gscomplete.completion.run_folder import execute
 
-    if job.completion.finished:
+    if job.steps.finished:
         return execute(job, lambda report: None)
     columns = (
         TextColumn("completing"),
@@ -347,8 +345,8 @@ def _with_progress(job: Run) -> dict[str, Any]:
     with Progress(*columns, console=Console(file=sys.stderr)) as progress:
         task = progress.add_task(
             "complete",
-            total=job.request.settings.steps,
-            completed=job.completion.step_number,
+            total=job.steps.settings.steps,
+            completed=job.steps.step_number,
             losses="",
         )
 

@@ -30,6 +30,11 @@ SCHEMA_VERSION = 1
 MAX_ELEVATION_DEG = 85.0
 """Largest absolute elevation that a distribution gives."""
 
+RADIUS = 2.2
+"""Distance of V's cameras from the object's centre, object sizes: 1.6 sizes are visible there."""
+FOV_DEG = 40.0
+"""Their vertical field of view."""
+
 _PHILOX_STREAM = 0x5649455753
 """Second key word of the generator, so that views share no random numbers with other uses."""
 _FIRST_MEASURED_VIEW = 20_000
@@ -57,9 +62,9 @@ class ViewDistribution:
     elevation_range_deg: float = 15.0
     """Views reach this far above and below c. The paper names no range; 15 degrees is what a
     person walking round an object sees, and 0 gives the ring at c's elevation."""
-    radius: float = 2.2
-    """Distance of the cameras from the target in object sizes; 1.6 sizes are visible there."""
-    fov_deg: float = 40.0
+    radius: float = RADIUS
+    """Distance of the cameras from the target in object sizes."""
+    fov_deg: float = FOV_DEG
     """Vertical field of view."""
     target: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Point in the object frame that every view looks at."""

@@ -119,9 +119,9 @@ def made_from_points(
     """
     import torch
 
+    from gscomplete.framing.decide import view_from_position
     from gscomplete.views import ObjectFrame
     from splatcomplete_data.cli.common import framing_request
-    from splatcomplete_data.framing import view_from_position
     from splatcomplete_data.points import offset_note
     from splatcomplete_data.scan.make import make_part
     from splatcomplete_data.scan.picture import removed_sheet
