@@ -144,8 +144,11 @@ class ObjectRecord:
         """Check what would make the object useless.
 
         Raises:
-            ValueError: the id is no plain file name, or the prompt is empty.
+            ValueError: the id or a file's name is no plain file name, or the prompt is empty.
         """
+        for name in self.files:
+            if not name or name.startswith(".") or set(name) & set("/\\\0\n"):
+                raise ValueError(f"files: expected plain file names, found {name!r}")
         if not self.id or self.id.startswith(".") or set(self.id) & set("/\\\0\n"):
             raise ValueError(f"id: expected a plain file name, found {self.id!r}")
         if not self.prompt.strip():

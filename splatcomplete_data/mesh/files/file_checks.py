@@ -13,6 +13,7 @@ from pathlib import Path
 from gscomplete.errors import UserError
 from splatcomplete_data.mesh.files.side_files import gltf_text, side_files
 from splatcomplete_data.mesh.files.textures import open_image
+from splatcomplete_data.named_files import Reach
 
 GLTF_SUFFIXES = (".gltf", ".glb")
 _PICTURE_SUFFIXES = (
@@ -59,10 +60,13 @@ def refuse_unknown_geometry(path: Path) -> None:
         )
 
 
-def lost_files(path: Path) -> Iterator[str]:
-    """Yield a note for every file that a mesh file names and that is missing or unreadable."""
-    for name, file in side_files(path).items():
-        if not file.exists():
+def lost_files(path: Path, reach: Reach) -> Iterator[str]:
+    """Yield a note for every file that a mesh names and that is missing or not read."""
+    for name, file in side_files(path, reach).items():
+        refusal = reach.refusal(file)
+        if refusal is not None:
+            yield f"file {name} {refusal}: parts of the mesh are without it"
+        elif not file.exists():
             yield f"missing file {name}: parts of the mesh are without their texture or material"
         elif file.suffix.lower() in _PICTURE_SUFFIXES:
             try:
