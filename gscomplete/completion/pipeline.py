@@ -51,6 +51,7 @@ from gscomplete.splats import (
 from gscomplete.splats.working_set import WorkingSet, working_set
 from gscomplete.util.device import choose_device, choose_render_device
 from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution, radius_to_fit
+from gscomplete.views.distribution import AZIMUTH_RANGE_DEG, ELEVATION_RANGE_DEG
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +153,8 @@ def complete(
     settings: CompletionSettings | None = None,
     up: UpAxis = "Z",
     view_deg: tuple[float, float] | None = None,
-    azimuth_range_deg: float = 50.0,
+    azimuth_range_deg: float = AZIMUTH_RANGE_DEG,
+    elevation_range_deg: float = ELEVATION_RANGE_DEG,
     center_file: tuple[float, float, float] | None = None,
     size_file: float | None = None,
     negative_prompt: str | None = None,
@@ -172,6 +174,7 @@ def complete(
         up: axis of the file frame that points up.
         view_deg: azimuth and elevation of the input view c in degrees; None = guessed.
         azimuth_range_deg: V reaches this far to either side of c.
+        elevation_range_deg: and this far above and below c.
         center_file: centre of the complete object in file coordinates; None = guessed.
         size_file: its largest side in file units; None = guessed.
         negative_prompt: what to lead away from; None = the prior's default.
@@ -193,7 +196,14 @@ def complete(
         settings = dataclasses.replace(preset(preset_name, prior.name), seed=seed)
     started = time.perf_counter()
     given = partial if isinstance(partial, Splats) else read_splats(partial)
-    framing = FramingRequest(up, view_deg, azimuth_range_deg, center_file, size_file)
+    framing = FramingRequest(
+        up,
+        view_deg,
+        azimuth_range_deg,
+        center_file,
+        size_file,
+        elevation_range_deg=elevation_range_deg,
+    )
     request = Request(prompt, settings, framing, negative_prompt)
     prepared = prepare(given, request, prior, render_device)
     while not prepared.steps.finished:

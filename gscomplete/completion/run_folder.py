@@ -29,6 +29,7 @@ from gscomplete.evaluate.report import evaluate
 from gscomplete.fitting.checkpoint import FILE_NAME, load_checkpoint
 from gscomplete.fitting.finite import NonFiniteError
 from gscomplete.fitting.step_loop import CHECKPOINTS, require_same_identity, run_steps
+from gscomplete.folders.run_folder import OUTPUT_FILE, RUN_FILE
 from gscomplete.priors.base import Prior, prior_identity
 from gscomplete.splats.ply import SplatFile, read_splats, require_appendable
 from gscomplete.util import jsonio
@@ -36,8 +37,6 @@ from gscomplete.util.atomic import atomic_path
 from gscomplete.util.device import peak_gpu_bytes
 from gscomplete.util.digests import sha256_of
 
-RUN_FILE = "run.json"
-OUTPUT_FILE = "completed.ply"
 ALTERNATIVES_FILE = "alternatives.png"
 
 
@@ -55,6 +54,12 @@ class RunRequest:
     """Continue the run in ``out`` from its last checkpoint."""
     alternatives: int = 0
     """Planes of symmetry whose guesses are drawn beside the result."""
+    object_folder: Path | None = None
+    """What P belongs to, where that is known."""
+    sources: dict[str, str] = field(default_factory=dict)
+    """Which of the givens came from where."""
+    notes: tuple[str, ...] = ()
+    """What is odd about the request."""
 
 
 @dataclass(slots=True)
@@ -92,7 +97,8 @@ def prepare(request: RunRequest, prior: Prior, device: torch.device | str = "cpu
     require_appendable(source)
     prepared = pipeline.prepare(source, request.completion, prior, device)
     identity = _identity(request, prepared)
-    run = Run(request, source.released(), prepared, identity, prepared.notes)
+    notes = (*request.notes, *prepared.notes)
+    run = Run(request, source.released(), prepared, identity, notes)
     if request.resume:
         require_same_identity(request.out / RUN_FILE, identity)
         state = load_checkpoint(request.out / CHECKPOINTS)
@@ -160,7 +166,7 @@ def _finish(run: Run) -> dict[str, Any]:
     out = run.request.out
     started = time.perf_counter()
     completed = pipeline.finish(run.prepared, run.source)
-    run.notes = completed.notes
+    run.notes = (*run.request.notes, *completed.notes)
     run.timings["finish_s"] = time.perf_counter() - started
     started = time.perf_counter()
     completed.save(out / OUTPUT_FILE)
@@ -233,11 +239,17 @@ def _make_folder(out: Path) -> None:
 
 def _write_run_file(run: Run, status: str, result: dict[str, Any] | None) -> dict[str, Any]:
     """Write and return the content of ``run.json``."""
+    folder = run.request.object_folder
     content = {
         "schema": "gscomplete.run",
         "version": 1,
         "status": status,
-        "input": {"path": str(run.request.partial_path), "splats": run.source.n_rows},
+        "input": {
+            "path": str(run.request.partial_path),
+            "splats": run.source.n_rows,
+            "object": None if folder is None else str(folder),
+            "sources": run.request.sources,
+        },
         "identity": run.identity,
         "notes": list(run.notes),
         "versions": {

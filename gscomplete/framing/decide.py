@@ -18,7 +18,7 @@ import torch
 from gscomplete.framing.guess import guess_framing
 from gscomplete.splats import Similarity, Splats, transform_splats
 from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution, up_rotation
-from gscomplete.views.distribution import FOV_DEG, RADIUS
+from gscomplete.views.distribution import AZIMUTH_RANGE_DEG, ELEVATION_RANGE_DEG, FOV_DEG, RADIUS
 
 Origin = Literal["truth", "guess", "given"]
 """Where centre and size come from: the known complete object, the part, or the user."""
@@ -32,7 +32,7 @@ class FramingRequest:
     """File axis that points up."""
     view_deg: tuple[float, float] | None = None
     """Azimuth and elevation of the input view c."""
-    azimuth_range_deg: float = 50.0
+    azimuth_range_deg: float = AZIMUTH_RANGE_DEG
     """V reaches this far to either side of c."""
     center_file: tuple[float, float, float] | None = None
     """Centre of the complete object."""
@@ -40,6 +40,8 @@ class FramingRequest:
     """Largest side of the complete object."""
     camera_position_file: tuple[float, float, float] | None = None
     """Where the source was seen from: the input view, unless another one is given."""
+    elevation_range_deg: float = ELEVATION_RANGE_DEG
+    """V reaches this far above and below c."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +107,11 @@ def decide_framing(
         view = view_from_position(frame, camera)
     assert view is not None
     views = ViewDistribution(
-        *view, azimuth_range_deg=request.azimuth_range_deg, radius=radius, fov_deg=fov_deg
+        *view,
+        azimuth_range_deg=request.azimuth_range_deg,
+        elevation_range_deg=request.elevation_range_deg,
+        radius=radius,
+        fov_deg=fov_deg,
     )
     return Framing(frame, origin, views, notes)
 

@@ -21,12 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
+from gscomplete.util.limits import check_decoded_bytes
 from splatcomplete_data.scan.cloud import PointCloud, grey_colors, unit_colors
 
 Position = tuple[float, float, float]
 _NO_VIEWPOINT = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 _TYPES = {"F": "f", "U": "u", "I": "i"}
 _MAX_POINTS = 2**31
+_MAX_COUNT = 65_536
+"""Values of one field of a point; PCL's longest descriptors have 1,980."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +100,7 @@ def lzf_decompress(packed: bytes, size: int) -> bytes:
     out = bytearray()
     position, end = 0, len(packed)
     try:
-        while position < end:
+        while position < end and len(out) <= size:
             control = packed[position]
             position += 1
             if control < 32:
@@ -154,8 +157,11 @@ def _parse_header(raw: bytes, path: Path) -> _Header:
         raise UserError(f"{path}: PCD header: missing or malformed entry ({error})") from error
     if not len(names) == len(dtypes) == len(counts) or not 0 <= points < _MAX_POINTS:
         raise UserError(f"{path}: PCD header: FIELDS, SIZE, TYPE, COUNT and POINTS do not agree")
-    if min(counts, default=0) < 1:
-        raise UserError(f"{path}: PCD header: COUNT: expected positive numbers")
+    if not all(1 <= count <= _MAX_COUNT for count in counts):
+        raise UserError(
+            f"{path}: PCD header: COUNT: expected 1 to {_MAX_COUNT:,} values a field, found "
+            f"{' '.join(map(str, counts))}"
+        )
     viewpoint = _viewpoint(entries.get("VIEWPOINT", []))
     return _Header(names, dtypes, counts, points, data, offset, viewpoint)
 
@@ -189,6 +195,7 @@ def _columns(body: bytes, header: _Header, path: Path) -> dict[str, NDArray[np.g
         raise UserError(
             f"{path}: DATA: expected ascii, binary or binary_compressed, found {header.data}"
         )
+    check_decoded_bytes(path, expected, "compressed data")
     sizes = [int.from_bytes(body[start : start + 4], "little") for start in (0, 4)]
     if len(body) < 8 + sizes[0] or sizes[1] != expected:
         raise UserError(f"{path}: compressed data: {expected} bytes do not fit what is there")

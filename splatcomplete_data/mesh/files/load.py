@@ -119,6 +119,7 @@ def load_mesh(
         )
     if path.stat().st_size == 0:
         raise UserError(f"{path}: expected a mesh file, found an empty file")
+    file_checks.check_suffix(path)
     file_checks.check_not_splats(path)
     file_checks.refuse_unknown_geometry(path)
     reach = Reach.of(path, allow_outside)
