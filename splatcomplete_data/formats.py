@@ -40,6 +40,7 @@ from gscomplete.splats.ply_layout import find_layout
 from gscomplete.splats.ply_records import LOG_SCALE_LIMIT, LOGIT_LIMIT
 from gscomplete.util.atomic import atomic_path
 from splatcomplete_data.optional import import_optional
+from splatcomplete_data.spz_size import check_spz_size
 
 SplatFormat = Literal["ply", "compressed.ply", "splat", "spz"]
 """Formats that are written; all are read."""
@@ -172,6 +173,9 @@ def _read_dot_splat(path: Path) -> Splats:
     if size == 0 or size % _SPLAT_ROW.itemsize:
         raise UserError(f"{path}: expected a multiple of 32 bytes, found {size}")
     rows = np.fromfile(path, _SPLAT_ROW)
+    negative = int((rows["scale"] < 0).any(axis=1).sum())
+    if negative:
+        raise UserError(f"{path}: scale: expected no negative one, found {negative:,} splats with")
     quaternions = (rows["rot"].astype(np.float32) - 128.0) / 128.0
     length = np.linalg.norm(quaternions, axis=1, keepdims=True)
     quaternions = np.where(length > 0, quaternions / np.maximum(length, 1e-9), [[1, 0, 0, 0]])
@@ -201,6 +205,7 @@ def _write_dot_splat(path: Path, splats: Splats) -> None:
 def _read_spz(path: Path) -> Splats:
     """Read an SPZ file of version 1 to 4."""
     gsply = import_optional("gsply", "reading SPZ files")
+    check_spz_size(path)
     try:
         data = gsply.read_spz(path)
         means = np.array(data.means, np.float32)

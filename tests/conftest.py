@@ -2,6 +2,12 @@
 
 import os
 
+from hypothesis import settings
+
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 os.environ.setdefault("GOMP_SPINCOUNT", "3000")
 """As in the command line: pools of threads that spin while waiting slow each other down."""
+
+settings.register_profile("busy machine", deadline=None)
+settings.load_profile("busy machine")
+"""How long an example takes says more about what else runs than about the code."""

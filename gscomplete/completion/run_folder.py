@@ -28,6 +28,7 @@ from gscomplete.evaluate.pictures import preview_sheet, save_image, save_turntab
 from gscomplete.evaluate.report import evaluate
 from gscomplete.fitting.checkpoint import FILE_NAME, load_checkpoint
 from gscomplete.fitting.step_loop import CHECKPOINTS, require_same_identity, take_steps
+from gscomplete.folders.run_folder import OUTPUT_FILE, RUN_FILE
 from gscomplete.framing.check import check_given_frame, largest_side
 from gscomplete.framing.guess import guess_framing
 from gscomplete.priors.base import Conditioning, Prior, prior_identity
@@ -42,8 +43,6 @@ from gscomplete.util.device import peak_gpu_bytes
 from gscomplete.util.digests import sha256_of
 from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution, radius_to_fit, up_rotation
 
-RUN_FILE = "run.json"
-OUTPUT_FILE = "completed.ply"
 ALTERNATIVES_FILE = "alternatives.png"
 VISIBILITY_PX = 128
 """Side of the picture in which P must be seen."""
@@ -64,10 +63,14 @@ class Request:
     up: UpAxis = "Z"
     view_deg: tuple[float, float] | None = None  # azimuth, elevation of the input view c
     azimuth_range_deg: float = 50.0
+    elevation_range_deg: float = 15.0
     center_file: tuple[float, float, float] | None = None
     size_file: float | None = None
     resume: bool = False
     alternatives: int = 0  # planes of symmetry whose guesses are drawn beside the result
+    object_folder: Path | None = None  # what P belongs to, where that is known
+    sources: dict[str, str] = field(default_factory=dict)  # which of these came from where
+    notes: tuple[str, ...] = ()  # what is odd about the request
 
 
 @dataclass(slots=True)
@@ -132,7 +135,14 @@ def prepare(request: Request, prior: Prior, device: torch.device | str = "cpu") 
     }
     del identity["settings"]["checkpoint_every"]  # decides nothing about the result
     oddities = (f"{request.partial_path}: {warning}" for warning in source.warnings)
-    notes = (*oddities, *notes, chosen.summary(), *completion.start_notes, *conditioning.report)
+    notes = (
+        *request.notes,
+        *oddities,
+        *notes,
+        chosen.summary(),
+        *completion.start_notes,
+        *conditioning.report,
+    )
     if request.negative_prompt and not completion.heeds_negative_prompt:
         notes = (*notes, "negative prompt: without effect here (with this prior: --text-only)")
     run = Run(
@@ -288,6 +298,7 @@ def _decide_frame(
     distribution = ViewDistribution(
         *view_deg,
         azimuth_range_deg=request.azimuth_range_deg,
+        elevation_range_deg=request.elevation_range_deg,
         radius=radius_to_fit(sum(prior.views.extent_range) / 2, fov_deg),
         fov_deg=fov_deg,
     )
@@ -339,11 +350,17 @@ def _make_folder(out: Path) -> None:
 
 def _write_run_file(run: Run, status: str, result: dict[str, Any] | None) -> dict[str, Any]:
     """Write and return the content of ``run.json``."""
+    folder = run.request.object_folder
     content = {
         "schema": "gscomplete.run",
         "version": 1,
         "status": status,
-        "input": {"path": str(run.request.partial_path), "splats": run.source.n_rows},
+        "input": {
+            "path": str(run.request.partial_path),
+            "splats": run.source.n_rows,
+            "object": None if folder is None else str(folder),
+            "sources": run.request.sources,
+        },
         "identity": run.identity,
         "notes": list(run.notes),
         "versions": {

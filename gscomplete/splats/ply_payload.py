@@ -26,6 +26,8 @@ from gscomplete.splats.ply_threads import WRITE_BYTES, Scratch, for_each_block
 
 BlockSink = Callable[[slice, NDArray[np.void]], None]
 """Takes rows and their records."""
+_LINE_BYTES = np.frombuffer(b"\t\n\v\f\r", np.uint8)
+"""What ASCII rows may hold beside printable characters."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -298,6 +300,7 @@ def parse_records(
     records = np.zeros(vertex.count, dtype)
     if vertex.count == 0:
         return records
+    _check_ascii(path, payload.records)
     text = payload.records.tobytes().replace(b"\r", b" ")
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
@@ -311,6 +314,19 @@ def parse_records(
     except (ValueError, OverflowError) as error:
         raise PlyError(path, "bad_payload", f"element vertex: {error}") from error
     return records
+
+
+def _check_ascii(path: Path, text: NDArray[np.uint8]) -> None:
+    """Refuse bytes that readers disagree on: some take 0xA0 and 0x85 for spaces.
+
+    Raises:
+        PlyError: there is one.
+    """
+    bad = np.flatnonzero(((text < 0x20) | (text > 0x7E)) & ~np.isin(text, _LINE_BYTES))
+    if len(bad):
+        row = int((text[: bad[0]] == ord("\n")).sum())
+        message = f"element vertex, row {row}: expected ASCII, found byte 0x{text[bad[0]]:02X}"
+        raise PlyError(path, "bad_payload", message)
 
 
 def format_rows(records: NDArray[np.void]) -> bytes:  # [B]

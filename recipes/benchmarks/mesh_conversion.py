@@ -95,7 +95,7 @@ def main(options: Options) -> None:
     paths = mesh_paths(options)
     _warm_up()
     for number, path in enumerate(paths):
-        mesh = load_mesh(options.data / path)
+        mesh = load_mesh(options.data / path, allow_outside=options.data)
         frame, cameras = views_of(mesh, path, options.size_px)
         truth = _truth(options, path, frame, cameras)
         for mode in options.modes:
@@ -134,7 +134,10 @@ def mesh_paths(options: Options) -> list[str]:
     textured = [
         path
         for path in paths
-        if any(part.texture is not None for part in load_mesh(options.data / path).parts)
+        if any(
+            part.texture is not None
+            for part in load_mesh(options.data / path, allow_outside=options.data).parts
+        )
     ]
     if not textured:
         raise UserError(f"{manifest}: no textured mesh fits {options.only}")
@@ -231,7 +234,7 @@ def _truth(options: Options, path: str, frame: ObjectFrame, cameras: Cameras) ->
         with np.load(cached) as stored:
             color = stored["color"].astype(np.float32) / 65535
             return Truth(color, stored["coverage"].astype(np.float32) / 255)
-    whole = load_mesh(options.data / path, max_texture_px=16_384)
+    whole = load_mesh(options.data / path, max_texture_px=16_384, allow_outside=options.data)
     truth = cast_mesh(whole, frame, cameras, options.ray_samples)
     if cached is not None:
         cached.parent.mkdir(parents=True, exist_ok=True)

@@ -144,7 +144,9 @@ def _covered_mesh(data_dir: Path, entry: Entry) -> Splats:
     """Cover a mesh with discs, softly lit from above."""
     texture = None if entry.texture is None else data_dir / entry.texture
     colors: GltfColors = "linear" if entry.has_linear_colors else "srgb"
-    mesh = load_mesh(data_dir / entry.path, texture=texture, gltf_colors=colors)
+    mesh = load_mesh(
+        data_dir / entry.path, texture=texture, gltf_colors=colors, allow_outside=data_dir
+    )
     x, y, z = (up_rotation(entry.up).T @ torch.tensor(LIGHT_Z_UP, dtype=torch.float64)).tolist()
     light = BakedLight((x, y, z)) if entry.is_shaded else None
     return mesh_to_discs(mesh, SPLATS_PER_MESH, light=light)

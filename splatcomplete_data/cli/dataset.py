@@ -40,6 +40,9 @@ class BuildOptions:
     """Objects made at a time; None = one per processor, at most 8."""
     only: tuple[str, ...] = ()
     """Ids of objects to build; none = all."""
+    allow_outside: Path | None = None
+    """Folder below which files that the recipe, a mesh or a capture names are read beside those
+    below --data and below the mesh's or capture's own folder; None = --data."""
     json: bool = False
     """Print one JSON object on standard output and nothing else there."""
 
@@ -107,6 +110,7 @@ def run_build(options: BuildOptions) -> int:
             options.out,
             workers=workers,
             only=options.only,
+            allow_outside=options.allow_outside,
             on_outcome=show,
         )
     counts = Counter(outcome.status for outcome in outcomes)

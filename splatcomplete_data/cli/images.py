@@ -50,6 +50,9 @@ class ImagesOptions:
     """Folder of masks, NAME.png for every photo; None = `masks` in or beside DIR, if there."""
     mask_means: Literal["object", "ignore"] = "object"
     """object: outside the mask there shall be nothing. ignore: what is outside does not count."""
+    allow_outside: Path | None = None
+    """Folder below which photos and masks that a transforms.json or a COLMAP model names are read,
+    too; None = only those below DIR."""
     max_side: int = 640
     """Photos are scaled down to this longest side in pixels; time grows with its square."""
     hold_out: int = 0
@@ -151,6 +154,7 @@ def make_request(options: ImagesOptions) -> Request:
         poses=options.poses,
         masks=options.masks,
         mask_means=options.mask_means,
+        allow_outside=options.allow_outside,
         max_side_px=options.max_side,
         hold_out=options.hold_out,
         start=options.start,

@@ -56,6 +56,9 @@ class MeshOptions(ObjectOptions):
     scan:AZ/EL[,AZ/EL...]."""
     texture: Path | None = None
     """Picture for a mesh whose file lost its own."""
+    allow_outside: Path | None = None
+    """Folder below which files that the mesh names (textures, materials, buffers) are read, too;
+    None = only those below its own folder."""
     gltf_colors: Literal["linear", "srgb"] = "linear"
     """srgb for glTF files whose exporter wrote sRGB numbers as factors."""
     light: bool = False
@@ -111,7 +114,12 @@ def make(options: MeshOptions, enter: Enter = stay_silent) -> Made:
 
     cuts = [parse_cut(text) for text in options.cut]
     enter("reading", 0.0)
-    mesh = load_mesh(options.file, texture=options.texture, gltf_colors=options.gltf_colors)
+    mesh = load_mesh(
+        options.file,
+        texture=options.texture,
+        gltf_colors=options.gltf_colors,
+        allow_outside=options.allow_outside,
+    )
     repairs: tuple[StepRecord, ...] = ()
     if options.repair:
         from splatcomplete_data.mesh.repair import repair_mesh

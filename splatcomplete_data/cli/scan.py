@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from gscomplete.cli.complete import parse_numbers
+from gscomplete.cli.parse import parse_numbers
 from gscomplete.errors import UserError
 from gscomplete.views import UpAxis, axis_direction
 from splatcomplete_data.cli.common import (

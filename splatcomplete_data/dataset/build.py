@@ -44,6 +44,7 @@ from splatcomplete_data.dataset.recipe import Entry, Recipe
 from splatcomplete_data.mesh.files.side_files import side_files
 from splatcomplete_data.multiview.capture_folder import clear_capture
 from splatcomplete_data.multiview.photos.capture import find_masks
+from splatcomplete_data.named_files import Reach
 from splatcomplete_data.objects import RECORD_FILE, read_record, record_of_file
 from splatcomplete_data.pictures import allow_large_pictures
 
@@ -73,6 +74,7 @@ def build(
     *,
     workers: int,
     only: tuple[str, ...] = (),
+    allow_outside: Path | None = None,
     on_outcome: Callable[[Outcome, int, int], None] = lambda outcome, done, total: None,
 ) -> list[Outcome]:
     """Build what is not up to date.
@@ -83,13 +85,17 @@ def build(
         out: the dataset folder.
         workers: processes at a time.
         only: ids to build; none = all.
+        allow_outside: folder below which files that the recipe names are read beside those below
+            ``data``, and files that a mesh or capture names beside those below its own folder;
+            None = ``data``.
         on_outcome: called with each outcome, and how many of how many are done.
 
     Returns:
         The outcomes in the recipe's order; failures do not stop the others.
 
     Raises:
-        UserError: a folder is missing or cannot be written, or ``only`` names no object.
+        UserError: a folder is missing or cannot be written, ``only`` names no object, or an entry
+            names a file out of reach.
     """
     if not data.is_dir():
         raise UserError(f"{data}: --data: expected the folder of the sources, found none")
@@ -99,6 +105,9 @@ def build(
     if workers < 1:
         raise UserError(f"--workers: expected 1 or more, found {workers}")
     data, out = data.resolve(), out.resolve()
+    reach = data if allow_outside is None else allow_outside.resolve()
+    for entry in (*recipe.captures, *recipe.objects):
+        entry.check_reach(data, reach)
     state = out / STATE_FOLDER
     try:
         (state / CAPTURE_FOLDER).mkdir(parents=True, exist_ok=True)
@@ -117,10 +126,10 @@ def build(
         on_outcome(outcome, done, total)
 
     failed: dict[str, str] = {}
-    for outcome in _run_all(captures, data, out, 1, {}, tell):
+    for outcome in _run_all(captures, data, out, reach, 1, {}, tell):
         if outcome.status == "failed":
             failed[outcome.id] = outcome.message
-    for outcome in _run_all(objects, data, out, workers, failed, tell):
+    for outcome in _run_all(objects, data, out, reach, workers, failed, tell):
         outcomes[outcome.id] = outcome
     write_index(recipe, out)
     return [
@@ -150,12 +159,12 @@ def write_index(recipe: Recipe, out: Path) -> None:
         jsonio.write_json(path, content)
 
 
-def fingerprint(entry: Entry, data: Path, out: Path) -> str:
+def fingerprint(entry: Entry, data: Path, out: Path, reach: Path | None = None) -> str:
     """Return the hash of everything that decides an entry's result.
 
     Folders count with the names and hashes of their files, meshes with those of the files they
-    name (materials, textures, buffers; also that one is missing), captures with the hash of their
-    splats, photos with the masks that are found beside them.
+    name (materials, textures, buffers; also that one is missing or out of ``reach``), captures with
+    the hash of their splats, photos with the masks that are found beside them.
     """
     digest = hashlib.sha256()
     digest.update(json.dumps([__version__, entry.command, entry.values], sort_keys=True).encode())
@@ -171,17 +180,18 @@ def fingerprint(entry: Entry, data: Path, out: Path) -> str:
         inner = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())
         for file in inner:
             digest.update(f"{file.relative_to(path.parent)} {sha256_of(file)}\n".encode())
-        for name, file in side_files(path).items():
-            content = sha256_of(file) if file.is_file() else "missing"
+        near = Reach.of(path, reach)
+        for name, file in side_files(path, near).items():
+            content = sha256_of(file) if near.reads(file) else near.refusal(file) or "missing"
             digest.update(f"{name} {content}\n".encode())
     return digest.hexdigest()
 
 
-def is_up_to_date(entry: Entry, data: Path, out: Path) -> bool:
+def is_up_to_date(entry: Entry, data: Path, out: Path, reach: Path | None = None) -> bool:
     """Tell whether an entry's folder is whole and made from the same things."""
     with contextlib.suppress(UserError, OSError, KeyError, TypeError):
         state = jsonio.read_json(out / STATE_FOLDER / f"{entry.id}.json")
-        if state["fingerprint"] != fingerprint(entry, data, out):
+        if state["fingerprint"] != fingerprint(entry, data, out, reach):
             return False
         if entry.is_capture:
             return bool(state["result"] == sha256_of(_folder(entry, out) / "splats.ply"))
@@ -202,6 +212,7 @@ def _run_all(
     entries: list[Entry],
     data: Path,
     out: Path,
+    reach: Path | None,
     workers: int,
     failed: dict[str, str],
     tell: Callable[[Outcome], None],
@@ -218,7 +229,7 @@ def _run_all(
         broken = [name for name in entry.captures() if name in failed]
         if broken:
             settle(Outcome(entry.id, "failed", f"its capture {broken[0]!r} failed"))
-        elif is_up_to_date(entry, data, out):
+        elif is_up_to_date(entry, data, out, reach):
             settle(Outcome(entry.id, "up to date"))
         else:
             waiting.append(entry)
@@ -232,7 +243,7 @@ def _run_all(
         os.environ.update(OMP_NUM_THREADS=share, NUMBA_NUM_THREADS=share)
         with ProcessPoolExecutor(count, get_context("spawn"), _enter, (str(data),)) as pool:
             futures: dict[Future[Outcome], Entry] = {
-                pool.submit(_make, entry, str(out)): entry for entry in batch
+                pool.submit(_make, entry, str(out), reach): entry for entry in batch
             }
             try:
                 for future in as_completed(futures):
@@ -267,15 +278,17 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _make(entry: Entry, out_text: str) -> Outcome:
+def _make(entry: Entry, out_text: str, reach: Path | None = None) -> Outcome:
     """Make one entry in a worker; never raises."""
     out = Path(out_text)
     folder, state_file = _folder(entry, out), out / STATE_FOLDER / f"{entry.id}.json"
     said = io.StringIO()
     claimed = False
     try:
-        print_ = fingerprint(entry, Path(), out)
+        print_ = fingerprint(entry, Path(), out, reach)
         options = entry.options(folder, out / STATE_FOLDER / CAPTURE_FOLDER)
+        if hasattr(options, "allow_outside"):
+            options = dataclasses.replace(options, allow_outside=reach)
         if entry.is_capture:
             options = _begin_capture(state_file, print_, options)
         else:

@@ -9,12 +9,15 @@ Conventions
 * Paths are relative to the data folder given to ``build``. ``capture:ID`` names what a capture
   wrote; captures are made before all objects and are no part of the dataset.
 * Options are checked before anything is built: an unknown one is an error that names the entry.
+* A recipe names nothing outside the data folder, unless the user allows it (``named_files``). Links
+  within the data folder are the user's, and followed.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import importlib
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,7 +37,7 @@ OBJECT_COMMANDS = {
     "scan": "ScanOptions",
 }
 CAPTURE_COMMANDS = {"images": "ImagesOptions"}
-_RESERVED = ("out", "json", "overwrite", "resume", "propose")
+_RESERVED = ("out", "json", "overwrite", "resume", "propose", "allow_outside")
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +79,30 @@ class Entry:
         """Return the ids of the captures that the entry needs."""
         found = [v for v in self.values.values() if isinstance(v, str)]
         return tuple(v.removeprefix(CAPTURE_PREFIX) for v in found if v.startswith(CAPTURE_PREFIX))
+
+    def check_reach(self, data: Path, allowed: Path | None) -> None:
+        """Check that the options name no path outside the data folder.
+
+        Args:
+            data: the data folder.
+            allowed: a folder below which paths may be, too.
+
+        Raises:
+            UserError: one does; the message names it.
+        """
+        folders = [os.path.abspath(folder) for folder in (data, allowed) if folder is not None]
+        options = self.options(Path("out"), data)  # what captures wrote is no path of the recipe's
+        for field in dataclasses.fields(options):
+            value = getattr(options, field.name)
+            is_path = isinstance(value, Path) or field.name == "poses"
+            if field.name == "out" or not is_path:
+                continue
+            path = os.path.abspath(data / value)
+            if not any(os.path.commonpath([path, folder]) == folder for folder in folders):
+                raise UserError(
+                    f"recipe entry {self.id!r}: {field.name}: {value} lies outside {folders[0]} "
+                    f"and is not read (to read it: --allow-outside {os.path.dirname(path)})"
+                )
 
     def sources(self, data: Path) -> tuple[Path, ...]:
         """Return the files and folders below ``data`` that the options name."""

@@ -86,6 +86,8 @@ class Request:
     poses: str = "auto"
     masks: Path | None = None  # None = looked for beside the photos
     mask_means: MaskMeaning = "object"
+    allow_outside: Path | None = None
+    """Folder below which files that a transforms.json names are read, too."""
     max_side_px: int = 640
     hold_out: int = 0
     """Every this many-th photo is kept for measuring; 0 = all are trained on."""
@@ -137,7 +139,13 @@ def _set_up(
     work = request.out / SFM_FOLDER
     # Training that has begun goes on from its own poses and points only.
     capture = open_capture(
-        request.images, request.poses, work, request.sfm, progress, anew=not begun
+        request.images,
+        request.poses,
+        work,
+        request.sfm,
+        progress,
+        anew=not begun,
+        allow_outside=request.allow_outside,
     )
     timings = {"poses_s": time.perf_counter() - started}
     started = time.perf_counter()

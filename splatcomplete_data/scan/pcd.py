@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
+from gscomplete.util.limits import check_decoded_bytes
 from gscomplete.views import UpAxis
 from splatcomplete_data.scan.cloud import PointCloud, grey_colors, unit_colors
 
@@ -32,6 +33,8 @@ _PINHOLE = 0.99
 _FEWEST_ORGANISED = 100
 _TYPES = {"F": "f", "U": "u", "I": "i"}
 _MAX_POINTS = 2**31
+_MAX_COUNT = 65_536
+"""Values of one field of a point; PCL's longest descriptors have 1,980."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +139,7 @@ def lzf_decompress(packed: bytes, size: int) -> bytes:
     out = bytearray()
     position, end = 0, len(packed)
     try:
-        while position < end:
+        while position < end and len(out) <= size:
             control = packed[position]
             position += 1
             if control < 32:
@@ -193,8 +196,11 @@ def _parse_header(raw: bytes, path: Path) -> _Header:
         raise UserError(f"{path}: PCD header: missing or malformed entry ({error})") from error
     if not len(names) == len(dtypes) == len(counts) or not 0 <= points < _MAX_POINTS:
         raise UserError(f"{path}: PCD header: FIELDS, SIZE, TYPE, COUNT and POINTS do not agree")
-    if min(counts, default=0) < 1:
-        raise UserError(f"{path}: PCD header: COUNT: expected positive numbers")
+    if not all(1 <= count <= _MAX_COUNT for count in counts):
+        raise UserError(
+            f"{path}: PCD header: COUNT: expected 1 to {_MAX_COUNT:,} values a field, found "
+            f"{' '.join(map(str, counts))}"
+        )
     viewpoint = _viewpoint(entries.get("VIEWPOINT", []))
     return _Header(names, dtypes, counts, points, data, offset, viewpoint, _shape(entries))
 
@@ -236,6 +242,7 @@ def _columns(body: bytes, header: _Header, path: Path) -> dict[str, NDArray[np.g
         raise UserError(
             f"{path}: DATA: expected ascii, binary or binary_compressed, found {header.data}"
         )
+    check_decoded_bytes(path, expected, "compressed data")
     sizes = [int.from_bytes(body[start : start + 4], "little") for start in (0, 4)]
     if len(body) < 8 + sizes[0] or sizes[1] != expected:
         raise UserError(f"{path}: compressed data: {expected} bytes do not fit what is there")

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from gscomplete.errors import UserError
+from gscomplete.util.limits import check_decoded_bytes
 from splatcomplete_data.optional import import_optional
 
 DepthKind = Literal["metric", "disparity", "inverse"]
@@ -33,6 +34,10 @@ MILLIMETRE = 0.001
 _ENDLESS = 1e9
 """Floats from here on stand for infinity."""
 _LARGEST_16_BIT = 65535
+MAX_PIXELS = 2**26
+"""Depth images with more, 8192 x 8192, are refused."""
+_MAX_CHANNELS = 64
+_READ_FROM_NPZ = ("depth", "disparity", "disp", "arr_0", "image", "intrinsics", "conf")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +69,8 @@ def read_depth(path: Path, frame: int = 0) -> DepthImage:
         if suffix == ".npz":
             image = _read_npz(path, frame)
         elif suffix == ".npy":
-            image = _plain(np.load(path, allow_pickle=False), frame, path)
+            values = np.load(path, mmap_mode="r", allow_pickle=False)
+            image = _plain(np.asarray(values), frame, path)
         elif suffix in (".exr", ".tif", ".tiff"):
             image = _plain(_read_oiio(path), 0, path)
         elif suffix in (".png", ".pgm"):
@@ -140,6 +146,7 @@ def _plain(values: NDArray[np.generic], frame: int, path: Path) -> DepthImage:
         values = values[frame]
     if values.ndim != 2 or 0 in values.shape:
         raise UserError(f"{path}: depth: expected height x width, found shape {values.shape}")
+    _check_pixels(path, values.shape[1], values.shape[0])
     is_integer = bool(np.issubdtype(values.dtype, np.integer))
     numbers = values.astype(np.float64)
     endless = np.isfinite(numbers) & (numbers >= (_LARGEST_16_BIT if is_integer else _ENDLESS))
@@ -154,6 +161,9 @@ def _read_npz(path: Path, frame: int) -> DepthImage:
     """Read an NPZ: Depth Anything 3's results, or any with one array or one called depth."""
     with np.load(path, allow_pickle=False) as data:
         names = list(data.files)
+        for member in data.zip.infolist():
+            if member.filename.removesuffix(".npy") in _READ_FROM_NPZ or len(names) == 1:
+                check_decoded_bytes(path, member.file_size, member.filename)
         key = next((n for n in ("depth", "disparity", "disp", "arr_0") if n in names), None)
         if key is None and len(names) == 1:
             key = names[0]
@@ -187,6 +197,18 @@ def _read_npz(path: Path, frame: int) -> DepthImage:
     )
 
 
+def _check_pixels(path: Path, width: int, height: int) -> None:
+    """Refuse a picture that would fill the memory.
+
+    Raises:
+        UserError: it has too many pixels.
+    """
+    if width * height > MAX_PIXELS:
+        raise UserError(
+            f"{path}: depth: expected at most {MAX_PIXELS:,} pixels, found {width} x {height}"
+        )
+
+
 def _bytes(color: NDArray[np.generic]) -> NDArray[np.uint8]:
     """Return a picture's bytes; floats up to 1 are shares of 255."""
     if np.issubdtype(color.dtype, np.floating):
@@ -198,6 +220,7 @@ def _bytes(color: NDArray[np.generic]) -> NDArray[np.uint8]:
 def _read_picture(path: Path) -> NDArray[np.generic]:
     """Read a PNG or PGM of 16 or 32 bits."""
     with Image.open(path) as image:
+        _check_pixels(path, *image.size)
         if image.mode in ("1", "L"):
             raise UserError(_too_few_bits(path))
         if image.mode != "F" and not image.mode.startswith("I"):
@@ -232,6 +255,12 @@ def _read_oiio(path: Path) -> NDArray[np.generic]:
     if source is None:
         raise UserError(f"{path}: cannot read it ({oiio.geterror()})")
     spec = source.spec()
+    _check_pixels(path, spec.width, spec.height)
+    if spec.nchannels * spec.depth > _MAX_CHANNELS:
+        raise UserError(
+            f"{path}: depth: expected at most {_MAX_CHANNELS} channels, found "
+            f"{spec.nchannels} x {spec.depth}"
+        )
     names = [name.lower() for name in spec.channelnames]
     is_float = str(spec.format) in ("float", "half", "double")
     if str(spec.format) in ("uint8", "int8"):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-SAMPLE = Path(__file__).resolve().parents[1] / "recipes/demo/partial.ply"
+SAMPLE = Path(__file__).resolve().parents[2] / "recipes/demo/partial.ply"
 SPY = """
 import importlib.abc, os, sys
 class Spy(importlib.abc.MetaPathFinder):

@@ -82,6 +82,14 @@ def test_normals_of_zeros_are_no_loss(
     assert "lost" not in convert(tmp_path, make_ply(table, form), capsys)
 
 
+def test_a_negative_scale_is_named(tmp_path: Path) -> None:
+    row = np.zeros(1, [("xyz", "<f4", 3), ("scale", "<f4", 3), ("bytes", "u1", 8)])
+    row["scale"], row["bytes"] = (0.1, -0.1, 0.1), 200
+    row.tofile(tmp_path / "a.splat")
+    with pytest.raises(UserError, match=r"a\.splat: scale: expected no negative one, found 1"):
+        read_any_splats(tmp_path / "a.splat")
+
+
 def test_odd_files_are_user_errors(tmp_path: Path) -> None:
     for name, content in (("a.splat", bytes(33)), ("b.spz", b"\x1f\x8b bad"), ("c.splat", b"")):
         (tmp_path / name).write_bytes(content)

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from gscomplete.errors import UserError
 from gscomplete.splats import PlyError, append_splats, read_splats
-from tests.splats.ply_files import FORMATS, make_ply, make_splats, random_table
+from gscomplete.splats.validation import validate_file
+from tests.splats.ply_files import FORMATS, make_ply, make_splats, random_table, schema
 
 DATA = (Path(__file__).resolve().parents[2] / "../shared/data").resolve()
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="shared/data is absent")
@@ -162,6 +163,20 @@ def test_mutated_files_read_or_give_a_user_error(tmp_path, form, mutations):
     if not any("integer" in warning for warning in file.warnings):
         append_splats(tmp_path / "n.ply", file, make_splats(1))
         assert read_splats(tmp_path / "n.ply").n_rows == file.n_rows + 1
+
+
+@pytest.mark.parametrize("byte", [0xA0, 0x85, 0x1C, 0x00, 0xFF])
+def test_what_is_no_ascii_is_refused_by_reading_and_validating(tmp_path, byte):
+    """NumPy splits rows at the byte 0xA0 of Latin-1, ``bytes.split`` does not."""
+    properties = "".join(f"property float {name}\n" for name in schema(0))
+    row = b"1 " * (len(schema(0)) - 1) + b"1\n"
+    head = f"ply\nformat ascii 1.0\nelement vertex 2\n{properties}end_header\n".encode()
+    (tmp_path / "a.ply").write_bytes(head + row + row.replace(b" ", bytes([byte]), 1))
+    message = f"row 1: expected ASCII, found byte 0x{byte:02X}"
+    with pytest.raises(PlyError, match=message):
+        read_splats(tmp_path / "a.ply")
+    (finding,) = validate_file(tmp_path / "a.ply").findings
+    assert message in finding.message
 
 
 @needs_data

@@ -11,6 +11,7 @@ Conventions
 from __future__ import annotations
 
 import hashlib
+import zipfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -133,6 +134,10 @@ def fingerprint(paths: Iterable[Path]) -> str:
 def _read_torch(path: Path) -> dict[str, Tensor]:
     """Read PyTorch's file of named tensors; older forms cannot be mapped and are read whole."""
     try:
+        if zipfile.is_zipfile(path):
+            with zipfile.ZipFile(path) as archive:
+                if any(member.compress_type for member in archive.infolist()):
+                    raise ValueError("its members are compressed, which PyTorch never writes")
         try:
             data = torch.load(path, map_location="cpu", weights_only=True, mmap=True)
         except RuntimeError as error:

@@ -7,18 +7,35 @@ Conventions
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
 from gscomplete.errors import UserError
 from splatcomplete_data.mesh.files.side_files import gltf_text, side_files
 from splatcomplete_data.mesh.files.textures import open_image
+from splatcomplete_data.named_files import Reach
 
 GLTF_SUFFIXES = (".gltf", ".glb")
+MESH_SUFFIXES = (*GLTF_SUFFIXES, ".obj", ".ply", ".stl", ".dae", ".off")
+_MAX_ZEROS = 2**24
+"""Most elements of a glTF accessor without data, which stands for zeros: no mesh needs them."""
 _PICTURE_SUFFIXES = (
     *(".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff", ".gif", ".tga", ".dds"),
     *(".exr", ".hdr", ".ktx", ".ktx2", ".jp2", ".ppm"),
 )
+
+
+def check_suffix(path: Path) -> None:
+    """Refuse what is no mesh by its name; trimesh would open archives of anything.
+
+    Raises:
+        UserError: it is none.
+    """
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise UserError(
+            f"{path}: expected a mesh ({', '.join(MESH_SUFFIXES)}), found suffix {path.suffix!r}"
+        )
 
 
 def check_not_splats(path: Path) -> None:
@@ -46,6 +63,7 @@ def refuse_unknown_geometry(path: Path) -> None:
     if path.suffix.lower() not in GLTF_SUFFIXES:
         return
     text = gltf_text(path)
+    _check_zeros(path, text)
     for name in ("KHR_draco_mesh_compression", "EXT_meshopt_compression"):
         if name in text:
             raise UserError(
@@ -59,10 +77,32 @@ def refuse_unknown_geometry(path: Path) -> None:
         )
 
 
-def lost_files(path: Path) -> Iterator[str]:
-    """Yield a note for every file that a mesh file names and that is missing or unreadable."""
-    for name, file in side_files(path).items():
-        if not file.exists():
+def _check_zeros(path: Path, text: str) -> None:
+    """Refuse accessors that are large and hold nothing.
+
+    Raises:
+        UserError: there is one.
+    """
+    try:
+        accessors = json.loads(text).get("accessors", [])
+        counts = [(i, a.get("count", 0), "bufferView" in a) for i, a in enumerate(accessors)]
+    except (ValueError, AttributeError, TypeError, RecursionError):
+        return  # what reads the file says what is wrong with it
+    for index, count, has_data in counts:
+        if not has_data and isinstance(count, int | float) and count > _MAX_ZEROS:
+            raise UserError(
+                f"{path}: accessors[{index}]: expected at most {_MAX_ZEROS:,} elements without a "
+                f"bufferView, found {count:,}"
+            )
+
+
+def lost_files(path: Path, reach: Reach) -> Iterator[str]:
+    """Yield a note for every file that a mesh names and that is missing or not read."""
+    for name, file in side_files(path, reach).items():
+        refusal = reach.refusal(file)
+        if refusal is not None:
+            yield f"file {name} {refusal}: parts of the mesh are without it"
+        elif not file.exists():
             yield f"missing file {name}: parts of the mesh are without their texture or material"
         elif file.suffix.lower() in _PICTURE_SUFFIXES:
             try:

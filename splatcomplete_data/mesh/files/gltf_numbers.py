@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splatcomplete_data.mesh.files.side_files import beside, gltf_binary, gltf_text
+from splatcomplete_data.named_files import Reach
 
 FloatArray = NDArray[np.float64]
 
@@ -47,17 +48,18 @@ class OwnNumbers:
     """Whether a colour texture lies within the file itself."""
 
 
-def own_numbers(path: Path) -> OwnNumbers:
+def own_numbers(path: Path, reach: Reach) -> OwnNumbers:
     """Return the texture coordinates and ranges that trimesh does not read as the file means them.
 
     Args:
         path: a glTF or GLB file that trimesh has read.
+        reach: where its buffers are read.
 
     Raises:
         ValueError: or an IndexError, KeyError, TypeError or AttributeError: the file is damaged.
         OSError: a buffer cannot be read.
     """
-    file = _Gltf(path)
+    file = _Gltf(path, reach)
     primitives = [
         primitive
         for mesh in file.header.get("meshes", [])
@@ -74,9 +76,9 @@ def own_numbers(path: Path) -> OwnNumbers:
 class _Gltf:
     """A glTF file's header, and its buffers as they are asked for."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, reach: Reach) -> None:
         """Read the header."""
-        self.path = path
+        self.path, self.reach = path, reach
         self.header: Any = json.loads(gltf_text(path))
         self.buffers: dict[int, bytes] = {}
 
@@ -147,7 +149,11 @@ class _Gltf:
             elif uri.startswith("data:"):
                 self.buffers[index] = base64.b64decode(uri.partition("base64,")[2])
             else:
-                self.buffers[index] = beside(self.path, uri).read_bytes()
+                file = beside(self.path, uri)
+                refusal = self.reach.refusal(file)
+                if refusal is not None:
+                    raise ValueError(f"file {uri} {refusal}")
+                self.buffers[index] = file.read_bytes()
         return self.buffers[index]
 
 

@@ -20,7 +20,7 @@ from typing import Literal
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from trimesh.resolvers import FilePathResolver
+from trimesh.resolvers import Resolver
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats
@@ -32,8 +32,14 @@ from splatcomplete_data.mesh.discs import (
 )
 from splatcomplete_data.mesh.files import file_checks
 from splatcomplete_data.mesh.files.parts import MeshPart, PartReader
-from splatcomplete_data.mesh.files.side_files import material_libraries, side_files, without_options
+from splatcomplete_data.mesh.files.side_files import (
+    beside,
+    material_libraries,
+    side_files,
+    without_options,
+)
 from splatcomplete_data.mesh.files.textures import open_image
+from splatcomplete_data.named_files import Reach
 from splatcomplete_data.points import Offset, offset_for_float32
 
 FloatArray = NDArray[np.float32]
@@ -91,14 +97,17 @@ def load_mesh(
     texture: Path | None = None,
     gltf_colors: GltfColors = "linear",
     max_texture_px: int = MAX_TEXTURE_PX,
+    allow_outside: Path | None = None,
 ) -> Mesh:
     """Read a mesh file.
 
     Args:
-        path: the file; materials and textures are found through it, also outside its folder.
+        path: the file; materials, textures and buffers are found through it.
         texture: image that replaces the base colour of every part, for files that lost theirs.
         gltf_colors: how a glTF's factors and vertex colours are to be read.
         max_texture_px: larger textures are reduced to this side.
+        allow_outside: folder below which files that the mesh names are read, too; None = only
+            those below its own folder. Others are told in notes.
 
     Raises:
         UserError: the file cannot be read, or has no surface (a Draco-compressed file without a
@@ -110,15 +119,17 @@ def load_mesh(
         )
     if path.stat().st_size == 0:
         raise UserError(f"{path}: expected a mesh file, found an empty file")
+    file_checks.check_suffix(path)
     file_checks.check_not_splats(path)
     file_checks.refuse_unknown_geometry(path)
+    reach = Reach.of(path, allow_outside)
     try:
-        resolver = _NamedFiles(str(path), allow_anywhere=True)
+        resolver = _NamedFiles(path, reach)
         scene = trimesh.load_scene(str(path), resolver=resolver)
     except Exception as error:  # trimesh raises whatever its format readers happen to raise
         raise UserError(f"{path}: cannot read it as a mesh ({error})") from error
     is_gltf = path.suffix.lower() in file_checks.GLTF_SUFFIXES
-    reader = PartReader(path, is_gltf and gltf_colors == "linear", max_texture_px)
+    reader = PartReader(path, is_gltf and gltf_colors == "linear", max_texture_px, reach)
     if texture is not None:
         reader.override = reader.texture_array(open_image(texture), True)
     try:
@@ -134,7 +145,7 @@ def load_mesh(
         raise UserError(
             f"{path}: expected a surface, found no usable triangle ({found}; a point cloud?)"
         )
-    notes = [*file_checks.lost_files(path), *dict.fromkeys(reader.notes)]
+    notes = [*file_checks.lost_files(path, reach), *dict.fromkeys(reader.notes)]
     return Mesh(parts, tuple(notes), reader.degenerate, reader.non_finite, reader.offset)
 
 
@@ -180,38 +191,54 @@ def mesh_to_discs(
     return discs_at(points[kept], unit[kept].astype(np.float32), colors[kept], spacing, settings)
 
 
-class _NamedFiles(FilePathResolver):
-    """Finds the files that a mesh file names also where trimesh does not understand the name."""
+class _NamedFiles(Resolver):
+    """Finds the files that a mesh names, also where trimesh does not understand the name."""
+
+    def __init__(self, path: Path, reach: Reach) -> None:
+        self.path, self.reach = path, reach
+        self.file_path, self.file_name = str(path), path.name
 
     @functools.cached_property
     def libraries(self) -> dict[str, Path]:
         """The material libraries of an OBJ; trimesh asks for the first line's alone."""
-        path = Path(self.file_path)
-        return material_libraries(path) if path.suffix.lower() == ".obj" else {}
+        return material_libraries(self.path) if self.path.suffix.lower() == ".obj" else {}
 
     @functools.cached_property
     def named(self) -> dict[str, Path]:
         """The files by the names in the mesh file."""
-        return side_files(Path(self.file_path))
+        return side_files(self.path, self.reach)
 
     def get(self, name: str) -> bytes:
         """Return a file's bytes.
 
         Raises:
-            FileNotFoundError: there is no such file.
+            FileNotFoundError: there is no such file, or it may not be read.
         """
         if len(self.libraries) > 1 and name.strip().lower().endswith(".mtl"):
-            found = [file.read_bytes() for file in self.libraries.values() if file.is_file()]
+            found = [f.read_bytes() for f in self.libraries.values() if self.reach.reads(f)]
             if found:
                 return b"\n".join(found)
-        try:
-            content: bytes = super().get(name)
-        except FileNotFoundError:
-            file = self.named.get(without_options(name))
-            if file is None or not file.is_file():
-                raise
-            content = file.read_bytes()
-        return content
+        plain = beside(self.path, name)
+        places = [plain, self.path.parent / name.strip(), self.path.parent / plain.name]
+        if without_options(name) in self.named:
+            places.append(self.named[without_options(name)])
+        for place in places:
+            if self.reach.reads(place):
+                return place.read_bytes()
+        refusal = self.reach.refusal(plain) or "is missing"
+        raise FileNotFoundError(f"file {name} {refusal}")
+
+    def keys(self) -> list[str]:
+        """List the files that the mesh names."""
+        return list(self.named)
+
+    def namespaced(self, namespace: str) -> _NamedFiles:
+        """Return this: names are relative to the mesh, whatever asks."""
+        return self
+
+    def write(self, name: str, data: str | bytes) -> None:
+        """Refuse: nothing is written here."""
+        raise PermissionError(name)
 
 
 def _offset(placed: Iterator[tuple[str, NDArray[np.float64]]]) -> Offset | None:

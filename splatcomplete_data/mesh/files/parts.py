@@ -36,6 +36,7 @@ from splatcomplete_data.mesh.files.textures import (
     unit_colors,
     unit_rgb,
 )
+from splatcomplete_data.named_files import Reach
 from splatcomplete_data.pictures import UNREADABLE
 from splatcomplete_data.points import Offset
 
@@ -79,6 +80,7 @@ class PartReader:
     path: Path
     is_linear: bool
     max_texture_px: int
+    reach: Reach
     override: FloatArray | None = None
     notes: list[str] = field(default_factory=list)
     degenerate: int = 0
@@ -94,7 +96,7 @@ class PartReader:
 
     def read_numbers(self, scene: Any) -> None:
         """Read the numbers of a glTF file that trimesh does not read as the file means them."""
-        own, geometries = own_numbers(self.path), scene.geometry
+        own, geometries = own_numbers(self.path, self.reach), scene.geometry
         if len(own.coordinates) == len(geometries):
             for (name, geometry), uv in zip(geometries.items(), own.coordinates, strict=True):
                 if uv is not None and len(uv) == len(geometry.vertices):

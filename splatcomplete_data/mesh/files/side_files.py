@@ -4,7 +4,8 @@ Conventions
 -----------
 * Names are relative to the file that holds them, with ``/`` or ``\``, quoted or percent-encoded,
   with or without ``file://``, as exporters write them.
-* Only the mesh's own text is read; a file that is not there is listed all the same.
+* Only the mesh's own text and its material libraries within reach (``named_files``) are read; a
+  file that is not there, or may not be read, is listed all the same.
 * An OBJ may name several material libraries, in lines of their own or in one.
 """
 
@@ -13,6 +14,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 from urllib.parse import unquote
+
+from splatcomplete_data.named_files import Reach
 
 _MTL_MAPS = re.compile(
     r"^\s*(?:map_\w+|bump|disp|decal|refl|norm)\s+(.+?)\s*$", re.MULTILINE | re.IGNORECASE
@@ -25,11 +28,12 @@ _PLY_TEXTURES = re.compile(r"^comment\s+TextureFile\s+(.+?)\s*$", re.MULTILINE)
 _PLY_HEAD_BYTES = 4096
 
 
-def side_files(path: Path) -> dict[str, Path]:
+def side_files(path: Path, reach: Reach | None = None) -> dict[str, Path]:
     """Return the files that a mesh file names, by the names in it, in order.
 
     Args:
         path: a mesh file; any other file, or none, names nothing.
+        reach: where material libraries are read; None = below the mesh's folder.
 
     Raises:
         OSError: the file cannot be read.
@@ -47,9 +51,10 @@ def side_files(path: Path) -> dict[str, Path]:
         return _found(path, _PLY_TEXTURES.findall(head.decode("utf-8", "replace")))
     if suffix != ".obj":
         return {}
+    reach = reach or Reach.of(path)
     files = material_libraries(path)
     for library in list(files.values()):
-        if library.is_file():
+        if reach.reads(library):
             maps = [without_options(line) for line in _MTL_MAPS.findall(read_text(library))]
             files |= _found(library, maps)
     return files

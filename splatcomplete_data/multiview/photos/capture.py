@@ -50,6 +50,7 @@ def open_capture(
     progress: Progress | None = None,
     *,
     anew: bool = True,
+    allow_outside: Path | None = None,
 ) -> Capture:
     """Open a capture.
 
@@ -60,6 +61,8 @@ def open_capture(
         sfm: knobs of structure from motion; None = defaults.
         progress: told about its stages.
         anew: as in ``find_poses``.
+        allow_outside: folder below which files that a transforms.json or a COLMAP model names are
+            read, too; None = only those below the folder.
 
     Raises:
         UserError: there are no photos, no such poses, or they do not fit together.
@@ -68,16 +71,16 @@ def open_capture(
         raise UserError(f"{folder}: expected a folder of photos, found none")
     if poses == "auto":
         if (folder / TRANSFORMS_FILE).is_file():
-            return Capture(read_transforms(folder / TRANSFORMS_FILE), None)
+            return Capture(read_transforms(folder / TRANSFORMS_FILE, None, allow_outside), None)
         model = find_model(folder)
         if model is not None:
-            return Capture(read_colmap(model, _folder_of(model, folder)), None)
+            return Capture(read_colmap(model, _folder_of(model, folder), allow_outside), None)
     elif poses != "sfm":
-        return Capture(_read_given(folder, Path(poses)), None)
+        return Capture(_read_given(folder, Path(poses), allow_outside), None)
     return levelled(find_poses(photo_folder(folder), work, sfm, progress, anew=anew))
 
 
-def _read_given(folder: Path, poses: Path) -> PosedPhotos:
+def _read_given(folder: Path, poses: Path, allow_outside: Path | None) -> PosedPhotos:
     """Read the poses that the user names.
 
     Raises:
@@ -85,14 +88,15 @@ def _read_given(folder: Path, poses: Path) -> PosedPhotos:
     """
     if poses.is_file() and poses.suffix.lower() == ".json":
         beside = poses.parent == folder
-        return read_transforms(poses, None if beside else photo_folder(folder, below=True))
+        photos = None if beside else photo_folder(folder, below=True)
+        return read_transforms(poses, photos, allow_outside)
     model = find_model(poses) if poses.is_dir() else None
     if model is None:
         raise UserError(
             f"--poses: expected auto, sfm, a transforms.json or a folder with a COLMAP model, "
             f"found {str(poses)!r}"
         )
-    return read_colmap(model, _folder_of(model, folder))
+    return read_colmap(model, _folder_of(model, folder), allow_outside)
 
 
 def _folder_of(model: Path, folder: Path) -> Path:

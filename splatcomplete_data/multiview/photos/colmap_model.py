@@ -23,6 +23,7 @@ from gscomplete.errors import UserError
 from splatcomplete_data.multiview.photos.images import photo_size
 from splatcomplete_data.multiview.photos.lens import Lens
 from splatcomplete_data.multiview.photos.posed import PosedPhoto, PosedPhotos
+from splatcomplete_data.named_files import Reach
 from splatcomplete_data.scan import PointCloud
 
 _PARAMETERS = {
@@ -113,12 +114,13 @@ def find_model(folder: Path) -> Path | None:
     return None
 
 
-def read_colmap(model: Path, images: Path) -> PosedPhotos:
+def read_colmap(model: Path, images: Path, allow_outside: Path | None = None) -> PosedPhotos:
     """Read a model and match it with its photos.
 
     Args:
         model: folder with cameras, images and, if there are any, points3D.
         images: folder of the photos; names in the model are relative to it.
+        allow_outside: folder below which photos are read, too; None = only those below ``images``.
 
     Raises:
         UserError: a file is missing, truncated or of an unknown camera model, a photo has another
@@ -129,11 +131,15 @@ def read_colmap(model: Path, images: Path) -> PosedPhotos:
     lenses = dict(_cameras_bin(cameras_path) if binary else _cameras_txt(cameras_path))
     stored = _stored_images(images_path)
     photos, missing = [], []
+    reach = Reach.of(images / "any", allow_outside)
     for image in stored:
         path = images / image.name
         if not path.is_file():
             missing.append(image.name)
             continue
+        refusal = reach.refusal(path)
+        if refusal is not None:
+            raise UserError(f"{images_path}: photo {image.name} {refusal}")
         if image.camera_id not in lenses:
             raise UserError(
                 f"{images_path}: {image.name}: camera {image.camera_id} is not in {cameras_path}"

@@ -9,7 +9,7 @@ Conventions
 * In a folder of photos that is named apart, a photo is found by as much of the end of its
   ``file_path`` as fits there: ``left/0001.png`` before ``0001.png``.
 * Frames whose photo is missing are left out and counted, never silently: instant-ngp's own fox
-  lists more frames than it ships.
+  lists more frames than it ships. So are frames whose photo lies out of reach (``named_files``).
 """
 
 from __future__ import annotations
@@ -28,18 +28,23 @@ from gscomplete.util import jsonio
 from splatcomplete_data.multiview.photos.images import photo_size
 from splatcomplete_data.multiview.photos.lens import Lens
 from splatcomplete_data.multiview.photos.posed import PosedPhoto, PosedPhotos
+from splatcomplete_data.named_files import Reach
 
 _OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 _SUFFIXES = (".png", ".jpg", ".jpeg")
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "OPENCV_FISHEYE", "PERSPECTIVE")
 
 
-def read_transforms(path: Path, images: Path | None = None) -> PosedPhotos:
+def read_transforms(
+    path: Path, images: Path | None = None, allow_outside: Path | None = None
+) -> PosedPhotos:
     """Read a capture.
 
     Args:
         path: the JSON file.
         images: folder of the photos; None = where ``file_path`` says, relative to the JSON file.
+        allow_outside: folder below which photos and masks are read, too; None = only those below
+            the JSON file's folder, or below ``images``.
 
     Raises:
         UserError: the file is not a transforms.json, a field is wrong, or fewer than three
@@ -50,6 +55,9 @@ def read_transforms(path: Path, images: Path | None = None) -> PosedPhotos:
         raise UserError(f"{path}: expected an object with an array 'frames', found none")
     photos: list[PosedPhoto] = []
     missing: list[str] = []
+    refused: list[str] = []
+    reach = Reach.of(path, allow_outside)
+    among = reach if images is None else Reach.of(images / "any", allow_outside)
     for index, frame in enumerate(data["frames"]):
         where = f"{path}: frames[{index}]"
         if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
@@ -58,15 +66,24 @@ def read_transforms(path: Path, images: Path | None = None) -> PosedPhotos:
         if photo_path is None:
             missing.append(frame["file_path"])
             continue
+        refusal = among.refusal(photo_path)
+        if refusal is not None:
+            refused.append(f"{frame['file_path']} {refusal}")
+            continue
         values = {**data, **frame}
         lens = _lens(values, photo_path, where)
         pose = _camera_from_world(frame.get("transform_matrix"), where)
-        photos.append(PosedPhoto(photo_path, lens, pose, _mask(path.parent, frame, where)))
+        photos.append(PosedPhoto(photo_path, lens, pose, _mask(path.parent, frame, where, reach)))
     notes: tuple[str, ...] = ()
     if missing:
         notes = (
             f"{len(missing)} of {len(data['frames'])} frames left out: their photo does not exist "
             f"(first: {missing[0]})",
+        )
+    if refused:
+        notes = (
+            *notes,
+            f"{len(refused)} of {len(data['frames'])} frames left out (first: photo {refused[0]})",
         )
     photos.sort(key=lambda photo: os.path.abspath(photo.path))
     return PosedPhotos(tuple(photos), None, str(path), notes)
@@ -88,17 +105,20 @@ def _find_photo(folder: Path, file_path: str, images: Path | None) -> Path | Non
     return None
 
 
-def _mask(folder: Path, frame: Mapping[str, Any], where: str) -> Path | None:
+def _mask(folder: Path, frame: Mapping[str, Any], where: str, reach: Reach) -> Path | None:
     """Return the frame's own mask.
 
     Raises:
-        UserError: the frame names a mask that does not exist.
+        UserError: the frame names a mask that does not exist, or may not be read.
     """
     name = frame.get("mask_path")
     if name is None:
         return None
     if not isinstance(name, str) or not (folder / name).is_file():
         raise UserError(f"{where}: mask_path: expected an image file, found {name!r}")
+    refusal = reach.refusal(folder / name)
+    if refusal is not None:
+        raise UserError(f"{where}: mask_path: {name} {refusal}")
     return folder / name
 
 

@@ -14,7 +14,7 @@ from splatcomplete_data.mesh.files.load import BakedLight, load_mesh, mesh_to_di
 from splatcomplete_data.mesh.files.parts import GREY
 from splatcomplete_data.mesh.files.textures import srgb_from_linear
 
-DATA = Path(__file__).resolve().parents[3] / "../shared/data/mesh"
+DATA = Path(__file__).resolve().parents[4] / "../shared/data/mesh"
 
 QUAD = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
 
@@ -155,7 +155,10 @@ def test_real_odd_cases(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.ERROR)
     with pytest.raises(UserError, match="Draco"):
         load_mesh(DATA / "playcanvas/chess-board.glb")
-    table = load_mesh(DATA / "aws_house/BalconyTable_01/meshes/aws_BalconyTable_01_visual.DAE")
+    table = load_mesh(
+        DATA / "aws_house/BalconyTable_01/meshes/aws_BalconyTable_01_visual.DAE",
+        allow_outside=DATA,
+    )
     colors = mesh_to_discs(table, 500).base_colors
     assert float((colors[:, 0] - colors[:, 2]).max()) > 0.8  # its texture lies in another folder
 

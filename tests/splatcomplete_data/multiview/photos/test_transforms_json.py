@@ -10,7 +10,7 @@ from gscomplete.errors import UserError
 from splatcomplete_data.multiview.photos.transforms_json import read_transforms
 from tests.splatcomplete_data.multiview import captures
 
-FOX = Path(__file__).parents[4] / "shared/data/multiview/fox/transforms.json"
+FOX = Path(__file__).parents[5] / "shared/data/multiview/fox/transforms.json"
 
 
 @pytest.fixture
