@@ -20,6 +20,9 @@ from gscomplete.splats import Similarity, Splats, transform_splats
 from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution, up_rotation
 from gscomplete.views.distribution import AZIMUTH_RANGE_DEG, ELEVATION_RANGE_DEG, FOV_DEG, RADIUS
 
+_STEEPEST_DEG = 75.0
+"""From steeper above no side is behind."""
+
 Origin = Literal["truth", "guess", "given"]
 """Where centre and size come from: the known complete object, the part, or the user."""
 
@@ -40,6 +43,8 @@ class FramingRequest:
     """Largest side of the complete object."""
     camera_position_file: tuple[float, float, float] | None = None
     """Where the source was seen from: the input view, unless another one is given."""
+    is_one_camera: bool = False
+    """Whether all of the part was seen from there: the complete object then lies behind it."""
     elevation_range_deg: float = ELEVATION_RANGE_DEG
     """V reaches this far above and below c."""
 
@@ -91,7 +96,7 @@ def decide_framing(
         rotation = up_rotation(request.up)
         anchor = partial.means.double().median(dim=0).values
         level = transform_splats(partial, Similarity(1.0, rotation, -(rotation @ anchor)))
-        guess = guess_framing(level)
+        guess = guess_framing(level, seen_from_deg=_azimuth_of_camera(partial, request))
         notes = guess.reasons(view=not is_viewed, box=not is_boxed)
         if center is None:
             lifted = rotation.T @ torch.tensor(guess.center, dtype=torch.float64) + anchor
@@ -114,6 +119,15 @@ def decide_framing(
         fov_deg=fov_deg,
     )
     return Framing(frame, origin, views, notes)
+
+
+def _azimuth_of_camera(partial: Splats, request: FramingRequest) -> float | None:
+    """Return the azimuth of the one camera that saw the part; None = there is no such camera."""
+    if request.camera_position_file is None or not request.is_one_camera:
+        return None
+    frame = ObjectFrame.about(partial, request.up)
+    azimuth, elevation = view_from_position(frame, request.camera_position_file)
+    return azimuth if abs(elevation) <= _STEEPEST_DEG else None
 
 
 def view_from_position(
