@@ -69,9 +69,8 @@ def run(options: EvaluateOptions) -> int:
     from gscomplete.util.atomic import atomic_path
 
     jobs = list_jobs(options)
-    rows, failures = [], []
-    for row in measured_rows(jobs, settings_of(options), failures):
-        rows.append(row)
+    failures: list[str] = []
+    rows = list(measured_rows(jobs, settings_of(options), failures))
     for failure in failures:
         print(f"gscomplete: not measured: {failure}", file=sys.stderr)
     if not rows:

@@ -159,8 +159,8 @@ def _drawable(splats: Splats) -> Splats:
 def _seconds(run: RunFolder) -> float | None:
     """Return how long completing took; None where it is not recorded."""
     timings = run.content.get("timings") or {}
-    found = [timings.get(name) for name in _TIMINGS]
-    return sum(found) if all(isinstance(value, int | float) for value in found) else None
+    found = [timings[name] for name in _TIMINGS if isinstance(timings.get(name), int | float)]
+    return float(sum(found)) if len(found) == len(_TIMINGS) else None
 
 
 def _settings(run: RunFolder) -> str:
