@@ -33,6 +33,7 @@ from gscomplete.render import render
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.views import Cameras, orbit_cameras
+from gscomplete.views.distribution import FOV_DEG, RADIUS
 
 FloatArray = NDArray[np.float64]
 _BOX_SPLATS = 20_000
@@ -61,8 +62,6 @@ class FramingSettings:
     """With at least this many splats around the median one, a splat all alone is a floater."""
     max_floater_fraction: float = 0.02
     """If more than this share of the splats looks like floaters, all are taken as object."""
-    min_openness: float = 0.25
-    """How one-sided the view scores must be for P to count as open, in [0, 1]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,29 +112,24 @@ class ViewScores:
         opposite = np.roll(self.facing, len(self.azimuths_deg) // 2, axis=1)
         return self.visible * self.area * (1.5 + self.facing - opposite)
 
-    def openness(self) -> tuple[float, float]:
-        """Return the azimuth towards which P is open, and in [0, 1] how one-sided it is.
 
-        The direction is the first circular moment of the low views' scores, reversed: good views
-        are opposite to what is missing.
-        """
-        low = self.score[np.abs(self.elevations_deg) < 20.0].mean(axis=0)
-        angles = np.deg2rad(self.azimuths_deg)
-        moment = np.array([(low * np.cos(angles)).sum(), (low * np.sin(angles)).sum()])
-        strength = 2.0 * float(np.hypot(*moment)) / max(float(low.sum()), 1e-12)
-        return math.degrees(math.atan2(-moment[1], -moment[0])) % 360.0, min(strength, 1.0)
-
-
-def guess_framing(partial: Splats, settings: FramingSettings | None = None) -> FramingGuess:
+def guess_framing(
+    partial: Splats,
+    settings: FramingSettings | None = None,
+    *,
+    seen_from_deg: float | None = None,
+) -> FramingGuess:
     """Guess centre, size and input view of the whole object.
 
     Floaters are left out of P's box. The input view is the candidate with the best
-    ``ViewScores.score``. If P is open towards a side, the box grows that way (``extended_box``);
-    it never grows vertically, because scans lack the side that an object stands on.
+    ``ViewScores.score``. The box of the complete object is P's own where P's surface is closed
+    (``exposure``), else P's grown as a network guesses (``growth``).
 
     Args:
         partial: P in z-up axes.
         settings: knobs; None = defaults.
+        seen_from_deg: azimuth that all of P was seen from, where one scanner made it: what is
+            missing lies behind P, whatever the scores say. None = unknown.
 
     Raises:
         UserError: P has no finite splat, or all are at one place.
@@ -153,16 +147,23 @@ def guess_framing(partial: Splats, settings: FramingSettings | None = None) -> F
         f"input view {azimuth:g},{elevation:g}: {100 * scores.visible[row, column]:.0f} % of the "
         f"splats visible, {100 * scores.facing[row, column]:.0f} % of the area is outside surface"
     )
-    center, size, box_reason = _complete_box(kept)
+    center, size, box_reason = _complete_box(kept, seen_from_deg)
     x, y, z = center.tolist()
     return FramingGuess((x, y, z), size, azimuth, elevation, tuple(notes), view_reason, box_reason)
 
 
-def _complete_box(kept: Splats) -> tuple[FloatArray, float, str]:
-    """Return the centre [3] and the largest side of the complete object's box, and the reason."""
+def _complete_box(kept: Splats, seen_from_deg: float | None) -> tuple[FloatArray, float, str]:
+    """Return the centre [3] and the largest side of the complete object's box, and the reason.
+
+    The box does not grow towards the one view that P is known to be seen from: what stands before P
+    there would have been seen.
+    """
     points, normals = points_and_normals(kept)
     closed = is_closed(points)
     growth = np.zeros(6) if closed else guess_growth(points, normals)
+    if seen_from_deg is not None:
+        x, y = math.cos(math.radians(seen_from_deg)), math.sin(math.radians(seen_from_deg))
+        growth = growth * (1.0 - np.maximum([-x, x, -y, y, 0.0, 0.0], 0.0))
     growth = np.where(growth >= _LEAST_GROWTH, growth, 0.0)
     low, high = (corner.double().numpy() for corner in kept.bounds())
     side = float((high - low).max())
@@ -239,43 +240,14 @@ def score_views(centered: Splats, settings: FramingSettings) -> ViewScores:
         cameras = orbit_cameras(
             azimuths,
             torch.full_like(azimuths, elevation),
-            radius=2.2,
-            fov_deg=40.0,
+            radius=RADIUS,
+            fov_deg=FOV_DEG,
             size_px=settings.size_px,
         )
         rows.append(_score_ring(drawn, cameras, settings.surface_tolerance))
     area, facing, visible = (np.stack(column) for column in zip(*rows, strict=True))
     elevations = np.array(settings.elevations_deg)
     return ViewScores(azimuths.numpy(), elevations, area, facing, visible)
-
-
-def extended_box(
-    points: FloatArray,  # [N, 3]
-    toward_deg: float,
-) -> tuple[FloatArray, float, str]:
-    """Grow the box of P towards its open side to where the whole probably ends.
-
-    Along the open direction the whole is taken to be as deep as it is wide, but at most twice as
-    deep as P: a cut or a scan that keeps less than half is rare. The size is that of the box of P
-    and its reflection through the new centre. Returns the centre [3], the size, and the reason in
-    words.
-    """
-    angle = math.radians(toward_deg)
-    along = np.array([math.cos(angle), math.sin(angle), 0.0])
-    across = np.array([-along[1], along[0], 0.0])
-    depths, widths = points @ along, points @ across
-    depth, width = float(np.ptp(depths)), float(np.ptp(widths))
-    extra = max(min(width, 2.0 * depth) - depth, 0.0)
-    if extra <= 0.1 * depth:
-        low, high = points.min(axis=0), points.max(axis=0)
-        reason = "P is open but as deep as it is wide: centre and size are the box's"
-        return (low + high) / 2, float((high - low).max()), reason
-    center = (depths.min() + depths.max() + extra) / 2 * along
-    center = center + (widths.min() + widths.max()) / 2 * across
-    center[2] = (points[:, 2].min() + points[:, 2].max()) / 2
-    size = 2.0 * float(np.abs(points - center).max())
-    share = 100.0 * extra / depth
-    return center, size, f"the box grows by {share:.0f} % to the open side"
 
 
 def outward_normals(splats: Splats) -> Tensor:  # [N, 3] unit

@@ -30,12 +30,21 @@ from rich.console import Console
 from rich.progress import track
 from scipy.spatial import cKDTree
 
+from gscomplete.evaluate.bootstrap import bootstrap_interval
+from gscomplete.evaluate.geometry import hidden_surface_errors
 from gscomplete.priors import load_prior
 from gscomplete.priors.base import prior_identity
 from gscomplete.splats import Splats, colors_to_sh, concatenate, write_splats
+from gscomplete.util import jsonio
 from recipes.entry_point import start
-from recipes.in_memory import Answer
-from recipes.real_objects.compare import Posed, Way, answer_of, measure, pose
+from recipes.real_objects.compare import (
+    FramedObject,
+    Outcome,
+    Way,
+    frame_object,
+    measure,
+    outcome_of,
+)
 from recipes.real_objects.load import RealObject
 from recipes.results import Results
 from recipes.train_embedded_prior.mesh_pack import PackEntry, PackMesh, read_manifest, read_mesh
@@ -55,9 +64,6 @@ _LARGEST_OFFSET = 0.12
 _FEWEST_SHARE = 0.1
 """A half that keeps less of a thin object is cut through the middle instead."""
 _FLAT_COLOR = (0.6, 0.6, 0.6)
-_F_DISTANCES = (0.01, 0.03)
-_OWN = 0.015
-"""Truth this near to P, in object sizes, is not hidden."""
 
 
 @dataclass(frozen=True)
@@ -152,33 +158,14 @@ def part_of(splats: Splats, kind: PartKind, rng: np.random.Generator) -> Splats:
     return splats.select(by_visibility(splats, eyes, fov_deg=35.0).mask)
 
 
-def hidden_surface_errors(posed: Posed, answer: Answer) -> dict[str, float | None]:
-    """Compare the new surface with the truth's hidden surface: chamfer distance and F-scores.
-
-    Returns:
-        Chamfer distance (mean of both mean distances) and F-scores at 1 and 3 % in object sizes;
-        None where the truth hides nothing or nothing was added.
-    """
-    assert posed.truth is not None
-    part = posed.partial.means.numpy()
-    truth = posed.truth.means.numpy()
-    hidden = truth[cKDTree(part).query(truth)[0] > _OWN]
-    names = ["chamfer", *(f"f_score_{round(100 * d)}" for d in _F_DISTANCES)]
-    solid = answer.splats.opacities > 0.3
-    new = answer.splats.means[solid].numpy()
-    if len(hidden) < 20:
-        return dict.fromkeys(names)
-    found = np.concatenate([part, new])
-    reach = cKDTree(found).query(hidden)[0]
-    excess = cKDTree(truth).query(new)[0] if len(new) else np.zeros(0)
-    row: dict[str, float | None] = {
-        "chamfer": 0.5 * float(reach.mean()) + 0.5 * float(excess.mean()) if len(new) else None
-    }
-    for name, limit in zip(names[1:], _F_DISTANCES, strict=True):
-        recall = float((reach < limit).mean())
-        precision = float((excess < limit).mean()) if len(new) else 0.0
-        row[name] = 2 * recall * precision / max(recall + precision, 1e-9)
-    return row
+def measure_all(framed: FramedObject, outcome: Outcome) -> dict[str, Any]:
+    """Return the numbers of ``compare`` and those of the hidden surface."""
+    assert framed.truth is not None
+    partial = framed.partial.with_sh_degree(0)
+    completed = concatenate([partial, outcome.splats])
+    surface = hidden_surface_errors(completed, partial, framed.truth)
+    row = measure(framed, outcome)
+    return row if surface is None else row | jsonio.to_json(surface)
 
 
 def main(options: Options) -> None:
@@ -199,11 +186,11 @@ def main(options: Options) -> None:
                 complete = complete_object(mesh, entry, np.random.default_rng((number, 0)))
             partial = part_of(complete, kind, np.random.default_rng((number, 1 + k)))
             item = RealObject(entry.id, entry.caption, "Z", partial, complete, kind)
-            posed = pose(item)
+            framed = frame_object(item, prior)
             for way in options.ways:
                 if way not in rows:
-                    answer = answer_of(posed, way, prior, options.seed)
-                    rows[way] = measure(posed, answer) | hidden_surface_errors(posed, answer)
+                    outcome = outcome_of(framed, way, prior, options.seed)
+                    rows[way] = measure_all(framed, outcome)
                     if options.keep:
                         _keep(
                             options.out, f"{entry.id.replace('/', '_')}.{kind}", way, posed, answer
@@ -212,13 +199,13 @@ def main(options: Options) -> None:
     sys.stdout.write(table(results.rows, options.ways, options.kinds))
 
 
-def _keep(out: Path, name: str, way: str, posed: Posed, answer: Answer) -> None:
+def _keep(out: Path, name: str, way: str, framed: FramedObject, outcome: Outcome) -> None:
     """Write a completion, its part and the truth."""
-    assert posed.truth is not None
-    partial = posed.partial.with_sh_degree(0)
-    write_splats(out / f"{name}.{way}.ply", concatenate([partial, answer.splats]))
+    assert framed.truth is not None
+    partial = framed.partial.with_sh_degree(0)
+    write_splats(out / f"{name}.{way}.ply", concatenate([partial, outcome.splats]))
     write_splats(out / f"{name}.input.ply", partial)
-    write_splats(out / f"{name}.truth.ply", posed.truth)
+    write_splats(out / f"{name}.truth.ply", framed.truth)
 
 
 _COLUMNS = (
@@ -250,7 +237,7 @@ def table(
                 known = [row[key] for row in found if row.get(key) is not None]
                 cells.append(f"{np.mean(known):9{form}}" if known else f"{'-':>9}")
             values = np.array([row["silhouette_iou"] for row in found])
-            low, high = bootstrap_interval(values)
+            low, high = bootstrap_interval(values.tolist())
             worse = ""
             if all("input" in row for row in chosen):
                 alone = np.array([row["input"]["silhouette_iou"] for row in chosen if way in row])
@@ -261,14 +248,6 @@ def table(
                 + f"   {low:.3f}-{high:.3f} {worse}"
             )
     return "\n".join(lines) + "\n"
-
-
-def bootstrap_interval(values: np.ndarray, draws: int = 2000) -> tuple[float, float]:  # [N]
-    """Return the 95 % bootstrap interval of a mean."""
-    rng = np.random.default_rng(0)
-    means = values[rng.integers(len(values), size=(draws, len(values)))].mean(axis=1)
-    low, high = np.quantile(means, [0.025, 0.975])
-    return float(low), float(high)
 
 
 if __name__ == "__main__":

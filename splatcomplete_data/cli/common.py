@@ -29,9 +29,9 @@ from gscomplete.views import UpAxis
 if TYPE_CHECKING:
     from PIL import Image
 
+    from gscomplete.framing.decide import FramingRequest
     from gscomplete.splats import Similarity, Splats
     from splatcomplete_data.cuts.boxes import CropBox
-    from splatcomplete_data.framing import FramingRequest
     from splatcomplete_data.objects import ObjectRecord, StepRecord, Subset
 
 NOT_RECORDED = ("out", "json", "overwrite", "prompt", "licence", "origin", "id")
@@ -145,13 +145,20 @@ def report_object(options: ObjectOptions, made: Made, record: ObjectRecord) -> i
 def complete_command(folder: Path, record: ObjectRecord) -> str | None:
     """Return the shell's line that completes an object's part; None = it has none.
 
-    ``gscomplete`` reads prompt, up axis, input view and V from the folder.
+    ``gscomplete`` reads prompt, up axis, input view and V from the folder. Its guesses of centre
+    and size are as good as the record's, but for single views and scans: it does not know where
+    the camera stood.
     """
     from splatcomplete_data.objects import PARTIAL_FILE
 
     if PARTIAL_FILE not in record.files:
         return None
-    return shlex.join(("gscomplete", "complete", str(folder), "--out", f"{folder}_completed"))
+    frame: tuple[str, ...] = ()
+    if record.subset in ("singleview", "lidar") and record.frame_origin != "truth":
+        center = ",".join(f"{value:.6g}" for value in record.frame.center_file)
+        frame = (f"--center={center}", f"--size={record.frame.size_file:.6g}")
+    out = ("--out", f"{folder}_completed")
+    return shlex.join(("gscomplete", "complete", str(folder), *frame, *out))
 
 
 def store_object(options: ObjectOptions, made: Made) -> ObjectRecord:
@@ -160,8 +167,9 @@ def store_object(options: ObjectOptions, made: Made) -> ObjectRecord:
     Raises:
         UserError: as ``finish_object``.
     """
+    from gscomplete.framing.decide import decide_framing
     from gscomplete.util.digests import sha256_of
-    from splatcomplete_data import framing
+    from splatcomplete_data.framing import moved_center, require_touching
     from splatcomplete_data.objects import ObjectRecord, SourceRecord, write_object
 
     folder = options.out or default_folder(made.source_file)
@@ -169,15 +177,17 @@ def store_object(options: ObjectOptions, made: Made) -> ObjectRecord:
     if shown is None or len(shown) == 0:
         raise UserError(f"{made.source_file}: no splats are left to write")
     request = dataclasses.replace(
-        framing_request(options, made.default_up), camera_position_file=made.camera_position_file
+        framing_request(options, made.default_up),
+        camera_position_file=made.camera_position_file,
+        is_one_camera=made.subset in ("singleview", "lidar"),
     )
     turn = made.file_from_source
     given_in = turn if made.is_center_of_source else None
     if given_in is not None:
-        request = framing.moved_center(request, given_in)
-    decided = framing.decide_framing(shown, made.complete, request)
+        request = moved_center(request, given_in)
+    decided = decide_framing(shown, request, made.complete)
     if request.center_file is not None or request.size_file is not None:
-        framing.require_touching(decided.frame, shown, given_in)
+        require_touching(decided.frame, shown, given_in)
     is_file = made.source_file.is_file()
     try:
         record = ObjectRecord(
@@ -220,7 +230,7 @@ def framing_request(options: ObjectOptions, default_up: UpAxis) -> FramingReques
     Raises:
         UserError: a flag has the wrong form.
     """
-    from splatcomplete_data.framing import FramingRequest
+    from gscomplete.framing.decide import FramingRequest
 
     view = parse_view(options.view)
     center = parse_numbers(options.center, 3, "--center", "X,Y,Z")

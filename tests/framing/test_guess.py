@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from gscomplete.errors import UserError
 from gscomplete.framing.guess import (
     FramingSettings,
-    extended_box,
     guess_framing,
     object_splats,
     outward_normals,
@@ -93,17 +92,6 @@ def test_degenerate_inputs_are_user_errors() -> None:
         guess_framing(part.select(torch.arange(1)))
 
 
-def test_extended_box_grows_at_most_to_width_and_twice_depth() -> None:
-    generator = np.random.default_rng(0)
-    points = generator.random((500, 3)) * [0.2, 1.0, 0.5]
-    points = np.concatenate([points, [[0, 0, 0], [0.2, 1.0, 0.5]]])
-    center, size, _ = extended_box(points, 0.0)
-    np.testing.assert_allclose(center, [0.2, 0.5, 0.25])  # 0.2 deep: grows to 0.4
-    assert size == pytest.approx(1.0)
-    center, size, _ = extended_box(points, 270.0)  # deeper than wide: stays
-    np.testing.assert_allclose(center, [0.1, 0.5, 0.25], atol=1e-12)
-
-
 def test_outward_normals_point_away_from_the_centroid() -> None:
     whole = cylinder()
     radial = torch.nn.functional.normalize(whole.means * torch.tensor([1.0, 1.0, 0.0]), dim=1)
@@ -116,3 +104,16 @@ def test_fewer_splats_grow_to_cover_the_same_surface():
     thinned = score_views(whole, FramingSettings(max_splats=500))
     ratio = thinned.area / full.area
     assert 0.85 < float(ratio.min()) <= float(ratio.max()) < 1.15
+
+
+@pytest.mark.parametrize("azimuth", [0.0, 120.0, 250.0])
+def test_the_whole_lies_behind_what_one_scanner_saw(azimuth):
+    """A half open to the left of the scanner grows away from the scanner all the same."""
+    part = half_cylinder(azimuth + 90.0, True)
+    guess = guess_framing(part, seen_from_deg=azimuth)
+    low, high = part.bounds()
+    moved = torch.tensor(guess.center) - (low + high).double() / 2
+    away = -torch.tensor([np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth)), 0.0])
+    assert float(moved @ away) >= 0
+    free = guess_framing(part)
+    assert free.view_azimuth_deg == guess.view_azimuth_deg
