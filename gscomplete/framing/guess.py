@@ -38,6 +38,8 @@ from gscomplete.views.distribution import FOV_DEG, RADIUS
 FloatArray = NDArray[np.float64]
 _BOX_SPLATS = 20_000
 """Splats of P that the box of the complete object is guessed from."""
+_TOWARD_VIEW = 0.25
+"""Least cosine to the direction of a known view at which a side of the box does not grow."""
 _LEAST_GROWTH = 0.05
 """Guessed growths below this, in sides of P's box, count as none."""
 
@@ -163,7 +165,7 @@ def _complete_box(kept: Splats, seen_from_deg: float | None) -> tuple[FloatArray
     growth = np.zeros(6) if closed else guess_growth(points, normals)
     if seen_from_deg is not None:
         x, y = math.cos(math.radians(seen_from_deg)), math.sin(math.radians(seen_from_deg))
-        growth = growth * (1.0 - np.maximum([-x, x, -y, y, 0.0, 0.0], 0.0))
+        growth = np.where(np.array([-x, x, -y, y, 0.0, 0.0]) > _TOWARD_VIEW, 0.0, growth)
     growth = np.where(growth >= _LEAST_GROWTH, growth, 0.0)
     low, high = (corner.double().numpy() for corner in kept.bounds())
     side = float((high - low).max())

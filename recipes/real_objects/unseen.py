@@ -192,9 +192,8 @@ def main(options: Options) -> None:
                     outcome = outcome_of(framed, way, prior, options.seed)
                     rows[way] = measure_all(framed, outcome)
                     if options.keep:
-                        _keep(
-                            options.out, f"{entry.id.replace('/', '_')}.{kind}", way, posed, answer
-                        )
+                        name = f"{entry.id.replace('/', '_')}.{kind}"
+                        _keep(options.out, name, way, framed, outcome)
             results.save()
     sys.stdout.write(table(results.rows, options.ways, options.kinds))
 

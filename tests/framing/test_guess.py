@@ -27,7 +27,8 @@ def test_half_a_cylinder_is_seen_from_outside_and_completed(
 ) -> None:
     guess = guess_framing(half_cylinder(azimuth_deg, is_flat))
     assert angle_between(guess.view_azimuth_deg, azimuth_deg) <= 45
-    assert np.linalg.norm(guess.center) < 0.05  # the box of P is off by 0.25
+    # The box of P is off by 0.25; cuts keep more or less than half, so the guess lies between.
+    assert np.linalg.norm(guess.center) < 0.2
     assert guess.size == pytest.approx(1.0, abs=0.1)
     assert "grows" in guess.box_reason
 
