@@ -11,7 +11,6 @@ Conventions
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -115,16 +114,11 @@ def candidate_planes(look: PartLook, count: int, *, bfloat16: bool = False) -> l
 
 
 def _with_cut(planes: list[SymmetryMap], part: PartSamples) -> list[SymmetryMap]:
-    """Add the plane that P was cut along, in the place of one like it or of the least likely."""
+    """Put the plane that P was cut along in the place of the least likely one."""
     cut = open_cut(part)
-    if cut is None:
+    if cut is None or len(planes) < 2:
         return planes
-    plane = mirror(cut[0], cut[1], planes[0].score)
-    alike = [k for k, other in enumerate(planes) if plane.is_like(other, part.points)]
-    if alike:
-        planes[alike[0]] = dataclasses.replace(plane, score=planes[alike[0]].score)
-        return planes
-    return [plane, *planes[:-1]]
+    return [*planes[:-1], mirror(cut[0], cut[1], planes[1].score)]
 
 
 def refined(
