@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gscomplete.errors import UserError
-from gscomplete.framing.exposure import is_closed
+from gscomplete.framing.exposure import CLOSED_BELOW, share_exposed_twice
 from gscomplete.framing.growth import guess_growth
 from gscomplete.render import render
 from gscomplete.splats import Splats, colors_to_sh
@@ -38,6 +38,8 @@ from gscomplete.views.distribution import FOV_DEG, RADIUS
 FloatArray = NDArray[np.float64]
 _BOX_SPLATS = 20_000
 """Splats of P that the box of the complete object is guessed from."""
+_SHELL_FROM = 0.5
+"""Share of P's surface exposed on both sides from which on P is a shell, as scanners leave it."""
 _TOWARD_VIEW = 0.25
 """Least cosine to the direction of a known view at which a side of the box does not grow."""
 _LEAST_GROWTH = 0.05
@@ -64,6 +66,8 @@ class FramingSettings:
     """With at least this many splats around the median one, a splat all alone is a floater."""
     max_floater_fraction: float = 0.02
     """If more than this share of the splats looks like floaters, all are taken as object."""
+    min_openness: float = 0.25
+    """How one-sided the view scores must be for P to count as open, in [0, 1]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +118,18 @@ class ViewScores:
         opposite = np.roll(self.facing, len(self.azimuths_deg) // 2, axis=1)
         return self.visible * self.area * (1.5 + self.facing - opposite)
 
+    def openness(self) -> tuple[float, float]:
+        """Return the azimuth towards which P is open, and in [0, 1] how one-sided it is.
+
+        The direction is the first circular moment of the low views' scores, reversed: good views
+        are opposite to what is missing.
+        """
+        low = self.score[np.abs(self.elevations_deg) < 20.0].mean(axis=0)
+        angles = np.deg2rad(self.azimuths_deg)
+        moment = np.array([(low * np.cos(angles)).sum(), (low * np.sin(angles)).sum()])
+        strength = 2.0 * float(np.hypot(*moment)) / max(float(low.sum()), 1e-12)
+        return math.degrees(math.atan2(-moment[1], -moment[0])) % 360.0, min(strength, 1.0)
+
 
 def guess_framing(
     partial: Splats,
@@ -125,7 +141,7 @@ def guess_framing(
 
     Floaters are left out of P's box. The input view is the candidate with the best
     ``ViewScores.score``. The box of the complete object is P's own where P's surface is closed
-    (``exposure``), else P's grown as a network guesses (``growth``).
+    (``exposure``), and grows where it is not.
 
     Args:
         partial: P in z-up axes.
@@ -149,33 +165,47 @@ def guess_framing(
         f"input view {azimuth:g},{elevation:g}: {100 * scores.visible[row, column]:.0f} % of the "
         f"splats visible, {100 * scores.facing[row, column]:.0f} % of the area is outside surface"
     )
-    center, size, box_reason = _complete_box(kept, seen_from_deg)
+    center, size, box_reason = _complete_box(kept, scores, seen_from_deg, chosen.min_openness)
     x, y, z = center.tolist()
     return FramingGuess((x, y, z), size, azimuth, elevation, tuple(notes), view_reason, box_reason)
 
 
-def _complete_box(kept: Splats, seen_from_deg: float | None) -> tuple[FloatArray, float, str]:
+def _complete_box(
+    kept: Splats, scores: ViewScores, seen_from_deg: float | None, min_openness: float
+) -> tuple[FloatArray, float, str]:
     """Return the centre [3] and the largest side of the complete object's box, and the reason.
 
-    The box does not grow towards the one view that P is known to be seen from: what stands before P
-    there would have been seen.
+    A closed surface keeps its box. A shell, as scanners leave it, grows as the network guesses; what
+    is cut off, and shows less of its inside, grows to its open side (``extended_box``). On parts of
+    30 unseen objects the network's box is the better one of scans and arcs, the other one of halves.
     """
-    points, normals = points_and_normals(kept)
-    closed = is_closed(points)
-    growth = np.zeros(6) if closed else guess_growth(points, normals)
-    if seen_from_deg is not None:
-        x, y = math.cos(math.radians(seen_from_deg)), math.sin(math.radians(seen_from_deg))
-        growth = np.where(np.array([-x, x, -y, y, 0.0, 0.0]) > _TOWARD_VIEW, 0.0, growth)
-    growth = np.where(growth >= _LEAST_GROWTH, growth, 0.0)
     low, high = (corner.double().numpy() for corner in kept.bounds())
-    side = float((high - low).max())
-    low, high = low - growth[::2] * side, high + growth[1::2] * side
-    names = ("x-", "x+", "y-", "y+", "z-", "z+")
-    grown = [f"{name} {100 * g:.0f} %" for name, g in zip(names, growth, strict=True) if g > 0]
-    reason = f"the box grows: {', '.join(grown)}" if grown else "centre and size are the box's"
-    if closed:
-        reason = f"P's surface is closed: {reason}"
-    return (low + high) / 2, float((high - low).max()), reason
+    size = float((high - low).max())
+    points, normals = points_and_normals(kept)
+    exposed = share_exposed_twice(points)
+    if exposed < CLOSED_BELOW:
+        return (low + high) / 2, size, "P's surface is closed: centre and size are the box's"
+    if exposed >= _SHELL_FROM:
+        growth = guess_growth(points, normals)
+        if seen_from_deg is not None:
+            # What stands before P would have been seen.
+            x, y = math.cos(math.radians(seen_from_deg)), math.sin(math.radians(seen_from_deg))
+            growth = np.where(np.array([-x, x, -y, y, 0.0, 0.0]) > _TOWARD_VIEW, 0.0, growth)
+        growth = np.where(growth >= _LEAST_GROWTH, growth, 0.0)
+        low, high = low - growth[::2] * size, high + growth[1::2] * size
+        names = ("x-", "x+", "y-", "y+", "z-", "z+")
+        grown = [f"{name} {100 * g:.0f} %" for name, g in zip(names, growth, strict=True) if g > 0]
+        reason = f"the box grows: {', '.join(grown)}" if grown else "centre and size are the box's"
+        return (low + high) / 2, float((high - low).max()), f"P is a shell: {reason}"
+    toward, strength = scores.openness()
+    if seen_from_deg is not None:
+        toward = (seen_from_deg + 180.0) % 360.0
+    if strength < min_openness:
+        center, reason = (low + high) / 2, "no side is clearly open: centre and size are the box's"
+    else:
+        center, extended, reason = extended_box(kept.means.double().numpy(), toward)
+        size = max(size, extended)
+    return center, size, f"{reason} (openness {strength:.2f} towards azimuth {toward:.0f})"
 
 
 def points_and_normals(kept: Splats) -> tuple[FloatArray, FloatArray]:  # [N, 3] both
@@ -250,6 +280,35 @@ def score_views(centered: Splats, settings: FramingSettings) -> ViewScores:
     area, facing, visible = (np.stack(column) for column in zip(*rows, strict=True))
     elevations = np.array(settings.elevations_deg)
     return ViewScores(azimuths.numpy(), elevations, area, facing, visible)
+
+
+def extended_box(
+    points: FloatArray,  # [N, 3]
+    toward_deg: float,
+) -> tuple[FloatArray, float, str]:
+    """Grow the box of P towards its open side to where the whole probably ends.
+
+    Along the open direction the whole is taken to be as deep as it is wide, but at most twice as
+    deep as P: a cut or a scan that keeps less than half is rare. The size is that of the box of P
+    and its reflection through the new centre. Returns the centre [3], the size, and the reason in
+    words.
+    """
+    angle = math.radians(toward_deg)
+    along = np.array([math.cos(angle), math.sin(angle), 0.0])
+    across = np.array([-along[1], along[0], 0.0])
+    depths, widths = points @ along, points @ across
+    depth, width = float(np.ptp(depths)), float(np.ptp(widths))
+    extra = max(min(width, 2.0 * depth) - depth, 0.0)
+    if extra <= 0.1 * depth:
+        low, high = points.min(axis=0), points.max(axis=0)
+        reason = "P is open but as deep as it is wide: centre and size are the box's"
+        return (low + high) / 2, float((high - low).max()), reason
+    center = (depths.min() + depths.max() + extra) / 2 * along
+    center = center + (widths.min() + widths.max()) / 2 * across
+    center[2] = (points[:, 2].min() + points[:, 2].max()) / 2
+    size = 2.0 * float(np.abs(points - center).max())
+    share = 100.0 * extra / depth
+    return center, size, f"the box grows by {share:.0f} % to the open side"
 
 
 def outward_normals(splats: Splats) -> Tensor:  # [N, 3] unit

@@ -59,14 +59,6 @@ _ONE_SIDED = 0.5
 length; within a surface it is near 0."""
 _BOX_SIDE = 0.53
 _AT_PLANE = 0.03
-_CUT_STEP_DEG = 2.0
-_CUT_TOLERANCE = 0.012
-"""Object sizes that rim points may lie off the plane of a cut."""
-_LEAST_CUT_SHARE = 0.5
-"""Of the rim, in the plane of a cut."""
-_LEAST_RIM_SHARE = 0.01
-_MOST_BEYOND = 0.02
-"""Share of P beyond a cut: floaters."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,30 +99,6 @@ def part_samples(
         np.ascontiguousarray(volume[1:]),
         _cell_normals(positions, normals.astype(np.float32)),
     )
-
-
-def open_cut(part: PartSamples) -> tuple[float, float, float] | None:
-    """Find the upright plane that P was cut along: most of its rim lies there, P on one side of it.
-
-    Returns:
-        The plane's azimuth in radians, its offset, and the share of the rim in it; None where the
-        rim is short or in no plane.
-    """
-    if len(part.rim) < _FEWEST_RIM or part.rim_share < _LEAST_RIM_SHARE:
-        return None
-    best: tuple[float, float, float] | None = None
-    for angle in np.radians(np.arange(0.0, 360.0, _CUT_STEP_DEG)):
-        normal = np.array([math.cos(angle), math.sin(angle), 0.0], np.float32)
-        along = np.sort(part.rim @ normal)
-        # The widest pile of rim points within twice the tolerance.
-        last = np.searchsorted(along, along + 2 * _CUT_TOLERANCE, side="right")
-        first = int((last - np.arange(len(along))).argmax())
-        share = float(last[first] - first) / len(along)
-        offset = float(np.median(along[first : last[first]]))
-        beyond = float((part.spread @ normal > offset + 2 * _CUT_TOLERANCE).mean())
-        if beyond <= _MOST_BEYOND and (best is None or share > best[2]):
-            best = float(angle), offset, share
-    return best if best is not None and best[2] >= _LEAST_CUT_SHARE else None
 
 
 def plane_normals() -> FloatArray:  # [ANGLES, 2]

@@ -33,7 +33,6 @@ from gscomplete.shape.symmetry_features import (
     ANGLES,
     OFFSETS,
     PartSamples,
-    open_cut,
     plane_features,
     plane_places,
 )
@@ -110,15 +109,7 @@ def candidate_planes(look: PartLook, count: int, *, bfloat16: bool = False) -> l
         score = belief[near[ranked.planes[:, 0], ranked.planes[:, 1]]].sum()
         place = refined(part, tree, float(angles[index]), float(offsets[index]))
         found.append(mirror(*place, float(score)))
-    return _with_cut(found, part)
-
-
-def _with_cut(planes: list[SymmetryMap], part: PartSamples) -> list[SymmetryMap]:
-    """Put the plane that P was cut along in the place of the least likely one."""
-    cut = open_cut(part)
-    if cut is None or len(planes) < 2:
-        return planes
-    return [*planes[:-1], mirror(cut[0], cut[1], planes[1].score)]
+    return found
 
 
 def refined(

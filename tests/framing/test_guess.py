@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from gscomplete.errors import UserError
 from gscomplete.framing.guess import (
     FramingSettings,
+    extended_box,
     guess_framing,
     object_splats,
     outward_normals,
@@ -27,8 +28,7 @@ def test_half_a_cylinder_is_seen_from_outside_and_completed(
 ) -> None:
     guess = guess_framing(half_cylinder(azimuth_deg, is_flat))
     assert angle_between(guess.view_azimuth_deg, azimuth_deg) <= 45
-    # The box of P is off by 0.25; cuts keep more or less than half, so the guess lies between.
-    assert np.linalg.norm(guess.center) < 0.2
+    assert np.linalg.norm(guess.center) < 0.05  # the box of P is off by 0.25
     assert guess.size == pytest.approx(1.0, abs=0.1)
     assert "grows" in guess.box_reason
 
@@ -91,6 +91,17 @@ def test_degenerate_inputs_are_user_errors() -> None:
         guess_framing(point)
     with pytest.raises(UserError, match="--size"):
         guess_framing(part.select(torch.arange(1)))
+
+
+def test_extended_box_grows_at_most_to_width_and_twice_depth() -> None:
+    generator = np.random.default_rng(0)
+    points = generator.random((500, 3)) * [0.2, 1.0, 0.5]
+    points = np.concatenate([points, [[0, 0, 0], [0.2, 1.0, 0.5]]])
+    center, size, _ = extended_box(points, 0.0)
+    np.testing.assert_allclose(center, [0.2, 0.5, 0.25])  # 0.2 deep: grows to 0.4
+    assert size == pytest.approx(1.0)
+    center, size, _ = extended_box(points, 270.0)  # deeper than wide: stays
+    np.testing.assert_allclose(center, [0.1, 0.5, 0.25], atol=1e-12)
 
 
 def test_outward_normals_point_away_from_the_centroid() -> None:

@@ -2,7 +2,6 @@ import math
 
 import numpy as np
 import pytest
-import torch
 
 from gscomplete.shape.evidence import gather_evidence
 from gscomplete.shape.partial_voxels import look_at
@@ -11,7 +10,6 @@ from gscomplete.shape.symmetry_features import (
     FEATURES,
     OFFSETS,
     PartSamples,
-    open_cut,
     plane_features,
     plane_normals,
 )
@@ -100,23 +98,3 @@ def test_normals_are_unit_and_spread():
     normals = plane_normals()
     assert np.linalg.norm(normals, axis=1) == pytest.approx(1.0)
     assert math.degrees(math.acos(float(normals[0] @ normals[1]))) == pytest.approx(5.0, abs=0.01)
-
-
-@pytest.mark.parametrize("azimuth_deg", [0.0, 37.0, 200.0])
-def test_the_plane_of_a_cut_is_found(azimuth_deg):
-    ball = sphere()
-    angle = math.radians(azimuth_deg)
-    normal = torch.tensor([math.cos(angle), math.sin(angle), 0.0])
-    found = open_cut(sampled(ball.select(ball.means @ normal < 0.1)))
-    assert found is not None
-    # The normal points to the side that was taken away.
-    turn = (math.degrees(found[0]) - azimuth_deg + 180) % 360 - 180
-    assert abs(turn) < 4.0
-    assert found[1] == pytest.approx(0.1, abs=0.02)
-    assert found[2] > 0.8
-
-
-def test_a_closed_surface_and_a_level_cut_have_no_upright_plane():
-    ball = sphere()
-    assert open_cut(sampled(ball)) is None
-    assert open_cut(sampled(ball.select(ball.means[:, 2] < 0.1))) is None
