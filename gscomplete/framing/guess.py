@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gscomplete.errors import UserError
+from gscomplete.framing.cut_plane import find_cut
 from gscomplete.framing.exposure import CLOSED_BELOW, share_exposed_twice
 from gscomplete.framing.growth import guess_growth
 from gscomplete.render import render
@@ -175,9 +176,9 @@ def _complete_box(
 ) -> tuple[FloatArray, float, str]:
     """Return the centre [3] and the largest side of the complete object's box, and the reason.
 
-    A closed surface keeps its box. A shell, as scanners leave it, grows as the network guesses; what
-    is cut off, and shows less of its inside, grows to its open side (``extended_box``). On parts of
-    30 unseen objects the network's box is the better one of scans and arcs, the other one of halves.
+    A closed surface keeps its box. What was cut along a plane grows across it (``extended_box``);
+    any other shell, as scanners leave it, as the network guesses. On parts of 30 unseen objects the
+    network's box is better for scans and arcs, worse for halves.
     """
     low, high = (corner.double().numpy() for corner in kept.bounds())
     size = float((high - low).max())
@@ -185,7 +186,8 @@ def _complete_box(
     exposed = share_exposed_twice(points)
     if exposed < CLOSED_BELOW:
         return (low + high) / 2, size, "P's surface is closed: centre and size are the box's"
-    if exposed >= _SHELL_FROM:
+    cut = find_cut(points)
+    if cut is None and exposed >= _SHELL_FROM:
         growth = guess_growth(points, normals)
         if seen_from_deg is not None:
             # What stands before P would have been seen.
@@ -198,7 +200,9 @@ def _complete_box(
         reason = f"the box grows: {', '.join(grown)}" if grown else "centre and size are the box's"
         return (low + high) / 2, float((high - low).max()), f"P is a shell: {reason}"
     toward, strength = scores.openness()
-    if seen_from_deg is not None:
+    if cut is not None:
+        toward, strength = cut.azimuth_deg, cut.rim_share
+    elif seen_from_deg is not None:
         toward = (seen_from_deg + 180.0) % 360.0
     if strength < min_openness:
         center, reason = (low + high) / 2, "no side is clearly open: centre and size are the box's"
