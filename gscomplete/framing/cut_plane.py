@@ -28,9 +28,11 @@ _FEWEST_RIM = 8
 _LEAST_RIM_SHARE = 0.01
 _STEP_DEG = 2.0
 _TOLERANCE = 0.012
-"""Rim points may lie this far off the plane."""
-_LEAST_SHARE = 0.35
+"""Rim points may lie this far off the plane, or half the spacing of points where that is more."""
+_LEAST_SHARE = 0.3
 """Of the rim, in the plane."""
+_LEAST_WIDTH = 0.3
+"""Of the middle 80 % of the rim in the plane, in widths of P: one upright edge is no cut."""
 _MOST_BEYOND = 0.02
 """Share of P beyond the plane: floaters."""
 
@@ -49,37 +51,43 @@ def find_cut(points: FloatArray) -> CutPlane | None:  # [N, 3] z up
     """Return the upright plane that holds most of the rim, P on one side; None = none does.
 
     With half of the rim asked for it found 13 of the planes that halved 16 unseen objects, to 2
-    degrees, and one in 16 scans; a third is what a shell without caps has there.
+    degrees, and one in 16 scans.
     """
     chosen = points[:: max(1, -(-len(points) // _MOST_POINTS))]
     if len(chosen) <= _NEIGHBOURS:
         return None
     chosen = (chosen - chosen.mean(axis=0)) / max(float(np.ptp(chosen, axis=0).max()), 1e-12)
-    rim = _rim(chosen)
+    rim, spacing = _rim(chosen)
+    tolerance = max(_TOLERANCE, 0.5 * spacing)
     if len(rim) < _FEWEST_RIM:
         return None
     best: CutPlane | None = None
     for azimuth_deg in np.arange(0.0, 360.0, _STEP_DEG):
         angle = math.radians(float(azimuth_deg))
         normal = np.array([math.cos(angle), math.sin(angle), 0.0])
-        along = np.sort(rim @ normal)
-        last = np.searchsorted(along, along + 2 * _TOLERANCE, side="right")
+        order = np.argsort(rim @ normal)
+        along = rim[order] @ normal
+        last = np.searchsorted(along, along + 2 * tolerance, side="right")
         first = int((last - np.arange(len(along))).argmax())
         share = float(last[first] - first) / len(along)
         offset = float(np.median(along[first : last[first]]))
-        beyond = float((chosen @ normal > offset + 2 * _TOLERANCE).mean())
+        across = np.array([-normal[1], normal[0], 0.0])
+        low, high = np.quantile(rim[order[first : last[first]]] @ across, (0.1, 0.9))
+        if high - low < _LEAST_WIDTH * np.ptp(chosen @ across):
+            continue
+        beyond = float((chosen @ normal > offset + 2 * tolerance).mean())
         if beyond <= _MOST_BEYOND and share >= max(_LEAST_SHARE, best.rim_share if best else 0.0):
             best = CutPlane(float(azimuth_deg), share)
     return best
 
 
-def _rim(points: FloatArray) -> FloatArray:  # [N, 3] -> [R, 3]
-    """Return rim points of a surface; none if it has next to no rim."""
+def _rim(points: FloatArray) -> tuple[FloatArray, float]:  # [N, 3] -> [R, 3], spacing
+    """Return rim points of a surface, none if it has next to no rim, and the spacing of points."""
     tested = points[:: max(1, -(-len(points) // _TESTED))]
-    _, index = cKDTree(points).query(tested, k=_NEIGHBOURS + 1)
+    distance, index = cKDTree(points).query(tested, k=_NEIGHBOURS + 1)
     ways = points[index[:, 1:]] - tested[:, None]
     length = np.linalg.norm(ways, axis=2).mean(axis=1)
     one_sided = np.linalg.norm(ways.mean(axis=1), axis=1) > _ONE_SIDED * length
-    if one_sided.mean() < _LEAST_RIM_SHARE:
-        return tested[:0]
-    return tested[one_sided]
+    # A disc to the k-th neighbour holds k points of one spacing squared each.
+    spacing = float(np.median(distance[:, -1])) * math.sqrt(math.pi / _NEIGHBOURS)
+    return tested[one_sided & (one_sided.mean() >= _LEAST_RIM_SHARE)], spacing

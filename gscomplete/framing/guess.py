@@ -200,10 +200,10 @@ def _complete_box(
         reason = f"the box grows: {', '.join(grown)}" if grown else "centre and size are the box's"
         return (low + high) / 2, float((high - low).max()), f"P is a shell: {reason}"
     toward, strength = scores.openness()
-    if cut is not None:
-        toward, strength = cut.azimuth_deg, cut.rim_share
-    elif seen_from_deg is not None:
+    if seen_from_deg is not None:
         toward = (seen_from_deg + 180.0) % 360.0
+    elif cut is not None:
+        toward, strength = cut.azimuth_deg, cut.rim_share
     if strength < min_openness:
         center, reason = (low + high) / 2, "no side is clearly open: centre and size are the box's"
     else:

@@ -177,14 +177,15 @@ def main(options: Options) -> None:
     for entry in track(entries, "objects", console=Console(file=sys.stderr)):
         number = int.from_bytes(entry.id.encode()[-6:], "little")
         complete: Splats | None = None
-        for k, kind in enumerate(options.kinds):
+        for kind in options.kinds:
             rows = results.rows.setdefault(f"{entry.id}:{kind}", {"prompt": entry.caption})
             if all(way in rows for way in options.ways):
                 continue
             if complete is None:
                 mesh = read_mesh(options.meshes, entry)
                 complete = complete_object(mesh, entry, np.random.default_rng((number, 0)))
-            partial = part_of(complete, kind, np.random.default_rng((number, 1 + k)))
+            cut_rng = np.random.default_rng((number, 1 + get_args(PartKind).index(kind)))
+            partial = part_of(complete, kind, cut_rng)
             item = RealObject(entry.id, entry.caption, "Z", partial, complete, kind)
             framed = frame_object(item, prior)
             for way in options.ways:
