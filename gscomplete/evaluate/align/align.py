@@ -46,8 +46,8 @@ _SECOND, _THIRD = 120, 8
 """Candidates that go on to the second and the third stage."""
 _APART_DEG, _APART_LOG_SCALE = 8.0, 0.05
 """Candidates nearer than this in both are one."""
-_AS_GOOD = 1.15
-"""Cost over the best one's up to which colours decide."""
+_AS_GOOD = 1.7
+"""Cost over the best one's up to which colours decide: samplings of the same surface differ so."""
 _SOLID = 0.3
 """Opacity above which a splat counts as surface."""
 
@@ -237,19 +237,19 @@ def _searched(
     more = [cloud[evenly_spread(cloud, _MIDDLE, rng)] for cloud in (part, whole)]
     rotations = np.repeat(even_rotations(settings.rotations), _STARTS, axis=0)
     number = np.arange(len(rotations))
-    scales = ratio * np.linspace(*_SCALES, _STARTS)[number % _STARTS]
+    scales = ratio * np.linspace(_SCALES[0], _SCALES[1], _STARTS)[number % _STARTS]
     _, axes = np.linalg.eigh(np.cov(whole.T))
     beside = _ASIDE * np.ptp(whole @ axes, axis=0)[:, None] * axes.T
     places = few[1].mean(axis=0) + np.concatenate([np.zeros((1, 3)), beside, -beside])
     shifts = places[number * 5 % len(places)] - scales[:, None] * (rotations @ few[0].mean(axis=0))
     costs = improve(
-        *few, *grids, rotations, scales, shifts,
+        few[0], few[1], grids[0], grids[1], rotations, scales, shifts,
         covered=settings.covered, iterations=8, scale_range=reach,
     )  # fmt: skip
     chosen = np.argsort(costs)[:_SECOND]
     rotations, scales, shifts = (x[chosen].copy() for x in (rotations, scales, shifts))
     costs = improve(
-        *more, *grids, rotations, scales, shifts,
+        more[0], more[1], grids[0], grids[1], rotations, scales, shifts,
         covered=settings.covered, iterations=12, scale_range=reach,
     )  # fmt: skip
     found = [
