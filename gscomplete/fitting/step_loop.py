@@ -32,7 +32,7 @@ Report = TypeVar("Report", bound="DataclassInstance")
 Report_co = TypeVar("Report_co", bound="DataclassInstance", covariant=True)
 
 
-class LongJob(Protocol[Report_co]):
+class StepJob(Protocol[Report_co]):
     """A job that is done step by step."""
 
     step_number: int
@@ -53,8 +53,8 @@ class LongJob(Protocol[Report_co]):
         """Return all that the next step depends on."""
 
 
-def take_steps(
-    job: LongJob[Report], out: Path, checkpoint_every: int, on_step: Callable[[Report], None]
+def run_steps(
+    job: StepJob[Report], out: Path, checkpoint_every: int, on_step: Callable[[Report], None]
 ) -> None:
     """Take all remaining steps.
 
