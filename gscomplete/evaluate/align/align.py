@@ -33,6 +33,8 @@ from gscomplete.splats.transform import Similarity
 
 _DENSE, _MIDDLE, _SPARSE = 4000, 500, 64
 """Points of either cloud in the last, the second and the first stage."""
+_LOOKED_AT = 30_000
+"""Points that an even choice is made from, themselves chosen at random where there are more."""
 _FEWEST = 50
 """Points that an alignment needs."""
 _SCALES = (0.6, 0.97)
@@ -189,7 +191,7 @@ def evenly_spread(
         raise UserError(
             f"alignment: expected at least {_FEWEST} finite points, found {len(points)}"
         )
-    rows = rng.permutation(len(points))[: 8 * count]
+    rows = rng.permutation(len(points))[:_LOOKED_AT]
     offsets = points[rows] - points[rows].min(axis=0)
     side = float(offsets.max())
     if not side > 0:
