@@ -26,8 +26,13 @@ from gscomplete.completion.settings import CompletionSettings
 from gscomplete.errors import UserError
 from gscomplete.evaluate.pictures import preview_sheet, save_image, save_turntable
 from gscomplete.evaluate.report import evaluate
-from gscomplete.fitting.checkpoint import FILE_NAME, load_checkpoint
-from gscomplete.fitting.step_loop import CHECKPOINTS, require_same_identity, take_steps
+from gscomplete.fitting.checkpoint import FILE_NAME, check_fits, load_checkpoint
+from gscomplete.fitting.step_loop import (
+    CHECKPOINTS,
+    LOG_FILE,
+    require_same_identity,
+    take_steps,
+)
 from gscomplete.framing.check import check_given_frame, largest_side
 from gscomplete.framing.guess import guess_framing
 from gscomplete.priors.base import Conditioning, Prior, prior_identity
@@ -37,14 +42,19 @@ from gscomplete.splats.ply import SplatFile, append_splats, read_splats, require
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.splats.working_set import WorkingSet, working_set
 from gscomplete.util import jsonio
-from gscomplete.util.atomic import atomic_path
+from gscomplete.util.atomic import atomic_path, forget_leftovers
 from gscomplete.util.device import peak_gpu_bytes
 from gscomplete.util.digests import sha256_of
+from gscomplete.util.folder_lock import FolderLock, lock_folder
 from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution, radius_to_fit, up_rotation
 
 RUN_FILE = "run.json"
 OUTPUT_FILE = "completed.ply"
 ALTERNATIVES_FILE = "alternatives.png"
+_FILES = (
+    *(RUN_FILE, OUTPUT_FILE, ALTERNATIVES_FILE, "preview.png", "turntable.webp"),
+    *(LOG_FILE, FILE_NAME),
+)
 VISIBILITY_PX = 128
 """Side of the picture in which P must be seen."""
 COARSE = 1e-3
@@ -85,6 +95,8 @@ class Run:
     notes: tuple[str, ...]
     completion: Completion
     identity: dict[str, Any]
+    lock: FolderLock | None = None
+    """No other process works in the run folder; None = as yet, or where there are no locks."""
     timings: dict[str, float] = field(default_factory=dict)
 
 
@@ -100,8 +112,14 @@ def prepare(request: Request, prior: Prior, device: torch.device | str = "cpu") 
         UserError: the input, an option or the output folder is wrong.
     """
     started = time.perf_counter()
-    if request.resume and not (request.out / RUN_FILE).exists():
-        raise UserError(f"{request.out}: nothing to resume: there is no {RUN_FILE}")
+    lock = None
+    if request.resume:
+        if not (request.out / RUN_FILE).exists():
+            raise UserError(
+                f"{request.out}: nothing to resume: there is no {RUN_FILE}; start without --resume"
+            )
+        lock = lock_folder(request.out)
+        forget_leftovers(request.out, _FILES)
     source = read_splats(request.partial_path)
     require_appendable(source)
     chosen = working_set(
@@ -147,14 +165,20 @@ def prepare(request: Request, prior: Prior, device: torch.device | str = "cpu") 
         notes,
         completion,
         identity,
+        lock,
     )
     if request.resume:
         require_same_identity(request.out / RUN_FILE, identity)
         state = load_checkpoint(request.out / CHECKPOINTS)
         if state is not None:
-            completion.restore(state)
+            path = request.out / CHECKPOINTS / FILE_NAME
+            check_fits(path, state, completion.state(), request.settings.steps)
+            try:
+                completion.restore(state)
+            except ValueError as error:
+                raise UserError(f"{path}: {error}") from error
     else:
-        _make_folder(request.out)
+        run.lock = _make_folder(request.out)
     run.timings["prepare_s"] = time.perf_counter() - started
     _write_run_file(run, "running", None)
     return run
@@ -320,21 +344,29 @@ def _require_visible(partial: Splats, distribution: ViewDistribution, path: Path
         )
 
 
-def _make_folder(out: Path) -> None:
-    """Create the run folder.
+def _make_folder(out: Path) -> FolderLock | None:
+    """Create the run folder and lock it.
+
+    What a run that was killed before its first file left behind does not count.
 
     Raises:
         UserError: it exists with something in it, or cannot be created.
     """
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+    if out.exists() and not out.is_dir():
+        raise UserError(f"{out}: --out: expected a folder to create, found a file")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        lock = lock_folder(out)
+        forget_leftovers(out, _FILES)
+        is_empty = not any(out.iterdir())
+    except OSError as error:
+        raise UserError(f"{out}: cannot create the output folder: {error.strerror}") from error
+    if not is_empty:
         raise UserError(
             f"{out}: the output folder exists and is not empty; choose another --out, or continue "
             "the run in it with --resume"
         )
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"{out}: cannot create the output folder: {error.strerror}") from error
+    return lock
 
 
 def _write_run_file(run: Run, status: str, result: dict[str, Any] | None) -> dict[str, Any]:
