@@ -27,6 +27,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from gscomplete import __version__
 from gscomplete.errors import UserError
+from gscomplete.folders.object_folder import COMPLETE_FILE, PARTIAL_FILE, SCHEMA, SCHEMA_VERSION
+from gscomplete.folders.object_folder import OBJECT_FILE as RECORD_FILE
 from gscomplete.splats import Similarity, Splats, read_splats, write_splats
 from gscomplete.util import jsonio
 from gscomplete.util.digests import sha256_of
@@ -37,14 +39,6 @@ from splatcomplete_data.cuts.boxes import CropBox
 if TYPE_CHECKING:
     from PIL import Image
 
-SCHEMA = "splatcomplete.object"
-"""Name of the JSON form."""
-SCHEMA_VERSION = 1
-"""Version of the JSON form; other versions are refused."""
-
-RECORD_FILE = "object.json"
-PARTIAL_FILE = "partial.ply"
-COMPLETE_FILE = "complete.ply"
 PREVIEW_FILE = "preview.png"
 BOXES_FILE = "boxes.png"
 """Picture of crop boxes: part of a cropped object, or all that a folder holds that they were only

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from gscomplete.cli.given import Given, Options, take_given
+from gscomplete.cli.parse import parse_numbers
 from gscomplete.errors import UserError
 from gscomplete.priors.latent.settings import LatentPriorSettings
 
@@ -28,30 +30,35 @@ class CompleteOptions:
 
     Reads PARTIAL.ply (P), adds new splats where the prompt and the prior want them, keeps P's looks
     from the view distribution V, and writes a run folder: completed.ply (P's records first and
-    byte for byte, new ones after), run.json, preview.png, turntable.webp.
+    byte for byte, new ones after), run.json, preview.png, turntable.webp. Of an object folder of
+    splatcomplete-data, or any file in it, object.json says what the options leave open.
 
-    Example: gscomplete complete half_mug.ply --prompt "a red mug" --out runs/mug
+    Examples: gscomplete complete half_mug.ply --prompt "a red mug" --out runs/mug;
+    gscomplete complete objects/mug
     """
 
     partial: Annotated[Path, tyro.conf.Positional]
-    """Splat PLY of the partial object, in the layout of the original 3DGS."""
-    prompt: str
-    """What the whole object is, such as "a red mug"."""
+    """Splat PLY of the partial object, in the layout of the original 3DGS; or an object folder."""
+    prompt: str | None = None
+    """What the whole object is, such as "a red mug"; None = as object.json says."""
     out: Path | None = None
-    """Run folder; None = PARTIAL's name with _completed, in the current folder."""
+    """Run folder; None = the name of PARTIAL or of its object with _completed, in the current
+    folder."""
     view: str | None = None
     """Input view c as AZIMUTH,ELEVATION in degrees (azimuth 0 looks from +x of the z-up object
-    frame, 90 from +y); None = the view that shows most of P from outside, or another if the
-    prior's guess of the whole would hide P from there."""
-    range: float = 50.0
-    """V reaches this many degrees of azimuth to either side of c."""
-    up: Literal["X", "Y", "Z", "-X", "-Y", "-Z"] = "Z"
-    """Axis of the file that points up (glTF: Y; COLMAP and most 3DGS files: -Y). If an object.json
-    of splatcomplete-data beside PARTIAL says another one, that is told."""
+    frame, 90 from +y); None = as object.json says, else the view that shows most of P from
+    outside, or another if the prior's guess of the whole would hide P from there."""
+    range: float | None = None
+    """V reaches this many degrees of azimuth to either side of c; None = as object.json says, else
+    50."""
+    up: Literal["X", "Y", "Z", "-X", "-Y", "-Z"] | None = None
+    """Axis of the file that points up (glTF: Y; COLMAP and most 3DGS files: -Y); None = as
+    object.json says, else Z."""
     center: str | None = None
-    """Centre of the WHOLE object as X,Y,Z in file coordinates; None = guessed from P."""
+    """Centre of the WHOLE object as X,Y,Z in file coordinates; None = as object.json says where it
+    was given to that by hand, else guessed from P."""
     size: float | None = None
-    """Largest side of the WHOLE object in file units; None = guessed from P."""
+    """Largest side of the WHOLE object in file units; None = as for --center."""
     prior: str = "embedded"
     """embedded, mvdream, or the path of weights: MVDream's file or folder, a folder of any
     diffusers text-to-image model, or an export of the embedded prior."""
@@ -122,13 +129,12 @@ def _complete(options: CompleteOptions) -> int:
     from gscomplete.priors import load_prior
     from gscomplete.util.device import choose_device, choose_render_device
 
-    _refuse_folder(options.partial)
     device = choose_device(options.device)
     render_device, fallback = choose_render_device(options.device, device)
     knobs = None if options.diffusion == LatentPriorSettings() else options.diffusion
     prior = load_prior(options.prior, device, knobs)
     job = prepare(_request(options, prior), prior, render_device)
-    _say(options, *_recorded_up(options), *job.notes, *([fallback] if fallback else []))
+    _say(options, *job.notes, *([fallback] if fallback else []))
     if job.completion.step_number:
         _say(options, f"resuming at step {job.completion.step_number}")
     said = len(job.notes)
@@ -152,31 +158,6 @@ def _complete(options: CompleteOptions) -> int:
     return 0
 
 
-def _refuse_folder(path: Path) -> None:
-    """Name the part in an object folder.
-
-    Raises:
-        UserError: the path is a folder with one.
-    """
-    part = path / "partial.ply"
-    if part.is_file():
-        raise UserError(f"{path}: expected a splat file, found a folder; its part is {part}")
-
-
-def _recorded_up(options: CompleteOptions) -> tuple[str, ...]:
-    """Tell where the object file beside P records another up axis than the one that is taken."""
-    from gscomplete.util.jsonio import read_json
-
-    path = options.partial.with_name("object.json")
-    try:
-        up = read_json(path)["frame"]["up"]
-    except (UserError, KeyError, TypeError):
-        return ()  # there is none, or it is something else
-    if up not in ("X", "Y", "Z", "-X", "-Y", "-Z") or up == options.up:
-        return ()
-    return (f"{path}: {up} points up, but {options.up} is taken to: pass --up={up} to change that",)
-
-
 def _memory_note(peak_bytes: int | None) -> str:
     """Return the peak of GPU memory as words, or nothing without a GPU."""
     return "" if peak_bytes is None else f", at most {peak_bytes / 2**30:.2f} GiB of GPU memory"
@@ -192,12 +173,7 @@ def _request(options: CompleteOptions, prior: Prior) -> Request:
     from gscomplete.completion.run_folder import Request
     from gscomplete.completion.settings import HardPreservationSettings, SeamColorSettings
 
-    if not options.prompt.strip():
-        raise UserError("--prompt: expected what the whole object is, found an empty text")
-    if not 0 <= options.range <= 180:
-        raise UserError(f"--range: expected 0 to 180 degrees, found {options.range:g}")
-    if options.size is not None and not 0 < options.size < float("inf"):
-        raise UserError(f"--size: expected a positive length, found {options.size:g}")
+    given = given_to(options)
     settings = dataclasses.replace(
         preset(options.preset, prior.name, text_only=options.text_only), seed=options.seed
     )
@@ -220,21 +196,39 @@ def _request(options: CompleteOptions, prior: Prior) -> Request:
         raise UserError(f"--alternatives: expected 0 to 8, found {options.alternatives}")
     if options.alternatives:
         _require_guess("--alternatives", options, settings, prior)
-    view = parse_view(options.view)
-    center = parse_numbers(options.center, 3, "--center", "X,Y,Z")
+    name = given.partial.stem if given.object_folder is None else given.object_folder.resolve().name
     return Request(
-        partial_path=options.partial,
-        prompt=options.prompt,
-        out=options.out or Path(f"{options.partial.stem}_completed"),
+        partial_path=given.partial,
+        prompt=given.prompt,
+        out=options.out or Path(f"{name}_completed"),
         settings=settings,
         negative_prompt=options.negative_prompt,
-        up=options.up,
-        view_deg=view,
-        azimuth_range_deg=options.range,
-        center_file=None if center is None else (center[0], center[1], center[2]),
-        size_file=options.size,
+        up=given.up,
+        view_deg=given.view_deg,
+        azimuth_range_deg=given.azimuth_range_deg,
+        elevation_range_deg=given.elevation_range_deg,
+        center_file=given.center_file,
+        size_file=given.size_file,
         resume=options.resume,
         alternatives=options.alternatives,
+        object_folder=given.object_folder,
+        sources=given.sources,
+        notes=given.notes,
+    )
+
+
+def given_to(options: CompleteOptions) -> Given:
+    """Join the options with what the object folder says."""
+    return take_given(
+        Options(
+            options.partial,
+            options.prompt,
+            options.up,
+            options.view,
+            options.range,
+            options.center,
+            options.size,
+        )
     )
 
 
@@ -285,38 +279,6 @@ def _stretched(settings: CompletionSettings, steps: int) -> CompletionSettings:
         warmup_steps=round(share * settings.warmup_steps),
         densify=dataclasses.replace(settings.densify, every=every),
     )
-
-
-def parse_view(text: str | None, option: str = "--view") -> tuple[float, float] | None:
-    """Parse a view as azimuth and elevation in degrees.
-
-    Raises:
-        UserError: it has the wrong form, or an angle is out of range.
-    """
-    numbers = parse_numbers(text, 2, option, "AZIMUTH,ELEVATION")
-    if numbers is None:
-        return None
-    azimuth, elevation = numbers
-    if not abs(azimuth) <= 360:
-        raise UserError(f"{option}: expected an azimuth of -360 to 360 degrees, found {azimuth:g}")
-    if not -90 <= elevation <= 90:
-        raise UserError(
-            f"{option}: expected an elevation of -90 to 90 degrees, found {elevation:g}"
-        )
-    return azimuth, elevation
-
-
-def parse_numbers(text: str | None, count: int, option: str, form: str) -> list[float] | None:
-    """Parse comma-separated finite numbers."""
-    if text is None:
-        return None
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        values = []
-    if len(values) != count or not all(abs(value) < float("inf") for value in values):
-        raise UserError(f"{option}: expected {form}, {count} finite numbers, found {text!r}")
-    return values
 
 
 def _with_progress(job: Run) -> dict[str, Any]:

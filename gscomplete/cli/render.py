@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from gscomplete.cli.complete import parse_numbers, parse_view
+from gscomplete.cli.parse import parse_numbers, parse_view
 from gscomplete.errors import UserError
+from gscomplete.folders import shown_by
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from gscomplete.views import ObjectFrame
+    from gscomplete.views import ObjectFrame, UpAxis
 
 _MOST_FOV_DEG = 80.0
 _SHOWN = 1.6
@@ -25,25 +26,25 @@ _SHOWN = 1.6
 
 @dataclass(frozen=True)
 class RenderOptions:
-    """Render a splat file from given views of its object frame.
+    """Render a splat file, a run or an object's part from given views of its object frame.
 
-    Example: gscomplete render completed.ply --views 0,15 90,15 --out pictures
+    Example: gscomplete render runs/mug --views 0,15 90,15 --out pictures
     """
 
     file: Annotated[Path, tyro.conf.Positional]
-    """Splat PLY."""
+    """Splat PLY, run folder or object folder."""
     out: Path = Path("render")
     """Folder for view_AZIMUTH_ELEVATION.png files; created, files in it are replaced."""
     views: tuple[str, ...] = ("0,15", "60,15", "120,15", "180,15", "240,15", "300,15")
     """Views as AZIMUTH,ELEVATION in degrees, at least one."""
-    up: Literal["X", "Y", "Z", "-X", "-Y", "-Z"] = "Z"
-    """Axis of the file that points up."""
+    up: Literal["X", "Y", "Z", "-X", "-Y", "-Z"] | None = None
+    """Axis of the file that points up; None = as its run or object folder says, else Z."""
     center: str | None = None
-    """Centre of the object frame as X,Y,Z in file coordinates, with --size; None = the middle of
-    the splats, floaters apart."""
+    """Centre of the object frame as X,Y,Z in file coordinates, with --size; None = as the run or
+    object folder says, else the middle of the splats, floaters apart."""
     size: float | None = None
-    """Side of the object frame in file units, with --center; None = the splats' largest side,
-    floaters apart. Pictures show 1.6 times as much."""
+    """Side of the object frame in file units, with --center; None = as the folder says, else the
+    splats' largest side, floaters apart. Pictures show 1.6 times as much."""
     size_px: int = 512
     """Width and height of the pictures."""
     fov: float = 40.0
@@ -76,15 +77,19 @@ def run(options: RenderOptions) -> int:
         raise UserError("--views: expected at least one AZIMUTH,ELEVATION, found none")
     background = parse_numbers(options.background, 3, "--background", "R,G,B") or [1.0, 1.0, 1.0]
     angles = [parse_view(view, "--views") for view in options.views]
-    given = _given_frame(options)
-    splats = read_splats(options.file).splats
+    shown = shown_by(options.file)
+    up = options.up or (shown.frame.up if shown.frame is not None else "Z")
+    given = _given_frame(options, up)
+    if given is None and shown.frame is not None and shown.frame.up == up:
+        given = shown.frame
+    splats = read_splats(shown.file).splats
     usable, left_out = usable_rows(splats)
     if not bool(usable.any()):
-        raise UserError(f"{options.file}: expected splats that can be drawn, found none")
+        raise UserError(f"{shown.file}: expected splats that can be drawn, found none")
     for reason, count in left_out.items():
         print(f"{count:,} splats not drawn: {reason.replace('_', ' ')}", file=sys.stderr)
     splats = splats.select(usable)
-    frame = given or ObjectFrame.without_floaters(splats, options.up)
+    frame = given or ObjectFrame.without_floaters(splats, up)
     outside = frame.count_outside(splats, _SHOWN / 2)
     if outside:
         print(f"{outside:,} splats lie outside the frame that is shown", file=sys.stderr)
@@ -118,7 +123,7 @@ def run(options: RenderOptions) -> int:
     return 0
 
 
-def _given_frame(options: RenderOptions) -> ObjectFrame | None:
+def _given_frame(options: RenderOptions, up: UpAxis) -> ObjectFrame | None:
     """Return the object frame that the user gives.
 
     Raises:
@@ -133,7 +138,7 @@ def _given_frame(options: RenderOptions) -> ObjectFrame | None:
         return None
     if center is None or options.size is None:
         raise UserError("--center, --size: expected both or none, found one")
-    return ObjectFrame(options.up, (center[0], center[1], center[2]), options.size)
+    return ObjectFrame(up, (center[0], center[1], center[2]), options.size)
 
 
 def _near_is_white(depth: Tensor) -> Tensor:  # [V, H, W]

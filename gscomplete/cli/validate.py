@@ -19,6 +19,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from gscomplete.errors import UserError
+from gscomplete.folders import splat_files_of
 from gscomplete.splats.validation import ValidationReport, validate_file
 
 _STYLES = {"error": "bold red", "warning": "yellow", "info": "dim"}
@@ -29,7 +30,7 @@ class ValidateOptions:
     """Check splat files and name what is wrong or odd, with counts and a verdict."""
 
     files: Annotated[list[Path], tyro.conf.Positional]
-    """PLY files to check."""
+    """PLY files to check, and folders whose PLY files are checked."""
 
     json: bool = False
     """Print one JSON object instead of text."""
@@ -42,11 +43,11 @@ def run(options: ValidateOptions) -> int:
         0 when no file has an error, else 1.
 
     Raises:
-        UserError: no file was given.
+        UserError: no file was given, or a folder holds none.
     """
     if not options.files:
         raise UserError("expected at least one FILE to check, found none")
-    reports = [validate_file(path) for path in options.files]
+    reports = [validate_file(file) for path in options.files for file in splat_files_of(path)]
     ok = all(report.ok for report in reports)
     if options.json:
         data = {"ok": ok, "files": [report.to_json() for report in reports]}

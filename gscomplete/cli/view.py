@@ -21,9 +21,9 @@ class ViewOptions:
     """
 
     paths: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """A run folder; or splat files and folders of them, each file a layer."""
+    """A run folder; an object folder; or splat files and folders of them, each file a layer."""
     up: Literal["X", "Y", "Z", "-X", "-Y", "-Z"] = "Z"
-    """Axis of the files that points up; a run knows its own."""
+    """Axis of the files that points up; a run and an object folder know their own."""
     host: str = "127.0.0.1"
     """Address to listen at; 0.0.0.0 lets other machines look."""
     port: int = 8080

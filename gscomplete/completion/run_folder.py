@@ -33,6 +33,7 @@ from gscomplete.fitting.step_loop import (
     require_same_identity,
     take_steps,
 )
+from gscomplete.folders.run_folder import OUTPUT_FILE, RUN_FILE
 from gscomplete.framing.check import check_given_frame, largest_side
 from gscomplete.framing.guess import guess_framing
 from gscomplete.priors.base import Conditioning, Prior, prior_identity
@@ -45,11 +46,9 @@ from gscomplete.util import jsonio
 from gscomplete.util.atomic import atomic_path, forget_leftovers
 from gscomplete.util.device import peak_gpu_bytes
 from gscomplete.util.digests import sha256_of
-from gscomplete.util.folder_lock import FolderLock, lock_folder
+from gscomplete.util.folder_lock import FolderLock, create_folder, lock_folder
 from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution, radius_to_fit, up_rotation
 
-RUN_FILE = "run.json"
-OUTPUT_FILE = "completed.ply"
 ALTERNATIVES_FILE = "alternatives.png"
 _FILES = (
     *(RUN_FILE, OUTPUT_FILE, ALTERNATIVES_FILE, "preview.png", "turntable.webp"),
@@ -74,10 +73,14 @@ class Request:
     up: UpAxis = "Z"
     view_deg: tuple[float, float] | None = None  # azimuth, elevation of the input view c
     azimuth_range_deg: float = 50.0
+    elevation_range_deg: float = 15.0
     center_file: tuple[float, float, float] | None = None
     size_file: float | None = None
     resume: bool = False
     alternatives: int = 0  # planes of symmetry whose guesses are drawn beside the result
+    object_folder: Path | None = None  # what P belongs to, where that is known
+    sources: dict[str, str] = field(default_factory=dict)  # which of these came from where
+    notes: tuple[str, ...] = ()  # what is odd about the request
 
 
 @dataclass(slots=True)
@@ -150,7 +153,14 @@ def prepare(request: Request, prior: Prior, device: torch.device | str = "cpu") 
     }
     del identity["settings"]["checkpoint_every"]  # decides nothing about the result
     oddities = (f"{request.partial_path}: {warning}" for warning in source.warnings)
-    notes = (*oddities, *notes, chosen.summary(), *completion.start_notes, *conditioning.report)
+    notes = (
+        *request.notes,
+        *oddities,
+        *notes,
+        chosen.summary(),
+        *completion.start_notes,
+        *conditioning.report,
+    )
     if request.negative_prompt and not completion.heeds_negative_prompt:
         notes = (*notes, "negative prompt: without effect here (with this prior: --text-only)")
     run = Run(
@@ -178,7 +188,7 @@ def prepare(request: Request, prior: Prior, device: torch.device | str = "cpu") 
             except ValueError as error:
                 raise UserError(f"{path}: {error}") from error
     else:
-        run.lock = _make_folder(request.out)
+        run.lock = create_folder(request.out, _FILES)
     run.timings["prepare_s"] = time.perf_counter() - started
     _write_run_file(run, "running", None)
     return run
@@ -312,6 +322,7 @@ def _decide_frame(
     distribution = ViewDistribution(
         *view_deg,
         azimuth_range_deg=request.azimuth_range_deg,
+        elevation_range_deg=request.elevation_range_deg,
         radius=radius_to_fit(sum(prior.views.extent_range) / 2, fov_deg),
         fov_deg=fov_deg,
     )
@@ -344,38 +355,19 @@ def _require_visible(partial: Splats, distribution: ViewDistribution, path: Path
         )
 
 
-def _make_folder(out: Path) -> FolderLock | None:
-    """Create the run folder and lock it.
-
-    What a run that was killed before its first file left behind does not count.
-
-    Raises:
-        UserError: it exists with something in it, or cannot be created.
-    """
-    if out.exists() and not out.is_dir():
-        raise UserError(f"{out}: --out: expected a folder to create, found a file")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        lock = lock_folder(out)
-        forget_leftovers(out, _FILES)
-        is_empty = not any(out.iterdir())
-    except OSError as error:
-        raise UserError(f"{out}: cannot create the output folder: {error.strerror}") from error
-    if not is_empty:
-        raise UserError(
-            f"{out}: the output folder exists and is not empty; choose another --out, or continue "
-            "the run in it with --resume"
-        )
-    return lock
-
-
 def _write_run_file(run: Run, status: str, result: dict[str, Any] | None) -> dict[str, Any]:
     """Write and return the content of ``run.json``."""
+    folder = run.request.object_folder
     content = {
         "schema": "gscomplete.run",
         "version": 1,
         "status": status,
-        "input": {"path": str(run.request.partial_path), "splats": run.source.n_rows},
+        "input": {
+            "path": str(run.request.partial_path),
+            "splats": run.source.n_rows,
+            "object": None if folder is None else str(folder),
+            "sources": run.request.sources,
+        },
         "identity": run.identity,
         "notes": list(run.notes),
         "versions": {

@@ -12,9 +12,11 @@ from __future__ import annotations
 import contextlib
 import os
 import weakref
+from collections.abc import Iterable
 from pathlib import Path
 
 from gscomplete.errors import UserError
+from gscomplete.util.atomic import forget_leftovers
 
 try:
     import fcntl
@@ -70,4 +72,32 @@ def lock_folder(folder: Path) -> FolderLock | None:
         return None
     lock = FolderLock(handle)
     _held[key] = lock
+    return lock
+
+
+def create_folder(out: Path, names: Iterable[str]) -> FolderLock | None:
+    """Create an output folder and lock it.
+
+    Args:
+        out: the folder; an empty one may be there.
+        names: of the files that are to be written; what a process that was killed before its first
+            file was there left of them does not count.
+
+    Raises:
+        UserError: it exists with something in it, or cannot be created.
+    """
+    if out.exists() and not out.is_dir():
+        raise UserError(f"{out}: --out: expected a folder to create, found a file")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        lock = lock_folder(out)
+        forget_leftovers(out, names)
+        is_empty = not any(out.iterdir())
+    except OSError as error:
+        raise UserError(f"{out}: cannot create the output folder: {error.strerror}") from error
+    if not is_empty:
+        raise UserError(
+            f"{out}: the output folder exists and is not empty; choose another --out, or continue "
+            "the run in it with --resume"
+        )
     return lock

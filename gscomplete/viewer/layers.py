@@ -2,8 +2,8 @@
 
 Conventions
 -----------
-* Layers are in the object frame: of the run where there is one, else about the first layer's box,
-  floaters apart.
+* Layers are in the object frame: of the run or the object folder where there is one, else about
+  the first layer's box, floaters apart.
 * A run folder gives two layers, ``P`` and ``new``; any other folder one per splat file in it.
 """
 
@@ -16,12 +16,11 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from gscomplete.completion.run_folder import OUTPUT_FILE, RUN_FILE
 from gscomplete.errors import UserError
+from gscomplete.folders import RUN_FILE, object_folder_of, read_run_folder, splat_files_of
 from gscomplete.splats import Splats, read_splats
 from gscomplete.splats.filters import thinned, usable_rows
 from gscomplete.splats.transform import transform_splats
-from gscomplete.util.jsonio import read_json
 from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution
 
 _REACH = 0.8
@@ -44,7 +43,7 @@ class Scene:
 
     layers: tuple[Layer, ...]
     views: ViewDistribution | None
-    """V, where a run tells it."""
+    """V, where a run or an object folder tells it."""
 
 
 def read_scene(paths: Sequence[Path], up: UpAxis, most_splats: int) -> Scene:
@@ -52,7 +51,7 @@ def read_scene(paths: Sequence[Path], up: UpAxis, most_splats: int) -> Scene:
 
     Args:
         paths: what to read; a run folder comes alone.
-        up: axis of the files that points up; a run knows its own.
+        up: axis of the files that points up; a run and an object folder know their own.
         most_splats: of each layer; of larger ones an even choice is shown.
 
     Raises:
@@ -60,9 +59,10 @@ def read_scene(paths: Sequence[Path], up: UpAxis, most_splats: int) -> Scene:
     """
     if len(paths) == 1 and (paths[0] / RUN_FILE).is_file():
         return _read_run(paths[0], most_splats)
-    files = _splat_files(paths)
+    files = [file for path in paths for file in splat_files_of(path)]
     layers = []
-    frame: ObjectFrame | None = None
+    known = object_folder_of(paths[0]) if len(paths) == 1 else None
+    frame = None if known is None else known.frame
     for name, path in zip(_names(files), files, strict=True):
         splats = read_splats(path).splats
         usable, _ = usable_rows(splats)
@@ -70,7 +70,7 @@ def read_scene(paths: Sequence[Path], up: UpAxis, most_splats: int) -> Scene:
             raise UserError(f"{path}: expected splats that can be drawn, found none")
         frame = frame or ObjectFrame.without_floaters(splats.select(usable), up)
         layers.append(_layer(name, splats, usable, frame, most_splats))
-    return Scene(tuple(layers), None)
+    return Scene(tuple(layers), None if known is None else known.views)
 
 
 def _read_run(folder: Path, most_splats: int) -> Scene:
@@ -79,47 +79,13 @@ def _read_run(folder: Path, most_splats: int) -> Scene:
     Raises:
         UserError: the run has not finished, or its files do not fit each other.
     """
-    path = folder / RUN_FILE
-    record = read_json(path)
-    try:
-        count, identity = int(record["input"]["splats"]), record["identity"]
-        frame = ObjectFrame.from_json(identity["frame"], str(path))
-        views = ViewDistribution.from_json(identity["views"], str(path))
-    except (KeyError, TypeError, ValueError) as error:
-        raise UserError(f"{path}: expected the record of a run, found none ({error!r})") from error
-    output = folder / OUTPUT_FILE
-    if not output.is_file():
-        raise UserError(f"{output}: no such file; the run is {record.get('status', 'unfinished')}")
-    splats = read_splats(output).splats
-    if len(splats) < count:
-        raise UserError(f"{output}: expected at least P's {count} splats, found {len(splats)}")
-    usable, _ = usable_rows(splats)
-    row = torch.arange(len(splats))
-    layers = [
-        _layer(name, splats.select(part), usable[part], frame, most_splats)
-        for name, part in (("P", row < count), ("new", row >= count))
-        if bool(usable[part].any())
-    ]
-    return Scene(tuple(layers), views)
-
-
-def _splat_files(paths: Sequence[Path]) -> list[Path]:
-    """List the splat files that paths stand for.
-
-    Raises:
-        UserError: a folder holds none.
-    """
-    files: list[Path] = []
-    for path in paths:
-        if not path.is_dir():
-            files.append(path)
-            continue
-        # hidden files are no splats: macOS's ._NAME, what a killed write left
-        found = sorted(p for p in path.glob("*.ply") if not p.name.startswith("."))
-        if not found:
-            raise UserError(f"{path}: expected a run folder or splat files (*.ply), found none")
-        files += found
-    return files
+    run = read_run_folder(folder)
+    layers = []
+    for name, splats in zip(("P", "new"), run.read(), strict=True):
+        usable, _ = usable_rows(splats)
+        if bool(usable.any()):
+            layers.append(_layer(name, splats, usable, run.frame, most_splats))
+    return Scene(tuple(layers), run.views)
 
 
 def _layer(

@@ -20,11 +20,12 @@ from rich.console import Console
 from rich.progress import track
 
 from gscomplete.completion.presets import PresetName, preset
-from gscomplete.completion.run_folder import RUN_FILE, Request, completing_seconds, execute, prepare
+from gscomplete.completion.run_folder import Request, completing_seconds, execute, prepare
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.errors import UserError
 from gscomplete.evaluate.metrics import against_truth
 from gscomplete.evaluate.pictures import contact_sheet, render_images, save_image
+from gscomplete.folders import RUN_FILE
 from gscomplete.priors import Prior, load_prior
 from gscomplete.priors.base import prior_identity
 from gscomplete.splats import Splats, concatenate, read_splats, write_splats

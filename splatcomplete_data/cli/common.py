@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from gscomplete.cli.complete import parse_numbers, parse_view
+from gscomplete.cli.parse import parse_numbers, parse_view
 from gscomplete.errors import UserError
 from gscomplete.util import jsonio
 from gscomplete.views import UpAxis
@@ -145,26 +145,13 @@ def report_object(options: ObjectOptions, made: Made, record: ObjectRecord) -> i
 def complete_command(folder: Path, record: ObjectRecord) -> str | None:
     """Return the shell's line that completes an object's part; None = it has none.
 
-    Centre and size are left to ``gscomplete``: its guesses are as good as the record's.
+    ``gscomplete`` reads prompt, up axis, input view and V from the folder.
     """
     from splatcomplete_data.objects import PARTIAL_FILE
 
     if PARTIAL_FILE not in record.files:
         return None
-    views = record.views
-    words = [
-        *("gscomplete", "complete", str(folder / PARTIAL_FILE)),
-        *(
-            ("--prompt", record.prompt)
-            if record.prompt[0] != "-"
-            else (f"--prompt={record.prompt}",)
-        ),
-        f"--up={record.frame.up}",
-        f"--view={views.azimuth_deg:g},{views.elevation_deg:g}",
-        f"--range={views.azimuth_range_deg:g}",
-        *("--out", f"{folder}_completed"),
-    ]
-    return shlex.join(words)
+    return shlex.join(("gscomplete", "complete", str(folder), "--out", f"{folder}_completed"))
 
 
 def store_object(options: ObjectOptions, made: Made) -> ObjectRecord:

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from gscomplete.cli.complete import parse_numbers
+from gscomplete.cli.parse import parse_numbers
 from gscomplete.util import jsonio
 from splatcomplete_data.cli.common import (
     Enter,

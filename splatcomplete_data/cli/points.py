@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gscomplete.cli.complete import parse_numbers
+from gscomplete.cli.parse import parse_numbers
 from gscomplete.errors import UserError
 from gscomplete.views import UpAxis
 from splatcomplete_data.cli.common import Enter, Made, ObjectOptions, stay_silent

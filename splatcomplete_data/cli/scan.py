@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from gscomplete.cli.complete import parse_numbers
+from gscomplete.cli.parse import parse_numbers
 from gscomplete.errors import UserError
 from splatcomplete_data.cli.common import (
     Enter,

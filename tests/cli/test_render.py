@@ -12,6 +12,8 @@ from gscomplete.cli.guard import run_guarded
 from gscomplete.cli.render import RenderOptions, run
 from gscomplete.errors import UserError
 from gscomplete.splats import read_splats, write_splats
+from gscomplete.views import ObjectFrame
+from tests.folders.object_folders import write_object_folder
 
 SAMPLE = Path(__file__).resolve().parents[2] / "recipes/demo/partial.ply"
 
@@ -116,3 +118,23 @@ def test_the_frame_may_be_given(tmp_path):
         assert run(RenderOptions(SAMPLE, tmp_path / name, **given)) == 0
     (near,), (far,) = (pictures(tmp_path / name).values() for name in ("near", "far"))
     assert (near > 0).sum() > 5 * (far > 0).sum() > 0
+
+
+def test_an_object_folder_is_drawn_in_its_own_frame(tmp_path):
+    """The recorded frame is that of the complete object, of which the part fills but half."""
+    splats = read_splats(SAMPLE).splats
+    folder = write_object_folder(tmp_path / "mug", splats, frame=ObjectFrame("Y", (0, 0, 0), 3.0))
+    run(RenderOptions(folder, tmp_path / "a", views=("0,15",), size_px=48))
+    given = {"up": "Y", "center": "0,0,0", "size": 3.0}
+    file = folder / "partial.ply"
+    run(RenderOptions(file, tmp_path / "b", views=("0,15",), size_px=48, **given))
+    (of_folder,), (of_file,) = pictures(tmp_path / "a").values(), pictures(tmp_path / "b").values()
+    assert np.array_equal(of_folder, of_file)
+    run(RenderOptions(folder, tmp_path / "c", views=("0,15",), size_px=48, up="Z"))
+    (other,) = pictures(tmp_path / "c").values()
+    assert not np.array_equal(of_folder, other)
+
+
+def test_a_folder_of_something_else_is_named(tmp_path):
+    with pytest.raises(UserError, match=r"a run folder \(run\.json\) or an object folder"):
+        run(RenderOptions(tmp_path, tmp_path / "out"))

@@ -9,6 +9,8 @@ import torch
 from gscomplete.cli.validate import ValidateOptions, run
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, write_splats
+from tests.folders.object_folders import write_object_folder
+from tests.splats.ply_files import make_splats
 
 
 def write_one(path: Path) -> Path:
@@ -42,3 +44,12 @@ def test_json_is_one_object(tmp_path, capsys):
 def test_no_file_is_an_error():
     with pytest.raises(UserError, match="at least one FILE"):
         run(ValidateOptions([]))
+
+
+def test_a_folder_stands_for_its_splat_files(tmp_path, capsys):
+    folder = write_object_folder(tmp_path / "mug", make_splats(3), make_splats(7))
+    assert run(ValidateOptions([folder], json=True)) == 0
+    files = json.loads(capsys.readouterr().out)["files"]
+    assert [Path(file["path"]).name for file in files] == ["complete.ply", "partial.ply"]
+    with pytest.raises(UserError, match=r"splat files \(\*\.ply\), found none"):
+        run(ValidateOptions([tmp_path]))

@@ -13,6 +13,7 @@ import pytest
 import torch
 
 from gscomplete.splats import Splats, colors_to_sh, read_splats, write_splats
+from tests.folders.object_folders import write_object_folder
 from tests.splats.ply_files import make_ply, random_table
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -172,27 +173,46 @@ def test_what_the_input_view_does_not_show_is_refused_before_the_run(tmp_path):
         assert not (tmp_path / "out").exists()
 
 
-def test_an_object_folder_is_told_what_to_pass(tmp_path):
-    folder = tmp_path / "object"
+def test_an_object_folder_says_what_options_leave_open(tmp_path):
+    """The folder, and any file that it records, stand for the object; run.json says so."""
+    folder = write_object_folder(tmp_path / "mug", shell())
+    quick = ("--preset", "fast", "--json")
+    plain = gscomplete("complete", folder, "--out", tmp_path / "a", *quick)
+    assert plain.returncode == 0, plain.stderr
+    content = json.loads(plain.stdout)
+    identity, given = content["identity"], content["input"]
+    assert identity["prompt"] == "a red mug"
+    assert identity["frame"]["up"] == "Y"
+    assert identity["frame"]["center_file"] == [0.1, 0.0, 0.0]  # given by hand, so known
+    views = identity["views"]
+    assert (views["azimuth_deg"], views["elevation_deg"]) == (30.0, 10.0)
+    assert (views["azimuth_range_deg"], views["elevation_range_deg"]) == (40.0, 12.0)
+    assert given["object"] == str(folder)
+    assert set(given["sources"].values()) == {"object.json"}
+    assert set(given["sources"]) == {"prompt", "up", "input_view", "V", "center", "size"}
+
+    more = ("--prompt", "a jug", "--range", "20", "--up", "Z", "--size", "1.5")
+    other = gscomplete("complete", folder / "preview.png", "--out", tmp_path / "b", *quick, *more)
+    assert other.returncode == 0, other.stderr
+    content = json.loads(other.stdout)
+    assert content["identity"]["prompt"] == "a jug"
+    assert content["identity"]["views"]["azimuth_range_deg"] == 20.0
+    assert content["input"]["sources"] == {
+        "prompt": "--prompt", "up": "--up", "input_view": "guess", "V": "--range",
+        "center": "object.json", "size": "--size",
+    }  # fmt: skip
+    assert "its input view is for up axis Y, not Z" in other.stderr
+
+
+def test_another_file_beside_an_object_means_itself(tmp_path):
+    folder = tmp_path / "other"
     folder.mkdir()
     write_splats(folder / "partial.ply", shell())
-    refused = complete(folder, tmp_path / "out")
+    (folder / "object.json").write_text('{"frame": []}')  # of some other program
+    refused = gscomplete("complete", folder / "partial.ply", "--out", tmp_path / "out")
     assert refused.returncode == 2
-    assert f"its part is {folder / 'partial.ply'}" in refused.stderr
-    quick = ("--prompt", "a mug", "--preset", "fast", "--json")
-    for number, (record, more, is_told) in enumerate(
-        [
-            ('{"frame": {"up": "-Y"}}', (), True),
-            ('{"frame": {"up": "-Y"}}', ("--up=-Y",), False),
-            ('{"frame": []}', (), False),
-        ]
-    ):
-        (folder / "object.json").write_text(record)
-        out = tmp_path / str(number)
-        result = gscomplete("complete", folder / "partial.ply", "--out", out, *quick, *more)
-        assert result.returncode == 0, result.stderr
-        assert ("-Y points up, but Z is taken to: pass --up=-Y" in result.stderr) == is_told
-        json.loads(result.stdout)
+    assert "--prompt: expected what the whole object is" in refused.stderr
+    assert complete(tmp_path, tmp_path / "out").returncode == 2
 
 
 def test_single_splat_needs_a_frame_and_then_completes(tmp_path):

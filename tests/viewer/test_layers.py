@@ -8,6 +8,7 @@ from gscomplete.errors import UserError
 from gscomplete.splats import append_splats, read_splats, write_splats
 from gscomplete.viewer.layers import read_scene
 from gscomplete.views import ObjectFrame, ViewDistribution
+from tests.folders.object_folders import write_object_folder
 from tests.splats.ply_files import make_ply, make_splats, random_table
 
 
@@ -113,3 +114,15 @@ def test_floaters_do_not_decide_the_frame_and_are_told(tmp_path):
     layer = read_scene([tmp_path / "a.ply"], "Z", 100).layers[0]
     assert layer.note == "40 splats, 2 of them outside the frame"
     assert 0.5 < float(layer.splats.means[2:].abs().max()) < 0.8
+
+
+def test_an_object_folder_gives_its_files_in_its_frame(tmp_path):
+    folder = write_object_folder(tmp_path / "mug", make_splats(5), make_splats(9))
+    scene = read_scene([folder], "Z", 100)
+    assert [(layer.name, len(layer.splats)) for layer in scene.layers] == [
+        ("complete", 9), ("partial", 5)
+    ]  # fmt: skip
+    assert scene.views == ViewDistribution(30.0, 10.0, 40.0, 12.0)
+    frame = ObjectFrame("Y", (0.1, 0.0, 0.0), 1.25).object_from_file
+    expected = frame.apply(make_splats(5).means.double()).float()
+    assert torch.allclose(scene.layers[1].splats.means, expected, atol=1e-6)

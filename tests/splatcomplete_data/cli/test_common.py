@@ -6,6 +6,7 @@ import shlex
 import pytest
 import tyro
 
+from gscomplete.cli.complete import given_to
 from gscomplete.cli.program import Command
 from gscomplete.splats import write_splats
 from splatcomplete_data import cli
@@ -23,10 +24,12 @@ def test_the_line_that_completes_the_part_is_told(tmp_path, capsys, prompt):
     program, *words = shlex.split(line)
     assert program == "gscomplete"
     options = tyro.cli(Command, args=words)
-    assert (options.partial, options.out) == (out / "partial.ply", tmp_path / "my part_completed")
-    assert (options.prompt, options.up) == (prompt, "-Y")
-    assert (options.view, options.range) == ("-30,10", 40.0)
-    assert (options.center, options.size) == (None, None)
+    assert (options.partial, options.out) == (out, tmp_path / "my part_completed")
+    given = given_to(options)
+    assert given.partial == out / "partial.ply"
+    assert (given.prompt, given.up) == (prompt, "-Y")
+    assert (given.view_deg, given.azimuth_range_deg) == ((-30.0, 10.0), 40.0)
+    assert (given.center_file, given.size_file) == (None, None)
     assert cli.main([*arguments, "--overwrite", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["complete_command"] == line
     assert "complete_command" not in json.loads((out / "object.json").read_text())

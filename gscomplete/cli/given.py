@@ -1,0 +1,173 @@
+"""What a completion is given: by options, by the object folder, or not at all.
+
+Conventions
+-----------
+* An option overrides the object folder; what neither says is a default, or guessed from P.
+* Of the folder's frame, centre and size are taken only where they are known without the truth.
+* ``sources`` says which came from where, and goes into ``run.json``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from gscomplete.cli.parse import parse_numbers, parse_view
+from gscomplete.errors import UserError
+from gscomplete.folders import OBJECT_FILE, ObjectFolder, object_folder_of
+from gscomplete.views import UpAxis
+
+DEFAULT_UP: UpAxis = "Z"
+DEFAULT_RANGE_DEG = 50.0
+"""V's reach in azimuth to either side of c, as in the paper."""
+DEFAULT_ELEVATION_RANGE_DEG = 15.0
+"""V's reach in elevation, as ``ViewDistribution`` has it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """The options that an object folder may stand in for; None = not given."""
+
+    path: Path
+    """A splat file, an object folder, or a file that such a folder records."""
+    prompt: str | None = None
+    up: UpAxis | None = None
+    view: str | None = None
+    range_deg: float | None = None
+    center: str | None = None
+    size: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """What a completion starts from; None = to be guessed."""
+
+    partial: Path
+    prompt: str
+    up: UpAxis
+    view_deg: tuple[float, float] | None
+    azimuth_range_deg: float
+    elevation_range_deg: float
+    center_file: tuple[float, float, float] | None
+    size_file: float | None
+    object_folder: Path | None
+    sources: dict[str, str]
+    """For prompt, up, input_view, V, center and size: the option, object.json, default or guess."""
+    notes: tuple[str, ...]
+    """What of the object folder was set aside."""
+
+
+def take_given(options: Options) -> Given:
+    """Join options and object folder.
+
+    Raises:
+        UserError: the path is a folder without a part, the prompt is missing, or an option is
+            wrong.
+    """
+    found = object_folder_of(options.path)
+    if found is None and options.path.is_dir():
+        raise UserError(
+            f"{options.path}: expected a splat file or an object folder with {OBJECT_FILE}, found "
+            "another folder"
+        )
+    if found is not None and found.partial.name not in found.files:
+        raise UserError(f"{found.folder}: expected a {found.partial.name}, found none recorded")
+    sources: dict[str, str] = {}
+    notes: list[str] = []
+    if found is not None and options.path.suffix == ".ply" and options.path != found.partial:
+        notes.append(f"{options.path}: what is completed is its object's part, {found.partial}")
+    up = _up(options, found, sources)
+    view = parse_view(options.view)
+    if view is not None:
+        sources["input_view"] = "--view"
+    elif found is None:
+        sources["input_view"] = "guess"
+    elif found.frame.up != up:
+        sources["input_view"] = "guess"
+        notes.append(
+            f"{found.folder / OBJECT_FILE}: its input view is for up axis {found.frame.up}, not "
+            f"{up}: another one is guessed (--view gives one)"
+        )
+    else:
+        view = found.views.azimuth_deg, found.views.elevation_deg
+        sources["input_view"] = OBJECT_FILE
+    center, size = _box(options, found, sources)
+    return Given(
+        options.path if found is None else found.partial,
+        _prompt(options, found, sources),
+        up,
+        view,
+        _range(options, found, sources),
+        DEFAULT_ELEVATION_RANGE_DEG if found is None else found.views.elevation_range_deg,
+        center,
+        size,
+        None if found is None else found.folder,
+        sources,
+        tuple(notes),
+    )
+
+
+def _prompt(options: Options, found: ObjectFolder | None, sources: dict[str, str]) -> str:
+    """Return the prompt.
+
+    Raises:
+        UserError: there is none, or it is empty.
+    """
+    if options.prompt is not None:
+        if not options.prompt.strip():
+            raise UserError("--prompt: expected what the whole object is, found an empty text")
+        sources["prompt"] = "--prompt"
+        return options.prompt
+    if found is None:
+        raise UserError(
+            f'--prompt: expected what the whole object is, such as "a red mug", found none; '
+            f"{options.path} belongs to no object folder that says it"
+        )
+    sources["prompt"] = OBJECT_FILE
+    return found.prompt
+
+
+def _up(options: Options, found: ObjectFolder | None, sources: dict[str, str]) -> UpAxis:
+    """Return the up axis."""
+    if options.up is not None:
+        sources["up"] = "--up"
+        return options.up
+    sources["up"] = "default" if found is None else OBJECT_FILE
+    return DEFAULT_UP if found is None else found.frame.up
+
+
+def _range(options: Options, found: ObjectFolder | None, sources: dict[str, str]) -> float:
+    """Return V's range of azimuths.
+
+    Raises:
+        UserError: it is out of range.
+    """
+    if options.range_deg is not None:
+        if not 0 <= options.range_deg <= 180:
+            raise UserError(f"--range: expected 0 to 180 degrees, found {options.range_deg:g}")
+        sources["V"] = "--range"
+        return options.range_deg
+    sources["V"] = "default" if found is None else OBJECT_FILE
+    return DEFAULT_RANGE_DEG if found is None else found.views.azimuth_range_deg
+
+
+def _box(
+    options: Options, found: ObjectFolder | None, sources: dict[str, str]
+) -> tuple[tuple[float, float, float] | None, float | None]:
+    """Return centre and size of the complete object where they are known.
+
+    Raises:
+        UserError: an option has the wrong form.
+    """
+    if options.size is not None and not 0 < options.size < float("inf"):
+        raise UserError(f"--size: expected a positive length, found {options.size:g}")
+    numbers = parse_numbers(options.center, 3, "--center", "X,Y,Z")
+    known = None if found is None else found.known_frame
+    sources["center"] = sources["size"] = "guess" if known is None else OBJECT_FILE
+    center = None if known is None else known.center_file
+    size = None if known is None else known.size_file
+    if numbers is not None:
+        center, sources["center"] = (numbers[0], numbers[1], numbers[2]), "--center"
+    if options.size is not None:
+        size, sources["size"] = options.size, "--size"
+    return center, size

@@ -1,0 +1,41 @@
+"""Options that are texts with numbers in them."""
+
+from __future__ import annotations
+
+from gscomplete.errors import UserError
+
+
+def parse_view(text: str | None, option: str = "--view") -> tuple[float, float] | None:
+    """Parse a view as azimuth and elevation in degrees.
+
+    Raises:
+        UserError: it has the wrong form, or an angle is out of range.
+    """
+    numbers = parse_numbers(text, 2, option, "AZIMUTH,ELEVATION")
+    if numbers is None:
+        return None
+    azimuth, elevation = numbers
+    if not abs(azimuth) <= 360:
+        raise UserError(f"{option}: expected an azimuth of -360 to 360 degrees, found {azimuth:g}")
+    if not -90 <= elevation <= 90:
+        raise UserError(
+            f"{option}: expected an elevation of -90 to 90 degrees, found {elevation:g}"
+        )
+    return azimuth, elevation
+
+
+def parse_numbers(text: str | None, count: int, option: str, form: str) -> list[float] | None:
+    """Parse comma-separated finite numbers.
+
+    Raises:
+        UserError: it has the wrong form.
+    """
+    if text is None:
+        return None
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != count or not all(abs(value) < float("inf") for value in values):
+        raise UserError(f"{option}: expected {form}, {count} finite numbers, found {text!r}")
+    return values

@@ -1,0 +1,28 @@
+"""Reading what folders say: object folders (a part and what is known of it) and run folders."""
+
+from gscomplete.folders.object_folder import (
+    COMPLETE_FILE,
+    OBJECT_FILE,
+    PARTIAL_FILE,
+    ObjectFolder,
+    object_folder_of,
+    read_object_folder,
+)
+from gscomplete.folders.run_folder import OUTPUT_FILE, RUN_FILE, RunFolder, read_run_folder
+from gscomplete.folders.shown import Shown, shown_by, splat_files_of
+
+__all__ = [
+    "COMPLETE_FILE",
+    "OBJECT_FILE",
+    "OUTPUT_FILE",
+    "PARTIAL_FILE",
+    "RUN_FILE",
+    "ObjectFolder",
+    "RunFolder",
+    "Shown",
+    "object_folder_of",
+    "read_object_folder",
+    "read_run_folder",
+    "shown_by",
+    "splat_files_of",
+]

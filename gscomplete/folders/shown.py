@@ -1,0 +1,66 @@
+"""Which splats a path means, and where up is in them: files, object folders and run folders.
+
+Conventions
+-----------
+* A run folder means its ``completed.ply``, an object folder its part; a file means itself, and the
+  folder that it belongs to still says its frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from gscomplete.errors import UserError
+from gscomplete.folders.object_folder import OBJECT_FILE, object_folder_of
+from gscomplete.folders.run_folder import OUTPUT_FILE, RUN_FILE, read_run_folder
+from gscomplete.views import ObjectFrame, ViewDistribution
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A splat file, with what its folder says."""
+
+    file: Path
+    frame: ObjectFrame | None = None
+    """Frame of the complete object; None = nobody says."""
+    views: ViewDistribution | None = None
+    """Input view c and V in that frame."""
+
+
+def shown_by(path: Path) -> Shown:
+    """Return what a path means.
+
+    Raises:
+        UserError: it is a folder of another kind, or its record cannot be read.
+    """
+    folder = path if path.is_dir() else path.parent
+    means_run = path.is_dir() or path.name in (OUTPUT_FILE, RUN_FILE)
+    if means_run and (folder / RUN_FILE).is_file():
+        run = read_run_folder(folder)
+        return Shown(run.output, run.frame, run.views)
+    found = object_folder_of(path)
+    if found is not None:
+        is_splats = path.suffix == ".ply"
+        return Shown(path if is_splats else found.partial, found.frame, found.views)
+    if path.is_dir():
+        raise UserError(
+            f"{path}: expected a splat file, a run folder ({RUN_FILE}) or an object folder "
+            f"({OBJECT_FILE}), found another folder"
+        )
+    return Shown(path)
+
+
+def splat_files_of(path: Path) -> list[Path]:
+    """List the splat files of a folder, in the order of their names; a file is its own list.
+
+    Raises:
+        UserError: the folder holds none.
+    """
+    if not path.is_dir():
+        return [path]
+    # hidden files are no splats: macOS's ._NAME, what a killed write left
+    found = sorted(p for p in path.glob("*.ply") if not p.name.startswith("."))
+    if not found:
+        raise UserError(f"{path}: expected a run folder or splat files (*.ply), found none")
+    return found

@@ -1,0 +1,74 @@
+"""What is read of an object folder is what the data side wrote."""
+
+import json
+
+import pytest
+
+from gscomplete.errors import UserError
+from gscomplete.folders import object_folder_of, read_object_folder
+from gscomplete.views import ObjectFrame, ViewDistribution
+from tests.folders.object_folders import write_object_folder
+from tests.splats.ply_files import make_splats
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return write_object_folder(tmp_path / "mug", make_splats(5), make_splats(9))
+
+
+def test_fields_are_those_of_the_record(folder):
+    found = read_object_folder(folder)
+    assert (found.id, found.subset, found.prompt) == ("mug", "mesh", "a red mug")
+    assert found.frame == found.known_frame == ObjectFrame("Y", (0.1, 0.0, 0.0), 1.25)
+    assert found.views == ViewDistribution(30.0, 10.0, 40.0, 12.0)
+    assert found.partial == folder / "partial.ply"
+    assert found.complete == folder / "complete.ply"
+    assert {"partial.ply", "complete.ply", "preview.png"} == found.files
+
+
+@pytest.mark.parametrize("origin", ["truth", "guess"])
+def test_a_frame_of_the_truth_or_of_a_guess_is_not_known(tmp_path, origin):
+    folder = write_object_folder(tmp_path / "cup", make_splats(5), frame_origin=origin)
+    found = read_object_folder(folder)
+    assert found.known_frame is None
+    assert found.complete is None
+
+
+@pytest.mark.parametrize("name", ["", "object.json", "partial.ply", "complete.ply", "preview.png"])
+def test_the_folder_and_its_files_mean_the_object(folder, name):
+    found = object_folder_of(folder / name)
+    assert found is not None
+    assert found.folder == folder
+
+
+def test_what_the_record_does_not_name_means_itself(folder, tmp_path):
+    (folder / "mine.ply").write_bytes(b"ply")
+    assert object_folder_of(folder / "mine.ply") is None
+    assert object_folder_of(folder / "absent.ply") is None
+    assert object_folder_of(tmp_path) is None
+
+
+def test_an_object_file_of_another_program_is_none_of_ours(tmp_path):
+    (tmp_path / "object.json").write_text('{"frame": []}')
+    (tmp_path / "a.ply").write_bytes(b"ply")
+    assert object_folder_of(tmp_path / "a.ply") is None
+    with pytest.raises(UserError, match=r"schema: expected 'splatcomplete\.object', found None"):
+        object_folder_of(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("version", 2, "version: expected 1, found 2"),
+        ("prompt", " ", "prompt: expected a text, found ' '"),
+        ("frame_origin", "luck", "frame_origin: expected one of truth, guess, given, found 'luck'"),
+        ("frame", None, "frame: the top level: expected an object"),
+        ("views", None, "views: view distribution: expected an object"),
+        ("files", None, "files: expected an object, found None"),
+    ],
+)
+def test_what_is_wrong_is_named(folder, name, value, message):
+    path = folder / "object.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {name: value}))
+    with pytest.raises(UserError, match=message):
+        object_folder_of(folder / "partial.ply")
