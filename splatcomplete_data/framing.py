@@ -23,6 +23,8 @@ from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution, up_rotation
 
 SPLAT_FILE_UP: UpAxis = "-Y"
 """What points up in a splat file that nothing more is known of, as in most trained ones."""
+_STEEPEST_DEG = 75.0
+"""From steeper above no side is behind."""
 UP_ASSUMED = "no cameras are known: the up axis is taken to be -Y unless --up says otherwise"
 """Note of an object whose up axis that decided."""
 
@@ -43,6 +45,8 @@ class FramingRequest:
     """Largest side of the whole object."""
     camera_position_file: tuple[float, float, float] | None = None
     """Where the source was seen from: the input view, unless another one is given."""
+    is_one_camera: bool = False
+    """Whether all of the part was seen from there: the whole then lies behind the part."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +79,7 @@ def decide_framing(partial: Splats, complete: Splats | None, request: FramingReq
         rotation = up_rotation(request.up)
         anchor = partial.means.double().median(dim=0).values
         level = transform_splats(partial, Similarity(1.0, rotation, -(rotation @ anchor)))
-        guess = guess_framing(level)
+        guess = guess_framing(level, seen_from_deg=_azimuth_of_camera(partial, request))
         notes += guess.reasons(view=view is None and camera is None, box=not is_boxed)
         if center is None:
             lifted = rotation.T @ torch.tensor(guess.center, dtype=torch.float64) + anchor
@@ -92,6 +96,15 @@ def decide_framing(partial: Splats, complete: Splats | None, request: FramingReq
     assert view is not None
     views = ViewDistribution(*view, azimuth_range_deg=request.azimuth_range_deg)
     return Framing(frame, origin, views, tuple(notes))
+
+
+def _azimuth_of_camera(partial: Splats, request: FramingRequest) -> float | None:
+    """Return the azimuth of the one camera that saw the part; None = there is no such camera."""
+    if request.camera_position_file is None or not request.is_one_camera:
+        return None
+    frame = ObjectFrame.about(partial, request.up)
+    azimuth, elevation = view_from_position(frame, request.camera_position_file)
+    return azimuth if abs(elevation) <= _STEEPEST_DEG else None
 
 
 def moved_center(request: FramingRequest, file_from_source: Similarity) -> FramingRequest:

@@ -120,7 +120,12 @@ class ViewScores:
         return math.degrees(math.atan2(-moment[1], -moment[0])) % 360.0, min(strength, 1.0)
 
 
-def guess_framing(partial: Splats, settings: FramingSettings | None = None) -> FramingGuess:
+def guess_framing(
+    partial: Splats,
+    settings: FramingSettings | None = None,
+    *,
+    seen_from_deg: float | None = None,
+) -> FramingGuess:
     """Guess centre, size and input view of the whole object.
 
     Floaters are left out of P's box. The input view is the candidate with the best
@@ -130,6 +135,8 @@ def guess_framing(partial: Splats, settings: FramingSettings | None = None) -> F
     Args:
         partial: P in z-up axes.
         settings: knobs; None = defaults.
+        seen_from_deg: azimuth that all of P was seen from, where one scanner made it: what is
+            missing lies behind P, whatever the scores say. None = unknown.
 
     Raises:
         UserError: P has no finite splat, or all are at one place.
@@ -148,6 +155,8 @@ def guess_framing(partial: Splats, settings: FramingSettings | None = None) -> F
         f"splats visible, {100 * scores.facing[row, column]:.0f} % of the area is outside surface"
     )
     toward, strength = scores.openness()
+    if seen_from_deg is not None:
+        toward = (seen_from_deg + 180.0) % 360.0
     if strength < chosen.min_openness:
         center, reason = (low + high) / 2, "no side is clearly open: centre and size are the box's"
     else:

@@ -9,13 +9,14 @@ from gscomplete.views.cameras import (
     radius_to_fit,
 )
 from gscomplete.views.distribution import ViewDistribution
-from gscomplete.views.frame import ObjectFrame, UpAxis, up_rotation
+from gscomplete.views.frame import ObjectFrame, UpAxis, axis_direction, up_rotation
 
 __all__ = [
     "Cameras",
     "ObjectFrame",
     "UpAxis",
     "ViewDistribution",
+    "axis_direction",
     "focal_from_fov",
     "four_view_orbit",
     "join_cameras",

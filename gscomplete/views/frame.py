@@ -58,6 +58,12 @@ def up_rotation(up: UpAxis) -> Tensor:  # [3, 3]
     return torch.tensor(_OBJECT_ROWS[up], dtype=torch.float64)
 
 
+def axis_direction(up: UpAxis) -> tuple[float, float, float]:
+    """Return the unit vector, in file axes, of the axis that points up."""
+    x, y, z = up_rotation(up)[2].tolist()
+    return (x, y, z)
+
+
 @dataclass(frozen=True, slots=True)
 class ObjectFrame:
     """How the object frame lies in the file frame."""

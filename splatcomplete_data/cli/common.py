@@ -145,13 +145,20 @@ def report_object(options: ObjectOptions, made: Made, record: ObjectRecord) -> i
 def complete_command(folder: Path, record: ObjectRecord) -> str | None:
     """Return the shell's line that completes an object's part; None = it has none.
 
-    ``gscomplete`` reads prompt, up axis, input view and V from the folder.
+    ``gscomplete`` reads prompt, up axis, input view and V from the folder. Its guesses of centre
+    and size are as good as the record's, but for single views and scans: it does not know where
+    the camera stood.
     """
     from splatcomplete_data.objects import PARTIAL_FILE
 
     if PARTIAL_FILE not in record.files:
         return None
-    return shlex.join(("gscomplete", "complete", str(folder), "--out", f"{folder}_completed"))
+    frame: tuple[str, ...] = ()
+    if record.subset in ("singleview", "lidar") and record.frame_origin != "truth":
+        center = ",".join(f"{value:.6g}" for value in record.frame.center_file)
+        frame = (f"--center={center}", f"--size={record.frame.size_file:.6g}")
+    out = ("--out", f"{folder}_completed")
+    return shlex.join(("gscomplete", "complete", str(folder), *frame, *out))
 
 
 def store_object(options: ObjectOptions, made: Made) -> ObjectRecord:
@@ -169,7 +176,9 @@ def store_object(options: ObjectOptions, made: Made) -> ObjectRecord:
     if shown is None or len(shown) == 0:
         raise UserError(f"{made.source_file}: no splats are left to write")
     request = dataclasses.replace(
-        framing_request(options, made.default_up), camera_position_file=made.camera_position_file
+        framing_request(options, made.default_up),
+        camera_position_file=made.camera_position_file,
+        is_one_camera=made.subset in ("singleview", "lidar"),
     )
     turn = made.file_from_source
     given_in = turn if made.is_center_of_source else None

@@ -133,6 +133,7 @@ def make(options: DepthOptions, enter: Enter = stay_silent) -> Made:
         "singleview",
         view.up,
         viewpoint=(0.0, 0.0, 0.0),
+        is_up_known=True,
         steps=view.steps,
         notes=view.notes,
         details={"camera": jsonio.to_json(view.camera), "depth": options.depth.as_posix()},

@@ -19,7 +19,11 @@ from splatcomplete_data.cli.common import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from gscomplete.splats import Similarity, Splats
+    from gscomplete.views import ObjectFrame
+    from splatcomplete_data.cuts.named import Cut
     from splatcomplete_data.objects import ObjectRecord, StepRecord
 
 
@@ -108,9 +112,34 @@ def make(options: PartialOptions) -> tuple[PartialOptions, Made]:
         notes,
         boxes=boxes,
         file_from_source=whole.file_from_source,
+        camera_position_file=_scanner(cuts, frame),
         details=details,
     )
     return options, made
+
+
+def _scanner(cuts: Sequence[Cut], frame: ObjectFrame) -> tuple[float, float, float] | None:
+    """Return where the one scanner stood, in the file frame; None = there were none or several."""
+    import math
+
+    import torch
+
+    from splatcomplete_data.cuts.named import SCAN_DISTANCE, ScanCut
+
+    places = {place for cut in cuts if isinstance(cut, ScanCut) for place in cut.directions_deg}
+    if len(places) != 1:
+        return None
+    azimuth, elevation = map(math.radians, places.pop())
+    level = SCAN_DISTANCE * math.cos(elevation)
+    eye = [
+        level * math.cos(azimuth),
+        level * math.sin(azimuth),
+        SCAN_DISTANCE * math.sin(elevation),
+    ]
+    x, y, z = (
+        frame.object_from_file.inverse().apply(torch.tensor(eye, dtype=torch.float64)).tolist()
+    )
+    return x, y, z
 
 
 @dataclass(frozen=True, slots=True, eq=False)

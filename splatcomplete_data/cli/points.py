@@ -24,10 +24,13 @@ class PointOptions(ObjectOptions):
     box: tuple[str, ...] = ()
     """Boxes in the source's frame, several allowed: [keep:|remove:]CX,CY,CZ,HX,HY,HZ[,QW,QX,QY,QZ]
     (centre, half extents, rotation)."""
-    planes: int = 0
-    """Remove up to this many planes: floor, walls, table."""
+    planes: int | None = None
+    """Remove up to this many planes: floor, walls, table. They are looked for in the complete
+    scene, level ones first, and a face of the object is none. None = 1 with --level, --seed-point
+    or --propose, else 0."""
     plane_thickness: float = 4.0
-    """A point this close to a plane belongs to it, in point spacings."""
+    """A point this close to a plane belongs to it, in point spacings; less where the plane's own
+    noise is less."""
     outliers: bool = True
     """Remove statistical outliers."""
     clusters: int = 0
@@ -35,7 +38,8 @@ class PointOptions(ObjectOptions):
     cluster_radius: float = 5.0
     """Points closer than this are of one cluster, in point spacings."""
     seed_point: str | None = None
-    """Keep the cluster nearest to X,Y,Z (source's frame) instead of the largest."""
+    """Keep the object at X,Y,Z (source's frame) instead of the largest cluster; what touches it is
+    parted from it where the surface folds inwards or changes colour."""
     level: bool = False
     """Turn the object so that the first plane found is horizontal and z is up; recorded. Up is the
     side of the scanner or, if that is unknown, of most points that stay."""
@@ -58,6 +62,7 @@ def part_settings(options: PointOptions) -> PartSettings:
     from splatcomplete_data.cuts.boxes import parse_box
     from splatcomplete_data.scan.clean import CleanSettings
     from splatcomplete_data.scan.make import PartSettings
+    from splatcomplete_data.scan.support import PlaneSettings
 
     seed = parse_numbers(options.seed_point, 3, "--seed-point", "X,Y,Z")
     if options.level and options.up not in ("auto", "Z"):
@@ -65,14 +70,16 @@ def part_settings(options: PointOptions) -> PartSettings:
     size = None if options.size == "auto" else parse_numbers(options.size, 1, "--size", "SIGMA")
     if not 0 < options.sigma < 100:
         raise UserError(f"--sigma: expected a positive number, found {options.sigma:g}")
-    for name in ("planes", "clusters"):
-        if getattr(options, name) < 0:
-            raise UserError(f"--{name}: expected 0 or more, found {getattr(options, name)}")
+    for name, value in (("planes", options.planes or 0), ("clusters", options.clusters)):
+        if value < 0:
+            raise UserError(f"--{name}: expected 0 or more, found {value}")
+    is_one_implied = options.level or seed is not None or getattr(options, "propose", False)
+    planes = int(is_one_implied) if options.planes is None else options.planes
     cleaning = CleanSettings(
-        planes=options.planes or int(options.level),
-        plane_thickness=options.plane_thickness,
+        planes=max(planes, int(options.level)),
+        plane=PlaneSettings(thickness=options.plane_thickness),
         outlier_ratio=CleanSettings().outlier_ratio if options.outliers else None,
-        clusters=max(options.clusters, 1) if seed else options.clusters,
+        clusters=options.clusters,
         cluster_radius=options.cluster_radius,
         seed_point=None if seed is None else (seed[0], seed[1], seed[2]),
     )
@@ -95,6 +102,7 @@ def made_from_points(
     default_up: UpAxis,
     *,
     viewpoint: tuple[float, float, float] | None,
+    is_up_known: bool,
     steps: tuple[StepRecord, ...],
     notes: tuple[str, ...],
     details: dict[str, object],
@@ -109,6 +117,7 @@ def made_from_points(
         subset: its kind.
         default_up: up axis of the source's frame; Z after levelling.
         viewpoint: where the scanner stood in the source's frame; None = unknown.
+        is_up_known: whether ``default_up`` is what the source says, not only assumed.
         steps: what was done before.
         notes: what was noticed before.
         details: what only this kind of source has.
@@ -119,18 +128,22 @@ def made_from_points(
     """
     import torch
 
-    from gscomplete.views import ObjectFrame
+    from gscomplete.views import ObjectFrame, axis_direction
     from splatcomplete_data.cli.common import framing_request
     from splatcomplete_data.framing import view_from_position
     from splatcomplete_data.points import offset_note
+    from splatcomplete_data.scan.clean import Surroundings
     from splatcomplete_data.scan.make import make_part
     from splatcomplete_data.scan.picture import removed_sheet
 
     settings = part_settings(options)
     enter(f"cleaning {len(cloud):,} points", 0.2)
-    part = make_part(cloud, settings, str(source), viewpoint)
+    source_up = framing_request(options, default_up).up
+    is_up_told = is_up_known or options.up != "auto"
+    around = Surroundings(viewpoint, axis_direction(source_up) if is_up_told else None)
+    part = make_part(cloud, settings, str(source), around)
     moved = part.file_from_source
-    up: UpAxis = "Z" if options.level else framing_request(options, default_up).up
+    up: UpAxis = "Z" if options.level else source_up
     eye = viewpoint
     if viewpoint is not None and moved is not None:
         x, y, z = moved.apply(torch.tensor(viewpoint, dtype=torch.float64)).tolist()
@@ -151,7 +164,7 @@ def made_from_points(
         None,
         up,
         (*steps, *part.steps),
-        (*notes, *far, size),
+        (*notes, *part.warnings, *far, size),
         boxes=settings.boxes,
         splat_size=part.sigma,
         camera_position_file=eye,

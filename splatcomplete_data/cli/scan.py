@@ -4,33 +4,48 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from gscomplete.cli.parse import parse_numbers
 from gscomplete.errors import UserError
+from gscomplete.views import UpAxis, axis_direction
 from splatcomplete_data.cli.common import (
     Enter,
     Made,
     check_out,
+    framing_request,
     report_object,
+    say,
     stages,
     stay_silent,
     store_object,
 )
 from splatcomplete_data.cli.points import PointOptions, made_from_points
 
+if TYPE_CHECKING:
+    from splatcomplete_data.objects import StepRecord
+    from splatcomplete_data.scan.cloud import PointCloud
+    from splatcomplete_data.scan.pcd import Position
+
+CLUSTERS_FILE = "clusters.png"
+"""Picture of --propose."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ScanOptions(PointOptions):
     """Cut one object out of a scan and turn it into splats of one size.
 
-    Boxes, planes, outliers and clutter are removed in this order, each with a count; removed.png
-    shows the removed points in colours of their own. Up is Z (of meshes as in `mesh`: Y for GLB and
-    glTF, what a DAE says) unless --up or --level says otherwise.
+    Planes are found in the complete scene; then boxes, planes, outliers and clutter remove points
+    in this order, each with a count, and removed.png shows which. Up is Z (of meshes as in `mesh`:
+    Y for GLB and glTF, what a DAE says; of a depth camera's PCD the picture's) unless --up or
+    --level says otherwise.
 
-    Example: splatcomplete-data scan room.ply --box 1.2,0.4,0.3,0.5,0.5,0.6 --planes 1 --clusters 1
+    Example: splatcomplete-data scan table.pcd --propose
+
+    Then, with a number that it prints: splatcomplete-data scan table.pcd
+    --seed-point=0.1,0.05,0.9 --level --prompt "a cereal box" --out cereal
     """
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
@@ -39,12 +54,17 @@ class ScanOptions(PointOptions):
     label: int | None = None
     """Keep points with this label // 10 (labelled PCD files); None = all."""
     viewpoint: str | None = None
-    """Where the scanner stood, as X,Y,Z in the file's frame; None = what a PCD's VIEWPOINT says,
-    else unknown."""
+    """Where the scanner stood, as X,Y,Z in the file's frame; None = what a PCD's VIEWPOINT says (a
+    depth camera's: its origin), else unknown."""
+    propose: bool = False
+    """Only draw what stands in the scan, numbered, into clusters.png in the current folder (or
+    --out), and print a seed point and a box for each."""
 
 
 def run(options: ScanOptions) -> int:
-    """Make the object; return the exit code."""
+    """Make the object, or propose clusters; return the exit code."""
+    if options.propose:
+        return _propose(options)
     check_out(options, options.file)
     with stages("scan") as enter:
         made = make(options, enter)
@@ -63,13 +83,47 @@ def make(options: ScanOptions, enter: Enter = stay_silent) -> Made:
     Raises:
         UserError: the file cannot be read, a flag is wrong, or a step keeps nothing.
     """
+    enter("reading", 0.0)
+    source = _read(options)
+    return made_from_points(
+        options,
+        source.cloud,
+        options.file,
+        "lidar",
+        source.up,
+        viewpoint=source.viewpoint,
+        is_up_known=source.is_up_known,
+        steps=source.steps,
+        notes=source.notes,
+        details={},
+        enter=enter,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Source:
+    """A scan, and what is known of it."""
+
+    cloud: PointCloud
+    viewpoint: Position | None
+    up: UpAxis
+    is_up_known: bool
+    steps: tuple[StepRecord, ...]
+    notes: tuple[str, ...]
+
+
+def _read(options: ScanOptions) -> _Source:
+    """Read the scan, keep a label, and find where the scanner stood.
+
+    Raises:
+        UserError: the file cannot be read, it lacks the label, or --viewpoint is no point.
+    """
     import numpy as np
 
     from splatcomplete_data.mesh.files.up_axis import up_of_mesh_file
     from splatcomplete_data.objects import StepRecord
     from splatcomplete_data.scan.read import read_scan
 
-    enter("reading", 0.0)
     scan = read_scan(options.file)
     cloud = scan.cloud
     dropped = {"not_finite": scan.rows - len(cloud)} if scan.rows > len(cloud) else {}
@@ -84,20 +138,57 @@ def make(options: ScanOptions, enter: Enter = stay_silent) -> Made:
         counts = {"other_label": len(cloud) - len(inside)}
         steps.append(StepRecord("label", len(cloud), len(inside), counts))
         cloud = cloud.select(inside)
-    eye, notes = parse_numbers(options.viewpoint, 3, "--viewpoint", "X,Y,Z"), scan.notes
-    if eye is None and scan.viewpoint is not None:
-        eye = list(scan.viewpoint)
+    given, notes = parse_numbers(options.viewpoint, 3, "--viewpoint", "X,Y,Z"), scan.notes
+    eye = scan.viewpoint if given is None else (given[0], given[1], given[2])
+    if given is None and eye is not None:
         place = ",".join(f"{value:.15g}" for value in eye)
-        notes = (*notes, f"the scanner stood at {place}, as the file's VIEWPOINT says")
-    return made_from_points(
-        options,
-        cloud,
-        options.file,
-        "lidar",
-        up_of_mesh_file(options.file),
-        viewpoint=None if eye is None else (eye[0], eye[1], eye[2]),
-        steps=tuple(steps),
-        notes=notes,
-        details={},
-        enter=enter,
-    )
+        why = "VIEWPOINT" if scan.up is None else "picture"
+        notes = (*notes, f"the scanner stood at {place}, as the file's {why} says")
+    up = up_of_mesh_file(options.file) if scan.up is None else scan.up
+    return _Source(cloud, eye, up, scan.up is not None, tuple(steps), notes)
+
+
+def _propose(options: ScanOptions) -> int:
+    """Draw and print what stands in the scan, and write nothing else.
+
+    Raises:
+        UserError: as ``make``; or --out holds a finished object.
+    """
+    import json
+    import sys
+
+    from gscomplete.evaluate.pictures import save_image
+    from gscomplete.util import jsonio
+    from splatcomplete_data.cli.points import part_settings
+    from splatcomplete_data.objects import RECORD_FILE
+    from splatcomplete_data.scan.clean import Surroundings
+    from splatcomplete_data.scan.propose import cluster_sheet, propose_clusters
+
+    if options.out is not None and (options.out / RECORD_FILE).exists():
+        raise UserError(
+            f"{options.out}: --propose: expected a folder without a finished object, whose "
+            f"{CLUSTERS_FILE} would be replaced"
+        )
+    with stages("scan") as enter:
+        enter("reading", 0.0)
+        source = _read(options)
+        request = framing_request(options, source.up)
+        is_told = source.is_up_known or options.up != "auto"
+        around = Surroundings(source.viewpoint, axis_direction(request.up) if is_told else None)
+        enter(f"looking for objects among {len(source.cloud):,} points", 0.2)
+        found = propose_clusters(source.cloud, part_settings(options), str(options.file), around)
+        enter("drawing", 0.7)
+        sheet = cluster_sheet(found, request.up, options.file.name)
+    path = (options.out or Path()) / CLUSTERS_FILE
+    if options.out is not None:
+        options.out.mkdir(parents=True, exist_ok=True)
+    save_image(sheet, path)
+    say(options, *source.notes, *found.part.warnings)
+    for number, cluster in enumerate(found.clusters, 1):
+        seed, box = (",".join(f"{v:.4g}" for v in row) for row in (cluster.seed, cluster.box))
+        say(options, f"{number}: {cluster.count:,} points; --seed-point={seed} or --box={box}")
+    say(options, f"drawn: {path} (axes x red, y green, z blue)")
+    if options.json:
+        content = {"clusters": jsonio.to_json(found.clusters), "picture": path.as_posix()}
+        sys.stdout.write(json.dumps(content) + "\n")
+    return 0

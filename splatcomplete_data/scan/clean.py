@@ -4,12 +4,15 @@ Conventions
 -----------
 * Lengths are multiples of the cloud's spacing (median distance to the nearest neighbour) unless
   their name ends in ``_file``: the same settings fit metres and millimetres.
+* Planes are looked for in the complete scene (``support``), everything else in what boxes keep.
+  What lies below a level plane goes with it.
 * A step returns what it keeps; ``clean`` strings them together and remembers for every point which
   step removed it. Nothing is changed in place.
-* Planes: RANSAC, a function of the seed alone (Open3D's runs in parallel and is not). The plane
-  with most points goes first; planes below a share of the cloud stay.
 * Outliers: mean distance to k neighbours beyond mean + ratio x standard deviation over the cloud.
-* Clutter: connected clusters (``clusters``), of which one, or the largest few, stay.
+* Neighbours: where there are boxes and a plane to stand on, objects most of which lie outside the
+  boxes (``segments``).
+* Clutter: connected clusters (``clusters``), of which one, or the largest few, stay; with a seed
+  point the object that it lies on (``segments``), which may touch others.
 """
 
 from __future__ import annotations
@@ -23,10 +26,19 @@ from scipy.spatial import cKDTree
 from gscomplete.errors import UserError
 from splatcomplete_data.objects import StepRecord
 from splatcomplete_data.points import median_spacing
+from splatcomplete_data.scan.cloud import PointCloud
 from splatcomplete_data.scan.clusters import cluster
+from splatcomplete_data.scan.segments import beyond_boxes, object_at
+from splatcomplete_data.scan.support import PlaneSettings, SupportPlane, find_support_planes
 
 BoolArray = NDArray[np.bool_]
 Points = NDArray[np.float64]
+
+DOUBTFUL_SHARE = 0.5
+"""Cleaning that keeps less of what the boxes keep is warned about."""
+
+_VICINITY = 0.5
+"""How far about the boxes neighbours are looked for, in diagonals of what the boxes keep."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,12 +47,8 @@ class CleanSettings:
 
     planes: int = 1
     """Most planes (floor, walls, table) to remove; 0 = none."""
-    plane_thickness: float = 4.0
-    """A point this close to a plane belongs to it, in spacings."""
-    plane_share: float = 0.12
-    """A plane with a smaller share of the remaining points is not removed."""
-    plane_trials: int = 400
-    """RANSAC trials per plane."""
+    plane: PlaneSettings = field(default_factory=PlaneSettings)
+    """How they are found."""
     outlier_ratio: float | None = 2.5
     """Standard deviations from which a point is an outlier; None = keep all."""
     outlier_neighbours: int = 16
@@ -50,9 +58,17 @@ class CleanSettings:
     cluster_radius: float = 5.0
     """Points no farther apart than this are of one cluster, in spacings."""
     seed_point: tuple[float, float, float] | None = None
-    """Keep the cluster nearest to this point instead of the largest, file frame."""
-    seed: int = 0
-    """Seed of RANSAC."""
+    """Keep the object that this point lies on instead of the largest clusters, file frame."""
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What is known of the scene beside its points, file frame."""
+
+    viewpoint: tuple[float, float, float] | None = None
+    """Where the scanner stood; None = unknown."""
+    up: tuple[float, float, float] | None = None
+    """What is up; None = unknown."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,93 +79,152 @@ class Cleaned:
     reason: NDArray[np.int8]  # [N] index into ``reasons`` of the removed, -1 for the kept
     reasons: tuple[str, ...]
     steps: tuple[StepRecord, ...]
-    planes: tuple[NDArray[np.float64], ...] = field(default=())  # [4] a, b, c, d: ax + .. + d = 0
+    planes: tuple[SupportPlane, ...] = ()
+    warnings: tuple[str, ...] = ()
+    """What makes the result doubtful, with numbers."""
 
 
-def clean(points: Points, settings: CleanSettings | None = None) -> Cleaned:
+def clean(
+    cloud: PointCloud,
+    settings: CleanSettings | None = None,
+    *,
+    wanted: BoolArray | None = None,  # [M]
+    around: Surroundings | None = None,
+) -> Cleaned:
     """Run the steps in order: planes, outliers, clusters.
 
     Args:
-        points: finite points [N, 3].
+        cloud: the complete scene, M finite points.
         settings: which steps, and knobs; None = defaults.
+        wanted: which points boxes keep, N of them; None = all.
+        around: viewpoint and up, as far as they are known.
+
+    Returns:
+        Masks over the N points that are wanted.
 
     Raises:
         UserError: nothing is left.
     """
-    chosen = settings or CleanSettings()
-    spacing = median_spacing(points, 20_000)
-    keep = np.ones(len(points), np.bool_)
-    reason = np.full(len(points), -1, np.int8)
-    reasons: list[str] = []
-    steps: list[StepRecord] = []
-    planes: list[NDArray[np.float64]] = []
+    chosen, known = settings or CleanSettings(), around or Surroundings()
+    up = None if known.up is None else np.asarray(known.up, np.float64)
+    eye = None if known.viewpoint is None else np.asarray(known.viewpoint, np.float64)
+    inside = np.ones(len(cloud), np.bool_) if wanted is None else wanted
+    spacing = median_spacing(cloud.points, 20_000)
+    planes, refused = find_support_planes(
+        cloud.points, inside, chosen.planes, spacing, chosen.plane, up=up, viewpoint=eye
+    )
+    points, colors = cloud.points[inside], cloud.colors[inside]
+    log = _Log(len(points))
+    for plane in planes:
+        heights = plane.heights(points[log.keep])
+        log.apply("planes", ~plane.inside[inside][log.keep], _plane_note(plane))
+        rest = heights[log.last_kept]
+        is_over = rest > 0
+        if 0 < (~is_over).sum() <= (1.0 - DOUBTFUL_SHARE) * len(rest):
+            log.apply("below_planes", is_over, "on the other side of the plane")
+    if planes and not inside.all():
+        other = _neighbours(cloud, inside, planes, spacing, eye, up)
+        log.apply("neighbours", ~other[log.keep], "most of these objects lies outside the boxes")
+    if chosen.outlier_ratio is not None:
+        kept = not_outliers(points[log.keep], chosen.outlier_neighbours, chosen.outlier_ratio)
+        log.apply("outliers", kept, f"beyond {chosen.outlier_ratio:g} standard deviations")
+    if chosen.seed_point is not None:
+        seed = np.asarray(chosen.seed_point, np.float64)
+        kept = object_at(points[log.keep], colors[log.keep], seed, spacing, viewpoint=eye, up=up)
+        log.apply("clutter", kept, "the object at the seed point stays")
+    elif chosen.clusters > 0:
+        labels = cluster(points[log.keep], chosen.cluster_radius * spacing)
+        note = f"{int(labels.max()) + 1} clusters at {chosen.cluster_radius * spacing:.4g}"
+        log.apply("clutter", labels < chosen.clusters, note)
+    missing = () if len(planes) == chosen.planes else (*map(_refusal, refused),)
+    if chosen.planes and not planes:
+        missing = (*missing, "no plane was found that the object stands on: none is removed")
+    warnings = (*missing, *(() if inside.all() else log.warnings()))
+    reasons = tuple(log.reasons)
+    return Cleaned(log.keep, log.reason, reasons, tuple(log.steps), tuple(planes), warnings)
 
-    def apply(name: str, kept: BoolArray, note: str) -> None:
-        where = np.flatnonzero(keep)
-        removed = where[~kept]
-        before = len(where)
-        if name not in reasons:
-            reasons.append(name)
-        reason[removed] = reasons.index(name)
-        keep[removed] = False
+
+class _Log:
+    """Which points are still kept, and why the others went."""
+
+    def __init__(self, count: int) -> None:
+        self.keep = np.ones(count, np.bool_)
+        self.reason = np.full(count, -1, np.int8)
+        self.reasons: list[str] = []
+        self.steps: list[StepRecord] = []
+        self.last_kept = self.keep
+
+    def apply(self, name: str, kept: BoolArray, note: str) -> None:
+        """Remove what a step does not keep of the points that are left.
+
+        Raises:
+            UserError: that is all of them.
+        """
+        where = np.flatnonzero(self.keep)
+        removed, before = where[~kept], len(where)
+        if name not in self.reasons:
+            self.reasons.append(name)
+        self.reason[removed] = self.reasons.index(name)
+        self.keep[removed] = False
+        self.last_kept = kept
         counts = {name: len(removed)} if len(removed) else {}
-        steps.append(StepRecord(f"remove_{name}", before, before - len(removed), counts, note))
+        self.steps.append(StepRecord(f"remove_{name}", before, before - len(removed), counts, note))
         if before == len(removed):
             raise UserError(f"scan: {name}: expected something to stay, all {before} points went")
 
-    for number in range(chosen.planes):
-        found = find_plane(points[keep], chosen.plane_thickness * spacing, chosen, number)
-        if found is None:
-            break
-        plane, inside = found
-        planes.append(plane)
-        apply("planes", ~inside, f"normal {np.round(plane[:3], 3).tolist()}")
-    if chosen.outlier_ratio is not None:
-        kept = not_outliers(points[keep], chosen.outlier_neighbours, chosen.outlier_ratio)
-        apply("outliers", kept, f"beyond {chosen.outlier_ratio:g} standard deviations")
-    if chosen.clusters > 0:
-        labels = cluster(points[keep], chosen.cluster_radius * spacing)
-        kept = _chosen_clusters(points[keep], labels, chosen)
-        note = f"{int(labels.max()) + 1} clusters at {chosen.cluster_radius * spacing:.4g}"
-        apply("clutter", kept, note)
-    return Cleaned(keep, reason, tuple(reasons), tuple(steps), tuple(planes))
+    def warnings(self) -> tuple[str, ...]:
+        """Say with numbers that little is left."""
+        kept, count = int(self.keep.sum()), len(self.keep)
+        if kept >= DOUBTFUL_SHARE * count:
+            return ()
+        gone = [f"{int((self.reason == i).sum()):,} {n}" for i, n in enumerate(self.reasons)]
+        share = 100.0 * kept / count
+        return (
+            f"doubtful: {kept:,} of {count:,} points ({share:.0f} %) stay; removed: "
+            f"{', '.join(gone)}; see removed.png",
+        )
 
 
-def find_plane(
-    points: Points, thickness: float, settings: CleanSettings, number: int = 0
-) -> tuple[NDArray[np.float64], BoolArray] | None:
-    """Find the plane with most points within ``thickness``; None when it has too few.
+def _neighbours(
+    cloud: PointCloud,
+    inside: BoolArray,  # [M]
+    planes: list[SupportPlane],
+    spacing: float,
+    viewpoint: Points | None,
+    up: Points | None,
+) -> BoolArray:  # [N] of the points inside
+    """Mark the points of objects most of which lie outside the boxes."""
+    low, high = cloud.points[inside].min(axis=0), cloud.points[inside].max(axis=0)
+    reach = _VICINITY * float(np.linalg.norm(high - low))
+    standing = ((cloud.points > low - reach) & (cloud.points < high + reach)).all(axis=1)
+    for plane in planes:
+        standing &= plane.heights(cloud.points) > plane.thickness
+    beyond = np.zeros(len(cloud), np.bool_)
+    if (standing & inside).any():
+        beyond[standing] = beyond_boxes(
+            cloud.points[standing],
+            cloud.colors[standing],
+            inside[standing],
+            spacing,
+            viewpoint=viewpoint,
+            up=up,
+        )
+    return beyond[inside]
 
-    Returns:
-        The plane [4] (unit normal, offset) and which points lie in it [N].
-    """
-    if len(points) < 3:
-        return None
-    rng = np.random.default_rng((settings.seed, number))
-    sample = points[rng.choice(len(points), min(len(points), 6000), replace=False)]
-    corners = sample[rng.integers(len(sample), size=(settings.plane_trials, 3))]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.linalg.norm(normals, axis=1)
-    usable = lengths > 1e-12
-    if not usable.any():
-        return None
-    normals = normals[usable] / lengths[usable, None]
-    offsets = -np.einsum("tc,tc->t", normals, corners[usable, 0])
-    scores = [
-        int((np.abs(sample @ normal + offset) <= thickness).sum())
-        for normal, offset in zip(normals, offsets, strict=True)
-    ]
-    best = int(np.argmax(scores))
-    plane = np.append(normals[best], offsets[best])
-    for _ in range(3):  # least squares on its own points
-        inside = np.abs(points @ plane[:3] + plane[3]) <= thickness
-        if inside.sum() < 3:
-            return None
-        center = points[inside].mean(axis=0)
-        normal = np.linalg.eigh(np.cov((points[inside] - center).T))[1][:, 0]
-        plane = np.append(normal, -normal @ center)
-    inside = np.abs(points @ plane[:3] + plane[3]) <= thickness
-    return (plane, inside) if inside.mean() >= settings.plane_share else None
+
+def _refusal(plane: SupportPlane) -> str:
+    """Say why a plane stays."""
+    return f"a plane of {int(plane.inside.sum()):,} points is not removed: {plane.refusal}"
+
+
+def _plane_note(plane: SupportPlane) -> str:
+    """Describe a removed plane."""
+    tilt = "" if plane.angle_deg is None else f", {plane.angle_deg:.0f} degrees from level"
+    return (
+        f"normal {np.round(plane.plane[:3], 3).tolist()}{tilt}, "
+        f"{int(plane.inside.sum()):,} points of the scene within {plane.thickness:.3g}; "
+        f"{100 * plane.share_over:.0f} % of the others stand over it"
+    )
 
 
 def not_outliers(points: Points, neighbours: int, ratio: float) -> BoolArray:  # [N]
@@ -159,17 +234,6 @@ def not_outliers(points: Points, neighbours: int, ratio: float) -> BoolArray:  #
         return np.ones(len(points), np.bool_)
     distances = cKDTree(points).query(points, k=count + 1)[0][:, 1:].mean(axis=1)
     kept: BoolArray = distances <= distances.mean() + ratio * distances.std() + 1e-300
-    return kept
-
-
-def _chosen_clusters(
-    points: Points, labels: NDArray[np.int64], settings: CleanSettings
-) -> BoolArray:
-    """Keep the largest clusters, or the one nearest to the seed point."""
-    if settings.seed_point is None:
-        return labels < settings.clusters
-    distance = np.linalg.norm(points - np.asarray(settings.seed_point), axis=1)
-    kept: BoolArray = labels == labels[int(distance.argmin())]
     return kept
 
 

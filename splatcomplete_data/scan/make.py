@@ -5,15 +5,16 @@ Shared by scans and single views, which differ only in where their points come f
 Conventions
 -----------
 * Boxes and ``seed_point`` are in the source's frame, before levelling.
+* Planes are looked for in the complete cloud; boxes then say what is kept of it.
 * Levelling turns the cloud so that the first plane removed lies horizontally (z up, origin where
-  it was); the rotation is returned and recorded, never silent.
+  it was); the rotation is returned and recorded, never silent. It is told when the object then
+  hangs below that plane, or when what was up before is turned down.
 * A cloud too far from the origin for float32 has an offset taken away before it is turned
   (``points``); that too is returned and recorded.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,8 +35,15 @@ from splatcomplete_data.points import (
     thin_to_spacing,
     without_offset,
 )
-from splatcomplete_data.scan.clean import CleanSettings, clean, level_rotation
+from splatcomplete_data.scan.clean import (
+    DOUBTFUL_SHARE,
+    CleanSettings,
+    Surroundings,
+    clean,
+    level_rotation,
+)
 from splatcomplete_data.scan.cloud import PointCloud
+from splatcomplete_data.scan.support import SupportPlane
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +81,8 @@ class Part:
     """All points within the boxes, source frame."""
     reason: NDArray[np.int8]  # [N] of ``cloud``: why a point was removed, -1 = kept
     reasons: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+    """What makes the part doubtful, with numbers."""
 
     @property
     def file_from_source(self) -> Similarity | None:
@@ -87,7 +97,7 @@ def make_part(
     cloud: PointCloud,
     settings: PartSettings,
     source: str,
-    viewpoint: Sequence[float] | None = None,
+    around: Surroundings | None = None,
 ) -> Part:
     """Turn points into the splats of one object.
 
@@ -95,16 +105,18 @@ def make_part(
         cloud: finite points.
         settings: the steps.
         source: the file named in errors.
-        viewpoint: where the scanner stood; it tells a plane's upper side from its lower. None =
-            unknown: the upper side is where most of the points that stay lie.
+        around: where the scanner stood, which tells a plane's upper side from its lower, and what
+            is up. Without a scanner the upper side is where most of the points that stay lie.
 
     Raises:
         UserError: a step keeps nothing, or levelling is asked for and no plane was found.
     """
+    known = around or Surroundings()
     steps: list[StepRecord] = []
+    scene, wanted = cloud, np.ones(len(cloud), np.bool_)
     if settings.boxes:
-        inside = inside_boxes(cloud.points, settings.boxes)
-        before, after = len(cloud), int(inside.sum())
+        wanted = inside_boxes(cloud.points, settings.boxes)
+        before, after = len(cloud), int(wanted.sum())
         steps.append(StepRecord("boxes", before, after, {"outside_boxes": before - after}))
         if after == 0:
             low, high = cloud.points.min(axis=0).round(3), cloud.points.max(axis=0).round(3)
@@ -112,23 +124,28 @@ def make_part(
                 f"{source}: --box: expected points inside, found none of {before:,} (they span "
                 f"{low.tolist()} to {high.tolist()})"
             )
-        cloud = cloud.select(np.flatnonzero(inside))
+        cloud = cloud.select(np.flatnonzero(wanted))
     reason = np.full(len(cloud), -1, np.int8)
     reasons: tuple[str, ...] = ()
-    planes: tuple[NDArray[np.float64], ...] = ()
+    planes: tuple[SupportPlane, ...] = ()
+    warnings: tuple[str, ...] = ()
     if settings.cleaning is not None:
-        cleaned = clean(cloud.points, settings.cleaning)
+        cleaned = clean(scene, settings.cleaning, wanted=wanted, around=known)
         reason, reasons, planes = cleaned.reason, cleaned.reasons, cleaned.planes
         steps += cleaned.steps
+        warnings = cleaned.warnings
     kept = cloud.select(np.flatnonzero(reason < 0))
     kept, thinning = _thin(kept, settings)
     steps += thinning
     turn = None
     if settings.level:
         if not planes:
-            raise UserError(f"{source}: --level: expected a plane to level on, found none")
-        above = kept.points if viewpoint is None else np.asarray(viewpoint, np.float64)
-        turn = Similarity(1.0, torch.from_numpy(level_rotation(planes[0], above)), torch.zeros(3))
+            raise UserError(
+                f"{source}: --level: expected a plane to level on, found none"
+                + "".join(f"; {warning}" for warning in warnings)
+            )
+        turn, doubts = _levelled(planes[0], kept.points, known)
+        warnings = (*warnings, *doubts)
     per_spacing = PointSplatSettings(sigma_per_spacing=settings.sigma_per_spacing)
     points, sigma = _turned(kept.points, turn), settings.sigma
     if sigma is None:
@@ -138,7 +155,32 @@ def make_part(
         points = _turned(kept.points - offset, turn)
     splats = points_to_splats(points, kept.colors, per_spacing, sigma=sigma)
     size = float(splats.scales[0, 0])
-    return Part(splats, size, tuple(steps), offset, turn, cloud, reason, reasons)
+    return Part(splats, size, tuple(steps), offset, turn, cloud, reason, reasons, warnings)
+
+
+def _levelled(
+    plane: SupportPlane,
+    kept: NDArray[np.float64],  # [N, 3]
+    known: Surroundings,
+) -> tuple[Similarity, tuple[str, ...]]:
+    """Return the turn that makes a plane level, and what is odd about it."""
+    above = kept if known.viewpoint is None else np.asarray(known.viewpoint, np.float64)
+    rotation = level_rotation(plane.plane, above)
+    height = kept @ rotation[2] - float(plane.foot @ rotation[2])
+    doubts = []
+    under = float((height < 0).mean())
+    if under > DOUBTFUL_SHARE:
+        doubts.append(
+            f"doubtful: {100 * under:.0f} % of the points lie below the plane levelled on, as seen "
+            "from the scanner"
+        )
+    if known.up is not None and rotation[2] @ np.asarray(known.up) < 0:
+        angle = float(np.degrees(np.arccos(np.clip(rotation[2] @ np.asarray(known.up), -1, 1))))
+        doubts.append(
+            f"doubtful: levelling turns what was up by {angle:.0f} degrees, upside down; "
+            "--viewpoint X,Y,Z says which side the scanner was on"
+        )
+    return Similarity(1.0, torch.from_numpy(rotation), torch.zeros(3)), tuple(doubts)
 
 
 def _turned(points: NDArray[np.float64], turn: Similarity | None) -> NDArray[np.float64]:

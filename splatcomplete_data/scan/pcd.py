@@ -7,7 +7,8 @@ Conventions
   gives it; or there are fields ``r``, ``g``, ``b``. Colours become sRGB in [0, 1]. A cloud without
   colour is grey, and ``is_colored`` says so.
 * ``VIEWPOINT`` is where the sensor stood, in the points' own frame (as PCL's normals take it), and
-  how it was turned. The default, the origin without a turn, is what writers put who know nothing.
+  how it was turned. The default, the origin without a turn, is what writers put who know nothing;
+  of an organised cloud (HEIGHT above 1) it is true where columns follow x / z and rows y / z.
 * Read: ASCII, binary, and ``binary_compressed`` (LZF, one field after the other).
 """
 
@@ -22,10 +23,14 @@ from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
 from gscomplete.util.limits import check_decoded_bytes
+from gscomplete.views import UpAxis
 from splatcomplete_data.scan.cloud import PointCloud, grey_colors, unit_colors
 
 Position = tuple[float, float, float]
 _NO_VIEWPOINT = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+_PINHOLE = 0.99
+"""Correlation of rays and pixels from which an organised cloud is a picture from the origin."""
+_FEWEST_ORGANISED = 100
 _TYPES = {"F": "f", "U": "u", "I": "i"}
 _MAX_POINTS = 2**31
 _MAX_COUNT = 65_536
@@ -43,6 +48,7 @@ class _Header:
     data: str
     offset: int
     viewpoint: Position | None
+    shape: tuple[int, int]
 
     def record(self) -> np.dtype:
         """Return the structured type of one point."""
@@ -59,6 +65,8 @@ class PcdPoints:
     is_colored: bool
     viewpoint: Position | None = None
     """Where the sensor stood; None = the file does not say."""
+    up: UpAxis | None = None
+    """What is up in the picture of an organised cloud; None = unknown."""
 
 
 def read_pcd(path: Path) -> PcdPoints:
@@ -85,7 +93,38 @@ def read_pcd(path: Path) -> PcdPoints:
         colors = unit_colors(np.stack([columns[name] for name in "rgb"], axis=1))
     labels = columns["label"].astype(np.int64) if "label" in columns else None
     shown = grey_colors(len(points)) if colors is None else colors
-    return PcdPoints(PointCloud(points, shown, labels), colors is not None, header.viewpoint)
+    viewpoint, up = header.viewpoint, _up_of_picture(points, header.shape)
+    if viewpoint is None and up is not None:
+        viewpoint = (0.0, 0.0, 0.0)
+    cloud = PointCloud(points, shown, labels)
+    return PcdPoints(cloud, colors is not None, viewpoint, up if is_at_origin(viewpoint) else None)
+
+
+def is_at_origin(viewpoint: Position | None) -> bool:
+    """Tell whether a sensor is known to have stood at the origin."""
+    return viewpoint == (0.0, 0.0, 0.0)
+
+
+def _up_of_picture(
+    points: NDArray[np.float64],  # [N, 3]
+    shape: tuple[int, int],
+) -> UpAxis | None:
+    """Return what is up in an organised cloud taken from the origin along z; None = it is not."""
+    height, width = shape
+    if height < 2 or width < 2 or height * width != len(points):
+        return None
+    known = np.flatnonzero(np.isfinite(points).all(axis=1) & (np.abs(points[:, 2]) > 0))
+    if len(known) < _FEWEST_ORGANISED:
+        return None
+    x, y, z = points[known].T
+    if not (np.all(z > 0) or np.all(z < 0)):
+        return None
+    rows, columns = np.divmod(known, width)
+    across = np.corrcoef(x / z, columns)[0, 1]
+    down = np.corrcoef(y / z, rows)[0, 1]
+    if not (abs(across) > _PINHOLE and abs(down) > _PINHOLE):
+        return None
+    return "-Y" if (down > 0) == bool(z[0] > 0) else "Y"
 
 
 def lzf_decompress(packed: bytes, size: int) -> bytes:
@@ -163,7 +202,15 @@ def _parse_header(raw: bytes, path: Path) -> _Header:
             f"{' '.join(map(str, counts))}"
         )
     viewpoint = _viewpoint(entries.get("VIEWPOINT", []))
-    return _Header(names, dtypes, counts, points, data, offset, viewpoint)
+    return _Header(names, dtypes, counts, points, data, offset, viewpoint, _shape(entries))
+
+
+def _shape(entries: dict[str, list[str]]) -> tuple[int, int]:
+    """Return rows and columns of an organised cloud; one row where the header does not say."""
+    try:
+        return int(entries["HEIGHT"][0]), int(entries["WIDTH"][0])
+    except (KeyError, ValueError, IndexError):
+        return 1, 0
 
 
 def _viewpoint(words: list[str]) -> Position | None:

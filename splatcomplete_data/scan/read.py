@@ -20,6 +20,8 @@ import numpy as np
 from gscomplete.errors import UserError
 from gscomplete.splats.ply_header import Element, PlyError, PlyHeader, read_header
 from gscomplete.splats.ply_payload import parse_records, read_payload
+from gscomplete.views import UpAxis
+from splatcomplete_data.mesh.files.up_axis import UP_SAYING_SUFFIXES, up_of_mesh_file
 from splatcomplete_data.scan.cloud import NO_COLOR, PointCloud, grey_colors, unit_colors
 from splatcomplete_data.scan.pcd import Position, read_pcd
 from splatcomplete_data.scan.text import read_text_scan
@@ -40,6 +42,8 @@ class Scan:
     notes: tuple[str, ...] = ()
     viewpoint: Position | None = None
     """Where the scanner stood, in the file's frame; None = the file does not say."""
+    up: UpAxis | None = None
+    """What the file says is up; None = nothing."""
 
 
 def read_scan(path: Path) -> Scan:
@@ -57,7 +61,7 @@ def read_scan(path: Path) -> Scan:
     if suffix == ".pcd":
         found = read_pcd(path)
         scan = _checked(found.cloud, () if found.is_colored else (NO_COLOR,))
-        scan = dataclasses.replace(scan, viewpoint=found.viewpoint)
+        scan = dataclasses.replace(scan, viewpoint=found.viewpoint, up=found.up)
     elif suffix == ".ply":
         scan = _read_ply(path)
     elif suffix in (".las", ".laz"):
@@ -66,6 +70,8 @@ def read_scan(path: Path) -> Scan:
         scan = _checked(*read_text_scan(path))
     elif suffix in MESH_SUFFIXES:
         scan = _read_mesh(path)
+        if suffix in UP_SAYING_SUFFIXES:
+            scan = dataclasses.replace(scan, up=up_of_mesh_file(path))
     else:
         known = ", ".join((".ply", ".pcd", ".las", ".laz", *TEXT_SUFFIXES, *MESH_SUFFIXES))
         raise UserError(f"{path}: expected a scan ({known}), found suffix {suffix!r}")

@@ -116,3 +116,16 @@ def test_fewer_splats_grow_to_cover_the_same_surface():
     thinned = score_views(whole, FramingSettings(max_splats=500))
     ratio = thinned.area / full.area
     assert 0.85 < float(ratio.min()) <= float(ratio.max()) < 1.15
+
+
+@pytest.mark.parametrize("azimuth", [0.0, 120.0, 250.0])
+def test_the_whole_lies_behind_what_one_scanner_saw(azimuth):
+    """A half open to the left of the scanner grows away from the scanner all the same."""
+    part = half_cylinder(azimuth + 90.0, True)
+    guess = guess_framing(part, seen_from_deg=azimuth)
+    low, high = part.bounds()
+    moved = torch.tensor(guess.center) - (low + high).double() / 2
+    away = -torch.tensor([np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth)), 0.0])
+    assert float(moved @ away) >= 0
+    free = guess_framing(part)
+    assert free.view_azimuth_deg == guess.view_azimuth_deg

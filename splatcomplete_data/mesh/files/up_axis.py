@@ -16,6 +16,8 @@ from gscomplete.views import UpAxis
 from splatcomplete_data.mesh.files.file_checks import GLTF_SUFFIXES
 from splatcomplete_data.mesh.files.side_files import read_text
 
+UP_SAYING_SUFFIXES = (*GLTF_SUFFIXES, ".dae")
+"""Suffixes of the formats that say what is up."""
 _COLLADA_UP = re.compile(r"<(?:\w+:)?up_axis>\s*([XYZ])_UP\s*<")
 _COLLADA_AXES: dict[str, UpAxis] = {"X": "X", "Y": "Y", "Z": "Z"}
 

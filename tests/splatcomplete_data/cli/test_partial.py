@@ -116,3 +116,14 @@ def test_the_up_axis_of_a_splat_file_is_assumed_aloud_unless_given(tmp_path, cap
     assert "unless --up says" not in capsys.readouterr().out
     (tmp_path / "object.json").write_text("[]")  # of something else
     assert cli.main([*arguments, "--overwrite"]) == 0
+
+
+def test_the_view_of_one_scanner_is_the_input_view(tmp_path):
+    path = file_with(tmp_path / "a.ply", NAN, [])
+    for azimuth, elevation in ((0, 20), (137, -5)):
+        out = tmp_path / f"part{azimuth}"
+        words = ["partial", str(path), "--cut", f"scan:{azimuth}/{elevation}", "--up", "X"]
+        assert cli.main([*words, "--out", str(out)]) == 0
+        views = record_of(out)["views"]
+        turned = (views["azimuth_deg"] - azimuth + 180) % 360 - 180
+        assert (turned, views["elevation_deg"]) == pytest.approx((0, elevation), abs=1e-3)

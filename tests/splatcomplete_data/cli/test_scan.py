@@ -106,3 +106,28 @@ def test_a_pcd_says_where_the_scanner_stood(tmp_path, words, given, side):
     notes = json.loads((tmp_path / "out/object.json").read_text())["notes"]
     told = "the scanner stood at 0,0,5, as the file's VIEWPOINT says"
     assert (told in notes) == (words == "0 0 5 1 0 0 0" and not given)
+
+
+def test_proposed_clusters_lead_to_their_objects(tmp_path, capsys):
+    from tests.splatcomplete_data.scan.table_top import EYE, box, table_top
+
+    scene = table_top([box((-0.2, 0), (0.15, 0.15, 0.2)), box((0.25, 0), (0.1, 0.1, 0.12))])
+    np.savetxt(tmp_path / "a.xyz", scene.points)
+    eye = "--viewpoint=" + ",".join(map(str, EYE))
+    words = ["scan", str(tmp_path / "a.xyz"), eye]
+    assert cli.main([*words, "--propose", "--json", "--out", str(tmp_path / "p")]) == 0
+    told = capsys.readouterr()
+    found = json.loads(told.out)["clusters"]
+    assert [path.name for path in (tmp_path / "p").iterdir()] == ["clusters.png"]
+    assert len(found) == 2
+    assert "2: " in told.err
+    for cluster, place in zip(found, (-0.2, 0.25), strict=True):
+        assert cluster["seed"][0] == pytest.approx(place, abs=0.08)
+        seed = "--seed-point=" + ",".join(map(str, cluster["seed"]))
+        out = tmp_path / f"o{place}"
+        assert cli.main([*words, seed, "--level", "--out", str(out)]) == 0
+        splats = read_splats(out / "partial.ply").splats
+        assert len(splats) == pytest.approx(cluster["count"], rel=0.1)
+        assert float(splats.means[:, 0].median()) == pytest.approx(place, abs=0.08)
+        record = json.loads((out / "object.json").read_text())
+        assert any("planes" in step["reasons"] for step in record["steps"])

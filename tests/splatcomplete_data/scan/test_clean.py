@@ -7,13 +7,14 @@ from gscomplete.errors import UserError
 from splatcomplete_data.cuts.boxes import CropBox
 from splatcomplete_data.scan.clean import (
     CleanSettings,
+    Surroundings,
     clean,
-    find_plane,
     level_rotation,
     not_outliers,
 )
-from splatcomplete_data.scan.cloud import PointCloud
+from splatcomplete_data.scan.cloud import PointCloud, grey_colors
 from splatcomplete_data.scan.make import PartSettings, make_part
+from splatcomplete_data.scan.support import PlaneSettings, find_plane
 
 
 def scene(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -39,9 +40,14 @@ def scene(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(parts) @ turn.T, labels
 
 
+def grey(points: np.ndarray) -> PointCloud:
+    """Return points without colours."""
+    return PointCloud(points, grey_colors(len(points)))
+
+
 def test_each_step_removes_what_it_is_for() -> None:
     points, labels = scene()
-    cleaned = clean(points)
+    cleaned = clean(grey(points))
     kept = labels[cleaned.keep]
     assert (kept == 1).mean() > 0.999
     assert (kept == 1).sum() > 2950
@@ -52,16 +58,17 @@ def test_each_step_removes_what_it_is_for() -> None:
     for first, second in zip(cleaned.steps, cleaned.steps[1:], strict=False):
         assert first.after == second.before
     assert cleaned.steps[-1].after == cleaned.keep.sum()
-    again = clean(points)
+    again = clean(grey(points))
     assert np.array_equal(again.keep, cleaned.keep)
 
 
 def test_every_step_has_a_switch() -> None:
     points, _ = scene()
-    nothing = clean(points, CleanSettings(planes=0, outlier_ratio=None, clusters=0))
+    nothing = clean(grey(points), CleanSettings(planes=0, outlier_ratio=None, clusters=0))
     assert nothing.keep.all()
     assert nothing.steps == ()
-    seeded = clean(points, CleanSettings(seed_point=tuple(points[9200])))  # type: ignore[arg-type]
+    seed = tuple(points[9200])
+    seeded = clean(grey(points), CleanSettings(seed_point=seed))  # type: ignore[arg-type]
     assert 500 < seeded.keep.sum() < 700
 
 
@@ -72,22 +79,34 @@ def test_outliers_and_small_clouds() -> None:
     assert not kept[-1]
     assert kept[:-1].mean() > 0.97
     assert not_outliers(points[:1], 16, 3.0).all()
-    assert find_plane(points[:2], 1.0, CleanSettings()) is None
+    assert find_plane(points[:2], 1.0, PlaneSettings()) is None
     line = np.outer(np.arange(50.0), [1, 1, 1])
-    assert find_plane(line, 1e-9, CleanSettings()) is None
+    assert find_plane(line, 1e-9, PlaneSettings()) is None
 
 
-def test_a_cloud_that_is_all_plane_is_a_user_error() -> None:
+def test_a_cloud_that_is_all_plane_stays_and_that_is_told() -> None:
     points, labels = scene()
+    flat = points[labels == 0]
+    cleaned = clean(grey(flat[np.abs(flat @ [0, -np.sin(0.5), np.cos(0.5)]) < 0.004]))
+    assert cleaned.planes == ()
+    assert "none is removed" in cleaned.warnings[-1]
+
+
+def test_a_box_with_nothing_but_table_is_a_user_error() -> None:
+    points, labels = scene()
+    table = points[labels == 0]
+    wanted = np.linalg.norm(table, axis=1) < 0.1
     with pytest.raises(UserError, match="planes"):
-        clean(points[labels == 0], CleanSettings(plane_thickness=50.0))
+        clean(grey(table), wanted=wanted)
 
 
 def test_levelling_lifts_the_plane_and_is_recorded() -> None:
     points, labels = scene()
     cloud = PointCloud(points, np.full(points.shape, 0.5, np.float32))
     eye = np.array([0.0, -3.0, 3.0])
-    part = make_part(cloud, PartSettings(cleaning=CleanSettings(), level=True), "scene", eye)
+    part = make_part(
+        cloud, PartSettings(cleaning=CleanSettings(), level=True), "scene", Surroundings(tuple(eye))
+    )
     assert part.turn is not None
     plane = np.array([0.0, -np.sin(0.5), np.cos(0.5), 0.0])
     rotation = level_rotation(plane, eye)
@@ -139,8 +158,10 @@ def test_georeferenced_points_keep_their_digits(level: bool) -> None:
     colors = np.full(points.shape, 0.5, np.float32)
     settings = PartSettings(cleaning=CleanSettings(), level=level)
     eye = np.array([0.0, -3.0, 3.0])
-    near = make_part(PointCloud(points, colors), settings, "scene", eye)
-    part = make_part(PointCloud(points + far, colors), settings, "scene", eye + far)
+    near = make_part(PointCloud(points, colors), settings, "scene", Surroundings(tuple(eye)))
+    part = make_part(
+        PointCloud(points + far, colors), settings, "scene", Surroundings(tuple(eye + far))
+    )
     assert near.offset is None
     assert near.file_from_source is near.turn
     np.testing.assert_allclose(part.offset, far, atol=1.0)

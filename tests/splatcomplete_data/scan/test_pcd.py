@@ -163,3 +163,25 @@ def test_real_scan_has_its_objects() -> None:
     assert cloud.labels is not None
     assert sorted(set(cloud.labels // 10)) == [0, 2, 3]
     assert cloud.colors.std(axis=0).min() > 0.05
+
+
+@pytest.mark.parametrize("down", [1, -1])
+@pytest.mark.parametrize("forward", [1, -1])
+def test_an_organised_cloud_is_a_picture_from_the_origin(tmp_path, down, forward):
+    rows, columns = np.mgrid[:12, :16].astype(float)
+    z = forward * np.random.default_rng(0).uniform(1, 2, rows.shape)
+    points = np.stack([(columns - 8) / 20 * z, down * (rows - 6) / 20 * z, z], -1).reshape(-1, 3)
+    points[5] = np.nan
+    shape = "WIDTH 16\nHEIGHT 12"
+    header = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n" + shape
+    end = "\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 192\nDATA ascii"
+    path = tmp_path / "a.pcd"
+    np.savetxt(path, points, header=header + end, comments="")
+    found = read_pcd(path)
+    assert found.viewpoint == (0.0, 0.0, 0.0)
+    assert found.up == ("-Y" if down * forward > 0 else "Y")
+    np.savetxt(path, points[::-1][::2].repeat(2, axis=0), header=header + end, comments="")
+    assert read_pcd(path).up is not None  # turned by half a circle, and coarser
+    shuffled = np.random.default_rng(1).permutation(points)
+    np.savetxt(path, shuffled, header=header + end, comments="")
+    assert (read_pcd(path).viewpoint, read_pcd(path).up) == (None, None)

@@ -1,0 +1,344 @@
+"""Separate objects that touch: surfaces part where they meet in a fold that opens upwards.
+
+Convex parts are joined and concave contacts are cut, as in "Object Partitioning using Local
+Convexity" (Stein et al., CVPR 2014); here patches join in the order of how convex their contact is,
+and a contact is judged over its length, so that a few noisy normals do not join two objects.
+
+Conventions
+-----------
+* Lengths are multiples of the cloud's spacing unless their name ends in ``_file``.
+* Points are gathered in cubes, cubes in patches of like normal and colour. A normal is the least
+  principal axis about a cube, turned to the scanner; where that is unknown, away from below.
+* A contact's score is 1 where it is flat or convex and falls with the angle of a concave one;
+  unlike colours take a share. Patches join while the score of their contact is above a threshold.
+* What is of the seed's object is voted on by several sizes of cubes and patches.
+"""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import csgraph
+from scipy.spatial import cKDTree
+
+BoolArray = NDArray[np.bool_]
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentSettings:
+    """Knobs of the separation; chosen on nine labelled table-top scenes (docs/benchmarks.md)."""
+
+    sizes: tuple[tuple[float, float], ...] = (
+        (3.7, 11.0),
+        (4.3, 12.3),
+        (4.9, 12.3),
+        (4.3, 14.8),
+        (4.0, 13.5),
+    )
+    """Sides of cubes and patches of every vote, in spacings."""
+    fold_deg: float = 15.0
+    """Concave angle between two patches at which their contact's score is 0."""
+    least_score: float = -0.3
+    """Patches whose contact has a lower score stay apart."""
+    color_weight: float = 1.0
+    """What a difference of two patches' colours beyond 0.15 takes from a contact's score."""
+
+
+_NORMAL_REACH = 2.5
+"""Radius about a cube in which its normal is measured, in cubes."""
+_STEP = 1.9
+"""Cubes whose points' means are this near, in cubes, are neighbours."""
+_NORMAL_COST, _COLOR_COST = 1.0, 0.5
+"""Length, in patches, that a difference of normals (1 - cosine) or colours adds to a step."""
+_LIKE_COLORS = 0.15
+_MOSTLY = 0.5
+_LEAST_SCORE = -3.0
+
+
+def object_at(
+    points: FloatArray,  # [N, 3]
+    colors: NDArray[np.floating],  # [N, 3] sRGB
+    seed: FloatArray,  # [3]
+    spacing_file: float,
+    settings: SegmentSettings | None = None,
+    *,
+    viewpoint: FloatArray | None = None,  # [3]
+    up: FloatArray | None = None,  # [3]
+) -> BoolArray:  # [N]
+    """Mark the points of the object that the point nearest to ``seed`` is of.
+
+    Args:
+        points: finite points, without what the objects stand on.
+        colors: their colours.
+        seed: a place on the object.
+        spacing_file: the cloud's spacing, file units.
+        settings: knobs; None = defaults.
+        viewpoint: where the scanner stood; None = unknown.
+        up: what is up; it turns normals where the viewpoint is unknown; None = +z.
+    """
+    chosen = settings or SegmentSettings()
+    nearest = int(np.square(points - seed).sum(axis=1).argmin())
+    votes = np.zeros(len(points), np.int64)
+    for size in chosen.sizes:
+        labels = segment(points, colors, spacing_file, size, chosen, viewpoint=viewpoint, up=up)
+        votes += labels == labels[nearest]
+    return votes > len(chosen.sizes) / 2
+
+
+def beyond_boxes(
+    points: FloatArray,  # [N, 3]
+    colors: NDArray[np.floating],  # [N, 3] sRGB
+    is_inside: BoolArray,  # [N]
+    spacing_file: float,
+    settings: SegmentSettings | None = None,
+    *,
+    viewpoint: FloatArray | None = None,
+    up: FloatArray | None = None,
+) -> BoolArray:  # [N]
+    """Mark the points of objects most of which lie outside the boxes.
+
+    The object that most of the points inside are of is none of them, however far it goes on.
+
+    Args:
+        points: finite points of the complete scene, without what the objects stand on.
+        colors: their colours.
+        is_inside: which of them the boxes keep.
+        spacing_file: the cloud's spacing, file units.
+        settings: knobs; None = defaults.
+        viewpoint: where the scanner stood; None = unknown.
+        up: as for ``object_at``.
+    """
+    chosen = settings or SegmentSettings()
+    votes = np.zeros(len(points), np.int64)
+    for size in chosen.sizes:
+        labels = segment(points, colors, spacing_file, size, chosen, viewpoint=viewpoint, up=up)
+        inside, total = (
+            np.bincount(labels[is_inside], minlength=labels.max() + 1),
+            np.bincount(labels),
+        )
+        is_beyond = inside < _MOSTLY * total
+        is_beyond[int(inside.argmax())] = False
+        votes += is_beyond[labels]
+    return votes > len(chosen.sizes) / 2
+
+
+def segment(
+    points: FloatArray,  # [N, 3]
+    colors: NDArray[np.floating],  # [N, 3] sRGB
+    spacing_file: float,
+    size: tuple[float, float],
+    settings: SegmentSettings,
+    *,
+    viewpoint: FloatArray | None = None,
+    up: FloatArray | None = None,
+) -> IntArray:  # [N]
+    """Number the objects that convexity tells apart, the largest first.
+
+    Args:
+        points: finite points, without what the objects stand on.
+        colors: their colours.
+        spacing_file: the cloud's spacing, file units.
+        size: sides of cubes and of patches, in spacings.
+        settings: knobs.
+        viewpoint: where the scanner stood; None = unknown.
+        up: as for ``object_at``.
+    """
+    side, patch_side = size[0] * spacing_file, size[1] * spacing_file
+    cube, means, hues, counts = _cubes(points, colors, side)
+    pairs = cKDTree(means).query_pairs(_STEP * side, output_type="ndarray")
+    normals = _normals(means, counts, _NORMAL_REACH * side)
+    _turn_normals(normals, means, pairs, viewpoint, up)
+    patch = _patches(means, hues, normals, pairs, patch_side)
+    joined = _join(patch, pairs, means, hues, normals, counts, settings)
+    labels = joined[patch][cube]
+    sizes = np.bincount(labels)
+    rank = np.empty(len(sizes), np.int64)
+    rank[np.argsort(-sizes, kind="stable")] = np.arange(len(sizes))
+    return rank[labels]
+
+
+def _cubes(
+    points: FloatArray, colors: NDArray[np.floating], side: float
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:  # [N], [C, 3], [C, 3], [C]
+    """Gather points in cubes: each point's cube, and every cube's mean, colour and number."""
+    cells = np.floor((points - points.min(axis=0)) / side)
+    cube = np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
+    counts = np.bincount(cube).astype(np.float64)
+    return cube, _mean(cube, points, counts), _mean(cube, colors, counts), counts
+
+
+def _mean(
+    groups: IntArray, values: NDArray[np.floating], weights: NDArray[np.generic]
+) -> FloatArray:
+    """Return the sums of rows per group, divided by ``weights`` [G]."""
+    sums = [np.bincount(groups, values[:, axis], len(weights)) for axis in range(values.shape[1])]
+    mean: FloatArray = np.stack(sums, axis=1) / np.asarray(weights, np.float64)[:, None]
+    return mean
+
+
+def _normals(means: FloatArray, counts: FloatArray, reach: float) -> FloatArray:  # [C, 3]
+    """Return the least principal axis of the points about every cube."""
+    tree = cKDTree(means)
+    near = tree.query_pairs(reach, output_type="ndarray")
+    here = np.concatenate([near[:, 0], near[:, 1], np.arange(len(means))])
+    there = np.concatenate([near[:, 1], near[:, 0], np.arange(len(means))])
+    weights = sparse.csr_matrix((counts[there], (here, there)), shape=(len(means),) * 2)
+    total = np.asarray(weights.sum(axis=1)).reshape(-1)
+    local = means - means.mean(axis=0)
+    middle = (weights @ local) / total[:, None]
+    products = np.einsum("ca,cb->cab", local, local).reshape(-1, 9)
+    spread = ((weights @ products) / total[:, None]).reshape(-1, 3, 3)
+    spread -= np.einsum("ca,cb->cab", middle, middle)
+    axes: FloatArray = np.linalg.eigh(spread)[1][:, :, 0]
+    return axes
+
+
+def _turn_normals(
+    normals: FloatArray,  # [C, 3] changed
+    means: FloatArray,
+    pairs: IntArray,
+    viewpoint: FloatArray | None,
+    up: FloatArray | None,
+) -> None:
+    """Turn normals to the scanner or, where it is unknown, outwards along the surface.
+
+    Without a scanner the highest cube of every connected piece faces up, and the others follow
+    along the steps that fit a circle's arc best: its normals mirror each other in the plane that
+    halves the chord (Xie et al., "Piecewise C1 continuous surface reconstruction", 2003).
+    """
+    if viewpoint is not None:
+        normals *= np.where(((viewpoint - means) * normals).sum(axis=1) < 0, -1.0, 1.0)[:, None]
+        return
+    upward = np.array([0.0, 0.0, 1.0]) if up is None else up
+    a, b = pairs.T
+    cost = 1.0 - np.abs((_mirrored(normals[a], means[b] - means[a]) * normals[b]).sum(axis=1))
+    cost = np.maximum(cost, 0.0) + 1e-6  # a sparse matrix drops what is 0
+    graph = sparse.csr_matrix((cost, (a, b)), shape=(len(means),) * 2)
+    tree = csgraph.minimum_spanning_tree(graph)
+    _, piece = csgraph.connected_components(tree, directed=False)
+    order = np.lexsort((-(means @ upward), piece))
+    for first in order[np.flatnonzero(np.diff(piece[order], prepend=-1))]:
+        if normals[first] @ upward < 0:
+            normals[first] *= -1
+        nodes, before = csgraph.breadth_first_order(tree, first, directed=False)
+        for node in nodes[1:]:
+            origin = before[node]
+            expected = _mirrored(normals[origin, None], (means[node] - means[origin])[None])[0]
+            if normals[node] @ expected < 0:
+                normals[node] *= -1
+
+
+def _mirrored(normals: FloatArray, chords: FloatArray) -> FloatArray:  # [K, 3], [K, 3] -> [K, 3]
+    """Mirror normals in the planes across chords."""
+    unit = chords / np.maximum(np.linalg.norm(chords, axis=1, keepdims=True), 1e-300)
+    mirrored: FloatArray = normals - 2.0 * (normals * unit).sum(axis=1, keepdims=True) * unit
+    return mirrored
+
+
+def _patches(
+    means: FloatArray, hues: FloatArray, normals: FloatArray, pairs: IntArray, side: float
+) -> IntArray:  # [C]
+    """Gather cubes in patches: each cube goes to the nearest seed along the surface."""
+    a, b = pairs.T
+    steps = sparse.csr_matrix((np.ones(len(pairs)), (a, b)), shape=(len(means),) * 2)
+    piece = csgraph.connected_components(steps, directed=False)[1]
+    cells = np.floor((means - means.min(axis=0)) / side)
+    # two pieces that share a cell get a seed each, else one of them would have no source
+    keys = np.column_stack([cells, piece])
+    cell = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
+    middle = _mean(cell, means, np.bincount(cell))
+    off = np.square(means - middle[cell]).sum(axis=1)
+    order = np.lexsort((off, cell))
+    seeds = np.sort(order[np.flatnonzero(np.diff(cell[order], prepend=-1))])
+    cost = np.linalg.norm(means[b] - means[a], axis=1) / side
+    cost += _NORMAL_COST * (1.0 - np.clip((normals[a] * normals[b]).sum(axis=1), -1, 1))
+    cost += _COLOR_COST * np.linalg.norm(hues[a] - hues[b], axis=1)
+    graph = sparse.csr_matrix((cost, (a, b)), shape=(len(means),) * 2)
+    _, _, sources = csgraph.dijkstra(
+        graph, directed=False, indices=seeds, min_only=True, return_predecessors=True
+    )
+    return np.searchsorted(seeds, sources).astype(np.int64)
+
+
+def _join(
+    patch: IntArray,  # [C]
+    pairs: IntArray,  # [P, 2]
+    means: FloatArray,
+    hues: FloatArray,
+    normals: FloatArray,
+    counts: FloatArray,
+    settings: SegmentSettings,
+) -> IntArray:  # [patches]
+    """Join patches while contacts are convex enough; return the number of each patch's object."""
+    number = int(patch.max()) + 1
+    weight = np.bincount(patch, counts, number)
+    middle = _mean(patch, counts[:, None] * means, weight)
+    hue = _mean(patch, counts[:, None] * hues, weight)
+    normal = _mean(patch, counts[:, None] * normals, weight)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    ends = np.sort(patch[pairs], axis=1)
+    ends = ends[ends[:, 0] != ends[:, 1]]
+    contacts, lengths = np.unique(ends, axis=0, return_counts=True)
+    if len(contacts) == 0:
+        return np.arange(number)
+    i, j = contacts.T
+    along = middle[j] - middle[i]
+    angle = np.degrees(np.arccos(np.clip((normal[i] * normal[j]).sum(axis=1), -1, 1)))
+    is_concave = ((normal[j] - normal[i]) * along).sum(axis=1) < 0
+    score = np.where(is_concave, 1.0 - angle / settings.fold_deg, 1.0)
+    unlike = np.linalg.norm(hue[i] - hue[j], axis=1) - _LIKE_COLORS
+    score -= settings.color_weight * np.maximum(unlike, 0.0)
+    return _agglomerate(
+        number, contacts, np.clip(score, _LEAST_SCORE, 1.0), lengths, settings.least_score
+    )
+
+
+def _agglomerate(
+    number: int,
+    contacts: IntArray,  # [K, 2]
+    scores: FloatArray,  # [K]
+    lengths: IntArray,  # [K]
+    least_score: float,
+) -> IntArray:  # [number]
+    """Join the pair with the best mean score over its contact, again and again."""
+    near: list[dict[int, tuple[float, float]]] = [{} for _ in range(number)]
+    for (a, b), score, length in zip(contacts.tolist(), scores, lengths, strict=True):
+        near[a][b] = near[b][a] = (float(score * length), float(length))
+    version = [0] * number
+    parent = list(range(number))
+    heap = [
+        (-score, a, b, 0, 0)
+        for (a, b), score in zip(contacts.tolist(), scores.tolist(), strict=True)
+    ]
+    heapq.heapify(heap)
+    while heap:
+        minus_score, a, b, version_a, version_b = heapq.heappop(heap)
+        if (version[a], version[b]) != (version_a, version_b):
+            continue
+        if -minus_score < least_score:
+            break
+        parent[b] = a
+        version[a] += 1
+        version[b] = -1
+        for other, (score, length) in near[b].items():
+            del near[other][b]
+            if other == a:
+                continue
+            before = near[a].get(other, (0.0, 0.0))
+            near[a][other] = near[other][a] = (before[0] + score, before[1] + length)
+        near[b] = {}
+        for other, (score, length) in near[a].items():
+            heapq.heappush(heap, (-score / length, a, other, version[a], version[other]))
+    roots = np.empty(number, np.int64)
+    for place in range(number):
+        root = place
+        while parent[root] != root:
+            root = parent[root]
+        roots[place] = root
+    return roots
