@@ -17,10 +17,12 @@ Conventions
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -43,6 +45,8 @@ FORMAT_VERSION = 2
 _SCALE = ".scale"
 _DIGEST = "words_digest"
 
+_LARGEST_SIZE, _MOST_BLOCKS = 2**16, 64
+Network = TypeVar("Network", bound=nn.Module)
 Storage = Literal["int8", "float16", "float32"]
 
 
@@ -149,12 +153,13 @@ def load_weights(folder: Path) -> tuple[FourViewDenoiser, ShapeCompleter | None,
     _require(folder / CONFIG_FILE)
     config = _read_config(folder / CONFIG_FILE)
     digest = words_digest(config.words)
-    denoiser = FourViewDenoiser(config.model)
-    _load(denoiser, folder / WEIGHTS_FILE, digest)
+    _check_sizes(folder / CONFIG_FILE, config.model)
+    denoiser = _load(lambda: FourViewDenoiser(config.model), folder / WEIGHTS_FILE, digest)
     if config.shape is None:
         return denoiser, None, config
-    shape = ShapeCompleter(config.shape.model, COARSE_CELLS)
-    _load(shape, folder / SHAPE_FILE, digest)
+    model = config.shape.model
+    _check_sizes(folder / CONFIG_FILE, model)
+    shape = _load(lambda: ShapeCompleter(model, COARSE_CELLS), folder / SHAPE_FILE, digest)
     return denoiser, shape, config
 
 
@@ -180,8 +185,26 @@ def _require(path: Path) -> None:
         )
 
 
-def _load(model: nn.Module, path: Path, digest: str) -> None:
-    """Fill a network from a file, for evaluation."""
+def _check_sizes(path: Path, config: ModelConfig | ShapeModelConfig) -> None:
+    """Refuse sizes that no network has, before one is made.
+
+    Raises:
+        UserError: a size is out of range.
+    """
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        numbers = value if isinstance(value, tuple) else (value,)
+        if not all(isinstance(n, int | float) and 0 <= n <= _LARGEST_SIZE for n in numbers):
+            raise UserError(
+                f"{path}: {field.name}: expected sizes up to {_LARGEST_SIZE}, found {value}"
+            )
+    for name in ("blocks", "transformers"):
+        if max(getattr(config, name, (0,))) > _MOST_BLOCKS:
+            raise UserError(f"{path}: {name}: expected at most {_MOST_BLOCKS}")
+
+
+def _load(make: Callable[[], Network], path: Path, digest: str) -> Network:
+    """Make a network and fill it from a file, for evaluation."""
     _require(path)
     try:
         with safe_open(path, framework="pt") as file:
@@ -195,12 +218,17 @@ def _load(model: nn.Module, path: Path, digest: str) -> None:
             f"{metadata.get(_DIGEST)}; the files are not of one export"
         )
     try:
-        model.load_state_dict(unpack_tensors(packed))
-    except (RuntimeError, KeyError) as error:
+        state = unpack_tensors(packed)
+        with torch.device("meta"):  # takes no memory, whatever the sizes
+            make().load_state_dict({name: value.to("meta") for name, value in state.items()})
+        model = make()
+        model.load_state_dict(state)
+    except Exception as error:  # sizes that do not fit each other fail anywhere
         raise UserError(
             f"{path}: tensors do not fit the model of {CONFIG_FILE}: {error}"
         ) from error
     model.eval().requires_grad_(False)
+    return model
 
 
 def _read_config(path: Path) -> PriorConfig:
