@@ -18,7 +18,7 @@ from gscomplete.priors.latent.settings import LatentPriorSettings
 
 if TYPE_CHECKING:
     from gscomplete.completion.optimise import StepReport
-    from gscomplete.completion.run_folder import Request, Run
+    from gscomplete.completion.run_folder import Run, RunRequest
     from gscomplete.completion.settings import CompletionSettings
     from gscomplete.priors.base import Prior
     from gscomplete.shape.mirror_plane import Mirror
@@ -135,8 +135,8 @@ def _complete(options: CompleteOptions) -> int:
     prior = load_prior(options.prior, device, knobs)
     job = prepare(_request(options, prior), prior, render_device)
     _say(options, *job.notes, *([fallback] if fallback else []))
-    if job.completion.step_number:
-        _say(options, f"resuming at step {job.completion.step_number}")
+    if job.steps.step_number:
+        _say(options, f"resuming at step {job.steps.step_number}")
     said = len(job.notes)
     content = _with_progress(job)
     if options.json:
@@ -163,15 +163,17 @@ def _memory_note(peak_bytes: int | None) -> str:
     return "" if peak_bytes is None else f", at most {peak_bytes / 2**30:.2f} GiB of GPU memory"
 
 
-def _request(options: CompleteOptions, prior: Prior) -> Request:
+def _request(options: CompleteOptions, prior: Prior) -> RunRequest:
     """Turn command-line options into a request.
 
     Raises:
         UserError: an option has the wrong form.
     """
+    from gscomplete.completion.pipeline import Request
     from gscomplete.completion.presets import preset
-    from gscomplete.completion.run_folder import Request
+    from gscomplete.completion.run_folder import RunRequest
     from gscomplete.completion.settings import HardPreservationSettings, SeamColorSettings
+    from gscomplete.framing.decide import FramingRequest
 
     given = given_to(options)
     settings = dataclasses.replace(
@@ -196,24 +198,25 @@ def _request(options: CompleteOptions, prior: Prior) -> Request:
         raise UserError(f"--alternatives: expected 0 to 8, found {options.alternatives}")
     if options.alternatives:
         _require_guess("--alternatives", options, settings, prior)
-    name = given.partial.stem if given.object_folder is None else given.object_folder.resolve().name
-    return Request(
-        partial_path=given.partial,
-        prompt=given.prompt,
-        out=options.out or Path(f"{name}_completed"),
-        settings=settings,
-        negative_prompt=options.negative_prompt,
-        up=given.up,
-        view_deg=given.view_deg,
-        azimuth_range_deg=given.azimuth_range_deg,
+    framing = FramingRequest(
+        given.up,
+        given.view_deg,
+        given.azimuth_range_deg,
+        given.center_file,
+        given.size_file,
         elevation_range_deg=given.elevation_range_deg,
-        center_file=given.center_file,
-        size_file=given.size_file,
-        resume=options.resume,
-        alternatives=options.alternatives,
-        object_folder=given.object_folder,
-        sources=given.sources,
-        notes=given.notes,
+    )
+    completion = Request(given.prompt, settings, framing, options.negative_prompt)
+    name = given.partial.stem if given.object_folder is None else given.object_folder.resolve().name
+    return RunRequest(
+        given.partial,
+        options.out or Path(f"{name}_completed"),
+        completion,
+        options.resume,
+        options.alternatives,
+        given.object_folder,
+        given.sources,
+        given.notes,
     )
 
 
@@ -295,7 +298,7 @@ def _with_progress(job: Run) -> dict[str, Any]:
 
     from gscomplete.completion.run_folder import execute
 
-    if job.completion.finished:
+    if job.steps.finished:
         return execute(job, lambda report: None)
     columns = (
         TextColumn("completing"),
@@ -309,8 +312,8 @@ def _with_progress(job: Run) -> dict[str, Any]:
     with Progress(*columns, console=Console(file=sys.stderr)) as progress:
         task = progress.add_task(
             "complete",
-            total=job.request.settings.steps,
-            completed=job.completion.step_number,
+            total=job.steps.settings.steps,
+            completed=job.steps.step_number,
             losses="",
         )
 

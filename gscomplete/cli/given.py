@@ -16,12 +16,9 @@ from gscomplete.cli.parse import parse_numbers, parse_view
 from gscomplete.errors import UserError
 from gscomplete.folders import OBJECT_FILE, ObjectFolder, object_folder_of
 from gscomplete.views import UpAxis
+from gscomplete.views.distribution import AZIMUTH_RANGE_DEG, ELEVATION_RANGE_DEG
 
 DEFAULT_UP: UpAxis = "Z"
-DEFAULT_RANGE_DEG = 50.0
-"""V's reach in azimuth to either side of c, as in the paper."""
-DEFAULT_ELEVATION_RANGE_DEG = 15.0
-"""V's reach in elevation, as ``ViewDistribution`` has it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +95,7 @@ def take_given(options: Options) -> Given:
         up,
         view,
         _range(options, found, sources),
-        DEFAULT_ELEVATION_RANGE_DEG if found is None else found.views.elevation_range_deg,
+        ELEVATION_RANGE_DEG if found is None else found.views.elevation_range_deg,
         center,
         size,
         None if found is None else found.folder,
@@ -148,7 +145,7 @@ def _range(options: Options, found: ObjectFolder | None, sources: dict[str, str]
         sources["V"] = "--range"
         return options.range_deg
     sources["V"] = "default" if found is None else OBJECT_FILE
-    return DEFAULT_RANGE_DEG if found is None else found.views.azimuth_range_deg
+    return AZIMUTH_RANGE_DEG if found is None else found.views.azimuth_range_deg
 
 
 def _box(

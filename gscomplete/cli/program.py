@@ -11,10 +11,11 @@ import tyro
 from gscomplete.cli.guard import let_threads_sleep, print_version, run_guarded
 
 let_threads_sleep()  # the commands load PyTorch, and with it the OpenMP runtime
-from gscomplete.cli import complete, render, validate, view, weights
+from gscomplete.cli import complete, evaluate, render, validate, view, weights
 
 _RUNNERS: dict[type, Callable[[Any], int]] = {
     complete.CompleteOptions: complete.run,
+    evaluate.EvaluateOptions: evaluate.run,
     render.RenderOptions: render.run,
     validate.ValidateOptions: validate.run,
     view.ViewOptions: view.run,
@@ -23,6 +24,7 @@ _RUNNERS: dict[type, Callable[[Any], int]] = {
 
 Command = (
     Annotated[complete.CompleteOptions, tyro.conf.subcommand("complete")]
+    | Annotated[evaluate.EvaluateOptions, tyro.conf.subcommand("evaluate")]
     | Annotated[render.RenderOptions, tyro.conf.subcommand("render")]
     | Annotated[validate.ValidateOptions, tyro.conf.subcommand("validate")]
     | Annotated[view.ViewOptions, tyro.conf.subcommand("view")]

@@ -21,17 +21,15 @@ from gscomplete.completion import schedules
 from gscomplete.completion.losses import fit_loss, preservation_loss, random_background
 from gscomplete.completion.rings import Ring, RingMemory, inside_distribution, random_ring
 from gscomplete.completion.settings import CompletionSettings
-from gscomplete.completion.start import initial_splats
-from gscomplete.errors import UserError
+from gscomplete.completion.start import scale_bounds
 from gscomplete.fitting.densify import GradientStatistics, prune_mask, subdivide
-from gscomplete.fitting.parameters import Bounds, SplatParameters
+from gscomplete.fitting.finite import require_finite
+from gscomplete.fitting.parameters import SplatParameters
 from gscomplete.fitting.randomness import generator_for, uniform
-from gscomplete.framing.input_view import settled_view
-from gscomplete.priors.base import Conditioning, FourViews, Guidance, Prior, ShapePrior
+from gscomplete.priors.base import Conditioning, FourViews, Guidance, Prior
 from gscomplete.render import Render
 from gscomplete.render.partial_views import PartialViews
 from gscomplete.splats import Splats
-from gscomplete.splats.filters import MAX_MAGNITUDE
 from gscomplete.views import Cameras, ViewDistribution
 
 _CORNER_RADIUS = 0.9
@@ -50,72 +48,45 @@ class StepReport:
     seconds: float
 
 
-class NonFiniteError(UserError):
-    """A tensor of a run stopped being finite; the last checkpoint is still good."""
-
-    exit_code = 3
-
-    def __init__(self, step: int, tensor: str, advice: str = "") -> None:
-        """Say at which step, and which tensor."""
-        message = f"step {step}: {tensor} is not finite, or too large for float32; the run stops"
-        super().__init__(message + advice)
-        self.step, self.tensor = step, tensor
-
-
-class Completion:
-    """A completion under way: the new splats, their optimiser and the current targets."""
+class Optimisation:
+    """The steps of a completion: the new splats, their optimiser and the current targets."""
 
     def __init__(
         self,
         partial: Splats,
+        start: Splats,
         prior: Prior,
         conditioning: Conditioning,
-        distribution: ViewDistribution,
+        views: ViewDistribution,
         settings: CompletionSettings,
-        initial_diameter: float = 1.0,
         device: torch.device | str = "cpu",
-        *,
-        view_is_guess: bool = False,
     ) -> None:
         """Set up step 0.
 
         Args:
             partial: P in the object frame.
+            start: the new splats, object frame (``start.start_splats``).
             prior: the model that guides.
             conditioning: the prompt as that prior encoded it.
-            distribution: V, from which P must keep its looks.
+            views: V, from which P must keep its appearance.
             settings: every knob.
-            initial_diameter: of the sphere of new splats, object-frame units; the paper takes the
-                largest side of P's box.
             device: where splats are rendered and moved; the prior may run on another.
-            view_is_guess: V's input view was guessed from P alone, and may give way to one that
-                the prior's first guess of the whole bears out (``input_view``).
-
-        Raises:
-            UserError: no steps are to be taken and the prior cannot guess the whole.
         """
-        self.partial = partial.detach().to("cpu")  # step 0 is set up there, whatever the device
         self._device = torch.device(device)
+        self.partial = partial.detach().to(self._device)
+        self.views = views
         self.settings = settings
         self.step_number = 0
         self._prior, self._conditioning = prior, conditioning
-        self.distribution = distribution
         self._size_px = settings.resolution_px or prior.views.resolution_px
-        extent = sum(prior.views.extent_range) / 2
         radius = settings.max_radius
-        self._max_radius = max(extent / 2, _CORNER_RADIUS) if radius is None else radius
-        bounds = Bounds(settings.min_scale_px * extent / self._size_px, settings.max_scale)
-        start, is_guess, note = self._start(bounds, initial_diameter)
-        _require_finite(0, **{f"{name} at the start": value for name, value in start.fields()})
-        self.start_notes: tuple[str, ...] = (note,)
-        if is_guess and view_is_guess:
-            self.distribution, note = settled_view(self.partial, start, distribution)
-            self.start_notes += (note,) if note else ()
-        self.partial = self.partial.to(self._device)
+        widest = max(prior.views.mean_extent / 2, _CORNER_RADIUS)
+        self._max_radius = widest if radius is None else radius
+        bounds = scale_bounds(prior.views, settings)
         self.parameters = SplatParameters(start.to(self._device), bounds, settings.learning_rates)
         self._statistics = GradientStatistics(len(self.parameters), self._device)
         self._rings = RingMemory(settings.ring_memory)
-        self._views = PartialViews(self.partial, settings.skip)
+        self._renders = PartialViews(self.partial)
         self._updating = False
 
     @property
@@ -155,7 +126,7 @@ class Completion:
         count = sum(len(cameras) for cameras in batches)
         splats = self.parameters.splats()
         offsets = torch.zeros(count, len(splats), 2, device=self._device, requires_grad=True)
-        drawn = self._views.together(splats, batches, offsets)
+        drawn = self._renders.together(splats, batches, offsets)
         background = random_background(generator_for(settings.seed, step, "background"))
         background = background.to(self._device)
         guidance = self._guidance_loss(_part(drawn, 0, 4), ring_cameras, ring, timestep, background)
@@ -163,20 +134,20 @@ class Completion:
         if preserving:
             preservation = preservation_loss(
                 _part(drawn, 4, count),
-                self._views.alone(batches[1]),
+                self._renders.alone(batches[1]),
                 background,
                 masked=not schedules.is_warmup(settings, step),
             )
             total = total + settings.preservation_weight * preservation
         total.backward()
         losses = {"the prior's loss": guidance, "the preservation loss": preservation}
-        _require_finite(step, **losses, **self.parameters.gradients())
-        _require_finite(step, **{"gradient of screen positions": offsets.grad})
+        require_finite(step, **losses, **self.parameters.gradients())
+        require_finite(step, **{"gradient of screen positions": offsets.grad})
         self._updating = True
         if offsets.grad is not None:
             self._statistics.add(offsets.grad, ring_cameras.width)
         self.parameters.step(step / settings.steps)
-        _require_finite(step, **self.parameters.values())
+        require_finite(step, **self.parameters.values())
         self._edit_splats(step)
         self.step_number += 1
         self._updating = False
@@ -217,40 +188,6 @@ class Completion:
         if self.settings.mode == "reconstruct" and self.step_number and not len(self._rings):
             raise ValueError("ring.0.color: expected the targets of a round, found none")
 
-    def _start(self, bounds: Bounds, diameter: float) -> tuple[Splats, bool, str]:
-        """Return the new splats of step 0, whether the prior guessed them, and where they are.
-
-        Raises:
-            UserError: there are no steps to take and no guess that could be the result.
-        """
-        settings = self.settings
-        if settings.start == "guess" and isinstance(self._prior, ShapePrior):
-            guess = self._prior.first_guess(
-                self.partial,
-                self.distribution,
-                self._conditioning,
-                generator_for(settings.seed, 0, "first guess"),
-                settings.new_splats,
-                settings.mirror,
-            )
-            if guess is not None and (len(guess.splats) or not settings.steps):
-                how_many = f"start: {len(guess.splats):,} splats that the prior guesses"
-                return guess.splats, True, "; ".join([how_many, *guess.notes])
-        if settings.start == "guess" and not settings.steps:
-            raise UserError(
-                "0 steps: expected a prior that guesses the whole, found one that cannot; "
-                "choose another --preset (distill) or give --steps"
-            )
-        scattered = initial_splats(
-            self.partial,
-            settings.new_splats,
-            diameter,
-            settings.seed,
-            min_scale=bounds.min_scale,
-            max_scale=bounds.max_scale,
-        )
-        return scattered, False, f"start: {len(scattered):,} splats in a sphere"
-
     @property
     def heeds_negative_prompt(self) -> bool:
         """Whether what to lead away from has any effect: steps are taken, and text has a scale."""
@@ -271,7 +208,7 @@ class Completion:
         if not (self.settings.see_input and self._prior.sees_input):
             return None
         with torch.no_grad():
-            return FourViews.from_render(self._views.alone(cameras), cameras)
+            return FourViews.from_render(self._renders.alone(cameras), cameras)
 
     def _denoised_ring(self, timestep: float) -> Ring:
         """Render a fresh ring, let the prior denoise it, and keep P where V sees it."""
@@ -279,7 +216,7 @@ class Completion:
         cameras = random_ring(self._prior.views, self._size_px, settings.seed, step)
         splats = self.new_splats()
         with torch.no_grad():
-            drawn = self._views.together(splats, [cameras])
+            drawn = self._renders.together(splats, [cameras])
             color, alpha = self._prior.reconstruct(
                 FourViews.from_render(drawn, cameras),
                 timestep,
@@ -293,10 +230,10 @@ class Completion:
                 "colour of the prior's targets": color,
                 "alpha of the prior's targets": alpha,
             }
-            _require_finite(step, **targets)
+            require_finite(step, **targets)
             target = cameras.resized(color.shape[2], color.shape[1])
-            partial = self._views.alone(target)
-            trusted = inside_distribution(target, self.distribution).to(self._device)
+            partial = self._renders.alone(target)
+            trusted = inside_distribution(target, self.views).to(self._device)
             mask = torch.where(trusted[:, None, None], partial.alpha, 0.0)
             color = color * (1 - mask)[..., None] + partial.color * trusted[:, None, None, None]
             alpha = alpha * (1 - mask) + mask
@@ -317,12 +254,12 @@ class Completion:
         settings, step = self.settings, self.step_number
         size_px = schedules.resolution_at(settings, step, self._size_px)
         if settings.preservation_views is None:
-            angles = self.distribution.sample(settings.seed, step, 1)
-            return self.distribution.cameras(angles, size_px)
+            angles = self.views.sample(settings.seed, step, 1)
+            return self.views.cameras(angles, size_px)
         generator = generator_for(settings.seed, step, "preservation view")
         pick = int(uniform(generator, 0, settings.preservation_views))
-        angles = self.distribution.low_discrepancy(settings.preservation_views)
-        return self.distribution.cameras(angles, size_px)[pick]
+        angles = self.views.low_discrepancy(settings.preservation_views)
+        return self.views.cameras(angles, size_px)[pick]
 
     def _guidance_loss(
         self,
@@ -357,20 +294,6 @@ class Completion:
             if report.total and bool(keep.any()):
                 self.parameters.keep(keep)
             self._statistics = GradientStatistics(len(self.parameters), self._device)
-
-
-def _require_finite(step: int, **tensors: Tensor | None) -> None:
-    """Stop a run before a value that float32 cannot square reaches splats or a checkpoint.
-
-    Adam squares gradients: above ``MAX_MAGNITUDE`` its moment would be infinite, and the splat
-    would silently stand still from then on.
-
-    Raises:
-        NonFiniteError: a tensor is not finite or too large; the first one is named.
-    """
-    for name, tensor in tensors.items():
-        if tensor is not None and not bool((tensor.detach().abs() < MAX_MAGNITUDE).all()):
-            raise NonFiniteError(step, name)
 
 
 def _stays_on_cpu(name: str) -> bool:

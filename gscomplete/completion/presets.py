@@ -29,7 +29,7 @@ priors. ``paper``: its settings."""
 PAPER = CompletionSettings()
 """The paper's settings (sections 3.1 to 3.3); where the sphere stands: see above."""
 
-SMALL_PRIOR = dataclasses.replace(
+DISTILL = dataclasses.replace(
     PAPER,
     steps=600,
     min_scale_px=0.5,
@@ -41,7 +41,7 @@ SMALL_PRIOR = dataclasses.replace(
 """The paper's method for a prior of 64 pixels: fewer and larger steps, sizes bound to a pixel."""
 
 RECONSTRUCT = dataclasses.replace(
-    SMALL_PRIOR,
+    DISTILL,
     mode="reconstruct",
     steps=240,
     new_splats=10_000,
@@ -68,7 +68,7 @@ RECONSTRUCT = dataclasses.replace(
 )
 """Iterative reconstruction: a few denoised rings, many cheap fitting steps."""
 
-GUESS = dataclasses.replace(
+DEFAULT = dataclasses.replace(
     RECONSTRUCT,
     steps=0,
     new_splats=20_000,
@@ -77,11 +77,11 @@ GUESS = dataclasses.replace(
 """The first guess of a prior with an idea of shape, held to P's looks where P is dense: steps of a
 small denoiser make it no better in shape, and dirtier (the time/quality benchmark)."""
 
-FAST = dataclasses.replace(GUESS, new_splats=10_000, hard_preservation=None)
+FAST = dataclasses.replace(DEFAULT, new_splats=10_000, hard_preservation=None)
 """The first guess as it is."""
 
 TEXT_ONLY = dataclasses.replace(
-    SMALL_PRIOR,
+    DISTILL,
     mode="reconstruct",
     see_input=False,
     steps=480,
@@ -111,10 +111,10 @@ def preset(name: PresetName, prior_name: str, *, text_only: bool = False) -> Com
     """
     small = prior_name == "embedded"
     table = {
-        "default": GUESS if small else PAPER,
+        "default": DEFAULT if small else PAPER,
         "fast": FAST if small else TEXT_ONLY,
         "reconstruct": RECONSTRUCT if small else TEXT_ONLY,
-        "distill": SMALL_PRIOR if small else PAPER,
+        "distill": DISTILL if small else PAPER,
         "paper": PAPER,
     }
     if name not in table:

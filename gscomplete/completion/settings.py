@@ -56,24 +56,6 @@ class TimestepStage:
 
 
 @dataclass(frozen=True, slots=True)
-class SkipSettings:
-    """What a step leaves out because the result does not need it; off only to measure the gain."""
-
-    partial_gradients: bool = True
-    """P takes no gradients; off: P and new splats are one set, as where P is merely not updated,
-    and nothing of P is kept either."""
-    prepared_partial: bool = True
-    """P's projection, order, tile lists and picture are kept per view; the same bits."""
-    idle_tiles: bool = True
-    """Tiles without new splats are copied from P's picture, and passed over backwards where there
-    is no gradient; the same bits."""
-    exact_tile_lists: bool = True
-    """A splat is listed where its ellipse reaches, not its box; the same bits."""
-    early_stop: bool = True
-    """A tile is finished when nothing behind it can be seen (``RenderSettings``)."""
-
-
-@dataclass(frozen=True, slots=True)
 class HardPreservationSettings:
     """Bounds on what new splats may change of P's looks from V, and how they are reached."""
 
@@ -229,7 +211,6 @@ class CompletionSettings:
     """``reconstruct``: rings of targets that the fit draws from, the newest included."""
     learning_rates: LearningRates = dataclasses.field(default_factory=LearningRates)
     densify: DensifySettings = dataclasses.field(default_factory=DensifySettings)
-    skip: SkipSettings = SkipSettings()
     hard_preservation: HardPreservationSettings | None = None
     """Bounds on E_color and E_depth over V that hold at the end; None = whatever the preservation
     loss leaves (the paper)."""

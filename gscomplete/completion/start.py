@@ -1,14 +1,113 @@
-"""The new splats at the first step (paper section 3.3, "Initialization")."""
+"""The new splats at the first step: the prior's guess, or the paper's sphere (section 3.3).
+
+Conventions
+-----------
+* Everything is in the object frame.
+* A function of (P, V, prompt, settings): a resumed run starts from the same splats.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 
+from gscomplete.completion.settings import CompletionSettings
+from gscomplete.errors import UserError
+from gscomplete.fitting.finite import require_finite
+from gscomplete.fitting.parameters import Bounds
 from gscomplete.fitting.randomness import generator_for, sphere_points
+from gscomplete.priors.base import Conditioning, Prior, PriorViews, ShapePrior
 from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.views import ViewDistribution
 
 INITIAL_OPACITY = 0.1
 """As in the original 3DGS."""
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where the optimisation starts."""
+
+    splats: Splats
+    """New splats."""
+    is_guess: bool
+    """Whether the prior guessed them; False = scattered in a sphere."""
+    note: str
+    """How they came about, for the user."""
+
+
+def start_splats(
+    partial: Splats,
+    prior: Prior,
+    conditioning: Conditioning,
+    views: ViewDistribution,
+    settings: CompletionSettings,
+    sphere_diameter: float = 1.0,
+) -> Start:
+    """Return the new splats of step 0.
+
+    Args:
+        partial: P in the object frame, on the CPU.
+        prior: the model that guides.
+        conditioning: the prompt as that prior encoded it.
+        views: V, from which P must keep its appearance.
+        settings: of the run.
+        sphere_diameter: object sizes; the paper takes the largest side of P's box.
+
+    Raises:
+        UserError: there are no steps to take and no guess that could be the result.
+        NonFiniteError: a value of the start is not finite.
+    """
+    start = None
+    if settings.start == "guess" and isinstance(prior, ShapePrior):
+        start = _guess(partial, prior, conditioning, views, settings)
+    if start is None and settings.start == "guess" and not settings.steps:
+        raise UserError(
+            "0 steps: expected a prior that guesses the complete object, found one that cannot; "
+            "choose another --preset (distill) or give --steps"
+        )
+    if start is None:
+        bounds = scale_bounds(prior.views, settings)
+        scattered = initial_splats(
+            partial,
+            settings.new_splats,
+            sphere_diameter,
+            settings.seed,
+            min_scale=bounds.min_scale,
+            max_scale=bounds.max_scale,
+        )
+        start = Start(scattered, False, f"start: {len(scattered):,} splats in a sphere")
+    require_finite(0, **{f"{name} at the start": value for name, value in start.splats.fields()})
+    return start
+
+
+def _guess(
+    partial: Splats,
+    prior: ShapePrior,
+    conditioning: Conditioning,
+    views: ViewDistribution,
+    settings: CompletionSettings,
+) -> Start | None:
+    """Return the prior's guess; None where it has none that the steps could start from."""
+    guess = prior.first_guess(
+        partial,
+        views,
+        conditioning,
+        generator_for(settings.seed, 0, "first guess"),
+        settings.new_splats,
+        settings.mirror,
+    )
+    if guess is None or (not len(guess.splats) and settings.steps):
+        return None
+    how_many = f"start: {len(guess.splats):,} splats that the prior guesses"
+    return Start(guess.splats, True, "; ".join([how_many, *guess.notes]))
+
+
+def scale_bounds(views: PriorViews, settings: CompletionSettings) -> Bounds:
+    """Return the bounds of new splats' scales: the smallest is given in pixels of the prior."""
+    size_px = settings.resolution_px or views.resolution_px
+    return Bounds(settings.min_scale_px * views.mean_extent / size_px, settings.max_scale)
 
 
 def initial_splats(

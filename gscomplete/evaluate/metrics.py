@@ -66,6 +66,10 @@ class TruthErrors:
 
     silhouette_iou: float
     """Intersection over union of the whole silhouettes, mean over the views."""
+    silhouette_missed: float
+    """Share of the joined silhouettes that only T covers, mean over the views."""
+    silhouette_excess: float
+    """Share of the joined silhouettes that only O covers, mean over the views."""
     hidden_iou: float
     """Intersection over union of the silhouettes within the hidden region; 1 if it is empty."""
     hidden_color_psnr_db: float | None
@@ -175,9 +179,15 @@ def truth_errors_of_renders(completed: Render, partial: Render, truth: Render) -
     hidden = open_ & either
     both = int((hidden & ours & real).sum())
     squared = (completed.color.double() - truth.color.double()).square().mean(dim=-1)
-    shared, joined = (ours & real).sum(dim=(1, 2)), either.sum(dim=(1, 2))
+    joined = either.sum(dim=(1, 2))
+    shared, missed, excess = (
+        float((cells.sum(dim=(1, 2)) / joined.clamp_min(1))[joined > 0].mean())
+        for cells in (ours & real, real & ~ours, ours & ~real)
+    )
     return TruthErrors(
-        silhouette_iou=float((shared / joined.clamp_min(1))[joined > 0].mean()),
+        silhouette_iou=shared,
+        silhouette_missed=missed,
+        silhouette_excess=excess,
         hidden_iou=_ratio(both, int(hidden.sum())),
         hidden_color_psnr_db=_psnr_db(squared, hidden) if bool(hidden.any()) else None,
         hidden_precision=_ratio(both, int((open_ & ours).sum())),

@@ -8,12 +8,26 @@ Conventions
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
+import torch
 from rich.table import Table
 
-from gscomplete.evaluate.metrics import PreservationErrors, TruthErrors, against_truth, preservation
+from gscomplete.evaluate.geometry import HiddenSurfaceErrors, hidden_surface_errors
+from gscomplete.evaluate.haarpsi import haarpsi
+from gscomplete.evaluate.metrics import (
+    COVERED_ALPHA,
+    MID_GREY,
+    PreservationErrors,
+    TruthErrors,
+    preservation,
+    preservation_of_renders,
+    truth_errors_of_renders,
+)
 from gscomplete.evaluate.perceptual import Unavailable, clip_similarity, lpips_error
+from gscomplete.evaluate.ssim import ssim_map
+from gscomplete.render import Render, render
 from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution
 
@@ -31,6 +45,16 @@ class EvaluationSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class TruthPictures:
+    """How much a completion looks like the true object from all round."""
+
+    hidden_ssim: float | None
+    """Mean SSIM over the hidden region; None if it is empty."""
+    haarpsi: float
+    """Mean HaarPSI of the views, over all pixels that either covers."""
+
+
+@dataclass(frozen=True, slots=True)
 class EvaluationReport:
     """Everything measured about one completion."""
 
@@ -38,12 +62,18 @@ class EvaluationReport:
     """E_color and E_depth from the input view c alone, as the paper reports them."""
     all_views: PreservationErrors
     """E_color and E_depth over the view distribution V."""
+    haarpsi: float
+    """Mean HaarPSI of O to P over V, weighted by M_c; 1 = P looks the same."""
     lpips: float | Unavailable
     """E_LPIPS from the input view c."""
     clip: float | Unavailable
     """S_CLIP between P from c and the completion from four sides."""
     truth: TruthErrors | None = None
     """Agreement with the known whole object; None when it is not known."""
+    truth_pictures: TruthPictures | None = None
+    """Likeness to it."""
+    truth_surface: HiddenSurfaceErrors | None = None
+    """Distances of the new surface to it; None also where P shows all of it."""
 
 
 def evaluate(
@@ -69,13 +99,37 @@ def evaluate(
     chosen = settings or EvaluationSettings()
     camera = views.input_camera(chosen.size_px)
     over_v = views.cameras(views.measured(chosen.views), chosen.size_px)
-    all_round = views.ring(chosen.truth_views, chosen.size_px)
-    return EvaluationReport(
+    with torch.no_grad():
+        behind = partial.means.new_tensor(MID_GREY)
+        ours, theirs = (render(splats, over_v, behind) for splats in (completed, partial))
+    report = EvaluationReport(
         input_view=preservation(completed, partial, camera),
-        all_views=preservation(completed, partial, over_v),
+        all_views=preservation_of_renders(ours, theirs),
+        haarpsi=float(haarpsi(ours.color, theirs.color, theirs.alpha).mean()),
         lpips=lpips_error(completed, partial, camera),
         clip=clip_similarity(completed, partial, camera, views.ring(4, chosen.size_px)),
-        truth=None if truth is None else against_truth(completed, partial, truth, all_round),
+    )
+    if truth is None:
+        return report
+    all_round = views.ring(chosen.truth_views, chosen.size_px)
+    with torch.no_grad():
+        renders = [render(splats, all_round, behind) for splats in (completed, partial, truth)]
+    return dataclasses.replace(
+        report,
+        truth=truth_errors_of_renders(*renders),
+        truth_pictures=truth_pictures_of_renders(*renders),
+        truth_surface=hidden_surface_errors(completed, partial, truth),
+    )
+
+
+def truth_pictures_of_renders(completed: Render, partial: Render, truth: Render) -> TruthPictures:
+    """Compare renders of O with renders of T; one background for all."""
+    either = (completed.alpha >= COVERED_ALPHA) | (truth.alpha >= COVERED_ALPHA)
+    hidden = either & (partial.alpha < COVERED_ALPHA)
+    alike = ssim_map(completed.color, truth.color)
+    return TruthPictures(
+        float(alike[hidden].mean()) if bool(hidden.any()) else None,
+        float(haarpsi(completed.color, truth.color, either).mean()),
     )
 
 
@@ -93,10 +147,17 @@ def report_table(report: EvaluationReport, title: str = "Evaluation") -> Table:
     table.add_row("E_depth (object sizes squared)", _number(one.depth), _number(many.depth))
     table.add_row("E_LPIPS", _number(report.lpips), "")
     table.add_row("S_CLIP", _number(report.clip), "")
-    if report.truth is not None:
-        psnr = report.truth.hidden_color_psnr_db
+    table.add_row("HaarPSI", "", _number(report.haarpsi))
+    if report.truth is not None and report.truth_pictures is not None:
+        psnr, ssim = report.truth.hidden_color_psnr_db, report.truth_pictures.hidden_ssim
+        table.add_row("silhouette IoU", "", _number(report.truth.silhouette_iou))
         table.add_row("hidden silhouette IoU", "", _number(report.truth.hidden_iou))
         table.add_row("hidden colour PSNR (dB)", "", "-" if psnr is None else f"{psnr:.1f}")
+        table.add_row("hidden SSIM", "", "-" if ssim is None else _number(ssim))
+        table.add_row("HaarPSI to the truth", "", _number(report.truth_pictures.haarpsi))
+    if report.truth_surface is not None:
+        table.add_row("hidden-surface F-score at 1 %", "", _number(report.truth_surface.f_score_1))
+        table.add_row("hidden-surface F-score at 3 %", "", _number(report.truth_surface.f_score_3))
     return table
 
 

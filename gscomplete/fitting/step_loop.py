@@ -32,7 +32,7 @@ Report = TypeVar("Report", bound="DataclassInstance")
 Report_co = TypeVar("Report_co", bound="DataclassInstance", covariant=True)
 
 
-class LongJob(Protocol[Report_co]):
+class StepJob(Protocol[Report_co]):
     """A job that is done step by step."""
 
     step_number: int
@@ -53,8 +53,8 @@ class LongJob(Protocol[Report_co]):
         """Return all that the next step depends on."""
 
 
-def take_steps(
-    job: LongJob[Report], out: Path, checkpoint_every: int, on_step: Callable[[Report], None]
+def run_steps(
+    job: StepJob[Report], out: Path, checkpoint_every: int, on_step: Callable[[Report], None]
 ) -> None:
     """Take all remaining steps.
 
@@ -69,7 +69,7 @@ def take_steps(
     """
     _trim_log(out / LOG_FILE, job.step_number)
     try:
-        _take_steps(job, out, checkpoint_every, on_step)
+        _run_trimmed(job, out, checkpoint_every, on_step)
     except OSError as error:
         where = error.filename or out / LOG_FILE
         raise UserError(
@@ -78,10 +78,10 @@ def take_steps(
         ) from error
 
 
-def _take_steps(
-    job: LongJob[Report], out: Path, checkpoint_every: int, on_step: Callable[[Report], None]
+def _run_trimmed(
+    job: StepJob[Report], out: Path, checkpoint_every: int, on_step: Callable[[Report], None]
 ) -> None:
-    """Do what ``take_steps`` does, on a log that is trimmed."""
+    """Do what ``run_steps`` does, on a log that is trimmed."""
     folder = out / CHECKPOINTS
     with (out / LOG_FILE).open("a", encoding="utf-8") as log:
         try:

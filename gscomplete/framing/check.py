@@ -1,4 +1,4 @@
-"""Check the frame of the whole that a user gives against P.
+"""Check a frame against P: what is odd about one that is given, what a decided one means.
 
 Conventions
 -----------
@@ -7,19 +7,24 @@ Conventions
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
+from gscomplete.render import render
 from gscomplete.splats import Splats
-from gscomplete.views import ObjectFrame
+from gscomplete.views import ObjectFrame, ViewDistribution
 
 _LEAST_SHARE = 0.01
 """A P whose largest side is less of the whole's is a mistake, mostly of units."""
 _SMALL_SHARE = 0.05
 """One with less is worth a note."""
+_COARSE_SHARE = 1e-3
+"""A spacing of float32 coordinates above this share of the object's size is worth a note: less than
+a third of a pixel where the object fills 256."""
+_VISIBILITY_PX = 128
+"""Side of the picture in which P must be seen."""
 
 
 def largest_side(splats: Splats) -> float:
@@ -31,7 +36,7 @@ def largest_side(splats: Splats) -> float:
     return max(float((high - low).max()), splats.typical_size)
 
 
-def check_given_frame(partial: Splats, frame: ObjectFrame, path: Path) -> tuple[str, ...]:
+def check_given_frame(partial: Splats, frame: ObjectFrame, name: str) -> tuple[str, ...]:
     """Check that a frame which the user gives may be that of the whole.
 
     A wrong unit is the usual mistake: the run would add a few splats and measure no fault.
@@ -39,7 +44,7 @@ def check_given_frame(partial: Splats, frame: ObjectFrame, path: Path) -> tuple[
     Args:
         partial: P, in the file frame.
         frame: the frame of the whole.
-        path: P's file, for errors.
+        name: P's file, for errors.
 
     Returns:
         What is odd about it.
@@ -54,7 +59,7 @@ def check_given_frame(partial: Splats, frame: ObjectFrame, path: Path) -> tuple[
     )
     if share < _LEAST_SHARE:
         raise UserError(
-            f"{path}: --size: expected at most {side / _LEAST_SHARE:.4g} (file units), found "
+            f"{name}: --size: expected at most {side / _LEAST_SHARE:.4g} (file units), found "
             f"{size:.4g}; {sides}"
         )
     low, high = _middle_box(partial)
@@ -62,7 +67,7 @@ def check_given_frame(partial: Splats, frame: ObjectFrame, path: Path) -> tuple[
     beyond = float(np.maximum(center - low, high - center).max()) / size - 0.5
     if bool((low > center + size / 2).any() or (high < center - size / 2).any()):
         raise UserError(
-            f"{path}: --center, --size: expected a frame that P lies in; P reaches from "
+            f"{name}: --center, --size: expected a frame that P lies in; P reaches from "
             f"{_point(low)} to {_point(high)}, the frame from {_point(center - size / 2)} to "
             f"{_point(center + size / 2)} (file units)"
         )
@@ -73,6 +78,43 @@ def check_given_frame(partial: Splats, frame: ObjectFrame, path: Path) -> tuple[
             "whole?"
         )
     return tuple(notes)
+
+
+def describe_frame(frame: ObjectFrame, views: ViewDistribution) -> tuple[str, ...]:
+    """Tell the user which frame and input view were taken, and what limits their precision."""
+    x, y, z = frame.center_file
+    size = frame.size_file
+    notes = [
+        f"frame: up {frame.up}, centre {x:.9g},{y:.9g},{z:.9g}, size {size:.6g} (file "
+        f"units), input view {views.azimuth_deg:g},{views.elevation_deg:g} degrees"
+    ]
+    spacing = float(np.spacing(np.float32(max(map(abs, frame.center_file)))))
+    if spacing > _COARSE_SHARE * size:
+        notes.append(
+            f"far from the origin: float32 coordinates there are {spacing:.3g} apart, "
+            f"{100 * spacing / size:.2g} % of the object's size; splats can lie no finer"
+        )
+    return tuple(notes)
+
+
+def require_visible(partial: Splats, views: ViewDistribution, name: str) -> None:
+    """Refuse a P that the input view does not show: nothing could be preserved or measured.
+
+    Args:
+        partial: P in the object frame.
+        views: V about the input view.
+        name: P's file, for errors.
+
+    Raises:
+        UserError: no pixel of the input view shows P.
+    """
+    with torch.no_grad():
+        alpha = render(partial, views.input_camera(_VISIBILITY_PX)).alpha
+    if not bool(alpha.any()):
+        raise UserError(
+            f"{name}: expected splats that the input view shows, found none that it does; they "
+            "are transparent, or the centre, the size or the input view is wrong"
+        )
 
 
 def _middle_box(splats: Splats) -> tuple[NDArray[np.float64], NDArray[np.float64]]:  # [3], [3]

@@ -31,6 +31,7 @@ from gscomplete.render import render
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.views import Cameras, orbit_cameras
+from gscomplete.views.distribution import FOV_DEG, RADIUS
 
 FloatArray = NDArray[np.float64]
 
@@ -224,8 +225,8 @@ def score_views(centered: Splats, settings: FramingSettings) -> ViewScores:
         cameras = orbit_cameras(
             azimuths,
             torch.full_like(azimuths, elevation),
-            radius=2.2,
-            fov_deg=40.0,
+            radius=RADIUS,
+            fov_deg=FOV_DEG,
             size_px=settings.size_px,
         )
         rows.append(_score_ring(drawn, cameras, settings.surface_tolerance))

@@ -50,7 +50,7 @@ class InputViewSettings:
     """Splats of P that are drawn, chosen at random where it has more and widened to match."""
 
 
-def settled_view(
+def refine_input_view(
     partial: Splats,
     new: Splats,
     guessed: ViewDistribution,

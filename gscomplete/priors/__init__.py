@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,6 +27,8 @@ __all__ = [
 
 PRIOR_NAMES = ("embedded", "mvdream")
 """Priors that can be asked for by name."""
+_CALLABLE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+"""``MODULE:FUNCTION``."""
 
 
 def load_prior(
@@ -35,7 +39,8 @@ def load_prior(
     """Load a prior by name, or from a path.
 
     Args:
-        name_or_path: one of ``PRIOR_NAMES``; MVDream's published file; or a folder that holds
+        name_or_path: one of ``PRIOR_NAMES``; ``MODULE:FUNCTION``, which is imported and called with
+            the device, for priors of your own; MVDream's published file; or a folder that holds
             MVDream (diffusers' style or converted), any diffusers text-to-image model, or weights
             of the embedded prior as the training recipe exports them.
         device: where it runs.
@@ -45,6 +50,10 @@ def load_prior(
         UserError: there is no such prior, or its weights are missing or damaged.
     """
     path = Path(name_or_path)
+    if _CALLABLE.fullmatch(name_or_path) and not path.exists():
+        if settings is not None:
+            raise UserError("--diffusion.*: priors of your own have knobs of their own")
+        return _load_callable(name_or_path, device)
     if name_or_path == "embedded" or (path / "model.safetensors").is_file():
         from gscomplete.priors.embedded.prior import load_embedded
 
@@ -72,3 +81,25 @@ def load_prior(
         "(model.safetensors, config.json), of MVDream, or of a diffusers text-to-image model "
         "(model_index.json), found none of them"
     )
+
+
+def _load_callable(name: str, device: torch.device | str) -> Prior:
+    """Import a prior of the user's own and make it.
+
+    Raises:
+        UserError: there is no such module or function, or what it returns is no prior.
+    """
+    module, _, function = name.partition(":")
+    try:
+        make = getattr(importlib.import_module(module), function)
+    except (ImportError, AttributeError) as error:
+        raise UserError(
+            f"--prior {name}: expected MODULE:FUNCTION, found no such ({error})"
+        ) from error
+    prior: Prior = make(device)
+    lacking = [
+        part for part in ("name", "views", "condition", "distill") if not hasattr(prior, part)
+    ]
+    if lacking:
+        raise UserError(f"--prior {name}: expected a prior, found one without {', '.join(lacking)}")
+    return prior

@@ -70,6 +70,11 @@ class PriorViews:
     elevation_range_deg: tuple[float, float]
     resolution_px: int  # side of the images the prior works on
 
+    @property
+    def mean_extent(self) -> float:
+        """Visible extent in the middle of the range, object frame units."""
+        return sum(self.extent_range) / 2
+
     def radius_range(self) -> tuple[float, float]:
         """Return the camera distances that show the least and the largest extent."""
         low, high = self.extent_range

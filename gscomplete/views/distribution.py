@@ -30,6 +30,15 @@ SCHEMA_VERSION = 1
 MAX_ELEVATION_DEG = 85.0
 """Largest absolute elevation that a distribution gives."""
 
+AZIMUTH_RANGE_DEG = 50.0
+"""V's reach in azimuth to either side of c (the paper's +/-50 degrees)."""
+ELEVATION_RANGE_DEG = 15.0
+"""V's reach in elevation above and below c: what a person walking round an object sees."""
+RADIUS = 2.2
+"""Distance of V's cameras from the object's centre, object sizes: 1.6 sizes are visible there."""
+FOV_DEG = 40.0
+"""Their vertical field of view."""
+
 _PHILOX_STREAM = 0x5649455753
 """Second key word of the generator, so that views share no random numbers with other uses."""
 _FIRST_MEASURED_VIEW = 20_000
@@ -52,14 +61,14 @@ class ViewDistribution:
     """Azimuth of the input view c."""
     elevation_deg: float
     """Elevation of the input view c."""
-    azimuth_range_deg: float = 50.0
+    azimuth_range_deg: float = AZIMUTH_RANGE_DEG
     """Views reach this far to either side of c (the paper's +/-50 degrees)."""
-    elevation_range_deg: float = 15.0
+    elevation_range_deg: float = ELEVATION_RANGE_DEG
     """Views reach this far above and below c. The paper names no range; 15 degrees is what a
     person walking round an object sees, and 0 gives the ring at c's elevation."""
-    radius: float = 2.2
-    """Distance of the cameras from the target in object sizes; 1.6 sizes are visible there."""
-    fov_deg: float = 40.0
+    radius: float = RADIUS
+    """Distance of the cameras from the target in object sizes."""
+    fov_deg: float = FOV_DEG
     """Vertical field of view."""
     target: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Point in the object frame that every view looks at."""

@@ -29,7 +29,7 @@ import torch
 from rich.console import Console
 from rich.progress import track
 
-from gscomplete.completion.presets import FAST, GUESS, PAPER, RECONSTRUCT, SMALL_PRIOR
+from gscomplete.completion.presets import DEFAULT, DISTILL, FAST, PAPER, RECONSTRUCT
 from gscomplete.completion.settings import CompletionSettings, HardPreservationSettings
 from gscomplete.evaluate.pictures import save_image
 from gscomplete.fitting.settings import LearningRates
@@ -37,7 +37,7 @@ from gscomplete.priors import load_prior
 from gscomplete.priors.base import prior_identity
 from recipes.benchmarks.charts import Chart, draw_charts
 from recipes.entry_point import start
-from recipes.real_objects.compare import completed_as_run, measure, pose
+from recipes.real_objects.compare import completed_as_run, frame_object, measure
 from recipes.real_objects.complete import DATA
 from recipes.real_objects.load import load_real_object
 from recipes.results import Results
@@ -63,19 +63,19 @@ class Options:
 def ways() -> dict[str, CompletionSettings]:
     """Return the settings compared, by name."""
     change = dataclasses.replace
-    rates = SMALL_PRIOR.learning_rates
+    rates = DISTILL.learning_rates
     faster = LearningRates(**{name: 4 * value for name, value in dataclasses.asdict(rates).items()})
     return {
         "fast": FAST,
-        "soft": change(GUESS, hard_preservation=None),
-        "default": GUESS,
-        "strict": change(GUESS, hard_preservation=HardPreservationSettings()),
+        "soft": change(DEFAULT, hard_preservation=None),
+        "default": DEFAULT,
+        "strict": change(DEFAULT, hard_preservation=HardPreservationSettings()),
         "reconstruct": RECONSTRUCT,
         "random views": change(RECONSTRUCT, preservation_views=None),
         "every 4th": change(RECONSTRUCT, preservation_every=4, preservation_weight=8.0),
         "coarse first": change(RECONSTRUCT, coarse_until=0.5),
-        "distill": SMALL_PRIOR,
-        "fewer steps": change(SMALL_PRIOR, steps=SMALL_PRIOR.steps // 4, learning_rates=faster),
+        "distill": DISTILL,
+        "fewer steps": change(DISTILL, steps=DISTILL.steps // 4, learning_rates=faster),
         "paper": PAPER,
     }
 
@@ -120,13 +120,13 @@ def main(options: Options) -> None:
     results = Results(options.out / "completion.json", made_with)
     chosen = {name: way for name, way in ways().items() if name in (options.ways or ways())}
     for object_name in track(options.names, "objects", console=Console(file=sys.stderr)):
-        posed = pose(load_real_object(object_name, options.data))
+        framed = frame_object(load_real_object(object_name, options.data), prior)
         rows = results.rows.setdefault(object_name, {})
         for name, settings in chosen.items():
             if name in rows:
                 continue
             seeded = dataclasses.replace(settings, seed=options.seed)
-            rows[name] = measure(posed, completed_as_run(posed, prior, seeded))
+            rows[name] = measure(framed, completed_as_run(framed, prior, seeded))
             results.save()
     table = means(results.rows)
     sys.stdout.write(report(table))

@@ -33,7 +33,7 @@ from gscomplete.splats import Splats, concatenate, read_splats, write_splats
 from gscomplete.util import jsonio
 from gscomplete.views import Cameras
 from recipes.entry_point import start
-from recipes.real_objects.compare import Posed, completed_as_run, pose, settings_of
+from recipes.real_objects.compare import FramedObject, completed_as_run, frame_object, settings_of
 from recipes.real_objects.complete import DATA
 from recipes.real_objects.load import load_real_object
 from recipes.results import Results
@@ -68,14 +68,14 @@ class Options:
     bounds: HardPreservationSettings = field(default_factory=HardPreservationSettings)
 
 
-def completion(posed: Posed, way: Way, options: Options, prior: Prior) -> Splats:
+def completion(framed: FramedObject, way: Way, options: Options, prior: Prior) -> Splats:
     """Read the new splats from a folder that has them, or make them and keep them."""
-    name = f"{posed.item.name}.{way}.ply"
+    name = f"{framed.item.name}.{way}.ply"
     for folder in (*options.completions, options.out):
         if (folder / name).exists():
             return read_splats(folder / name).splats
     settings = dataclasses.replace(settings_of(way, prior, options.seed), hard_preservation=None)
-    made = completed_as_run(posed, prior, settings).splats
+    made = completed_as_run(framed, prior, settings).splats
     write_splats(options.out / name, made)
     return made
 
@@ -87,14 +87,14 @@ def remainder(partial: Splats, truth: Splats) -> Splats:
     return truth.select(torch.tensor(lacking))
 
 
-def measure(posed: Posed, partial: Splats, new: Splats, cameras: Cameras) -> dict[str, Any]:
+def measure(framed: FramedObject, partial: Splats, new: Splats, cameras: Cameras) -> dict[str, Any]:
     """Return errors over unseen views of V, and the hidden region's against the truth."""
     whole = concatenate([partial, new])
     kept = preservation(whole, partial, cameras)
     row: dict[str, Any] = {"e_color": kept.color, "e_depth": kept.depth, "new_splats": len(new)}
-    if posed.truth is not None:
-        truth = posed.truth.with_sh_degree(0)
-        found = against_truth(whole, partial, truth, posed.views.ring(8, 256))
+    if framed.truth is not None:
+        truth = framed.truth.with_sh_degree(0)
+        found = against_truth(whole, partial, truth, framed.views.ring(8, 256))
         row |= {
             "hidden_iou": found.hidden_iou,
             "hidden_psnr_db": found.hidden_color_psnr_db,
@@ -105,25 +105,25 @@ def measure(posed: Posed, partial: Splats, new: Splats, cameras: Cameras) -> dic
 
 
 def bounded(
-    posed: Posed, way: Way, options: Options, prior: Prior
+    framed: FramedObject, way: Way, options: Options, prior: Prior
 ) -> tuple[dict[str, Any], list[Image.Image]]:
     """Return the numbers and pictures of one object completed one way."""
-    partial = posed.partial.with_sh_degree(0)
-    new = completion(posed, way, options, prior)
-    angles = posed.views.sample(UNSEEN_SEED + options.seed, 0, UNSEEN_VIEWS)
-    cameras = posed.views.cameras(angles, options.size_px)
-    done = preserve_hard(new, partial, posed.views, options.bounds, options.seed)
+    partial = framed.partial.with_sh_degree(0)
+    new = completion(framed, way, options, prior)
+    angles = framed.views.sample(UNSEEN_SEED + options.seed, 0, UNSEEN_VIEWS)
+    cameras = framed.views.cameras(angles, options.size_px)
+    done = preserve_hard(new, partial, framed.views, options.bounds, options.seed)
     row = {
-        "before": measure(posed, partial, new, cameras),
-        "after": measure(posed, partial, done.splats, cameras),
+        "before": measure(framed, partial, new, cameras),
+        "after": measure(framed, partial, done.splats, cameras),
         "report": jsonio.to_json(done.report),
     }
-    if posed.truth is not None:
-        rest = remainder(partial, posed.truth.with_sh_degree(0))
-        row["truth"] = measure(posed, partial, rest, cameras)
-    shown = posed.views.preview_cameras(144)[[0, 1, 3, 5]]
+    if framed.truth is not None:
+        rest = remainder(partial, framed.truth.with_sh_degree(0))
+        row["truth"] = measure(framed, partial, rest, cameras)
+    shown = framed.views.preview_cameras(144)[[0, 1, 3, 5]]
     pictures = [
-        *render_images(partial, posed.views.input_camera(144)),
+        *render_images(partial, framed.views.input_camera(144)),
         *render_images(concatenate([partial, new]), shown),
         *render_images(concatenate([partial, done.splats]), shown),
     ]
@@ -138,10 +138,10 @@ def main(options: Options) -> None:
     results.rows.clear()  # bounds are cheap to try again; what is kept are the completions
     pictures: list[list[Image.Image]] = []
     for name in track(options.names, "objects", console=Console(file=sys.stderr)):
-        posed = pose(load_real_object(name, options.data))
+        framed = frame_object(load_real_object(name, options.data), prior)
         for way in options.ways:
             key = f"{name}.{way}"
-            results.rows[key], row = bounded(posed, way, options, prior)
+            results.rows[key], row = bounded(framed, way, options, prior)
             pictures.append(row)
             results.save()
     title = "P from c | before: c, c + 60, c + 180, c + 300 | after"

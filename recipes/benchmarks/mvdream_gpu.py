@@ -30,8 +30,9 @@ from torch import Tensor
 from torch.utils.flop_counter import FlopCounterMode
 
 from gscomplete.completion.losses import preservation_loss
-from gscomplete.completion.optimise import Completion
+from gscomplete.completion.optimise import Optimisation
 from gscomplete.completion.presets import PAPER
+from gscomplete.completion.start import start_splats
 from gscomplete.priors.base import FourViews, PriorViews
 from gscomplete.priors.latent.prior import LatentConditioning, LatentPrior
 from gscomplete.priors.latent.settings import Compile, LatentPriorSettings, Memory
@@ -172,20 +173,18 @@ def half_knot(count: int) -> Splats:
     return whole.select(whole.means[:, 0].argsort(descending=True)[:count])
 
 
-def completion_job(options: Options, prior: LatentPrior, render_device: torch.device) -> Completion:
+def completion_job(
+    options: Options, prior: LatentPrior, render_device: torch.device
+) -> Optimisation:
     """Set up the completion loop at the paper's settings with splats in place."""
     settings = dataclasses.replace(PAPER, new_splats=options.new_splats, warmup_steps=0)
-    return Completion(
-        half_knot(options.partial_splats),
-        prior,
-        random_conditioning(options, prior._device),
-        ViewDistribution(0.0, 15.0),
-        settings,
-        device=render_device,
-    )
+    partial, views = half_knot(options.partial_splats), ViewDistribution(0.0, 15.0)
+    conditioning = random_conditioning(options, prior._device)
+    start = start_splats(partial, prior, conditioning, views, settings).splats
+    return Optimisation(partial, start, prior, conditioning, views, settings, render_device)
 
 
-def plain_step(job: Completion, prior: LatentPrior) -> None:
+def plain_step(job: Optimisation, prior: LatentPrior) -> None:
     """Take one step as a first implementation would."""
     splats, partial = job.parameters.splats(), job.partial
     partial = Splats(**{n: v.clone().requires_grad_() for n, v in partial.fields()})
@@ -196,8 +195,8 @@ def plain_step(job: Completion, prior: LatentPrior) -> None:
     drawn = render(concatenate([partial, splats]), ring)
     g = torch.Generator().manual_seed(job.step_number)
     loss = prior.distill(FourViews.from_render(drawn, ring), 490.0, job._conditioning, g)
-    angles = job.distribution.sample(0, job.step_number, 1)
-    camera = job.distribution.cameras(angles, size_px)
+    angles = job.views.sample(0, job.step_number, 1)
+    camera = job.views.cameras(angles, size_px)
     whole, alone = render(concatenate([partial, splats]), camera), render(partial, camera)
     black = torch.zeros(3, device=whole.color.device)
     loss = loss.to(black.device) + 2.0 * preservation_loss(whole, alone, black, masked=True)
@@ -216,7 +215,7 @@ def time_steps(step: Callable[[], object], count: int, clock: Clock) -> float:
     return (clock.now() - start) / count * 1e3
 
 
-def time_parts(job: Completion, prior: LatentPrior, count: int, clock: Clock) -> dict[str, float]:
+def time_parts(job: Optimisation, prior: LatentPrior, count: int, clock: Clock) -> dict[str, float]:
     """Return milliseconds per step by part; waiting between them makes the sum a bit longer."""
     denoiser, codec = prior._denoiser, prior._codec
     drawn = clock.wrapped("render forward", PartialViews.together)
@@ -260,7 +259,7 @@ def vae_backward_ms(prior: LatentPrior, count: int, clock: Clock) -> float:
     return seconds / count * 1e3
 
 
-def network_flops(job: Completion) -> int:
+def network_flops(job: Optimisation) -> int:
     """Count the floating-point operations of one step's networks, forward and backward."""
     with FlopCounterMode(display=False) as counter:
         job.step()

@@ -25,18 +25,18 @@ from PIL import Image, ImageDraw
 from rich.console import Console
 from rich.progress import track
 
-from gscomplete.completion.presets import FAST, GUESS, RECONSTRUCT, TEXT_ONLY
+from gscomplete.completion.pipeline import complete, framing_for
+from gscomplete.completion.presets import DEFAULT, FAST, RECONSTRUCT, TEXT_ONLY
 from gscomplete.completion.settings import CompletionSettings, TimestepStage
 from gscomplete.evaluate.metrics import against_truth, preservation
 from gscomplete.evaluate.pictures import contact_sheet, render_images, save_image
-from gscomplete.framing.guess import guess_framing
-from gscomplete.priors import load_prior
-from gscomplete.splats import Splats, concatenate
+from gscomplete.framing.decide import FramingRequest
+from gscomplete.priors import Prior, load_prior
+from gscomplete.splats import Splats
 from gscomplete.splats.transform import transform_splats
 from gscomplete.util.atomic import atomic_path
-from gscomplete.views import ObjectFrame, ViewDistribution
+from gscomplete.views import ViewDistribution
 from recipes.entry_point import start
-from recipes.in_memory import completed
 from recipes.train_embedded_prior.dataset import HELD_OUT_SEED_OFFSET
 from recipes.train_embedded_prior.source import procedural_source
 
@@ -44,10 +44,12 @@ _SEED = HELD_OUT_SEED_OFFSET + 776
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
+class HeldOutObject:
     """A held-out object in the frame guessed from its part."""
 
     caption: str
+    part: Splats
+    """P in the generator's frame, z up."""
     partial: Splats
     truth: Splats
     views: ViewDistribution
@@ -71,8 +73,8 @@ def variants() -> dict[str, CompletionSettings]:
     change = dataclasses.replace
     return {
         "fast": FAST,
-        "without bounds": change(GUESS, hard_preservation=None),
-        "default": GUESS,
+        "without bounds": change(DEFAULT, hard_preservation=None),
+        "default": DEFAULT,
         "reconstruct": RECONSTRUCT,
         "twice as long": change(RECONSTRUCT, steps=2 * RECONSTRUCT.steps, rounds=16),
         "high noise": change(RECONSTRUCT, timesteps=high),
@@ -87,21 +89,22 @@ def variants() -> dict[str, CompletionSettings]:
     }
 
 
-def held_out(index: int) -> Held:
+def held_out(index: int, prior: Prior) -> HeldOutObject:
     """Make a held-out object."""
     item = procedural_source(_SEED, index)
     partial = item.partial(disturb=index % 2 == 0, slight=False)
-    guess = guess_framing(partial)
-    to_frame = ObjectFrame("Z", guess.center, guess.size).object_from_file
-    return Held(
+    framing = framing_for(partial, FramingRequest(), prior)
+    to_frame = framing.frame.object_from_file
+    return HeldOutObject(
         item.caption,
+        partial,
         transform_splats(partial, to_frame),
         transform_splats(item.splats, to_frame),
-        ViewDistribution(guess.view_azimuth_deg, guess.view_elevation_deg),
+        framing.views,
     )
 
 
-def measure(held: Held, whole: Splats, views: ViewDistribution) -> dict[str, float]:
+def measure(held: HeldOutObject, whole: Splats, views: ViewDistribution) -> dict[str, float]:
     """Compare with the truth, and with P from V."""
     found = against_truth(whole, held.partial, held.truth, held.views.ring(8, 128))
     cameras = views.cameras(views.measured(8), 64)
@@ -124,7 +127,7 @@ def main(options: Options) -> None:
     """Complete, measure, draw."""
     options.out.mkdir(parents=True, exist_ok=True)
     prior = load_prior("embedded", "cpu")
-    objects = [held_out(index) for index in range(options.objects)]
+    objects = [held_out(index, prior) for index in range(options.objects)]
     results: dict[str, dict[str, Any]] = {
         "input alone": means(
             [measure(held, held.partial, held.views) | {"seconds": 0.0} for held in objects]
@@ -134,9 +137,9 @@ def main(options: Options) -> None:
     for name in options.settings or tuple(chosen):
         rows, pictures = [], []
         for held in track(objects, name, console=Console(file=sys.stderr)):
-            answer = completed(held.partial, held.caption, prior, held.views, chosen[name])
-            whole = concatenate([held.partial, answer.splats])
-            rows.append(measure(held, whole, answer.views) | {"seconds": answer.seconds})
+            found = complete(held.part, held.caption, prior=prior, settings=chosen[name])
+            whole = found.in_object_frame
+            rows.append(measure(held, whole, found.views) | {"seconds": found.seconds})
             cameras = held.views.preview_cameras(96)[[0, 1, 3, 4]]
             pictures.append(
                 [

@@ -41,11 +41,12 @@ from rich.progress import track
 from scipy.spatial import cKDTree
 
 from gscomplete.completion.alternatives import guess_alternatives
+from gscomplete.completion.pipeline import Request, finish, framing_for, prepare
 from gscomplete.completion.presets import PresetName, preset
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.evaluate.metrics import against_truth, preservation
 from gscomplete.evaluate.pictures import contact_sheet, render_images, save_image
-from gscomplete.framing.guess import FramingGuess, guess_framing
+from gscomplete.framing.decide import FramingRequest
 from gscomplete.priors import Prior, load_prior
 from gscomplete.priors.base import prior_identity
 from gscomplete.shape.mirrored import mirror_image
@@ -53,11 +54,10 @@ from gscomplete.shape.partial_voxels import look_at
 from gscomplete.shape.symmetry_choice import CANDIDATES
 from gscomplete.shape.symmetry_proposals import candidate_planes
 from gscomplete.splats import Splats, colors_to_sh, concatenate, read_splats, write_splats
-from gscomplete.splats.transform import Similarity, transform_splats
+from gscomplete.splats.transform import transform_splats
 from gscomplete.util import jsonio
-from gscomplete.views import ObjectFrame, ViewDistribution, up_rotation
+from gscomplete.views import ViewDistribution
 from recipes.entry_point import start
-from recipes.in_memory import Answer, completed
 from recipes.real_objects.complete import DATA
 from recipes.real_objects.load import RealObject, load_real_object
 from recipes.results import Results
@@ -94,51 +94,68 @@ class Options:
 
 
 @dataclass(frozen=True, slots=True)
-class Posed:
+class FramedObject:
     """A real object in the frame that was guessed from its part."""
 
     item: RealObject
     partial: Splats
     truth: Splats | None
     views: ViewDistribution
+    """V as guessed from the part."""
 
 
-def pose(item: RealObject) -> Posed:
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What one way to complete adds to a part."""
+
+    splats: Splats
+    """New splats, object frame."""
+    views: ViewDistribution
+    """V: from its views P keeps its appearance."""
+    seconds: float
+
+
+def frame_object(item: RealObject, prior: Prior) -> FramedObject:
     """Guess the frame and the input view from the part, as a run does."""
-    rotation = up_rotation(item.up)
-    level = transform_splats(item.partial, Similarity(1.0, rotation, torch.zeros(3).double()))
-    guess: FramingGuess = guess_framing(level)
-    frame = ObjectFrame.from_z_up(item.up, guess.center, guess.size)
+    guess = framing_for(item.partial, FramingRequest(item.up), prior)
+    to_frame = guess.frame.object_from_file
     truth = item.complete
-    return Posed(
+    return FramedObject(
         item,
-        transform_splats(item.partial, frame.object_from_file),
-        None if truth is None else transform_splats(truth, frame.object_from_file),
-        ViewDistribution(guess.view_azimuth_deg, guess.view_elevation_deg),
+        transform_splats(item.partial, to_frame),
+        None if truth is None else transform_splats(truth, to_frame),
+        guess.views,
     )
 
 
-def answer_of(posed: Posed, way: Way, prior: Prior, seed: int) -> Answer:
+def outcome_of(framed: FramedObject, way: Way, prior: Prior, seed: int) -> Outcome:
     """Complete a part in one way."""
     if way in ("fast", "default", "reconstruct", "text"):
-        return completed_as_run(posed, prior, settings_of(way, prior, seed))
+        return completed_as_run(framed, prior, settings_of(way, prior, seed))
     started = time.perf_counter()
     found: Splats | None = None
     if way == "likeliest":
-        found = mirror_images(posed)[0]
+        found = mirror_images(framed)[0]
     elif way == "mirror":
-        found = best_by_truth(mirror_images(posed), posed)
+        found = best_by_truth(mirror_images(framed), framed)
     elif way == "alternatives":
-        found = best_by_truth(alternatives(posed, prior, seed), posed)
+        found = best_by_truth(alternatives(framed, prior, seed), framed)
     elif way == "true_shape":
-        found = true_shape(posed)
-    nothing = posed.partial.with_sh_degree(0).select(torch.arange(0))
-    return Answer(found or nothing, posed.views, time.perf_counter() - started)
+        found = true_shape(framed)
+    nothing = framed.partial.with_sh_degree(0).select(torch.arange(0))
+    return Outcome(found or nothing, framed.views, time.perf_counter() - started)
 
 
-def completed_as_run(posed: Posed, prior: Prior, settings: CompletionSettings) -> Answer:
-    """Complete a part as a run does."""
-    return completed(posed.partial, posed.item.prompt, prior, posed.views, settings)
+def completed_as_run(framed: FramedObject, prior: Prior, settings: CompletionSettings) -> Outcome:
+    """Complete a part as a run does whose user gives the up axis alone."""
+    started = time.perf_counter()
+    item = framed.item
+    request = Request(item.prompt, settings, FramingRequest(item.up))
+    prepared = prepare(item.partial, request, prior)
+    while not prepared.steps.finished:
+        prepared.steps.step()
+    completed = finish(prepared, item.partial)
+    return Outcome(completed.new, completed.views, time.perf_counter() - started)
 
 
 def settings_of(way: Way, prior: Prior, seed: int) -> CompletionSettings:
@@ -148,61 +165,61 @@ def settings_of(way: Way, prior: Prior, seed: int) -> CompletionSettings:
     return dataclasses.replace(chosen, seed=seed)
 
 
-def mirror_images(posed: Posed) -> list[Splats]:
+def mirror_images(framed: FramedObject) -> list[Splats]:
     """Return P's copies by the likeliest planes, the likeliest first; see ``mirror`` above."""
-    look = look_at(posed.partial.with_sh_degree(0), posed.views)
+    look = look_at(framed.partial.with_sh_degree(0), framed.views)
     shown = look.shown_first(candidate_planes(look, CANDIDATES), 0)
-    return [mirror_image(posed.partial, symmetry) for symmetry in shown]
+    return [mirror_image(framed.partial, symmetry) for symmetry in shown]
 
 
-def alternatives(posed: Posed, prior: Prior, seed: int) -> list[Splats]:
+def alternatives(framed: FramedObject, prior: Prior, seed: int) -> list[Splats]:
     """Return the new splats of all that ``--alternatives 8`` draws."""
-    conditioning = prior.condition(posed.item.prompt)
+    conditioning = prior.condition(framed.item.prompt)
     settings = settings_of("fast", prior, seed)
     found = guess_alternatives(
-        prior, posed.partial, posed.views, conditioning, settings, CANDIDATES
+        prior, framed.partial, framed.views, conditioning, settings, CANDIDATES
     )
     return [alternative.splats for alternative in found]
 
 
-def true_shape(posed: Posed) -> Splats | None:
+def true_shape(framed: FramedObject) -> Splats | None:
     """Return what P lacks of the truth, in P's nearest colours; None where the truth is unknown."""
-    if posed.truth is None:
+    if framed.truth is None:
         return None
-    truth = posed.truth.with_sh_degree(0)
-    distance, nearest = cKDTree(posed.partial.means.numpy()).query(truth.means.numpy())
+    truth = framed.truth.with_sh_degree(0)
+    distance, nearest = cKDTree(framed.partial.means.numpy()).query(truth.means.numpy())
     lacking = torch.from_numpy(distance > _SAME_PLACE)
-    colors = posed.partial.base_colors[torch.from_numpy(nearest)[lacking]]
+    colors = framed.partial.base_colors[torch.from_numpy(nearest)[lacking]]
     return dataclasses.replace(truth.select(lacking), sh=colors_to_sh(colors))
 
 
-def best_by_truth(copies: list[Splats], posed: Posed) -> Splats | None:
+def best_by_truth(copies: list[Splats], framed: FramedObject) -> Splats | None:
     """Return the copy with the best silhouettes; None where the truth is unknown."""
-    if posed.truth is None:
+    if framed.truth is None:
         return None
-    partial, truth = posed.partial.with_sh_degree(0), posed.truth
-    cameras = posed.views.ring(8, 128)
+    partial, truth = framed.partial.with_sh_degree(0), framed.truth
+    cameras = framed.views.ring(8, 128)
     found = [against_truth(concatenate([partial, c]), partial, truth, cameras) for c in copies]
     best = max(range(len(copies)), key=lambda k: found[k].silhouette_iou)
     return copies[best]
 
 
-def measure(posed: Posed, answer: Answer) -> dict[str, Any]:
+def measure(framed: FramedObject, outcome: Outcome) -> dict[str, Any]:
     """Return the numbers of one completion; silhouettes are seen from the same views for all."""
-    partial = posed.partial.with_sh_degree(0)
-    views = answer.views
-    whole = concatenate([partial, answer.splats])
+    partial = framed.partial.with_sh_degree(0)
+    views = outcome.views
+    whole = concatenate([partial, outcome.splats])
     kept = preservation(whole, partial, views.cameras(views.measured(16), 128))
     row: dict[str, Any] = {
-        "seconds": answer.seconds,
-        "new_splats": len(answer.splats),
+        "seconds": outcome.seconds,
+        "new_splats": len(outcome.splats),
         "input_view_deg": [views.azimuth_deg, views.elevation_deg],
         "e_color_v": kept.color,
         "e_depth_v": kept.depth,
     }
-    if posed.truth is not None:
-        truth = posed.truth.with_sh_degree(0)
-        row |= jsonio.to_json(against_truth(whole, partial, truth, posed.views.ring(8, 256)))
+    if framed.truth is not None:
+        truth = framed.truth.with_sh_degree(0)
+        row |= jsonio.to_json(against_truth(whole, partial, truth, framed.views.ring(8, 256)))
     return row
 
 
@@ -213,17 +230,17 @@ def main(options: Options) -> None:
     results = Results(options.out / "comparison.json", made_with)
     pictures: list[list[Image.Image]] = []
     for name in track(options.names, "objects", console=Console(file=sys.stderr)):
-        posed = pose(load_real_object(name, options.data))
-        rows = results.rows.setdefault(name, {"prompt": posed.item.prompt})
+        framed = frame_object(load_real_object(name, options.data), prior)
+        rows = results.rows.setdefault(name, {"prompt": framed.item.prompt})
         for way in options.ways:
             kept = options.out / f"{name}.{way}.ply"
             if way not in rows:
-                answer = answer_of(posed, way, prior, options.seed)
-                rows[way] = measure(posed, answer)
-                if len(answer.splats):
-                    write_splats(kept, answer.splats)
+                outcome = outcome_of(framed, way, prior, options.seed)
+                rows[way] = measure(framed, outcome)
+                if len(outcome.splats):
+                    write_splats(kept, outcome.splats)
                 results.save()
-        pictures.append(_picture_row(posed, options.out / f"{name}.default.ply"))
+        pictures.append(_picture_row(framed, options.out / f"{name}.default.ply"))
     sheet = contact_sheet(
         pictures, row_labels=list(options.names), title="input | completion | truth"
     )
@@ -231,15 +248,15 @@ def main(options: Options) -> None:
     sys.stdout.write(table(results.rows, options.ways))
 
 
-def _picture_row(posed: Posed, completed: Path) -> list[Image.Image]:
+def _picture_row(framed: FramedObject, completed: Path) -> list[Image.Image]:
     """Draw input, completion and truth (or the completion from elsewhere) from four sides."""
-    cameras = posed.views.preview_cameras(144)[[0, 1, 3, 5]]
-    partial = posed.partial.with_sh_degree(0)
+    cameras = framed.views.preview_cameras(144)[[0, 1, 3, 5]]
+    partial = framed.partial.with_sh_degree(0)
     whole = partial
     if completed.exists():
         whole = concatenate([partial, read_splats(completed).splats])
     row = [*render_images(partial, cameras), *render_images(whole, cameras)]
-    return row if posed.truth is None else [*row, *render_images(posed.truth, cameras)]
+    return row if framed.truth is None else [*row, *render_images(framed.truth, cameras)]
 
 
 def table(results: dict[str, dict[str, Any]], ways: tuple[Way, ...]) -> str:

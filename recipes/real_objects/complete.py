@@ -19,13 +19,20 @@ from PIL import Image
 from rich.console import Console
 from rich.progress import track
 
+from gscomplete.completion.pipeline import Request
 from gscomplete.completion.presets import PresetName, preset
-from gscomplete.completion.run_folder import Request, completing_seconds, execute, prepare
+from gscomplete.completion.run_folder import (
+    RUN_FILE,
+    RunRequest,
+    completing_seconds,
+    execute,
+    prepare,
+)
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.errors import UserError
 from gscomplete.evaluate.metrics import against_truth
 from gscomplete.evaluate.pictures import contact_sheet, render_images, save_image
-from gscomplete.folders import RUN_FILE
+from gscomplete.framing.decide import FramingRequest
 from gscomplete.priors import Prior, load_prior
 from gscomplete.priors.base import prior_identity
 from gscomplete.splats import Splats, concatenate, read_splats, write_splats
@@ -77,7 +84,8 @@ def complete_object(
     partial = folder.parent / f"{item.name}.partial.ply"
     write_splats(partial, item.partial)
     resume = (folder / RUN_FILE).exists()  # of a run that was interrupted
-    request = Request(partial, item.prompt, folder, settings, up=item.up, resume=resume)
+    completion = Request(item.prompt, settings, FramingRequest(item.up))
+    request = RunRequest(partial, folder, completion, resume)
     execute(prepare(request, prior), lambda report: None)
 
 

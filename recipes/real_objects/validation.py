@@ -36,15 +36,15 @@ from gscomplete.splats import concatenate
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.views import up_rotation
 from recipes.entry_point import start
-from recipes.in_memory import Answer
 from recipes.real_objects.catalogue import ENTRIES, BoxCut, Cut, Entry, PlaneCut, ScanCut
 from recipes.real_objects.compare import (
     OBJECTS,
-    Posed,
+    FramedObject,
+    Outcome,
     completed_as_run,
+    frame_object,
     mean_of_known,
     measure,
-    pose,
     settings_of,
 )
 from recipes.real_objects.complete import DATA
@@ -168,16 +168,16 @@ def chosen_parts(options: Options) -> list[tuple[Entry, float]]:
     return list(zip(entries, angles, strict=True))
 
 
-def views_settled(posed: Posed, answer: Answer) -> dict[str, Any]:
+def views_settled(framed: FramedObject, outcome: Outcome) -> dict[str, Any]:
     """Tell what became of the input view, and how much of P the truth hides from it."""
-    assert posed.truth is not None
-    partial = posed.partial.with_sh_degree(0)
-    whole = concatenate([partial, posed.truth.with_sh_degree(0)])
+    assert framed.truth is not None
+    partial = framed.partial.with_sh_degree(0)
+    whole = concatenate([partial, framed.truth.with_sh_degree(0)])
     knobs = InputViewSettings()
     return {
-        "view_gave_way": answer.views != posed.views,
-        "truth_hides_from_guessed_view": hidden_share(partial, whole, posed.views, knobs),
-        "truth_hides_from_view": hidden_share(partial, whole, answer.views, knobs),
+        "view_gave_way": outcome.views != framed.views,
+        "truth_hides_from_guessed_view": hidden_share(partial, whole, framed.views, knobs),
+        "truth_hides_from_view": hidden_share(partial, whole, outcome.views, knobs),
     }
 
 
@@ -195,9 +195,9 @@ def main(options: Options) -> None:
         if entry.name in rows:
             continue
         item = load_entry(entry, options.data)
-        posed = pose(turned_object(item, angle_deg) if angle_deg else item)
-        answer = completed_as_run(posed, prior, settings)
-        rows[entry.name] = measure(posed, answer) | views_settled(posed, answer)
+        framed = frame_object(turned_object(item, angle_deg) if angle_deg else item, prior)
+        outcome = completed_as_run(framed, prior, settings)
+        rows[entry.name] = measure(framed, outcome) | views_settled(framed, outcome)
         results.save()
     sys.stdout.write(table(rows))
 

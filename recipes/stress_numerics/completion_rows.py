@@ -14,13 +14,17 @@ from typing import Any
 import torch
 
 from gscomplete.completion import schedules
-from gscomplete.completion.optimise import Completion, NonFiniteError
-from gscomplete.completion.presets import RECONSTRUCT, SMALL_PRIOR
-from gscomplete.completion.run_folder import Request, execute, prepare
+from gscomplete.completion.optimise import Optimisation
+from gscomplete.completion.pipeline import Request
+from gscomplete.completion.presets import DISTILL, RECONSTRUCT
+from gscomplete.completion.run_folder import RunRequest, execute, prepare
 from gscomplete.completion.settings import CompletionSettings
+from gscomplete.completion.start import start_splats
 from gscomplete.errors import UserError
 from gscomplete.fitting.checkpoint import FILE_NAME, load_checkpoint
+from gscomplete.fitting.finite import NonFiniteError
 from gscomplete.fitting.settings import LearningRates
+from gscomplete.framing.decide import FramingRequest
 from gscomplete.render import render
 from gscomplete.splats import Splats, concatenate, read_splats, write_splats
 from gscomplete.views import ViewDistribution, orbit_cameras
@@ -49,10 +53,12 @@ def _half() -> Splats:
     return whole.select(whole.means[:, 0] > 0)
 
 
-def _request(path: Path, out: Path, settings: CompletionSettings, **more: Any) -> Request:
+def _request(
+    path: Path, out: Path, settings: CompletionSettings, *, resume: bool = False
+) -> RunRequest:
     """Return a request with a frame that needs no guess."""
-    fixed = {"view_deg": (0.0, 10.0), "center_file": (0.0, 0.0, 0.0), "size_file": 0.85}
-    return Request(path, "a ball", out, settings, **{**fixed, **more})
+    framing = FramingRequest("Z", (0.0, 10.0), center_file=(0.0, 0.0, 0.0), size_file=0.85)
+    return RunRequest(path, out, Request("a ball", settings, framing), resume)
 
 
 def _poisoned(base: CompletionSettings, poison: Poison, calls: int, step: int) -> Iterator[Check]:
@@ -87,18 +93,20 @@ def _poisoned(base: CompletionSettings, poison: Poison, calls: int, step: int) -
 
 def _poisons(quick: bool) -> Iterator[Check]:
     yield from _poisoned(RECONSTRUCT, "target", 3, 24)
-    yield from _poisoned(SMALL_PRIOR, "gradient", 21, 21)
+    yield from _poisoned(DISTILL, "gradient", 21, 21)
     if not quick:
-        yield from _poisoned(SMALL_PRIOR, "loss", 30, 30)
-        yield from _poisoned(SMALL_PRIOR, "huge gradient", 17, 17)
+        yield from _poisoned(DISTILL, "loss", 30, 30)
+        yield from _poisoned(DISTILL, "huge gradient", 17, 17)
 
 
 def _rates(quick: bool) -> Iterator[Check]:
-    for label, base in (("distill", SMALL_PRIOR), ("reconstruct", RECONSTRUCT)):
+    for label, base in (("distill", DISTILL), ("reconstruct", RECONSTRUCT)):
         raised = {k: 100 * v for k, v in dataclasses.asdict(base.learning_rates).items()}
         settings = dataclasses.replace(_settings(base), learning_rates=LearningRates(**raised))
         views = ViewDistribution(0.0, 10.0)
-        job = Completion(_half(), KnownObject(ball()), NoPrompt(), views, settings)
+        part, prior = _half(), KnownObject(ball())
+        start = start_splats(part, prior, NoPrompt(), views, settings).splats
+        job = Optimisation(part, start, prior, NoPrompt(), views, settings)
         count, silent = len(job.parameters), 0
         try:
             while not job.finished:
@@ -164,7 +172,7 @@ def _kept(partial: Splats, label: str) -> Iterator[Check]:
         new = content["result"]["new_splats"]
         rows = completed.n_rows - source.n_rows - new
         yield Check(f"{label}: rows not accounted for", abs(rows), 0)
-        told = len(run.working.splats) + sum(run.working.unusable.values())
+        told = len(run.prepared.working.splats) + sum(run.prepared.working.unusable.values())
         yield Check(f"{label}: splats of P neither drawn nor named", abs(told - len(partial)), 0)
         added = completed.splats.select(torch.arange(len(partial), completed.n_rows))
         yield Check(f"{label}: non-finite", nonfinite(*(v for _, v in added.fields())), 0)

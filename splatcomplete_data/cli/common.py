@@ -29,9 +29,9 @@ from gscomplete.views import UpAxis
 if TYPE_CHECKING:
     from PIL import Image
 
+    from gscomplete.framing.decide import FramingRequest
     from gscomplete.splats import Similarity, Splats
     from splatcomplete_data.cuts.boxes import CropBox
-    from splatcomplete_data.framing import FramingRequest
     from splatcomplete_data.objects import ObjectRecord, StepRecord, Subset
 
 NOT_RECORDED = ("out", "json", "overwrite", "prompt", "licence", "origin", "id")
@@ -167,8 +167,9 @@ def store_object(options: ObjectOptions, made: Made) -> ObjectRecord:
     Raises:
         UserError: as ``finish_object``.
     """
+    from gscomplete.framing.decide import decide_framing
     from gscomplete.util.digests import sha256_of
-    from splatcomplete_data import framing
+    from splatcomplete_data.framing import moved_center, require_touching
     from splatcomplete_data.objects import ObjectRecord, SourceRecord, write_object
 
     folder = options.out or default_folder(made.source_file)
@@ -183,10 +184,10 @@ def store_object(options: ObjectOptions, made: Made) -> ObjectRecord:
     turn = made.file_from_source
     given_in = turn if made.is_center_of_source else None
     if given_in is not None:
-        request = framing.moved_center(request, given_in)
-    decided = framing.decide_framing(shown, made.complete, request)
+        request = moved_center(request, given_in)
+    decided = decide_framing(shown, request, made.complete)
     if request.center_file is not None or request.size_file is not None:
-        framing.require_touching(decided.frame, shown, given_in)
+        require_touching(decided.frame, shown, given_in)
     is_file = made.source_file.is_file()
     try:
         record = ObjectRecord(
@@ -229,7 +230,7 @@ def framing_request(options: ObjectOptions, default_up: UpAxis) -> FramingReques
     Raises:
         UserError: a flag has the wrong form.
     """
-    from splatcomplete_data.framing import FramingRequest
+    from gscomplete.framing.decide import FramingRequest
 
     view = parse_view(options.view)
     center = parse_numbers(options.center, 3, "--center", "X,Y,Z")

@@ -128,9 +128,9 @@ def made_from_points(
     """
     import torch
 
+    from gscomplete.framing.decide import view_from_position
     from gscomplete.views import ObjectFrame, axis_direction
     from splatcomplete_data.cli.common import framing_request
-    from splatcomplete_data.framing import view_from_position
     from splatcomplete_data.points import offset_note
     from splatcomplete_data.scan.clean import Surroundings
     from splatcomplete_data.scan.make import make_part

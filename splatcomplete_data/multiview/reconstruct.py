@@ -25,7 +25,7 @@ import gscomplete
 from gscomplete.errors import UserError
 from gscomplete.evaluate.pictures import contact_sheet, save_image, to_image
 from gscomplete.fitting.checkpoint import FILE_NAME, check_fits, load_checkpoint
-from gscomplete.fitting.step_loop import CHECKPOINTS, require_same_identity, take_steps
+from gscomplete.fitting.step_loop import CHECKPOINTS, require_same_identity, run_steps
 from gscomplete.render import render
 from gscomplete.render.settings import RenderSettings
 from gscomplete.splats import Splats, write_splats
@@ -201,7 +201,7 @@ def execute(run: Reconstruction, on_step: Callable[[StepReport], None]) -> dict[
     """
     out, training = run.request.out, run.training
     started = time.perf_counter()
-    take_steps(training, out, run.request.checkpoint_every, on_step)
+    run_steps(training, out, run.request.checkpoint_every, on_step)
     run.timings["train_s"] = time.perf_counter() - started
     return _finish(run)
 

@@ -24,8 +24,8 @@ def request_of(**changes):
 
 @pytest.mark.parametrize("steps", [6000, 600, 12_000])
 def test_what_is_counted_in_steps_stretches_with_their_number(steps):
-    whole = request_of().settings
-    chosen = request_of(steps=steps).settings
+    whole = request_of().completion.settings
+    chosen = request_of(steps=steps).completion.settings
     assert chosen.steps == steps
     share = steps / whole.steps
     assert chosen.warmup_steps == round(share * whole.warmup_steps)

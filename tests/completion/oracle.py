@@ -22,6 +22,20 @@ class OraclePrior(KnownObject):
         return super().distill(views, timestep, conditioning, generator, input_views, guidance)
 
 
+class GuessingPrior(OraclePrior):
+    """Guesses what it was given, if anything."""
+
+    def __init__(self, truth, guess=None):
+        super().__init__(truth)
+        self.guess = guess
+
+    def first_guess(self, partial, *arguments):
+        return self.guess
+
+    def likely_mirrors(self, *arguments):
+        return ()
+
+
 def ball(count: int = 1500, seed: int = 0) -> Splats:
     """A ball of discs, red above and blue below, of diameter 0.8."""
     g = torch.Generator().manual_seed(seed)

@@ -6,20 +6,19 @@ import pytest
 import torch
 
 from gscomplete.completion import schedules
-from gscomplete.completion.finish import finish_splats
 from gscomplete.completion.losses import preservation_loss
-from gscomplete.completion.optimise import Completion, NonFiniteError
-from gscomplete.completion.presets import GUESS, RECONSTRUCT, SMALL_PRIOR
+from gscomplete.completion.presets import DISTILL, RECONSTRUCT
 from gscomplete.errors import UserError
 from gscomplete.evaluate.metrics import against_truth, preservation
 from gscomplete.fitting.densify import prune_mask
+from gscomplete.fitting.finite import NonFiniteError
 from gscomplete.fitting.settings import DensifySettings, LearningRates
 from gscomplete.priors import Guidance
 from gscomplete.priors.base import FirstGuess
 from gscomplete.splats import concatenate
 from gscomplete.views import ViewDistribution
-from tests.completion.cylinders import half_cylinder
-from tests.completion.oracle import OraclePrior, ball
+from tests.completion.oracle import GuessingPrior, OraclePrior, ball
+from tests.completion.steps import steps_of
 
 TRUTH = ball()
 PARTIAL = TRUTH.select(TRUTH.means[:, 0] > 0)
@@ -28,7 +27,7 @@ QUICK = {"steps": 60, "new_splats": 400, "warmup_steps": 5}
 
 
 def completion(settings, prior=None):
-    return Completion(PARTIAL, prior or OraclePrior(TRUTH), None, VIEWS, settings)
+    return steps_of(PARTIAL, prior or OraclePrior(TRUTH), None, VIEWS, settings)
 
 
 def finish(job):
@@ -37,7 +36,7 @@ def finish(job):
     return job.new_splats()
 
 
-@pytest.mark.parametrize("base", [SMALL_PRIOR, RECONSTRUCT], ids=["distill", "reconstruct"])
+@pytest.mark.parametrize("base", [DISTILL, RECONSTRUCT], ids=["distill", "reconstruct"])
 def test_completes_the_hidden_half_and_preserves_the_other(base):
     settings = dataclasses.replace(base, steps=120, new_splats=800, warmup_steps=10, rounds=6)
     whole = concatenate([PARTIAL, finish(completion(settings))])
@@ -55,7 +54,7 @@ def test_preservation_loss_is_what_keeps_the_input():
     other = dataclasses.replace(
         TRUTH, sh=-TRUTH.sh, scales=TRUTH.scales * 1.5, means=TRUTH.means * 1.15
     )
-    settings = dataclasses.replace(SMALL_PRIOR, steps=120, new_splats=800)
+    settings = dataclasses.replace(DISTILL, steps=120, new_splats=800)
     without = dataclasses.replace(settings, preservation_weight=0.0, warmup_steps=0)
     views = VIEWS.cameras(VIEWS.low_discrepancy(6), 64)
     errors = [
@@ -76,7 +75,7 @@ def test_same_seed_same_splats_and_other_seed_other_splats():
     assert len(other) != len(one) or not torch.equal(other.means, one.means)
 
 
-@pytest.mark.parametrize("base", [SMALL_PRIOR, RECONSTRUCT], ids=["distill", "reconstruct"])
+@pytest.mark.parametrize("base", [DISTILL, RECONSTRUCT], ids=["distill", "reconstruct"])
 @pytest.mark.parametrize("stop", [1, 17, 40])
 def test_resumed_run_equals_unbroken_run(base, stop):
     settings = dataclasses.replace(base, **QUICK, rounds=5)
@@ -94,13 +93,13 @@ def test_resumed_run_equals_unbroken_run(base, stop):
 
 def test_partial_is_not_touched():
     before = {name: value.clone() for name, value in PARTIAL.fields()}
-    finish(completion(dataclasses.replace(SMALL_PRIOR, **QUICK)))
+    finish(completion(dataclasses.replace(DISTILL, **QUICK)))
     for name, value in PARTIAL.fields():
         assert torch.equal(value, before[name]), name
 
 
 def test_bounds_hold():
-    settings = dataclasses.replace(SMALL_PRIOR, **QUICK)
+    settings = dataclasses.replace(DISTILL, **QUICK)
     job = completion(settings)
     splats = finish(job)
     low = settings.min_scale_px * 1.6 / 32
@@ -112,7 +111,7 @@ def test_bounds_hold():
 
 
 def test_nan_from_the_prior_stops_before_the_parameters():
-    job = completion(dataclasses.replace(SMALL_PRIOR, **QUICK), OraclePrior(TRUTH, "loss", 7))
+    job = completion(dataclasses.replace(DISTILL, **QUICK), OraclePrior(TRUTH, "loss", 7))
     with pytest.raises(NonFiniteError, match="step 7: the prior's loss"):
         finish(job)
     assert job.step_number == 7
@@ -126,7 +125,7 @@ def test_nan_from_the_prior_stops_before_the_parameters():
 )
 def test_a_poisoned_distillation_step_changes_nothing(poison, culprit):
     """A NaN gradient may come with a finite loss; a huge one would make Adam's moments infinite."""
-    job = completion(dataclasses.replace(SMALL_PRIOR, **QUICK), OraclePrior(TRUTH, poison, 7))
+    job = completion(dataclasses.replace(DISTILL, **QUICK), OraclePrior(TRUTH, poison, 7))
     for _ in range(7):
         job.step()
     before = {name: value.clone() for name, value in job.state().items()}
@@ -151,73 +150,18 @@ def test_targets_with_nan_are_not_kept():
         assert torch.equal(a, b), name
 
 
-def test_a_start_with_nan_is_refused():
-    class NanGuess(OraclePrior):
-        def first_guess(self, partial, *arguments):
-            return FirstGuess(dataclasses.replace(partial, means=partial.means * torch.nan), ())
-
-        def likely_mirrors(self, *arguments):
-            return ()
-
-    with pytest.raises(NonFiniteError, match="step 0: means at the start"):
-        completion(RECONSTRUCT, NanGuess(TRUTH))
-
-
-class Guessing(OraclePrior):
-    """A prior that guesses what it was given, if anything."""
-
-    guess: FirstGuess | None = None
-
-    def first_guess(self, partial, *arguments):
-        return self.guess
-
-    def likely_mirrors(self, *arguments):
-        return ()
-
-
-def test_where_nothing_is_missing_nothing_is_added():
-    prior = Guessing(TRUTH)
-    prior.guess = FirstGuess(TRUTH.select(torch.arange(0)), ("not mirrored",))
-    job = completion(GUESS, prior)
-    assert job.finished
-    assert len(job.new_splats()) == 0
-    assert job.start_notes == ("start: 0 splats that the prior guesses; not mirrored",)
-    finished = finish_splats(job.new_splats(), PARTIAL, VIEWS, GUESS)
-    assert len(finished.splats) == 0
-    assert finished.hard_preservation.met
-    assert len(completion(RECONSTRUCT, prior).new_splats()) == RECONSTRUCT.new_splats
-
-
-@pytest.mark.parametrize("view_is_guess", [True, False])
-def test_only_a_guessed_view_gives_way_to_the_guess_of_the_whole(view_is_guess):
-    prior, wrong = Guessing(TRUTH), ViewDistribution(255.0, 15.0)
-    prior.guess = FirstGuess(half_cylinder(255.0), ("not mirrored",))
-    part = half_cylinder(75.0)
-    job = Completion(part, prior, None, wrong, GUESS, view_is_guess=view_is_guess)
-    assert (job.distribution != wrong) == view_is_guess
-    assert len(job.start_notes) == 1 + view_is_guess
-    scattered = Completion(part, OraclePrior(TRUTH), None, wrong, RECONSTRUCT, view_is_guess=True)
-    assert scattered.distribution == wrong
-
-
-def test_no_steps_and_no_guess_are_refused():
-    with pytest.raises(UserError, match="0 steps: expected a prior that guesses"):
-        completion(GUESS, Guessing(TRUTH))
-
-
 def test_a_box_keeps_its_corners():
     """Views of MVDream show 1.45 object sizes: less than half of it is 0.725, a corner at 0.866."""
     corners = torch.tensor([[0.49, 0.49, 0.49], [0.9, 0.9, 0.9]])
     guess = dataclasses.replace(TRUTH.select(torch.tensor([0, 1])), means=corners)
-    prior = Guessing(TRUTH)
-    prior.guess = FirstGuess(guess, ())
+    prior = GuessingPrior(TRUTH, FirstGuess(guess, ()))
     settings = dataclasses.replace(RECONSTRUCT, **(QUICK | {"steps": 30}), rounds=3)
     job = completion(settings, prior)
     kept = finish(job)
     assert float(kept.means.norm(dim=1).max()) == pytest.approx(0.85, abs=0.05)
 
 
-@pytest.mark.parametrize("base", [SMALL_PRIOR, RECONSTRUCT], ids=["distill", "reconstruct"])
+@pytest.mark.parametrize("base", [DISTILL, RECONSTRUCT], ids=["distill", "reconstruct"])
 @pytest.mark.parametrize(
     "where", ["PartialViews.together", "random_background", "SplatParameters.step"]
 )
@@ -243,7 +187,7 @@ def test_a_step_broken_off_is_taken_again_or_marked(base, where, monkeypatch):
             assert torch.equal(a, b), name
 
 
-@pytest.mark.parametrize("base", [SMALL_PRIOR, RECONSTRUCT], ids=["distill", "reconstruct"])
+@pytest.mark.parametrize("base", [DISTILL, RECONSTRUCT], ids=["distill", "reconstruct"])
 def test_rates_a_hundred_times_too_large_end_finite(base):
     rates = LearningRates(
         **{k: 100 * v for k, v in dataclasses.asdict(base.learning_rates).items()}
@@ -270,20 +214,8 @@ def test_rates_that_make_no_sense_are_refused(rate):
 def test_settings_replace_only_the_scales_they_name():
     """A rescale alone must not reset the prior's own text scale."""
     prior = OraclePrior(TRUTH)
-    completion(dataclasses.replace(SMALL_PRIOR, steps=1, rescale=0.75), prior).step()
+    completion(dataclasses.replace(DISTILL, steps=1, rescale=0.75), prior).step()
     assert prior.guidance_seen == Guidance(text_scale=9.0, rescale=0.75)
-
-
-def test_checkpoints_of_rings_without_their_step_can_be_resumed():
-    settings = dataclasses.replace(RECONSTRUCT, **QUICK, rounds=5)
-    job = completion(settings)
-    for _ in range(3):
-        job.step()
-    state = {k: v.clone() for k, v in job.state().items() if not k.endswith("0.step")}
-    resumed = completion(settings)
-    resumed.restore(state)
-    a, b = finish(job), finish(resumed)
-    assert torch.equal(a.means, b.means)
 
 
 def test_the_preservation_loss_is_unmasked_in_the_warm_up_alone(monkeypatch):
@@ -295,7 +227,7 @@ def test_the_preservation_loss_is_unmasked_in_the_warm_up_alone(monkeypatch):
 
     monkeypatch.setattr("gscomplete.completion.optimise.preservation_loss", spy)
     settings = {**QUICK, "warmup_steps": 2, "preservation_every": 1}
-    job = completion(dataclasses.replace(SMALL_PRIOR, **settings))
+    job = completion(dataclasses.replace(DISTILL, **settings))
     for _ in range(4):
         job.step()
     assert seen == [False, False, True, True]
@@ -307,7 +239,7 @@ def test_the_preservation_loss_has_its_weight(monkeypatch):
     gradients = []
     for weight in (1.0, 3.0):
         settings = {**QUICK, "warmup_steps": 0, "preservation_every": 1}
-        job = completion(dataclasses.replace(SMALL_PRIOR, **settings, preservation_weight=weight))
+        job = completion(dataclasses.replace(DISTILL, **settings, preservation_weight=weight))
 
         def keep_gradient(progress, parameters=job.parameters):
             gradients.append(parameters.gradients()["gradient of opacity_logits"].clone())
@@ -329,7 +261,7 @@ def test_step_sizes_and_pruning_follow_the_progress(monkeypatch):
     monkeypatch.setattr("gscomplete.completion.optimise.prune_mask", spy)
     densify = DensifySettings(every=2, final_from=0.5, final_opacity=0.2, prune_opacity=0.01)
     settings = {**QUICK, "steps": 12, "densify": densify}
-    job = completion(dataclasses.replace(SMALL_PRIOR, **settings))
+    job = completion(dataclasses.replace(DISTILL, **settings))
     step = job.parameters.step
     monkeypatch.setattr(job.parameters, "step", lambda at: progress.append(at) or step(at))
     finish(job)

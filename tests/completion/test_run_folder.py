@@ -10,10 +10,12 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
+from gscomplete.completion.pipeline import Request
 from gscomplete.completion.presets import RECONSTRUCT
-from gscomplete.completion.run_folder import RUN_FILE, Request, Run, execute, prepare
+from gscomplete.completion.run_folder import RUN_FILE, Run, RunRequest, execute, prepare
 from gscomplete.errors import UserError
 from gscomplete.fitting.step_loop import LOG_FILE
+from gscomplete.framing.decide import FramingRequest
 from gscomplete.splats import write_splats
 from tests.completion.oracle import OraclePrior, ball
 
@@ -26,16 +28,9 @@ def begin(folder: Path, *, resume: bool = False) -> Run:
     settings = dataclasses.replace(
         RECONSTRUCT, start="sphere", steps=6, new_splats=50, rounds=2, resolution_px=16
     )
-    request = Request(
-        folder / "p.ply",
-        "a ball",
-        folder / "out",
-        dataclasses.replace(settings, checkpoint_every=1),
-        center_file=(0.0, 0.0, 0.0),
-        size_file=0.8,
-        view_deg=(0.0, 10.0),
-        resume=resume,
-    )
+    framing = FramingRequest(view_deg=(0.0, 10.0), center_file=(0.0, 0.0, 0.0), size_file=0.8)
+    asked = Request("a ball", dataclasses.replace(settings, checkpoint_every=1), framing)
+    request = RunRequest(folder / "p.ply", folder / "out", asked, resume=resume)
     return prepare(request, OraclePrior(truth))
 
 
@@ -63,7 +58,7 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(stopped: Path, tmp_path_factory
     log = stopped / "out" / LOG_FILE
     log.write_bytes(b"\xff\xfe{\n" + log.read_bytes()[5:])
     resumed = begin(stopped, resume=True)
-    assert resumed.completion.step_number == 4
+    assert resumed.steps.step_number == 4
     execute(resumed, lambda report: None)
     results = [(folder / "out/completed.ply").read_bytes() for folder in (stopped, other)]
     assert results[0] == results[1]

@@ -1,10 +1,17 @@
 """The splats of the first step."""
 
+import dataclasses
+
 import pytest
 import torch
 
-from gscomplete.completion.start import INITIAL_OPACITY, initial_splats
-from tests.completion.oracle import ball
+from gscomplete.completion.presets import DEFAULT, RECONSTRUCT
+from gscomplete.completion.start import INITIAL_OPACITY, initial_splats, start_splats
+from gscomplete.errors import UserError
+from gscomplete.fitting.finite import NonFiniteError
+from gscomplete.priors.base import FirstGuess
+from gscomplete.views import ViewDistribution
+from tests.completion.oracle import GuessingPrior, ball
 
 PARTIAL = ball()
 
@@ -41,3 +48,29 @@ def test_their_size_is_half_their_spacing_within_bounds():
 def test_the_seed_decides():
     assert torch.equal(start(3).means, start(3).means)
     assert not torch.equal(start(3).means, start(4).means)
+
+
+def started(settings, guess=None):
+    views = ViewDistribution(0.0, 10.0)
+    return start_splats(PARTIAL, GuessingPrior(PARTIAL, guess), None, views, settings)
+
+
+def test_a_guess_with_nan_is_refused():
+    broken = dataclasses.replace(PARTIAL, means=PARTIAL.means * torch.nan)
+    with pytest.raises(NonFiniteError, match="step 0: means at the start"):
+        started(RECONSTRUCT, FirstGuess(broken, ()))
+
+
+def test_an_empty_guess_is_a_result_but_no_start_of_steps():
+    empty = FirstGuess(PARTIAL.select(torch.arange(0)), ("not mirrored",))
+    guessed = started(DEFAULT, empty)
+    assert guessed.is_guess
+    assert guessed.note == "start: 0 splats that the prior guesses; not mirrored"
+    scattered = started(RECONSTRUCT, empty)
+    assert not scattered.is_guess
+    assert len(scattered.splats) == RECONSTRUCT.new_splats
+
+
+def test_no_steps_and_no_guess_are_refused():
+    with pytest.raises(UserError, match="0 steps: expected a prior that guesses"):
+        started(DEFAULT)

@@ -41,10 +41,10 @@ def blob(x: float) -> Splats:
 def _no_optional_packages(monkeypatch: pytest.MonkeyPatch) -> None:
     real = importlib.import_module
 
-    def without(name: str) -> Any:
+    def without(name: str, package: str | None = None) -> Any:
         if name in ("lpips", "transformers"):
             raise ImportError(name)
-        return real(name)
+        return real(name, package)
 
     monkeypatch.setattr(importlib, "import_module", without)
 

@@ -10,7 +10,7 @@ from gscomplete.fitting.step_loop import (
     CHECKPOINTS,
     LOG_FILE,
     require_same_identity,
-    take_steps,
+    run_steps,
 )
 from gscomplete.util.jsonio import write_json
 
@@ -54,7 +54,7 @@ def logged(folder) -> list[int]:
 
 def test_every_step_is_logged_and_told_of(tmp_path):
     told: list[Count] = []
-    take_steps(Counting(5), tmp_path, 2, told.append)
+    run_steps(Counting(5), tmp_path, 2, told.append)
     assert told == [Count(k) for k in range(5)]
     assert logged(tmp_path) == list(range(5))
     assert last_step(tmp_path) == 5
@@ -63,16 +63,16 @@ def test_every_step_is_logged_and_told_of(tmp_path):
 @pytest.mark.parametrize(("updating", "kept"), [(False, 3), (True, 2)])
 def test_an_interrupted_job_goes_on_from_a_state_that_is_whole(tmp_path, updating, kept):
     with pytest.raises(KeyboardInterrupt):
-        take_steps(Counting(5, 3, updating=updating), tmp_path, 2, lambda _: None)
+        run_steps(Counting(5, 3, updating=updating), tmp_path, 2, lambda _: None)
     assert last_step(tmp_path) == kept
     again = Counting(5)
     again.step_number = kept
-    take_steps(again, tmp_path, 2, lambda _: None)
+    run_steps(again, tmp_path, 2, lambda _: None)
     assert logged(tmp_path) == list(range(5))  # none twice
 
 
 def test_without_checkpoints_the_end_is_kept(tmp_path):
-    take_steps(Counting(3), tmp_path, 0, lambda _: None)
+    run_steps(Counting(3), tmp_path, 0, lambda _: None)
     assert last_step(tmp_path) == 3
 
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from gscomplete.framing.guess import guess_framing
-from gscomplete.framing.input_view import InputViewSettings, hidden_share, settled_view
+from gscomplete.framing.input_view import InputViewSettings, hidden_share, refine_input_view
 from gscomplete.splats import Splats, concatenate, transform_splats
 from gscomplete.splats.transform import Similarity
 from gscomplete.views import ViewDistribution
@@ -19,7 +19,7 @@ WRONG = ViewDistribution(255.0, 15.0)
 
 
 def test_the_wrong_side_gives_way_to_the_right_one() -> None:
-    settled, note = settled_view(PART, REST, WRONG)
+    settled, note = refine_input_view(PART, REST, WRONG)
     assert angle_between(settled.azimuth_deg, 75.0) <= 45
     assert "from 255,15 the guess of the whole hides" in note
     # All that has nothing to do with c stays as it was.
@@ -28,7 +28,7 @@ def test_the_wrong_side_gives_way_to_the_right_one() -> None:
 
 
 def test_what_the_note_says_of_hidden_shares_is_so() -> None:
-    settled, note = settled_view(PART, REST, WRONG)
+    settled, note = refine_input_view(PART, REST, WRONG)
     shares = [hidden_share(PART, WHOLE, v, InputViewSettings()) for v in (WRONG, settled)]
     assert shares[0] > 0.5 > 0.05 > shares[1]
     assert f"hides {100 * shares[0]:.0f} % of P, from here {100 * shares[1]:.0f} %" in note
@@ -37,28 +37,28 @@ def test_what_the_note_says_of_hidden_shares_is_so() -> None:
 def test_the_right_side_stays() -> None:
     guess = guess_framing(PART)
     right = ViewDistribution(guess.view_azimuth_deg, guess.view_elevation_deg)
-    assert settled_view(PART, REST, right) == (right, "")
+    assert refine_input_view(PART, REST, right) == (right, "")
 
 
 def test_a_whole_that_hides_p_from_everywhere_is_rather_wrong_itself() -> None:
     wrapping = transform_splats(cylinder(), Similarity(1.3, torch.eye(3), torch.zeros(3)))
-    settled, note = settled_view(PART, wrapping, WRONG)
+    settled, note = refine_input_view(PART, wrapping, WRONG)
     assert (settled, note) == (WRONG, "")
 
 
 def test_nothing_new_changes_nothing() -> None:
-    assert settled_view(PART, PART.select(torch.arange(0)), WRONG) == (WRONG, "")
+    assert refine_input_view(PART, PART.select(torch.arange(0)), WRONG) == (WRONG, "")
 
 
 def test_a_choice_of_p_s_splats_is_enough() -> None:
     few = InputViewSettings(max_splats=len(PART) // 3)
-    assert settled_view(PART, REST, WRONG, few)[0] == settled_view(PART, REST, WRONG)[0]
+    assert refine_input_view(PART, REST, WRONG, few)[0] == refine_input_view(PART, REST, WRONG)[0]
 
 
 def test_views_that_show_p_badly_are_not_asked() -> None:
     only_best = InputViewSettings(least_score=1.0)
     best = guess_framing(PART)
-    settled, _ = settled_view(PART, REST, WRONG, only_best)
+    settled, _ = refine_input_view(PART, REST, WRONG, only_best)
     assert settled.azimuth_deg == best.view_azimuth_deg
 
 

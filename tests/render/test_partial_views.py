@@ -5,21 +5,19 @@ import dataclasses
 import pytest
 import torch
 
-from gscomplete.completion.optimise import Completion
 from gscomplete.completion.presets import RECONSTRUCT
-from gscomplete.completion.settings import SkipSettings
 from gscomplete.errors import UserError
-from gscomplete.render import prepare_frozen
+from gscomplete.render import prepare_frozen, render
 from gscomplete.render.partial_views import PartialViews
 from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution, join_cameras
 from tests.completion.oracle import OraclePrior, ball
+from tests.completion.steps import steps_of
 
 TRUTH = ball()
 PARTIAL = TRUTH.select(TRUTH.means[:, 0] > 0)
 OTHERS = TRUTH.select(TRUTH.means[:, 0] <= 0)
 VIEWS = ViewDistribution(0.0, 10.0)
-NOTHING_SKIPPED = SkipSettings(**{field.name: False for field in dataclasses.fields(SkipSettings)})
 
 
 def drawn(views: PartialViews, batches):
@@ -32,8 +30,10 @@ def drawn(views: PartialViews, batches):
 def test_prepared_views_give_the_same_bits_first_and_again():
     batches = [VIEWS.ring(4, 40), VIEWS.input_camera(40)]
     kept = PartialViews(PARTIAL)
-    plain = PartialViews(PARTIAL, SkipSettings(prepared_partial=False))
-    expected, expected_gradients = drawn(plain, batches)
+    leaves = Splats(**{n: v.clone().requires_grad_() for n, v in OTHERS.fields()})
+    expected = render(leaves, join_cameras(batches), frozen=PARTIAL)
+    (expected.color.sum() + expected.depth.square().sum()).backward()
+    expected_gradients = {name: value.grad for name, value in leaves.fields()}
     for _ in range(2):
         picture, gradients = drawn(kept, batches)
         assert torch.equal(picture.color, expected.color)
@@ -41,7 +41,7 @@ def test_prepared_views_give_the_same_bits_first_and_again():
         for name, value in expected_gradients.items():
             assert torch.equal(gradients[name], value), name
     joined = join_cameras(batches)
-    assert torch.equal(kept.alone(joined).color, plain.alone(joined).color)
+    assert torch.equal(kept.alone(joined).color, render(PARTIAL, joined).color)
 
 
 def test_memory_is_bounded_and_forgetting_changes_nothing():
@@ -57,36 +57,12 @@ def test_memory_is_bounded_and_forgetting_changes_nothing():
     assert torch.equal(tiny.alone(rings[0]).color, free.alone(rings[0]).color)
 
 
-def test_a_run_with_all_skips_is_the_run_without():
-    """All but the early stop keep every bit; that one leaves 1e-5 of a pixel's light, and Adam
-    turns a gradient's rounding into a step where the gradient is all rounding."""
-    settings = dataclasses.replace(RECONSTRUCT, steps=12, rounds=3, new_splats=300, start="sphere")
-
-    def finish(skip):
-        job = Completion(
-            PARTIAL, OraclePrior(TRUTH), None, VIEWS, dataclasses.replace(settings, skip=skip)
-        )
-        while not job.finished:
-            job.step()
-        return job.new_splats()
-
-    usual = finish(SkipSettings())
-    for exact in ({"prepared_partial": False, "idle_tiles": False}, {"partial_gradients": False}):
-        same = finish(SkipSettings(**exact))
-        for (name, a), (_, b) in zip(usual.fields(), same.fields(), strict=True):
-            assert torch.equal(a, b), name
-    nothing = finish(NOTHING_SKIPPED)
-    assert len(nothing) == len(usual)
-    moved = (nothing.means - usual.means).abs()
-    assert float(moved.mean()) < 1e-5
-
-
 def test_coarse_steps_are_taken_at_half_the_size():
     settings = dataclasses.replace(
         RECONSTRUCT, steps=12, rounds=3, new_splats=300, start="sphere", coarse_until=0.5
     )
     fine = dataclasses.replace(settings, coarse_until=0.0)
-    jobs = [Completion(PARTIAL, OraclePrior(TRUTH), None, VIEWS, s) for s in (settings, fine)]
+    jobs = [steps_of(PARTIAL, OraclePrior(TRUTH), None, VIEWS, s) for s in (settings, fine)]
     for job in jobs:
         while not job.finished:
             job.step()
@@ -105,18 +81,18 @@ def test_settings_out_of_range_are_named(name, value):
 def test_views_that_differ_in_the_lens_alone_are_others(name, factor):
     ring = VIEWS.ring(4, 24)
     other = dataclasses.replace(ring, **{name: factor * getattr(ring, name)})
-    kept, plain = PartialViews(PARTIAL), PartialViews(PARTIAL, SkipSettings(prepared_partial=False))
+    kept = PartialViews(PARTIAL)
     first = kept.alone(ring)
     assert not torch.equal(kept.alone(other).alpha, first.alpha)
-    assert torch.equal(kept.alone(other).alpha, plain.alone(other).alpha)
+    assert torch.equal(kept.alone(other).alpha, render(PARTIAL, other).alpha)
 
 
 def test_the_batch_used_longest_ago_is_forgotten_first(monkeypatch):
     prepared = []
 
-    def spy(partial, cameras, settings):
+    def spy(partial, cameras):
         prepared.append(float(cameras.positions[0, 1]))
-        return prepare_frozen(partial, cameras, settings)
+        return prepare_frozen(partial, cameras)
 
     monkeypatch.setattr("gscomplete.render.partial_views.prepare_frozen", spy)
     a, b, c = (dataclasses.replace(VIEWS, azimuth_deg=90.0 * k).ring(1, 40) for k in range(3))

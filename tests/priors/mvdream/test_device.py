@@ -11,7 +11,7 @@ import torch
 pytest.importorskip("diffusers", reason="the extra gscomplete[mvdream] is not installed")
 pytest.importorskip("transformers", reason="the extra gscomplete[mvdream] is not installed")
 
-from gscomplete.completion import optimise
+from gscomplete.completion.optimise import Optimisation
 from gscomplete.completion.presets import PAPER, RECONSTRUCT
 from gscomplete.priors.mvdream.prior import mvdream_prior
 from gscomplete.priors.mvdream.weights import open_weights
@@ -51,7 +51,7 @@ def weights(tmp_path):
     )
 
 
-def backward_of(jobs: list[optimise.Completion]):
+def backward_of(jobs: list[Optimisation]):
     """Stands in for autograd: gives every parameter a gradient where it lies."""
 
     def backward(loss):
@@ -68,8 +68,7 @@ def test_steps_of_both_modes_keep_to_the_device(weights, monkeypatch):
     monkeypatch.setitem(sys.modules, "gsplat", gsplat)
     monkeypatch.setattr(cuda, "_pass_center_gradients", lambda *arguments, **more: None)
     start = splats(NEW)
-    monkeypatch.setattr(optimise, "initial_splats", lambda *arguments, **more: start)
-    jobs: list[optimise.Completion] = []
+    jobs: list[Optimisation] = []
     partial, settings = splats(50), dataclasses.replace(PAPER, steps=100, new_splats=NEW)
     fitted = dataclasses.replace(RECONSTRUCT, steps=100, new_splats=NEW, start="sphere")
     with simulated_gpu() as gpu, mock.patch.object(torch.Tensor, "backward", backward_of(jobs)):
@@ -81,7 +80,7 @@ def test_steps_of_both_modes_keep_to_the_device(weights, monkeypatch):
         conditioning = prior.condition("a red mug")
         for chosen in (settings, fitted):
             views = ViewDistribution(0.0, 10.0)
-            job = optimise.Completion(partial, prior, conditioning, views, chosen, device=gpu)
+            job = Optimisation(partial, start, prior, conditioning, views, chosen, gpu)
             jobs.append(job)
             for _ in range(2):
                 job.step()

@@ -8,13 +8,13 @@ import torch
 pytest.importorskip("diffusers", reason="the extra gscomplete[mvdream] is not installed")
 pytest.importorskip("transformers", reason="the extra gscomplete[mvdream] is not installed")
 
-from gscomplete.completion.optimise import Completion
 from gscomplete.completion.presets import PAPER, preset
 from gscomplete.fitting.settings import DensifySettings
 from gscomplete.priors.mvdream.prior import mvdream_prior
 from gscomplete.priors.mvdream.weights import open_weights
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.views import ViewDistribution
+from tests.completion.steps import steps_of
 from tests.priors.mvdream.tiny import TINY_VIEWS, write_original
 
 SETTINGS = dataclasses.replace(
@@ -45,7 +45,7 @@ def make(tmp_path_factory):
     weights = open_weights(write_original(tmp_path_factory.mktemp("weights")))
     prior = mvdream_prior(weights, torch.device("cpu"), views=TINY_VIEWS)
     conditioning, partial = prior.condition("a red ball"), half_shell()
-    return lambda: Completion(partial, prior, conditioning, ViewDistribution(0.0, 10.0), SETTINGS)
+    return lambda: steps_of(partial, prior, conditioning, ViewDistribution(0.0, 10.0), SETTINGS)
 
 
 def test_the_default_preset_of_this_prior_is_the_paper():

@@ -7,7 +7,7 @@ import torch
 from gscomplete.evaluate.metrics import against_truth
 from gscomplete.splats import Splats, colors_to_sh, concatenate
 from gscomplete.views import ViewDistribution
-from recipes.real_objects.compare import Posed, true_shape
+from recipes.real_objects.compare import FramedObject, true_shape
 from recipes.real_objects.load import RealObject
 
 
@@ -26,14 +26,14 @@ def two_colored_plate() -> tuple[Splats, Splats]:
     return whole, whole.select(means[:, 0] < 0.0)
 
 
-def posed(whole: Splats | None, part: Splats) -> Posed:
+def framed(whole: Splats | None, part: Splats) -> FramedObject:
     item = RealObject("plate", "a plate", "Z", part, whole, "half of it")
-    return Posed(item, part, whole, ViewDistribution(-90.0, 0.0))
+    return FramedObject(item, part, whole, ViewDistribution(-90.0, 0.0))
 
 
 def test_the_bound_has_the_true_shape_and_only_colors_that_are_seen() -> None:
     whole, part = two_colored_plate()
-    one = posed(whole, part)
+    one = framed(whole, part)
     new = true_shape(one)
     assert new is not None
     assert len(new) == len(whole) - len(part)
@@ -52,4 +52,4 @@ def test_the_bound_has_the_true_shape_and_only_colors_that_are_seen() -> None:
 
 def test_without_a_truth_there_is_no_bound() -> None:
     _, part = two_colored_plate()
-    assert true_shape(posed(None, part)) is None
+    assert true_shape(framed(None, part)) is None

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from gscomplete.fitting.checkpoint import load_checkpoint
-from gscomplete.fitting.step_loop import CHECKPOINTS, take_steps
+from gscomplete.fitting.step_loop import CHECKPOINTS, run_steps
 from gscomplete.splats import Splats
 from splatcomplete_data.multiview.photos.images import View, load_views
 from splatcomplete_data.multiview.photos.transforms_json import read_transforms
@@ -234,7 +234,7 @@ def test_the_last_checkpoint_before_such_a_value_stays(where, checkpoint_every, 
             training.restore(state)
 
     with pytest.raises(NonFiniteError, match=r"means.* is not finite"):
-        take_steps(training, tmp_path, checkpoint_every, poison)
+        run_steps(training, tmp_path, checkpoint_every, poison)
     state = load_checkpoint(tmp_path / CHECKPOINTS)
     assert state is not None
     assert int(state["step"]) == 20 // checkpoint_every * checkpoint_every

@@ -1,0 +1,312 @@
+"""Complete an object in memory: read, frame, start, refine the view, steps, seam, preservation.
+
+:func:`complete` does all of it. The stages are there one by one for what needs them apart (run
+folders with checkpoints, many objects with one prior): :func:`prepare` up to the first step,
+``Prepared.steps`` for the steps, :func:`finish` for what follows the last one.
+
+Conventions
+-----------
+* P comes in the file frame and is never rewritten; ``partial``, ``new`` and V are in the object
+  frame, and :attr:`Completed.new_in_file` is what was added in the file frame.
+* A result is a function of (P, request, prior): the device and the threads do not matter.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+
+import gscomplete
+from gscomplete.completion.optimise import Optimisation, StepReport
+from gscomplete.completion.preserve.bounds import preserve_hard
+from gscomplete.completion.preserve.report import HardPreservationReport
+from gscomplete.completion.presets import PresetName, preset
+from gscomplete.completion.seam import SeamColorReport, match_seam_colors
+from gscomplete.completion.settings import CompletionSettings
+from gscomplete.completion.start import start_splats
+from gscomplete.framing.check import (
+    check_given_frame,
+    describe_frame,
+    largest_side,
+    require_visible,
+)
+from gscomplete.framing.decide import Framing, FramingRequest, decide_framing
+from gscomplete.framing.input_view import refine_input_view
+from gscomplete.priors import load_prior
+from gscomplete.priors.base import Conditioning, Prior
+from gscomplete.splats import (
+    SplatFile,
+    Splats,
+    append_splats,
+    concatenate,
+    read_splats,
+    transform_splats,
+    write_splats,
+)
+from gscomplete.splats.working_set import WorkingSet, working_set
+from gscomplete.util.device import choose_device, choose_render_device
+from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution, radius_to_fit
+from gscomplete.views.distribution import AZIMUTH_RANGE_DEG, ELEVATION_RANGE_DEG
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What to make of a part."""
+
+    prompt: str
+    """What the complete object is."""
+    settings: CompletionSettings
+    """Every knob of the method."""
+    framing: FramingRequest = dataclasses.field(default_factory=FramingRequest)
+    """What is known of frame and views; the rest is guessed."""
+    negative_prompt: str | None = None
+    """What guidance leads away from, "" = nothing; None = the prior's default."""
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """A completion about to take its steps."""
+
+    request: Request
+    working: WorkingSet
+    """The splats of P that take part, file frame."""
+    frame: ObjectFrame
+    partial: Splats
+    """The same in the object frame, on the CPU."""
+    guessed_views: ViewDistribution
+    """V that the prior's guess was made with: given, or guessed from P alone."""
+    views: ViewDistribution
+    """V that the steps keep P's appearance from."""
+    prior: Prior
+    conditioning: Conditioning
+    steps: Optimisation
+    notes: tuple[str, ...]
+    """What was decided and why, for the user."""
+
+
+@dataclass(frozen=True, slots=True)
+class Completed:
+    """A completed object."""
+
+    given: SplatFile | Splats
+    """P as given, file frame."""
+    partial: Splats
+    """The splats of P that took part, object frame."""
+    new: Splats
+    """The new splats, object frame."""
+    frame: ObjectFrame
+    """How the object frame lies in the file frame."""
+    views: ViewDistribution
+    """V, from whose views P keeps its appearance."""
+    notes: tuple[str, ...]
+    """What was decided and why, a line each."""
+    seam_colors: SeamColorReport | None
+    """What matching colours at the seam did; None = not asked for."""
+    hard_preservation: HardPreservationReport | None
+    """What the bounds on E_color and E_depth took; None = no bounds."""
+    seconds: float
+    """From P to the new splats."""
+
+    @property
+    def new_in_file(self) -> Splats:
+        """The new splats in the file frame."""
+        return transform_splats(self.new, self.frame.file_from_object)
+
+    @property
+    def splats(self) -> Splats:
+        """O in the file frame: P's splats first, as given, new ones after."""
+        given = self.given.splats if isinstance(self.given, SplatFile) else self.given
+        return concatenate([given, self.new_in_file])
+
+    @property
+    def in_object_frame(self) -> Splats:
+        """The splats of P that took part and the new ones, object frame."""
+        return concatenate([self.partial, self.new])
+
+    def save(self, path: str | Path) -> None:
+        """Write O as a PLY file: the bytes of P's file first, where P came from one.
+
+        Raises:
+            UserError: the file cannot be written, or P's file cannot hold the new splats.
+        """
+        comments = (
+            f"gscomplete version {gscomplete.__version__}",
+            f"gscomplete new_splats {len(self.new)}",
+        )
+        if isinstance(self.given, SplatFile):
+            append_splats(path, self.given, self.new_in_file, comments)
+        else:
+            write_splats(path, self.splats, comments)
+
+
+def complete(
+    partial: Splats | str | Path,
+    prompt: str,
+    *,
+    prior: Prior | str = "embedded",
+    preset_name: PresetName = "default",
+    settings: CompletionSettings | None = None,
+    up: UpAxis = "Z",
+    view_deg: tuple[float, float] | None = None,
+    azimuth_range_deg: float = AZIMUTH_RANGE_DEG,
+    elevation_range_deg: float = ELEVATION_RANGE_DEG,
+    center_file: tuple[float, float, float] | None = None,
+    size_file: float | None = None,
+    negative_prompt: str | None = None,
+    seed: int = 0,
+    device: str = "auto",
+    on_step: Callable[[StepReport], None] | None = None,
+) -> Completed:
+    """Complete a partial object made of Gaussian splats (the paper's O from P, y and V).
+
+    Args:
+        partial: P: a splat PLY, or splats in the file frame (any scale; ``up`` points up).
+        prompt: what the complete object is, such as "a red mug".
+        prior: a loaded prior (``load_prior``; load it once to complete many), or what ``--prior``
+            takes: ``embedded``, ``mvdream``, or the path of weights.
+        preset_name: named settings: default, fast, reconstruct, distill, paper.
+        settings: every knob; None = those of ``preset_name``. Their own seed counts.
+        up: axis of the file frame that points up.
+        view_deg: azimuth and elevation of the input view c in degrees; None = guessed.
+        azimuth_range_deg: V reaches this far to either side of c.
+        elevation_range_deg: and this far above and below c.
+        center_file: centre of the complete object in file coordinates; None = guessed.
+        size_file: its largest side in file units; None = guessed.
+        negative_prompt: what to lead away from; None = the prior's default.
+        seed: same seed, same bytes.
+        device: ``cpu``, ``cuda``, ``cuda:N`` or ``auto``.
+        on_step: is told of every optimiser step; the default preset of the embedded prior has none.
+
+    Returns:
+        P and what was added, with frame, V and the reasons of what was guessed.
+
+    Raises:
+        UserError: the input, an option, the prior or its weights are wrong.
+    """
+    chosen_device = choose_device(device)
+    render_device, _ = choose_render_device(device, chosen_device)
+    if isinstance(prior, str):
+        prior = load_prior(prior, chosen_device)
+    if settings is None:
+        settings = dataclasses.replace(preset(preset_name, prior.name), seed=seed)
+    started = time.perf_counter()
+    given = partial if isinstance(partial, Splats) else read_splats(partial)
+    framing = FramingRequest(
+        up,
+        view_deg,
+        azimuth_range_deg,
+        center_file,
+        size_file,
+        elevation_range_deg=elevation_range_deg,
+    )
+    request = Request(prompt, settings, framing, negative_prompt)
+    prepared = prepare(given, request, prior, render_device)
+    while not prepared.steps.finished:
+        report = prepared.steps.step()
+        if on_step is not None:
+            on_step(report)
+    return dataclasses.replace(finish(prepared, given), seconds=time.perf_counter() - started)
+
+
+def prepare(
+    given: SplatFile | Splats, request: Request, prior: Prior, device: torch.device | str = "cpu"
+) -> Prepared:
+    """Do all that comes before the first step.
+
+    Args:
+        given: P in the file frame.
+        request: what to make of it.
+        prior: the model that guides.
+        device: where splats are rendered and moved; the prior may run on another.
+
+    Raises:
+        UserError: P cannot be drawn, the frame given is not P's, or the prior cannot start.
+    """
+    settings, framing_request = request.settings, request.framing
+    notes: tuple[str, ...] = ()
+    if isinstance(given, SplatFile):
+        splats, name = given.splats, str(given.path)
+        notes += tuple(f"{name}: {warning}" for warning in given.warnings)
+    else:
+        splats, name = given, "P"
+    working = working_set(splats, settings.max_working_splats, name)
+
+    framing = framing_for(working.splats, framing_request, prior)
+    notes += framing.notes
+    if framing_request.center_file is not None or framing_request.size_file is not None:
+        notes += check_given_frame(working.splats, framing.frame, name)
+    notes += (*describe_frame(framing.frame, framing.views), working.summary())
+    conditioning = prior.condition(request.prompt, request.negative_prompt)
+    partial = transform_splats(working.splats, framing.frame.object_from_file).detach().to("cpu")
+    require_visible(partial, framing.views, name)
+
+    diameter = largest_side(working.splats) / framing.frame.size_file
+    start = start_splats(partial, prior, conditioning, framing.views, settings, diameter)
+    views, moved = framing.views, ""
+    if start.is_guess and framing_request.view_deg is None:
+        views, moved = refine_input_view(partial, start.splats, framing.views)
+    steps = Optimisation(partial, start.splats, prior, conditioning, views, settings, device)
+
+    notes += (start.note, *((moved,) if moved else ()), *conditioning.report)
+    if request.negative_prompt and not steps.heeds_negative_prompt:
+        notes += ("negative prompt: without effect here (with this prior: --text-only)",)
+    return Prepared(
+        request,
+        working,
+        framing.frame,
+        partial,
+        framing.views,
+        views,
+        prior,
+        conditioning,
+        steps,
+        notes,
+    )
+
+
+def framing_for(splats: Splats, request: FramingRequest, prior: Prior) -> Framing:
+    """Decide frame and V: its cameras show as much of the object as the prior's do on average.
+
+    Args:
+        splats: P in the file frame.
+        request: what is given.
+        prior: the model that guides.
+
+    Raises:
+        UserError: a guess is needed and P has no finite splat or no extent.
+    """
+    lens = prior.views
+    radius = radius_to_fit(lens.mean_extent, lens.fov_deg)
+    return decide_framing(splats, request, radius=radius, fov_deg=lens.fov_deg)
+
+
+def finish(prepared: Prepared, given: SplatFile | Splats) -> Completed:
+    """Do what follows the last step: match colours at the seam, then hold P's appearance to bounds.
+
+    Args:
+        prepared: its steps are taken.
+        given: P as given.
+    """
+    started = time.perf_counter()
+    settings, partial = prepared.request.settings, prepared.partial
+    new = prepared.steps.new_splats().to("cpu")
+    notes = prepared.notes
+    colors, bounds = None, None
+    if settings.seam_colors is not None:
+        new, colors = match_seam_colors(new, partial, settings.seam_colors)
+        notes += (colors.summary(),)
+    if settings.hard_preservation is not None:
+        bounded = preserve_hard(
+            new, partial, prepared.views, settings.hard_preservation, settings.seed
+        )
+        new, bounds = bounded.splats, bounded.report
+        notes += (bounds.summary(),)
+    seconds = time.perf_counter() - started
+    return Completed(
+        given, partial, new, prepared.frame, prepared.views, notes, colors, bounds, seconds
+    )

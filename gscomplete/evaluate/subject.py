@@ -1,0 +1,173 @@
+"""Completions to be measured: P, O, V and the truth, all in one object frame.
+
+Conventions
+-----------
+* Where the object folder is known, its frame, V and truth are taken, the same for every method;
+  else the run's own.
+* A run's O holds P's splats. Another system's result, a splat file, is taken as it is; it does not
+  hold P.
+* In a folder of runs, the completion of the object ``ID`` is ``ID`` or ``ID_completed`` (a run
+  folder) or ``ID.ply`` (a splat file in P's file frame).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from gscomplete.errors import UserError
+from gscomplete.folders import (
+    OBJECT_FILE,
+    RUN_FILE,
+    ObjectFolder,
+    RunFolder,
+    object_folder_of,
+    read_object_folder,
+    read_run_folder,
+)
+from gscomplete.splats import Splats, concatenate, read_splats, usable_rows
+from gscomplete.splats.transform import transform_splats
+from gscomplete.views import ObjectFrame, ViewDistribution
+
+_TIMINGS = ("prepare_s", "optimise_s", "finish_s")
+"""Stages of a run that completing takes: no files, no pictures."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Subject:
+    """One completion of one object, in the object frame."""
+
+    method: str
+    object: str
+    subset: str | None
+    prompt: str
+    partial: Splats
+    completed: Splats
+    truth: Splats | None
+    views: ViewDistribution
+    frame: ObjectFrame
+    """From the file frame to the object frame."""
+    seconds: float | None = None
+    notes: tuple[str, ...] = ()
+    settings: str = ""
+    """How it was made, for people; empty = not known."""
+
+
+def read_subject(path: Path, method: str, owner: Path | None = None) -> Subject:
+    """Read a run folder, or a splat file together with the object that it completes.
+
+    Args:
+        path: run folder, ``run.json`` in it, or splat file.
+        method: who completed it.
+        owner: the object folder; None = as the run says, if it does and that is still there.
+
+    Raises:
+        UserError: a file is missing or broken, or completes another object.
+    """
+    folder = path.parent if path.name == RUN_FILE else path
+    if (folder / RUN_FILE).is_file():
+        return _read_run(folder, method, owner)
+    if path.is_dir():
+        raise UserError(f"{path}: expected a run folder with {RUN_FILE}, found another folder")
+    if owner is None:
+        raise UserError(f"{path}: --object: expected the folder of the object that it completes")
+    return _read_result(path, method, read_object_folder(owner))
+
+
+def find_completion(runs: Path, object_id: str) -> Path | None:
+    """Return what a folder of runs holds for an object; None = nothing that is finished."""
+    for name in (object_id, f"{object_id}_completed"):
+        if (runs / name / RUN_FILE).is_file():
+            run = read_run_folder(runs / name)
+            return run.folder if run.output.is_file() else None
+    file = runs / f"{object_id}.ply"
+    return file if file.is_file() else None
+
+
+def objects_of(dataset: Path) -> list[ObjectFolder]:
+    """Return the objects of a dataset that have a part, in the order of their names.
+
+    Raises:
+        UserError: it holds none, or one cannot be read.
+    """
+    if not dataset.is_dir():
+        raise UserError(f"{dataset}: --dataset: expected a folder of object folders, found none")
+    folders = sorted(path.parent for path in dataset.glob(f"*/{OBJECT_FILE}"))
+    found = [read_object_folder(path) for path in folders if not path.name.startswith(".")]
+    found = [entry for entry in found if entry.partial.name in entry.files]
+    if not found:
+        raise UserError(f"{dataset}: --dataset: expected folders with {OBJECT_FILE}, found none")
+    return found
+
+
+def _read_run(folder: Path, method: str, owner: Path | None) -> Subject:
+    run = read_run_folder(folder)
+    owner = owner or run.object_folder
+    known = object_folder_of(owner) if owner is not None else None
+    partial, new = (_drawable(splats) for splats in run.read())
+    frame = run.frame if known is None else known.frame
+    truth = None
+    if known is not None:
+        count = len(read_splats(known.partial).splats)
+        if count != run.partial_count:
+            raise UserError(
+                f"{run.folder}: expected a run of {known.partial} with {count} splats, found one "
+                f"of {run.partial_count}"
+            )
+        truth = _truth(known)
+    to_object = frame.object_from_file
+    return Subject(
+        method,
+        folder.resolve().name if known is None else known.id,
+        None if known is None else known.subset,
+        run.prompt or ("" if known is None else known.prompt),
+        transform_splats(partial, to_object),
+        transform_splats(concatenate([partial, new]), to_object),
+        None if truth is None else transform_splats(truth, to_object),
+        run.views if known is None else known.views,
+        frame,
+        _seconds(run),
+        tuple(str(note) for note in run.content.get("notes", ())),
+        _settings(run),
+    )
+
+
+def _read_result(path: Path, method: str, known: ObjectFolder) -> Subject:
+    to_object = known.frame.object_from_file
+    truth = _truth(known)
+    return Subject(
+        method,
+        known.id,
+        known.subset,
+        known.prompt,
+        transform_splats(_drawable(read_splats(known.partial).splats), to_object),
+        transform_splats(_drawable(read_splats(path).splats), to_object),
+        None if truth is None else transform_splats(truth, to_object),
+        known.views,
+        known.frame,
+    )
+
+
+def _truth(known: ObjectFolder) -> Splats | None:
+    return None if known.complete is None else _drawable(read_splats(known.complete).splats)
+
+
+def _drawable(splats: Splats) -> Splats:
+    return splats.select(usable_rows(splats)[0])
+
+
+def _seconds(run: RunFolder) -> float | None:
+    """Return how long completing took; None where it is not recorded."""
+    timings = run.content.get("timings") or {}
+    found = [timings[name] for name in _TIMINGS if isinstance(timings.get(name), int | float)]
+    return float(sum(found)) if len(found) == len(_TIMINGS) else None
+
+
+def _settings(run: RunFolder) -> str:
+    """Say which prior and seed a run was made with, and in how many steps."""
+    identity = run.content.get("identity", {})
+    prior, settings = identity.get("prior"), identity.get("settings") or {}
+    name = prior.get("name") if isinstance(prior, dict) else prior
+    parts = [f"prior {name}" if name else ""]
+    parts += [f"{key} {settings[key]}" for key in ("start", "steps", "seed") if key in settings]
+    return ", ".join(part for part in parts if part)

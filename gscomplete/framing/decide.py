@@ -1,0 +1,142 @@
+"""Decide the object frame and the view distribution V of a part: given, known, or guessed.
+
+Conventions
+-----------
+* What the user gives is taken; what a known complete object says comes next; the rest is guessed
+  from the part (``framing.guess``), with reasons.
+* Centres and sizes are in the file frame; azimuth and elevation in degrees, as in ``views``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+
+from gscomplete.framing.guess import guess_framing
+from gscomplete.splats import Similarity, Splats, transform_splats
+from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution, up_rotation
+from gscomplete.views.distribution import AZIMUTH_RANGE_DEG, ELEVATION_RANGE_DEG, FOV_DEG, RADIUS
+
+_STEEPEST_DEG = 75.0
+"""From steeper above no side is behind."""
+
+Origin = Literal["truth", "guess", "given"]
+"""Where centre and size come from: the known complete object, the part, or the user."""
+
+
+@dataclass(frozen=True, slots=True)
+class FramingRequest:
+    """What the user says about frame and views; None = decided here."""
+
+    up: UpAxis = "Z"
+    """File axis that points up."""
+    view_deg: tuple[float, float] | None = None
+    """Azimuth and elevation of the input view c."""
+    azimuth_range_deg: float = AZIMUTH_RANGE_DEG
+    """V reaches this far to either side of c."""
+    center_file: tuple[float, float, float] | None = None
+    """Centre of the complete object."""
+    size_file: float | None = None
+    """Largest side of the complete object."""
+    camera_position_file: tuple[float, float, float] | None = None
+    """Where the source was seen from: the input view, unless another one is given."""
+    is_one_camera: bool = False
+    """Whether all of the part was seen from there: the complete object then lies behind it."""
+    elevation_range_deg: float = ELEVATION_RANGE_DEG
+    """V reaches this far above and below c."""
+
+
+@dataclass(frozen=True, slots=True)
+class Framing:
+    """Frame and views of an object, and how they were found."""
+
+    frame: ObjectFrame
+    origin: Origin
+    views: ViewDistribution
+    notes: tuple[str, ...]
+    """Reasons of the parts that were guessed."""
+
+
+def decide_framing(
+    partial: Splats,
+    request: FramingRequest,
+    complete: Splats | None = None,
+    *,
+    radius: float = RADIUS,
+    fov_deg: float = FOV_DEG,
+) -> Framing:
+    """Decide frame and views.
+
+    Args:
+        partial: P in the file frame.
+        request: what the user gives.
+        complete: the complete object in the file frame, where it is known.
+        radius: distance of V's cameras from the centre, object sizes.
+        fov_deg: their vertical field of view.
+
+    Returns:
+        The frame, V, and the reasons of what was guessed.
+
+    Raises:
+        UserError: a guess is needed and the part has no finite splat or no extent.
+    """
+    center, size, view = request.center_file, request.size_file, request.view_deg
+    origin: Origin = "given"
+    notes: tuple[str, ...] = ()
+    if complete is not None and (center is None or size is None):
+        known = ObjectFrame.about(complete, request.up)
+        center, size, origin = center or known.center_file, size or known.size_file, "truth"
+    is_boxed = center is not None and size is not None
+    camera = request.camera_position_file if view is None else None
+    is_viewed = view is not None or camera is not None
+    if not (is_boxed and is_viewed):
+        rotation = up_rotation(request.up)
+        anchor = partial.means.double().median(dim=0).values
+        level = transform_splats(partial, Similarity(1.0, rotation, -(rotation @ anchor)))
+        guess = guess_framing(level, seen_from_deg=_azimuth_of_camera(partial, request))
+        notes = guess.reasons(view=not is_viewed, box=not is_boxed)
+        if center is None:
+            lifted = rotation.T @ torch.tensor(guess.center, dtype=torch.float64) + anchor
+            x, y, z = lifted.tolist()
+            center, origin = (x, y, z), "guess"
+        if size is None:
+            size, origin = guess.size, "guess"
+        view = view or (guess.view_azimuth_deg, guess.view_elevation_deg)
+    assert center is not None
+    assert size is not None
+    frame = ObjectFrame(request.up, center, size)
+    if camera is not None:
+        view = view_from_position(frame, camera)
+    assert view is not None
+    views = ViewDistribution(
+        *view,
+        azimuth_range_deg=request.azimuth_range_deg,
+        elevation_range_deg=request.elevation_range_deg,
+        radius=radius,
+        fov_deg=fov_deg,
+    )
+    return Framing(frame, origin, views, notes)
+
+
+def _azimuth_of_camera(partial: Splats, request: FramingRequest) -> float | None:
+    """Return the azimuth of the one camera that saw the part; None = there is no such camera."""
+    if request.camera_position_file is None or not request.is_one_camera:
+        return None
+    frame = ObjectFrame.about(partial, request.up)
+    azimuth, elevation = view_from_position(frame, request.camera_position_file)
+    return azimuth if abs(elevation) <= _STEEPEST_DEG else None
+
+
+def view_from_position(
+    frame: ObjectFrame, position_file: tuple[float, float, float]
+) -> tuple[float, float]:
+    """Return azimuth and elevation in degrees of a camera position seen from the centre."""
+    point = torch.tensor(position_file, dtype=torch.float64)
+    x, y, z = frame.object_from_file.apply(point).tolist()
+    return (
+        float(np.degrees(np.arctan2(y, x)) % 360.0),
+        float(np.degrees(np.arctan2(z, np.hypot(x, y)))),
+    )

@@ -1,0 +1,151 @@
+"""``gscomplete evaluate`` on made-up objects and runs with known answers."""
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from gscomplete.cli.evaluate import EvaluateOptions, named, run
+from gscomplete.errors import UserError
+from gscomplete.splats import Splats, colors_to_sh, concatenate, read_splats, write_splats
+from gscomplete.splats.transform import transform_splats
+from gscomplete.views import ObjectFrame, ViewDistribution
+from tests.folders.object_folders import write_object_folder
+from tests.folders.run_folders import write_run_folder
+
+SMALL = {"views": 2, "truth_views": 4, "size_px": 48}
+FRAME = ObjectFrame("Y", (0.5, 1.0, 0.0), 2.0)
+
+
+def ball(count: int = 1500, seed: int = 0) -> Splats:
+    """A ball of radius 1/2 with a colour that changes along x."""
+    g = torch.Generator().manual_seed(seed)
+    normal = torch.nn.functional.normalize(torch.randn(count, 3, generator=g), dim=1)
+    quaternions = torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1)
+    colors = colors_to_sh(0.5 + 0.4 * normal)
+    scales, opacities = torch.full((count, 3), 0.02), torch.full((count,), 0.9)
+    return Splats(normal * 0.5, quaternions, scales, opacities, colors)
+
+
+def halves() -> tuple[Splats, Splats]:
+    whole = ball()
+    front = whole.means[:, 0] > 0
+    return whole.select(front), whole.select(~front)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory) -> Path:
+    """Two objects; of the method ``good`` runs of both, of ``other`` a file of one of them."""
+    root = tmp_path_factory.mktemp("data")
+    front, back = halves()
+    in_file = [transform_splats(s, FRAME.file_from_object) for s in (front, back)]
+    for name, subset in (("cup", "mesh"), ("jug", "lidar")):
+        folder = write_object_folder(
+            root / "open" / name, in_file[0], concatenate(in_file), subset=subset, frame=FRAME,
+            frame_origin="truth", views=ViewDistribution(0.0, 10.0, 20.0, 5.0),
+        )  # fmt: skip
+        write_run_folder(root / "good" / name, folder, back)
+    (root / "other").mkdir()
+    write_splats(root / "other" / "cup.ply", in_file[0])  # P alone: nothing was completed
+    return root
+
+
+def rows_of(capsys, **options) -> tuple[int, dict]:
+    code = run(EvaluateOptions(json=True, **SMALL, **options))
+    content = json.loads(capsys.readouterr().out)
+    return code, {(row["method"], row["object"]): row for row in content["rows"]} | {
+        "failures": content["failures"]
+    }
+
+
+def test_a_run_with_the_true_back_keeps_p_and_meets_the_truth(dataset, capsys):
+    code, rows = rows_of(capsys, paths=(dataset / "good/cup",))
+    assert code == 0
+    values = rows["cup", "cup"]["values"]
+    assert 0 < values["e_color_c"] < 2e-3  # the back shines through gaps of P
+    assert 0 < values["e_depth_v"] < 0.1
+    assert values["silhouette_iou"] == 1.0
+    assert values["silhouette_missed"] == values["silhouette_excess"] == 0.0
+    assert values["hidden_psnr_db"] == 100.0
+    assert values["hidden_ssim"] == pytest.approx(1.0)
+    assert values["haarpsi_truth"] == pytest.approx(1.0, abs=1e-6)
+    assert (values["chamfer"], values["f_score_1"]) == (pytest.approx(0.0, abs=1e-6), 1.0)
+    assert rows["cup", "cup"]["seconds"] == 3.5
+    assert rows["cup", "cup"]["values"]["clip"] is None
+    assert "clip" in rows["cup", "cup"]["unavailable"]
+
+
+def test_a_dataset_is_measured_method_by_method(dataset, capsys, tmp_path):
+    code, rows = rows_of(
+        capsys,
+        dataset=dataset / "open",
+        runs=(f"ours={dataset / 'good'}", str(dataset / "other")),
+        csv=tmp_path / "t.csv",
+        markdown=tmp_path / "t.md",
+        latex=tmp_path / "t.tex",
+    )
+    assert code == 1
+    assert rows.pop("failures") == ["other: jug: no finished completion"]
+    assert set(rows) == {("ours", "cup"), ("other", "cup"), ("ours", "jug")}
+    alone = rows["other", "cup"]["values"]
+    assert alone["e_color_v"] == alone["e_depth_v"] == 0.0
+    assert alone["haarpsi_v"] == pytest.approx(1.0, abs=1e-6)
+    assert alone["silhouette_missed"] > 0.1
+    assert (alone["silhouette_excess"], alone["f_score_3"]) == (0.0, 0.0)
+    assert "| ours | 2 |" in (tmp_path / "t.md").read_text()
+    assert "other & 1 &" in (tmp_path / "t.tex").read_text()
+    assert len((tmp_path / "t.csv").read_text().splitlines()) == 4
+
+
+def test_the_order_of_splats_changes_nothing(dataset, capsys, tmp_path):
+    """To the rounding of sums and to depths that differ by less than float32 resolves."""
+    front, back = halves()
+    turned = back.select(torch.randperm(len(back), generator=torch.Generator().manual_seed(3)))
+    write_run_folder(tmp_path / "turned", dataset / "open/cup", turned)
+    _, rows = rows_of(capsys, paths=(dataset / "good/cup", tmp_path / "turned"))
+    one, two = rows["cup", "cup"]["values"], rows["turned", "cup"]["values"]
+    for name, value in one.items():
+        assert two[name] == (value if value is None else pytest.approx(value, rel=1e-5, abs=1e-7))
+    assert len(front) + len(back) == 1500
+
+
+def test_a_file_needs_its_object(dataset, capsys):
+    file = dataset / "other/cup.ply"
+    with pytest.raises(UserError, match="--object: expected the folder"):
+        run(EvaluateOptions(paths=(file,)))
+    code, rows = rows_of(capsys, paths=(file,), object=dataset / "open/cup")
+    assert code == 0
+    assert rows["cup", "cup"]["values"]["e_color_c"] == 0.0
+
+
+def test_a_run_of_another_part_is_refused(dataset, tmp_path):
+    front, _ = halves()
+    other = write_object_folder(tmp_path / "other", front.select(torch.arange(20)))
+    with pytest.raises(UserError, match="with 20 splats, found one of"):
+        run(EvaluateOptions(paths=(dataset / "good/cup",), object=other))
+    assert len(read_splats(other / "partial.ply").splats) == 20
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({}, "either run folders"),
+        ({"paths": (Path("a"),), "dataset": Path("b")}, "either run folders"),
+        ({"paths": (Path("a"),), "runs": ("b",)}, "--runs: expected together with --dataset"),
+        ({"dataset": Path("b")}, "--runs: expected at least one"),
+        ({"dataset": Path("b"), "runs": ("nowhere",)}, "nowhere: --runs: expected a folder"),
+        ({"dataset": Path("b"), "runs": ("x=a", "x=b")}, "a name for each"),
+        ({"paths": (Path("a"),), "size_px": 8}, "--size-px: expected 32 to 4096"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(options, message):
+    with pytest.raises(UserError, match=message):
+        run(EvaluateOptions(**options))
+
+
+def test_names():
+    assert named("ours=runs/a") == ("ours", Path("runs/a"))
+    assert named("runs/fast") == ("fast", Path("runs/fast"))
+    assert named("other/cup.ply") == ("cup", Path("other/cup.ply"))
+    assert named("a/b=c") == ("b=c", Path("a/b=c"))

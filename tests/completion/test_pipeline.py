@@ -1,0 +1,98 @@
+"""The pipeline in memory: the same completion as a run folder's, from splats or from a file."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from gscomplete.completion import run_folder
+from gscomplete.completion.pipeline import Request, complete, finish, prepare
+from gscomplete.completion.presets import DEFAULT, DISTILL, RECONSTRUCT
+from gscomplete.errors import UserError
+from gscomplete.framing.decide import FramingRequest
+from gscomplete.priors.base import FirstGuess
+from gscomplete.splats import Similarity, read_splats, transform_splats, write_splats
+from tests.completion.cylinders import half_cylinder
+from tests.completion.oracle import GuessingPrior, OraclePrior, ball
+
+TRUTH = ball()
+PARTIAL = TRUTH.select(TRUTH.means[:, 0] > 0)
+QUICK = dataclasses.replace(DISTILL, steps=4, new_splats=200, warmup_steps=1)
+KNOWN = {"view_deg": (0.0, 10.0), "center_file": (0.0, 0.0, 0.0), "size_file": 0.8}
+
+
+def test_a_file_and_its_splats_are_completed_alike_and_a_run_folder_holds_the_same(tmp_path):
+    path = tmp_path / "half.ply"
+    write_splats(path, PARTIAL)
+    prior = OraclePrior(TRUTH)
+    reports = []
+    of_file = complete(path, "a ball", prior=prior, settings=QUICK, on_step=reports.append, **KNOWN)
+    of_splats = complete(read_splats(path).splats, "a ball", prior=prior, settings=QUICK, **KNOWN)
+    for (name, a), (_, b) in zip(of_file.new.fields(), of_splats.new.fields(), strict=True):
+        assert torch.equal(a, b), name
+    assert [report.step for report in reports] == [0, 1, 2, 3]
+    of_file.save(tmp_path / "saved.ply")
+    framing = FramingRequest(**KNOWN)
+    asked = Request("a ball", QUICK, framing)
+    run = run_folder.prepare(run_folder.RunRequest(path, tmp_path / "run", asked), prior)
+    run_folder.execute(run, lambda report: None)
+    written = (tmp_path / "run" / run_folder.OUTPUT_FILE).read_bytes()
+    assert written == (tmp_path / "saved.ply").read_bytes()
+    assert len(of_splats.splats) == len(PARTIAL) + len(of_splats.new)
+
+
+def test_what_is_added_lies_in_the_file_frame():
+    """P moved, scaled and turned in its file: the same splats are added, moved with it."""
+    moved = Similarity(3.0, torch.eye(3).double(), torch.tensor([5.0, -2.0, 1.0]).double())
+    there = transform_splats(PARTIAL, moved)
+    known = {"view_deg": (0.0, 10.0), "center_file": (5.0, -2.0, 1.0), "size_file": 2.4}
+    prior = OraclePrior(TRUTH)
+    here = complete(PARTIAL, "a ball", prior=prior, settings=QUICK, **KNOWN)
+    found = complete(there, "a ball", prior=prior, settings=QUICK, **known)
+    expected = transform_splats(here.new_in_file, moved)
+    # Float32 positions five units away have a spacing of 5e-7; four steps of Adam amplify it.
+    assert torch.allclose(found.new_in_file.means, expected.means, atol=2e-3)
+
+
+def test_where_nothing_is_missing_nothing_is_added():
+    prior = GuessingPrior(TRUTH, FirstGuess(TRUTH.select(torch.arange(0)), ("not mirrored",)))
+    found = complete(PARTIAL, "a ball", prior=prior, settings=DEFAULT, **KNOWN)
+    assert len(found.new) == 0
+    assert found.hard_preservation is not None
+    assert found.hard_preservation.met
+
+
+@pytest.mark.parametrize("is_given", [True, False])
+def test_only_a_guessed_view_gives_way_to_the_guess_of_the_complete_object(is_given, monkeypatch):
+    part, wrong = half_cylinder(75.0), (255.0, 15.0)
+    prior = GuessingPrior(TRUTH, FirstGuess(half_cylinder(255.0), ("not mirrored",)))
+    framing = FramingRequest(
+        view_deg=wrong if is_given else None, center_file=(0.0, 0.0, 0.0), size_file=1.0
+    )
+    if not is_given:
+        views = prepare(
+            part, Request("", DEFAULT, dataclasses.replace(framing, view_deg=wrong)), prior
+        ).views
+        decided = dataclasses.make_dataclass("Framing", ["frame", "views", "notes"])
+        frame = prepare(part, Request("", DEFAULT, framing), prior).frame
+        monkeypatch.setattr(
+            "gscomplete.completion.pipeline.decide_framing",
+            lambda *arguments, **more: decided(frame, views, ()),
+        )
+    prepared = prepare(part, Request("", DEFAULT, framing), prior)
+    assert (prepared.views == prepared.guessed_views) == is_given
+    assert any("after all" in note for note in prepared.notes) == (not is_given)
+    assert finish(prepared, part).views == prepared.views
+
+
+def test_a_sphere_leaves_the_input_view_as_it_is():
+    part = half_cylinder(75.0)
+    request = Request("", RECONSTRUCT)
+    prepared = prepare(part, request, OraclePrior(TRUTH))
+    assert prepared.views == prepared.guessed_views
+
+
+def test_a_view_that_does_not_show_p_is_refused():
+    nothing = dataclasses.replace(PARTIAL, opacities=torch.zeros(len(PARTIAL)))
+    with pytest.raises(UserError, match="expected splats that the input view shows"):
+        complete(nothing, "a ball", prior=OraclePrior(TRUTH), settings=QUICK, **KNOWN)
