@@ -45,7 +45,9 @@ FORMAT_VERSION = 2
 _SCALE = ".scale"
 _DIGEST = "words_digest"
 
-_LARGEST_SIZE, _MOST_BLOCKS = 2**16, 64
+_MOST_BLOCKS, _SIZE_PER_AXIS, _SMALL_AXIS = 64, 4, 64
+"""No size of a network is above four times the longest axis of its tensors."""
+Config = TypeVar("Config", ModelConfig, ShapeModelConfig)
 Network = TypeVar("Network", bound=nn.Module)
 Storage = Literal["int8", "float16", "float32"]
 
@@ -153,13 +155,10 @@ def load_weights(folder: Path) -> tuple[FourViewDenoiser, ShapeCompleter | None,
     _require(folder / CONFIG_FILE)
     config = _read_config(folder / CONFIG_FILE)
     digest = words_digest(config.words)
-    _check_sizes(folder / CONFIG_FILE, config.model)
-    denoiser = _load(lambda: FourViewDenoiser(config.model), folder / WEIGHTS_FILE, digest)
+    denoiser = _load(FourViewDenoiser, config.model, folder / WEIGHTS_FILE, digest)
     if config.shape is None:
         return denoiser, None, config
-    model = config.shape.model
-    _check_sizes(folder / CONFIG_FILE, model)
-    shape = _load(lambda: ShapeCompleter(model, COARSE_CELLS), folder / SHAPE_FILE, digest)
+    shape = _load(_shape_network, config.shape.model, folder / SHAPE_FILE, digest)
     return denoiser, shape, config
 
 
@@ -185,25 +184,30 @@ def _require(path: Path) -> None:
         )
 
 
-def _check_sizes(path: Path, config: ModelConfig | ShapeModelConfig) -> None:
-    """Refuse sizes that no network has, before one is made.
+def _check_sizes(path: Path, config: ModelConfig | ShapeModelConfig, largest: int) -> None:
+    """Refuse sizes that the file's tensors cannot have, before a network is made of them.
 
     Raises:
         UserError: a size is out of range.
     """
+    most = _SIZE_PER_AXIS * max(largest, _SMALL_AXIS)
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
         numbers = value if isinstance(value, tuple) else (value,)
-        if not all(isinstance(n, int | float) and 0 <= n <= _LARGEST_SIZE for n in numbers):
+        limit = _MOST_BLOCKS if field.name in ("blocks", "transformers") else most
+        if not all(isinstance(n, int | float) and 0 <= n <= limit for n in numbers):
             raise UserError(
-                f"{path}: {field.name}: expected sizes up to {_LARGEST_SIZE}, found {value}"
+                f"{path.parent / CONFIG_FILE}: {field.name}: expected 0 to {limit} as by the "
+                f"tensors of {path.name}, found {value}"
             )
-    for name in ("blocks", "transformers"):
-        if max(getattr(config, name, (0,))) > _MOST_BLOCKS:
-            raise UserError(f"{path}: {name}: expected at most {_MOST_BLOCKS}")
 
 
-def _load(make: Callable[[], Network], path: Path, digest: str) -> Network:
+def _shape_network(config: ShapeModelConfig) -> ShapeCompleter:
+    """Make the shape network for the one grid it is trained on."""
+    return ShapeCompleter(config, COARSE_CELLS)
+
+
+def _load(make: Callable[[Config], Network], config: Config, path: Path, digest: str) -> Network:
     """Make a network and fill it from a file, for evaluation."""
     _require(path)
     try:
@@ -218,11 +222,11 @@ def _load(make: Callable[[], Network], path: Path, digest: str) -> Network:
             f"{metadata.get(_DIGEST)}; the files are not of one export"
         )
     try:
-        state = unpack_tensors(packed)
-        with torch.device("meta"):  # takes no memory, whatever the sizes
-            make().load_state_dict({name: value.to("meta") for name, value in state.items()})
-        model = make()
-        model.load_state_dict(state)
+        _check_sizes(path, config, max(max(t.shape, default=1) for t in packed.values()))
+        model = make(config)
+        model.load_state_dict(unpack_tensors(packed))
+    except UserError:
+        raise
     except Exception as error:  # sizes that do not fit each other fail anywhere
         raise UserError(
             f"{path}: tensors do not fit the model of {CONFIG_FILE}: {error}"
