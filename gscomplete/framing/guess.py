@@ -27,9 +27,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gscomplete.errors import UserError
-from gscomplete.framing.cut_plane import find_cut
-from gscomplete.framing.exposure import CLOSED_BELOW, share_exposed_twice
-from gscomplete.framing.growth import guess_growth
+from gscomplete.framing.exposure import is_closed
 from gscomplete.render import render
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.rotations import rotation_matrices
@@ -37,14 +35,6 @@ from gscomplete.views import Cameras, orbit_cameras
 from gscomplete.views.distribution import FOV_DEG, RADIUS
 
 FloatArray = NDArray[np.float64]
-_BOX_SPLATS = 20_000
-"""Splats of P that the box of the complete object is guessed from."""
-_SHELL_FROM = 0.5
-"""Share of P's surface exposed on both sides from which on P is a shell, as scanners leave it."""
-_TOWARD_VIEW = 0.25
-"""Least cosine to the direction of a known view at which a side of the box does not grow."""
-_LEAST_GROWTH = 0.05
-"""Guessed growths below this, in sides of P's box, count as none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,8 +131,9 @@ def guess_framing(
     """Guess centre, size and input view of the whole object.
 
     Floaters are left out of P's box. The input view is the candidate with the best
-    ``ViewScores.score``. The box of the complete object is P's own where P's surface is closed
-    (``exposure``), and grows where it is not.
+    ``ViewScores.score``. If P is open towards a side, the box grows that way (``extended_box``);
+    it never grows vertically, because scans lack the side that an object stands on, nor where P's
+    surface is closed (``exposure``).
 
     Args:
         partial: P in z-up axes.
@@ -166,57 +157,19 @@ def guess_framing(
         f"input view {azimuth:g},{elevation:g}: {100 * scores.visible[row, column]:.0f} % of the "
         f"splats visible, {100 * scores.facing[row, column]:.0f} % of the area is outside surface"
     )
-    center, size, box_reason = _complete_box(kept, scores, seen_from_deg, chosen.min_openness)
-    x, y, z = center.tolist()
-    return FramingGuess((x, y, z), size, azimuth, elevation, tuple(notes), view_reason, box_reason)
-
-
-def _complete_box(
-    kept: Splats, scores: ViewScores, seen_from_deg: float | None, min_openness: float
-) -> tuple[FloatArray, float, str]:
-    """Return the centre [3] and the largest side of the complete object's box, and the reason.
-
-    A closed surface keeps its box. What was cut along a plane grows across it (``extended_box``);
-    any other shell, as scanners leave it, as the network guesses. On parts of 30 unseen objects the
-    network's box is better for scans and arcs, worse for halves.
-    """
-    low, high = (corner.double().numpy() for corner in kept.bounds())
-    size = float((high - low).max())
-    points, normals = points_and_normals(kept)
-    exposed = share_exposed_twice(points)
-    if exposed < CLOSED_BELOW:
-        return (low + high) / 2, size, "P's surface is closed: centre and size are the box's"
-    cut = find_cut(points)
-    if cut is None and exposed >= _SHELL_FROM:
-        growth = guess_growth(points, normals)
-        if seen_from_deg is not None:
-            # What stands before P would have been seen.
-            x, y = math.cos(math.radians(seen_from_deg)), math.sin(math.radians(seen_from_deg))
-            growth = np.where(np.array([-x, x, -y, y, 0.0, 0.0]) > _TOWARD_VIEW, 0.0, growth)
-        growth = np.where(growth >= _LEAST_GROWTH, growth, 0.0)
-        low, high = low - growth[::2] * size, high + growth[1::2] * size
-        names = ("x-", "x+", "y-", "y+", "z-", "z+")
-        grown = [f"{name} {100 * g:.0f} %" for name, g in zip(names, growth, strict=True) if g > 0]
-        reason = f"the box grows: {', '.join(grown)}" if grown else "centre and size are the box's"
-        return (low + high) / 2, float((high - low).max()), f"P is a shell: {reason}"
     toward, strength = scores.openness()
     if seen_from_deg is not None:
         toward = (seen_from_deg + 180.0) % 360.0
-    elif cut is not None:
-        toward, strength = cut.azimuth_deg, cut.rim_share
-    if strength < min_openness:
+    if is_closed(kept.means.double().numpy()):
+        center, reason = (low + high) / 2, "P's surface is closed: centre and size are the box's"
+    elif strength < chosen.min_openness:
         center, reason = (low + high) / 2, "no side is clearly open: centre and size are the box's"
     else:
-        center, extended, reason = extended_box(kept.means.double().numpy(), toward)
-        size = max(size, extended)
-    return center, size, f"{reason} (openness {strength:.2f} towards azimuth {toward:.0f})"
-
-
-def points_and_normals(kept: Splats) -> tuple[FloatArray, FloatArray]:  # [N, 3] both
-    """Return the centres and outward normals of an even choice of splats."""
-    step = max(1, len(kept) // _BOX_SPLATS)
-    chosen = kept.select(torch.arange(0, len(kept), step))
-    return chosen.means.double().numpy(), outward_normals(chosen).double().numpy()
+        center, grown, reason = extended_box(kept.means.double().numpy(), toward)
+        size = max(size, grown)
+    box_reason = f"{reason} (openness {strength:.2f} towards azimuth {toward:.0f})"
+    x, y, z = center.tolist()
+    return FramingGuess((x, y, z), size, azimuth, elevation, tuple(notes), view_reason, box_reason)
 
 
 def score_partial(partial: Splats, settings: FramingSettings | None = None) -> ViewScores:
