@@ -42,7 +42,8 @@ _THIN_WEIGHT = 4.0
 """Of the cells of thin parts and those beside them."""
 _MISS_WEIGHT, _EXCESS_WEIGHT = 1.3, 0.7
 """Of what is missed and what is too much, in overlaps."""
-_EMPTY_LOGIT = -12.0
+_LEAST_FREE = 1e-6
+"""No cell blocks a ray more surely than to this probability."""
 _OVERLAP_WEIGHT = 1.0
 _SHADOW_WEIGHT = 2.0
 _COLOR_WEIGHT = 0.5
@@ -153,10 +154,11 @@ def shape_losses(
     error = (blended_colors(out, batch.volumes) - true_colors).abs().mean(dim=1)
     seen = F.max_pool3d(batch.volumes[:, 0, :1], 2)[:, 0] > 0
     where = there * torch.where(seen, _SEEN_WEIGHT, 1.0)
+    filled = out.occupancy.float().sigmoid()
     shadow = torch.stack(
         [
-            shadow_overlap(out.occupancy, solid, (1, 2, 3)),
-            *(shadow_overlap(*_turned(out.occupancy, solid, rng), (1, 2)) for _ in range(2)),
+            shadow_overlap(filled, solid, (1, 2, 3)),
+            *(shadow_overlap(*_turned(filled, solid, rng), (1, 2)) for _ in range(2)),
         ]
     )
     return {
@@ -173,15 +175,15 @@ def thin_cells(solid: Tensor) -> Tensor:  # [B, C, C, C] -> [B, C, C, C]
 
 
 def soft_overlap(filled: Tensor, solid: Tensor) -> Tensor:  # [B, ...] both -> [B]
-    """Return the Tversky index of shares in [0, 1] with a truth, misses above excess."""
-    both = (filled * solid).flatten(1).sum(dim=1)
-    missed = (solid * (1 - filled)).flatten(1).sum(dim=1)
-    excess = (filled * (1 - solid)).flatten(1).sum(dim=1)
+    """Return the Tversky index of shares in [0, 1], misses weighted above excess; 1 if equal."""
+    both = torch.minimum(filled, solid).flatten(1).sum(dim=1)
+    missed = (solid - filled).clamp_min(0).flatten(1).sum(dim=1)
+    excess = (filled - solid).clamp_min(0).flatten(1).sum(dim=1)
     return both / (both + _MISS_WEIGHT * missed + _EXCESS_WEIGHT * excess).clamp_min(1.0)
 
 
 def shadow_overlap(
-    logits: Tensor,  # [B, C, C, C]
+    filled: Tensor,  # [B, C, C, C] probabilities
     solid: Tensor,  # [B, C, C, C] shares in [0, 1]
     axes: Sequence[int],
 ) -> Tensor:  # [B]
@@ -189,15 +191,16 @@ def shadow_overlap(
 
     A ray is free with the product of its cells' probabilities to be empty.
     """
-    blocked = F.softplus(logits.float())
+    ours, true = (-torch.log1p(-x.clamp(max=1 - _LEAST_FREE)) for x in (filled, solid))
     shares = [
-        soft_overlap(-torch.expm1(-blocked.sum(dim=axis)), solid.amax(dim=axis)) for axis in axes
+        soft_overlap(-torch.expm1(-ours.sum(dim=axis)), -torch.expm1(-true.sum(dim=axis)))
+        for axis in axes
     ]
     return torch.stack(shares).mean(dim=0)
 
 
 def _turned(
-    logits: Tensor,  # [B, C, C, C]
+    filled: Tensor,  # [B, C, C, C]
     solid: Tensor,  # [B, C, C, C]
     rng: np.random.Generator,
 ) -> tuple[Tensor, Tensor]:
@@ -207,13 +210,13 @@ def _turned(
     up, flat = math.sin(elevation), math.cos(elevation)
     about_z = torch.tensor([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     lean = torch.tensor([[flat, 0.0, -up], [0.0, 1.0, 0.0], [up, 0.0, flat]])
-    matrix = torch.cat([about_z @ lean, torch.zeros(3, 1)], dim=1).to(logits)
-    count, size = len(logits), tuple(logits.shape[1:])
+    matrix = torch.cat([about_z @ lean, torch.zeros(3, 1)], dim=1).to(filled)
+    count, size = len(filled), tuple(filled.shape[1:])
     # grid_sample names the last axis x: the volume's axes are handed over in reverse.
     grid = F.affine_grid(matrix.expand(count, -1, -1), [count, 1, *size], align_corners=False)
-    pair = torch.stack([logits.float() - _EMPTY_LOGIT, solid], dim=1).permute(0, 1, 4, 3, 2)
-    seen = F.grid_sample(pair, grid.float(), align_corners=False).permute(0, 1, 4, 3, 2)
-    return seen[:, 0] + _EMPTY_LOGIT, seen[:, 1]
+    pair = torch.stack([filled, solid], dim=1).permute(0, 1, 4, 3, 2)
+    seen = F.grid_sample(pair, grid, align_corners=False).permute(0, 1, 4, 3, 2)
+    return seen[:, 0], seen[:, 1]
 
 
 def coarse_colors(volume: Tensor) -> tuple[Tensor, Tensor]:

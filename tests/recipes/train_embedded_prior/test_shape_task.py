@@ -179,7 +179,7 @@ def test_overlaps_of_hard_answers_are_counts():
 
     assert soft_overlap(ours, truth).tolist() == pytest.approx(counted(ours, truth))
     shadows = [counted(ours.amax(d), truth.amax(d)) for d in (1, 2, 3)]
-    found = shadow_overlap(80 * ours - 40, truth, (1, 2, 3))
+    found = shadow_overlap(ours, truth, (1, 2, 3))
     assert found.tolist() == pytest.approx(np.mean(shadows, axis=0).tolist(), rel=1e-5)
 
 
@@ -196,5 +196,5 @@ def test_shadows_pull_a_missing_rod_into_being():
     truth = torch.zeros(1, 8, 8, 8)
     truth[0, 3, 3, :] = 1
     logits = torch.full_like(truth, -4.0, requires_grad=True)
-    (1 - shadow_overlap(logits, truth, (1, 2, 3))).sum().backward()
+    (1 - shadow_overlap(logits.sigmoid(), truth, (1, 2, 3))).sum().backward()
     assert float(logits.grad[0, 3, 3].max()) < 0 < float(logits.grad[0, 6, 6].min())
