@@ -26,12 +26,12 @@ from gscomplete.shape.symmetry_features import FEATURES
 from gscomplete.shape.voxels import FloatArray
 from gscomplete.util.atomic import atomic_path
 
-RANKER_FILE = "planes.safetensors"
+COARSE_SCORER_FILE = "planes.safetensors"
 LAYERS = 3
 
 
 @dataclass(frozen=True, slots=True)
-class PlaneRanker:
+class CoarseSymmetryScorer:
     """A perceptron: features in, logit out."""
 
     tensors: dict[str, FloatArray]
@@ -57,7 +57,7 @@ class PlaneRanker:
             temporary.write_bytes(save(self.tensors))
 
     @classmethod
-    def load(cls, path: Path) -> PlaneRanker:
+    def load(cls, path: Path) -> CoarseSymmetryScorer:
         """Read a network.
 
         Raises:
@@ -74,6 +74,6 @@ class PlaneRanker:
 
 
 @functools.cache
-def packaged_ranker() -> PlaneRanker:
+def packaged_coarse_scorer() -> CoarseSymmetryScorer:
     """Return the network that ships with the package."""
-    return PlaneRanker.load(PACKAGED_WEIGHTS / RANKER_FILE)
+    return CoarseSymmetryScorer.load(PACKAGED_WEIGHTS / COARSE_SCORER_FILE)

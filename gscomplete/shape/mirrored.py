@@ -42,7 +42,7 @@ def mirror_image(splats: Splats, symmetry: SymmetryMap) -> Splats:
     )
 
 
-def borne_out(
+def select_consistent(
     copies: Splats,
     occupancy: Tensor,  # [1, C, C, C] logits of the network's answer
     evidence: Evidence,

@@ -17,8 +17,8 @@ import numpy as np
 from gscomplete.shape.evidence import Evidence, gather_evidence
 from gscomplete.shape.symmetry import (
     SymmetryMap,
-    companion,
-    shown_symmetries,
+    second_symmetry,
+    with_composition,
 )
 from gscomplete.shape.symmetry_features import PartSamples, part_samples
 from gscomplete.shape.voxels import (
@@ -44,7 +44,7 @@ class ShapeInputs:
 
 
 @dataclass(frozen=True, slots=True)
-class PartLook:
+class PartialVoxels:
     """P as the network sees it, whatever mirror images are shown beside it."""
 
     positions: FloatArray  # [N, 3]
@@ -59,11 +59,11 @@ class PartLook:
         """Return P as planes are judged on it."""
         return part_samples(self.positions, self.tangents, self.colors, self.volume)
 
-    def shown_first(
+    def input_symmetries(
         self, planes: Sequence[SymmetryMap], first: int
     ) -> tuple[SymmetryMap, ...]:  # COPIES
         """Return what the network is to be shown: one of the planes, and what goes with it."""
-        return shown_symmetries(planes[first], companion(planes, first, self.positions))
+        return with_composition(planes[first], second_symmetry(planes, first, self.positions))
 
     def with_copies(self, symmetries: tuple[SymmetryMap, ...]) -> ShapeInputs:
         """Return what the network is shown with these mirror images."""
@@ -76,7 +76,7 @@ class PartLook:
         return ShapeInputs(np.stack(volumes), self.shares, scores, symmetries)
 
 
-def look_at(partial: Splats, distribution: ViewDistribution) -> PartLook:
+def voxelize_partial(partial: Splats, distribution: ViewDistribution) -> PartialVoxels:
     """Look at P.
 
     Args:
@@ -88,4 +88,4 @@ def look_at(partial: Splats, distribution: ViewDistribution) -> PartLook:
     evidence = gather_evidence(partial, distribution)
     shares = evidence.classify(cell_centers(COARSE_CELLS))
     split = np.ascontiguousarray(shares.T.reshape(3, *(COARSE_CELLS,) * 3))
-    return PartLook(positions, tangents, opacities, colors, volume, evidence, split)
+    return PartialVoxels(positions, tangents, opacities, colors, volume, evidence, split)

@@ -65,7 +65,7 @@ class SurfaceSettings:
     least_spacing: float = 0.002
     """Splats are at least this far apart, however few there are to place."""
     filled_logit: float = -1.0
-    """Cells with at least this logit count as filled; ``whole.WholeSettings`` says from which on
+    """Cells with at least this logit count as filled; ``whole.AssembleSettings`` says from which on
     for whole objects."""
 
 

@@ -50,7 +50,7 @@ class SymmetryMap:
         return np.ascontiguousarray((points - self.shift) @ self.matrix, dtype=np.float32)
 
 
-def companion(
+def second_symmetry(
     planes: Sequence[SymmetryMap], first: int, points: FloatArray
 ) -> SymmetryMap:  # points [N, 3] of P
     """Return the first of the other planes that shows something else, or else the first other."""
@@ -61,7 +61,7 @@ def companion(
     return others[0]
 
 
-def shown_symmetries(one: SymmetryMap, other: SymmetryMap) -> tuple[SymmetryMap, ...]:
+def with_composition(one: SymmetryMap, other: SymmetryMap) -> tuple[SymmetryMap, ...]:
     """Return what the shape network is shown: two mirror images, and one after the other."""
     both = SymmetryMap(
         other.matrix @ one.matrix,

@@ -42,12 +42,12 @@ Report = Callable[[int, int], None]
 """Progress callback: (done, total) in whatever unit the step counts."""
 
 
-Enter = Callable[[str, float], None]
+StageCallback = Callable[[str, float], None]
 """Says that a stage begins: (what is done now, share of the work that is behind, 0 to 1)."""
 
 
-def stay_silent(name: str, share: float) -> None:
-    """Ignore a stage; the ``Enter`` of callers that show no progress."""
+def ignore_stage(name: str, share: float) -> None:
+    """Ignore a stage; the ``StageCallback`` of callers that show no progress."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +85,7 @@ class ObjectOptions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Made:
+class ObjectDraft:
     """What a pipeline made, before frame and record are decided."""
 
     subset: Subset
@@ -109,7 +109,7 @@ class Made:
     extra_pictures: dict[str, Image.Image] = dataclasses.field(default_factory=dict)
 
 
-def finish_object(options: ObjectOptions, made: Made) -> int:
+def finish_object(options: ObjectOptions, made: ObjectDraft) -> int:
     """Decide frame and views, write the folder, report; return the exit code.
 
     Raises:
@@ -118,7 +118,7 @@ def finish_object(options: ObjectOptions, made: Made) -> int:
     return report_object(options, made, store_object(options, made))
 
 
-def report_object(options: ObjectOptions, made: Made, record: ObjectRecord) -> int:
+def report_object(options: ObjectOptions, made: ObjectDraft, record: ObjectRecord) -> int:
     """Tell what was made and written; return the exit code."""
     folder = options.out or default_folder(made.source_file)
     command = complete_command(folder, record)
@@ -161,7 +161,7 @@ def complete_command(folder: Path, record: ObjectRecord) -> str | None:
     return shlex.join(("gscomplete", "complete", str(folder), *frame, *out))
 
 
-def store_object(options: ObjectOptions, made: Made) -> ObjectRecord:
+def store_object(options: ObjectOptions, made: ObjectDraft) -> ObjectRecord:
     """Decide frame and views and write the folder; return the record.
 
     Raises:
@@ -313,7 +313,7 @@ def progress(title: str) -> Iterator[Report]:
 
 
 @contextlib.contextmanager
-def stages(title: str) -> Iterator[Enter]:
+def stages(title: str) -> Iterator[StageCallback]:
     """Show the stage, a bar and an ETA on standard error; yield what says that a stage begins.
 
     The shares that callers give are rough, and so is the ETA. Nothing is shown where standard

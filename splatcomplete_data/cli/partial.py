@@ -11,7 +11,7 @@ import tyro
 
 from gscomplete.errors import UserError
 from splatcomplete_data.cli.common import (
-    Made,
+    ObjectDraft,
     ObjectOptions,
     check_out,
     finish_object,
@@ -56,7 +56,7 @@ def run(options: PartialOptions) -> int:
     return finish_object(*make(options))
 
 
-def make(options: PartialOptions) -> tuple[PartialOptions, Made]:
+def make(options: PartialOptions) -> tuple[PartialOptions, ObjectDraft]:
     """Read the whole and cut the part.
 
     Returns:
@@ -102,7 +102,7 @@ def make(options: PartialOptions) -> tuple[PartialOptions, Made]:
     if not cuts and not boxes:
         raise UserError("partial: expected --cut, --box or --seen-from-views, found none of them")
     part, steps = apply_cuts(complete, frame, cuts, boxes, str(options.file))
-    made = Made(
+    made = ObjectDraft(
         subset,
         options.file,
         part,

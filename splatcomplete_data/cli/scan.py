@@ -12,14 +12,14 @@ from gscomplete.cli.parse import parse_numbers
 from gscomplete.errors import UserError
 from gscomplete.views import UpAxis, axis_direction
 from splatcomplete_data.cli.common import (
-    Enter,
-    Made,
+    ObjectDraft,
+    StageCallback,
     check_out,
     framing_request,
+    ignore_stage,
     report_object,
     say,
     stages,
-    stay_silent,
     store_object,
 )
 from splatcomplete_data.cli.points import PointOptions, made_from_points
@@ -73,7 +73,7 @@ def run(options: ScanOptions) -> int:
     return report_object(options, made, record)
 
 
-def make(options: ScanOptions, enter: Enter = stay_silent) -> Made:
+def make(options: ScanOptions, enter: StageCallback = ignore_stage) -> ObjectDraft:
     """Read the scan and make the part.
 
     Args:

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from gscomplete.shape.network import ShapeCompleter, ShapeModelConfig
-from gscomplete.shape.partial_voxels import ShapeInputs, look_at
+from gscomplete.shape.partial_voxels import ShapeInputs, voxelize_partial
 from gscomplete.shape.symmetry import SymmetryMap
 from gscomplete.shape.symmetry_choice import CANDIDATES
 from gscomplete.shape.symmetry_proposals import candidate_planes
@@ -60,8 +60,8 @@ def moved(splats: Splats, shift: tuple[float, float, float]) -> Splats:
 
 def likeliest_inputs(partial: Splats, distribution: ViewDistribution) -> ShapeInputs:
     """Return what the network is shown with the copies that are believed in most."""
-    look = look_at(partial, distribution)
-    return look.with_copies(look.shown_first(candidate_planes(look, CANDIDATES), 0))
+    voxels = voxelize_partial(partial, distribution)
+    return voxels.with_copies(voxels.input_symmetries(candidate_planes(voxels, CANDIDATES), 0))
 
 
 def mirrors() -> tuple[SymmetryMap, SymmetryMap, SymmetryMap]:
