@@ -1,4 +1,4 @@
-"""The first guess of the whole: P mirrored where that is believed, the network's surface elsewhere.
+"""The guess of the complete object: P mirrored where believed, the network's surface elsewhere.
 
 Conventions
 -----------
@@ -50,13 +50,13 @@ class AssembleSettings:
     """Cells of the network's surface beside mirrored splats count as filled from this logit on."""
     occupancy_threshold_low: float = -1.0
     """Without mirrored splats: from this logit on where much is missing; the network is never sure
-    of thin walls there, and they are worth some excess ..."""
+    of thin walls there, and some excess is accepted for them ..."""
     occupancy_threshold_high: float = 0.25
-    """... and from this one on where little is missing, so that what is whole stays as it is. On
+    """... and from this one on where little is missing, so that what is complete stays as it is. On
     135 parts of 15 real objects that no benchmark uses, IoU is .009 above that of -1 everywhere:
     .023 on those that lack little, .001 on the others."""
     threshold_symmetry_scores: tuple[float, float] = (0.1, 0.3)
-    """Little is missing where no mirror image of P is worth more than the first: none adds anything
+    """Little is missing where no mirror image of P scores more than the first: none adds anything
     that the network believes in. From the second on that says nothing ..."""
     threshold_missing_shares: tuple[float, float] = (0.2, 0.3)
     """... or where no more of the surface than the first share lies beyond P's cells and those
@@ -72,7 +72,7 @@ class AssembleSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class Whole:
+class AssembledSplats:
     """What completes one object."""
 
     splats: Splats
@@ -83,11 +83,11 @@ class Whole:
 
 def assemble_splats(
     prediction: Prediction, partial: Splats, settings: AssembleSettings, generator: torch.Generator
-) -> Whole:
+) -> AssembledSplats:
     """Return the new splats of one object.
 
     Args:
-        prediction: the network's answer and what it was shown.
+        prediction: the network's answer and what it was given.
         partial: P in the object frame.
         settings: knobs.
         generator: chooses where splats sit.
@@ -100,7 +100,7 @@ def assemble_splats(
         level = _surface_logit(prediction, settings)
         plain = SurfaceSettings(settings.count, filled_logit=level)
         surface = surface_splats(prediction.output, prediction.seen, partial, plain, generator)
-        return Whole(surface, 0)
+        return AssembledSplats(surface, 0)
     beside = SurfaceSettings(
         settings.count - len(copies),
         near_partial=settings.reach,
@@ -109,7 +109,7 @@ def assemble_splats(
         least_spacing=min(max(median_spacing(copies.means), _LEAST_SPACING), _MOST_SPACING),
     )
     surface = surface_splats(prediction.output, prediction.seen, partial, beside, generator, copies)
-    return Whole(concatenate([copies, surface]), len(copies))
+    return AssembledSplats(concatenate([copies, surface]), len(copies))
 
 
 def _surface_logit(prediction: Prediction, settings: AssembleSettings) -> float:
@@ -128,7 +128,7 @@ def _surface_logit(prediction: Prediction, settings: AssembleSettings) -> float:
 
 
 def _is_mirrored(prediction: Prediction) -> bool:
-    """Say whether the network was shown any mirror image."""
+    """Say whether the network was given any mirror image."""
     return prediction.seen.symmetries[0].score > 0
 
 
@@ -142,7 +142,7 @@ def mirror_note(prediction: Prediction, mirrored: int) -> str:
     """Tell users through which plane P was mirrored, as they would ask for it.
 
     Args:
-        prediction: what the network was shown.
+        prediction: what the network was given.
         mirrored: how many of the new splats are P's own.
     """
     if not _is_mirrored(prediction):

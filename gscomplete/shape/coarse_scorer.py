@@ -1,11 +1,11 @@
-"""Which plane of symmetry is the right one: a small network over what speaks for each.
+"""Which plane of symmetry is the right one: a small network over the evidence for each.
 
 It was trained on procedural objects whose truth is known (``recipes/train_embedded_prior``) to
 prefer planes whose copy of P covers much of what is missing and little that is not there.
 
 Conventions
 -----------
-* Scores are logits over all planes of ``planes``: their softmax is the belief in each.
+* Scores are logits over all planes of ``symmetry_features``: their softmax is the belief in each.
 * The file holds float32 tensors: two of scaling, then weight and bias of each layer.
 """
 

@@ -1,6 +1,6 @@
 """What a plane's copy of P scores by the truth, from P on both sides of the plane.
 
-The ranker (``plane_ranker``) reads 21 numbers per plane and can afford all 1,332 planes. The judge
+The ranker (``coarse_scorer``) reads 21 numbers per plane and can afford all 1,332 planes. The judge
 looks at the voxels themselves, folded about the plane, for the few planes that the ranker likes,
 and corrects its opinion. It was trained on procedural objects whose truth is known
 (``recipes/train_embedded_prior``).
@@ -98,7 +98,7 @@ class FineSymmetryScorer(nn.Module):
     def forward(
         self,
         volumes: FoldedVolumes,
-        features: Tensor,  # [K, F] of ``planes``
+        features: Tensor,  # [K, F] of ``symmetry_features``
         ranked: Tensor,  # [K] the ranker's logits
     ) -> tuple[Tensor, Tensor]:  # [K] logits of being the best, [K] worths
         """Judge planes."""

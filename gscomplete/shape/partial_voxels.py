@@ -1,8 +1,8 @@
-"""What the shape network is shown of P: its voxels, its mirror images' voxels, the views' evidence.
+"""What the shape network is given of P: its voxels, its mirror images' voxels, the views' evidence.
 
 Conventions
 -----------
-* Volumes are those of ``grid``: occupancy and colour at ``CELLS``, evidence (in front, behind,
+* Volumes are those of ``voxels``: occupancy and colour at ``CELLS``, evidence (in front, behind,
   beside) at ``COARSE_CELLS``.
 * The first colour volume is P, then follow ``COPIES`` mirror images of P.
 """
@@ -45,7 +45,7 @@ class ShapeInputs:
 
 @dataclass(frozen=True, slots=True)
 class PartialVoxels:
-    """P as the network sees it, whatever mirror images are shown beside it."""
+    """P as the network sees it, whatever mirror images are given beside it."""
 
     positions: FloatArray  # [N, 3]
     tangents: FloatArray  # [N, 2, 3]
@@ -62,11 +62,11 @@ class PartialVoxels:
     def input_symmetries(
         self, planes: Sequence[SymmetryMap], first: int
     ) -> tuple[SymmetryMap, ...]:  # COPIES
-        """Return what the network is to be shown: one of the planes, and what goes with it."""
+        """Return what the network is given: one of the planes, and what goes with it."""
         return with_composition(planes[first], second_symmetry(planes, first, self.positions))
 
     def with_copies(self, symmetries: tuple[SymmetryMap, ...]) -> ShapeInputs:
-        """Return what the network is shown with these mirror images."""
+        """Return what the network is given with these mirror images."""
         volumes = [self.volume]
         for symmetry in symmetries:
             turned = np.ascontiguousarray(self.tangents @ symmetry.matrix.T)

@@ -32,11 +32,11 @@ class Prediction:
 
     voxels: PartialVoxels
     seen: ShapeInputs
-    """What the network was shown of P."""
+    """What the network was given of P."""
     output: ShapeOutput
     """Its answer, for a batch of one."""
     symmetry_score: float
-    """Of the first mirror image; see ``choice.Choice``."""
+    """Of the first mirror image; see ``symmetry_choice.Choice``."""
 
 
 def predict(
@@ -78,7 +78,7 @@ def predict_occupancy(
 
     Args:
         model: in evaluation mode, on the CPU.
-        seen: what it is shown.
+        seen: what it is given.
         tokens: the prompt.
         orientations: how many of the eight are asked and averaged.
         bfloat16: precision of the network.

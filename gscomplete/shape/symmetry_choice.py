@@ -1,11 +1,11 @@
-"""Which mirror images of P the shape network is shown: those that its own answers bear out.
+"""Which mirror images of P the shape network is given: those consistent with its own answers.
 
 Planes are proposed by what P looks like through them. The network knows more of objects: shown
 a copy, it fills the copy's cells or leaves them empty. So it is asked once per likely plane, and by
-its answer the plane is worth the share of new surface that the copy covers, less half the share of
-the copy that is new and left empty. On 45 cuts of 15 real objects that no benchmark uses, planes
-chosen so were symmetry_score .49 by the truth; those that are proposed first .40, the best of eight .61.
-Showing none where the answer to no copy at all does not bear out the best was tried: tuned on those
+its answer the plane is scored by the share of new surface that the copy covers, less half the share
+of the copy that is new and left empty. On 45 cuts of 15 real objects that no benchmark uses, planes
+chosen so scored .49 by the truth; those that are proposed first .40, the best of eight
+.61. Showing none where the answer to no copy at all contradicts the best was tried: tuned on those
 cuts it gained .006 there; on 45 others of the same objects it lost .002, on these turned .017, on
 174 more .007 (on 300 procedural objects, which the network knows better, it gained .0015).
 
@@ -36,7 +36,7 @@ from gscomplete.shape.voxels import FloatArray, grown, surface_cells
 
 CANDIDATES = 8
 _BELIEF_WEIGHT = 0.15
-"""Of the logarithm of the belief in a plane, beside the worth by the network's answer."""
+"""Of the logarithm of the belief in a plane, beside the score by the network's answer."""
 _FILLED = 0.35
 """Cells with at least this probability count as filled."""
 WRONG_WEIGHT = 0.5
@@ -45,11 +45,11 @@ WRONG_WEIGHT = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """What the network is to be shown."""
+    """What the network is given."""
 
     symmetries: tuple[SymmetryMap, ...]  # COPIES
     symmetry_score: float
-    """Of the first by the network's answer; 0 where none is shown, 1 where users chose it."""
+    """Of the first by the network's answer; 0 where none is given, 1 where users chose it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ def choose_symmetries(
     bfloat16: bool = False,
     mirror_plane: Mirror = "guess",
 ) -> Choice:
-    """Choose what the network is to be shown.
+    """Choose what the network is given.
 
     Args:
         model: in evaluation mode, on the CPU.
@@ -126,10 +126,10 @@ def score_planes(
 
 def symmetry_scores_of_answers(
     filled: Tensor,  # [K, C, C, C] probabilities of the network's answers
-    copies: Tensor,  # [K, C, C, C] occupancies of the mirror images it was shown first
+    copies: Tensor,  # [K, C, C, C] occupancies of the mirror images it was given first
     partial: Tensor,  # [C, C, C] occupancy of P
 ) -> Tensor:  # [K]
-    """Return what copies are worth by the answers to them; see the module's description."""
+    """Return the scores of copies by the answers to them; see the module's description."""
     cells = (1, 2, 3)
     elsewhere = grown(partial[None]) <= 0
     new = (copies > 0) & elsewhere

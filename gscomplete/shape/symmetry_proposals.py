@@ -1,11 +1,12 @@
 """Likely planes of symmetry, in three steps of rising cost.
 
-All planes are ranked by what speaks for them (``plane_ranker``), the best that differ are judged by
-their voxels (``plane_judge``), and the best of those are moved to where P and its copy agree.
+All planes are ranked by what is evidence for them (``coarse_scorer``), the best that differ are
+judged by their voxels (``fine_scorer``), and the best of those are moved to where P and its copy
+agree.
 
 Conventions
 -----------
-* Planes are numbered as in ``planes``: (angle, offset).
+* Planes are numbered as in ``symmetry_features``: (angle, offset).
 * A plane's score is the judge's belief in it and those near it, in [0, 1].
 """
 

@@ -57,7 +57,7 @@ class ObjectOptions:
     out: Path | None = None
     """Object folder to write; None = the source's name, in the current folder."""
     prompt: str | None = None
-    """What the whole object is, such as "a red mug"; None = the source's name as words."""
+    """What the complete object is, such as "a red mug"; None = the source's name as words."""
     view: str | None = None
     """Input view c as AZIMUTH,ELEVATION in degrees (azimuth 0 looks from +x of the z-up object
     frame, 90 from +y); None = the camera's own view where there is one, else the view that shows
@@ -67,10 +67,10 @@ class ObjectOptions:
     up: Literal["auto", "X", "Y", "Z", "-X", "-Y", "-Z"] = "auto"
     """Axis of the source that points up; auto = by the kind of source, as told above."""
     center: str | None = None
-    """Centre of the WHOLE object as X,Y,Z in the source's coordinates, those of --box, also where
-    an offset or --level moves the splats; None = known or guessed."""
+    """Centre of the COMPLETE object as X,Y,Z in the source's coordinates, those of --box, also
+    where an offset or --level moves the splats; None = known or guessed."""
     size_whole: float | None = None
-    """Largest side of the WHOLE object in the source's units; None = known or guessed."""
+    """Largest side of the COMPLETE object in the source's units; None = known or guessed."""
     id: str | None = None
     """Name within a dataset; None = the folder's name."""
     licence: str | None = None

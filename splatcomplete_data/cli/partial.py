@@ -57,7 +57,7 @@ def run(options: PartialOptions) -> int:
 
 
 def make(options: PartialOptions) -> tuple[PartialOptions, ObjectDraft]:
-    """Read the whole and cut the part.
+    """Read the complete object and cut the part.
 
     Returns:
         The options, with prompt, licence and origin of an object folder filled in where they were

@@ -21,7 +21,7 @@ TINY = ShapeModelConfig(vocabulary_size=8, widths=(8, 8, 16), blocks=(1, 1, 1), 
 
 
 def tiny_network() -> ShapeCompleter:
-    """Return a network whose answers depend on all that it is shown."""
+    """Return a network whose answers depend on all that it is given."""
     torch.manual_seed(0)
     model = ShapeCompleter(TINY, COARSE_CELLS)
     with torch.no_grad():
@@ -59,7 +59,7 @@ def moved(splats: Splats, shift: tuple[float, float, float]) -> Splats:
 
 
 def likeliest_inputs(partial: Splats, distribution: ViewDistribution) -> ShapeInputs:
-    """Return what the network is shown with the copies that are believed in most."""
+    """Return what the network is given with the copies that are believed in most."""
     voxels = voxelize_partial(partial, distribution)
     return voxels.with_copies(voxels.input_symmetries(candidate_planes(voxels, CANDIDATES), 0))
 

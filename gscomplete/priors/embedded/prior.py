@@ -102,7 +102,7 @@ class EmbeddedPrior:
             config: what goes with it.
             device: where it runs.
             precision: of the network; ``auto`` = bfloat16 where hardware has it.
-            shape: in evaluation mode; None = no first guess of the whole.
+            shape: in evaluation mode; None = no first guess of the complete object.
         """
         self.views: PriorViews = config.views
         self._device = torch.device(device)
@@ -147,7 +147,7 @@ class EmbeddedPrior:
         count: int,
         mirror: Mirror = "guess",
     ) -> FirstGuess | None:
-        """Return the whole as the shape network sees it; see :class:`base.ShapePrior`."""
+        """Return the complete object as the shape network sees it; see :class:`base.ShapePrior`."""
         if self._shape is None:
             return None
         assert isinstance(conditioning, EmbeddedConditioning)
