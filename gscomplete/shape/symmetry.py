@@ -1,9 +1,9 @@
 """Mirror images of P that may show what is missing.
 
-Most objects have an upright plane of symmetry, and many have two, so what P lacks is often there,
-elsewhere: on real objects one well-chosen plane shows most of what is missing. ``symmetry_proposals`` finds
-likely planes, ``symmetry_choice`` chooses among them; the shape network is given the copies through two that
-differ and their composition, and decides what to take.
+Most objects have an upright plane of symmetry, and many have two: on real objects the copy of P
+through one well-chosen plane holds most of what is missing. ``symmetry_proposals`` finds likely
+planes, ``symmetry_choice`` chooses among them; the shape network is given the copies through two
+that differ and their composition, and decides what to take.
 
 Conventions
 -----------

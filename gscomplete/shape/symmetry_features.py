@@ -5,8 +5,8 @@ Conventions
 * Plane (a, o) holds the points x with ``normal(a) . x = OFFSETS[o]``; its normal is horizontal, at
   azimuth ``pi a / ANGLES``.
 * Everything is measured on samples of P and of its rim (where its surface ends, by a cut or by
-  what a scanner saw), in the cells of ``voxels``: a copy's sample is on P if P fills its cell or one
-  beside it, and new if there is nothing of P within two cells.
+  what a scanner saw), in the cells of ``voxels``: a copy's sample is on P if P fills its cell or
+  one beside it, and new if there is nothing of P within two cells.
 * Features are shares of samples or lengths in object sizes; ``FEATURES`` names them in order.
 """
 

@@ -236,8 +236,8 @@ def card(
             f"about twice in different orientations, {made.hours:.2f} hours on {made.machine}, "
             f"seed {made.seed}.",
             f"* Planes that P is mirrored through are ranked by `{COARSE_SCORER_FILE}` and judged "
-            f"by `{FINE_SCORER_FILE}`, trained before it by `plane_ranker.py` and `plane_judge.py` of "
-            "`recipes/train_embedded_prior`.",
+            f"by `{FINE_SCORER_FILE}`, trained before it by `plane_ranker.py` and "
+            "`plane_judge.py` of `recipes/train_embedded_prior`.",
             *([f"* History: {history}"] if history else []),
             *(f"* Held-out {name}: {value:.4f}" for name, value in shape_losses.items()),
             "",
