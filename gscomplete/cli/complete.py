@@ -29,9 +29,9 @@ class CompleteOptions:
     """Complete a partial object made of Gaussian splats.
 
     Reads PARTIAL.ply (P), adds new splats where the prompt and the prior want them, keeps P's
-    appearance from the view distribution V, and writes a run folder: completed.ply (P's
-    records first and byte for byte, new ones after), run.json, preview.png, turntable.webp. Of an object folder of
-    splatcomplete-data, or any file in it, object.json says what the options leave open.
+    appearance from the view distribution V, and writes a run folder: completed.ply (P's records
+    first and byte for byte, new ones after), run.json, preview.png, turntable.webp. Of an object
+    folder of splatcomplete-data, or any file in it, object.json says what the options leave open.
 
     Examples: gscomplete complete half_mug.ply --prompt "a red mug" --out runs/mug;
     gscomplete complete objects/mug

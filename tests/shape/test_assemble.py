@@ -62,7 +62,7 @@ def test_without_belief_the_networks_surface_is_all():
 
 
 @pytest.mark.parametrize(
-    ("worth", "shares", "is_sure"),
+    ("symmetry_score", "shares", "is_sure"),
     [
         (0.5, (0.0, 0.1), False),  # a copy adds something, and half the ball is missing
         (0.0, (0.0, 0.1), True),  # no copy adds anything

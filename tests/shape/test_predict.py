@@ -31,7 +31,7 @@ def test_the_answer_is_to_what_was_chosen(model):
     tokens = torch.tensor([2, 3])
     guess = predict(model, partial, views, tokens)
     chosen = choose_symmetries(model, voxelize_partial(partial, views), tokens)
-    assert guess.symmetry_score == chosen.worth
+    assert guess.symmetry_score == chosen.symmetry_score
     for found, expected in zip(guess.seen.symmetries, chosen.symmetries, strict=True):
         assert (found.matrix == expected.matrix).all()
         assert (found.shift == expected.shift).all()

@@ -87,7 +87,7 @@ def test_all_likely_planes_are_asked_about_and_the_best_is_the_one_shown():
     assert {p.shift.tobytes() for p in asked.planes} == {p.shift.tobytes() for p in planes}
     assert asked.planes[0] is not asked.planes[1]
     assert (asked.planes[0].shift == shown.symmetries[0].shift).all()
-    assert asked.symmetry_scores[0] == shown.worth
+    assert asked.symmetry_scores[0] == shown.symmetry_score
     unlike = asked.distinct(LOOK.positions)
     assert unlike[0] is asked.planes[0]
     twice = ScoredPlanes(asked.planes[:1] * 2 + asked.planes, (0.0,) * (len(asked.planes) + 2))
