@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from gscomplete.cli.given import Given, Options, take_given
 from gscomplete.cli.parse import parse_numbers
 from gscomplete.errors import UserError
 from gscomplete.priors.latent.settings import LatentPriorSettings
 
 if TYPE_CHECKING:
+    from gscomplete.cli.given import Given
     from gscomplete.completion.optimise import StepReport
     from gscomplete.completion.run_folder import Run, RunRequest
     from gscomplete.completion.settings import CompletionSettings
@@ -222,6 +222,8 @@ def _request(options: CompleteOptions, prior: Prior) -> RunRequest:
 
 def given_to(options: CompleteOptions) -> Given:
     """Join the options with what the object folder says."""
+    from gscomplete.cli.given import Options, take_given
+
     return take_given(
         Options(
             options.partial,

@@ -24,13 +24,13 @@ from typing import TYPE_CHECKING, Any, Literal
 from gscomplete.cli.parse import parse_numbers, parse_view
 from gscomplete.errors import UserError
 from gscomplete.util import jsonio
-from gscomplete.views import UpAxis
 
 if TYPE_CHECKING:
     from PIL import Image
 
     from gscomplete.framing.decide import FramingRequest
     from gscomplete.splats import Similarity, Splats
+    from gscomplete.views import UpAxis
     from splatcomplete_data.cuts.boxes import CropBox
     from splatcomplete_data.objects import ObjectRecord, StepRecord, Subset
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from gscomplete.views import UpAxis
 from splatcomplete_data.cli.common import (
     ObjectDraft,
     ObjectOptions,
@@ -22,6 +21,7 @@ from splatcomplete_data.cli.common import (
 
 if TYPE_CHECKING:
     from gscomplete.splats import Splats
+    from gscomplete.views import UpAxis
     from splatcomplete_data.objects import StepRecord
 
 

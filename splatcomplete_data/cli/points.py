@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 from gscomplete.cli.parse import parse_numbers
 from gscomplete.errors import UserError
-from gscomplete.views import UpAxis
 from splatcomplete_data.cli.common import ObjectDraft, ObjectOptions, StageCallback, ignore_stage
 
 if TYPE_CHECKING:
+    from gscomplete.views import UpAxis
     from splatcomplete_data.objects import StepRecord, Subset
     from splatcomplete_data.scan.cloud import PointCloud
     from splatcomplete_data.scan.make import PartSettings

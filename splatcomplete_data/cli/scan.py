@@ -10,7 +10,6 @@ import tyro
 
 from gscomplete.cli.parse import parse_numbers
 from gscomplete.errors import UserError
-from gscomplete.views import UpAxis, axis_direction
 from splatcomplete_data.cli.common import (
     ObjectDraft,
     StageCallback,
@@ -25,6 +24,7 @@ from splatcomplete_data.cli.common import (
 from splatcomplete_data.cli.points import PointOptions, made_from_points
 
 if TYPE_CHECKING:
+    from gscomplete.views import UpAxis
     from splatcomplete_data.objects import StepRecord
     from splatcomplete_data.scan.cloud import PointCloud
     from splatcomplete_data.scan.pcd import Position
@@ -174,6 +174,8 @@ def _propose(options: ScanOptions) -> int:
         source = _read(options)
         request = framing_request(options, source.up)
         is_told = source.is_up_known or options.up != "auto"
+        from gscomplete.views import axis_direction
+
         around = Surroundings(source.viewpoint, axis_direction(request.up) if is_told else None)
         enter(f"looking for objects among {len(source.cloud):,} points", 0.2)
         found = propose_clusters(source.cloud, part_settings(options), str(options.file), around)
