@@ -4,7 +4,8 @@ Conventions
 -----------
 * A cell of area ``spacing``^2 is what one splat stands for.
 * A triangle gets splats of its own when it is not much smaller than a cell, or longer than the
-  spacing (slivers, wires): at least one, else area / cell, rounded.
+  spacing (slivers, wires): at least one, else area / cell, rounded. Along a triangle lower than a
+  row of cells none stands for more than ``SLIVER_WIDTH`` spacings, so that none is a needle.
 * The others are tiny: they are gathered in cubes of side ``spacing``, and every cube that holds
   any gets at least one splat on one of them, of the size of what it stands for. So the smallest
   isolated piece of a mesh still shows, and a finely cut surface is not counted twice.
@@ -24,6 +25,10 @@ OWN_AREA = 0.4
 """A triangle with at least this share of a cell's area gets splats of its own."""
 OWN_LENGTH = 1.5
 """So does one whose longest edge is at least this many spacings."""
+SLIVER_WIDTH = 1.2
+"""Longest cell along a triangle lower than a row of cells, in spacings."""
+_ONE_ROW = 1.5
+"""A triangle lower than this, in spacings, is cut into one row of cells."""
 MAX_SPLATS = 20_000_000
 """More than this is refused: it is a typing error rather than a wish."""
 
@@ -61,8 +66,17 @@ def allot_by_spacing(
             f"mesh: a spacing of {spacing:g} gives {areas.sum() / max(cell, 1e-300):.3g} splats, "
             f"expected at most {MAX_SPLATS:,}"
         )
-    own = (areas >= OWN_AREA * cell) | (_longest_edges(vertices) >= OWN_LENGTH * spacing)
-    counts = np.where(own, np.maximum(np.rint(areas / cell), 1), 0).astype(np.int64)
+    longest = _longest_edges(vertices)
+    own = (areas >= OWN_AREA * cell) | (longest >= OWN_LENGTH * spacing)
+    is_low = 2.0 * areas < _ONE_ROW * spacing * longest
+    along = np.where(is_low, np.ceil(longest / (SLIVER_WIDTH * spacing)), 1.0)
+    wanted = np.where(own, np.maximum(np.rint(areas / cell), along), 0)
+    if not wanted.sum() <= MAX_SPLATS:
+        raise UserError(
+            f"mesh: a spacing of {spacing:g} gives {wanted.sum():,.0f} splats, expected at most "
+            f"{MAX_SPLATS:,}"
+        )
+    counts = wanted.astype(np.int64)
     stands_for = np.zeros(len(areas))
     tiny = np.flatnonzero(~own)
     if len(tiny):

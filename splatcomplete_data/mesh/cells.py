@@ -7,8 +7,8 @@ Conventions
   ``width x height`` in the tangent plane. In the frame (x, y) the map from a unit square to a cell
   is diagonal: x and y are the singular vectors of its Jacobian, width and height its singular
   values. A splat's tangent standard deviations are a multiple of them, its axes are x and y.
-* Triangles lower than one row get one row whose cells follow the triangle's local height, so
-  slivers become rows of thin splats that neither bulge nor vanish.
+* Triangles lower than one row get one row whose cells follow the triangle's local height down to
+  ``THINNEST``, so slivers become rows of thin splats that neither bulge nor vanish, and no needles.
 * Edges marked ``inset`` (borders, folds) are moved inwards before cutting, by a fraction of the
   cell: the soft rim of a splat then ends about where the surface does.
 * Barycentric weights belong to the corners in the caller's order.
@@ -26,8 +26,12 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float32]
 IntArray = NDArray[np.int64]
 
-WIDTH, HEIGHT = 0, 1
-"""Columns of ``sizes``."""
+THINNEST = 0.15
+"""Least height of a cell, in spacings; with ``allot.SLIVER_WIDTH`` it bounds a cell's aspect."""
+_DIRECTIONS = 16
+_COSINES = tuple(math.cos(2.0 * math.pi * k / _DIRECTIONS) for k in range(_DIRECTIONS))
+_SINES = tuple(math.sin(2.0 * math.pi * k / _DIRECTIONS) for k in range(_DIRECTIONS))
+_ROUNDS = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,6 +88,7 @@ def cut_into_cells(
     areas: NDArray[np.float64],  # [T]
     marked: NDArray[np.uint8],  # [T] bit e set = edge e (corner e to e + 1) is inset
     inset: float,  # depth of the inset over the cell's side
+    spacing: float,  # of the mesh, vertices' units
     triangle: IntArray,  # [N] out
     weights: FloatArray,  # [N, 3] out: barycentric weights of the cell's middle
     steps: FloatArray,  # [N, 2, 3] out: weights' change over a quarter cell along x and y
@@ -112,7 +117,10 @@ def cut_into_cells(
                 for k in range(3):
                     total += corners[corner, k] * vertices[t, k, axis]
                 points[corner, axis] = total
-        made = _cut_one(points, corners, count, made, triangle, weights, steps, axes, sizes, t)
+        thinnest = THINNEST * spacing
+        made = _cut_one(
+            points, corners, count, thinnest, made, triangle, weights, steps, axes, sizes, t
+        )
     return made
 
 
@@ -132,6 +140,7 @@ def _cut_one(
     points: NDArray[np.float64],  # [3, 3]
     corners: NDArray[np.float64],  # [3, 3]
     count: int,
+    thinnest: float,
     made: int,
     triangle: IntArray,
     weights: FloatArray,
@@ -188,7 +197,7 @@ def _cut_one(
                 width = base * (0.85 if 3.0 * height < base else 0.75)  # slivers end abruptly
             place = made + placed
             triangle[place] = index
-            sizes[place, 0], sizes[place, 1] = width, cell_height
+            sizes[place, 0], sizes[place, 1] = width, max(cell_height, min(thinnest, width))
             weight_b = x - apex * v
             weight_a = 1.0 - v - weight_b
             du = 0.25 * width / base
@@ -205,3 +214,92 @@ def _cut_one(
                 axes[place, 1, axis] = y_axis[axis]
             placed += 1
     return made + placed
+
+
+@numba.njit(cache=True, parallel=True)
+def keep_within(
+    vertices: FloatArray,  # [T, 3, 3]
+    marked: NDArray[np.uint8],  # [T] bit e set = edge e (corner e to e + 1) bounds the surface
+    triangle: IntArray,  # [N]
+    weights: FloatArray,  # [N, 3]
+    axes: FloatArray,  # [N, 2, 3]
+    reach: float,  # of a splat over its cell's sides
+    limit: float,  # how far it may reach beyond the surface's edge, vertices' units
+    sizes: FloatArray,  # [N, 2] changed
+) -> None:
+    """Shorten cells whose splats would reach beyond a marked edge by more than a limit.
+
+    A splat's rim is looked at in ``_DIRECTIONS`` directions. Where the nearest point of its
+    triangle lies on an edge that other triangles go on from, it is covered by theirs.
+    """
+    for n in numba.prange(len(triangle)):
+        t = triangle[n]
+        if marked[t] == 0:
+            continue
+        corners = np.zeros((3, 2))  # in the cell's own axes, from its middle
+        for k in range(3):
+            middle = 0.0
+            for corner in range(3):
+                middle += weights[n, corner] * vertices[t, corner, k]
+            for corner in range(3):
+                for axis in range(2):
+                    corners[corner, axis] += (vertices[t, corner, k] - middle) * axes[n, axis, k]
+        farthest = reach * max(sizes[n, 0], sizes[n, 1])
+        if farthest <= limit + _distance_to_marked(corners, marked[t]):
+            continue
+        for _ in range(_ROUNDS):
+            worst, at_x, at_y = limit, 0.0, 0.0
+            for direction in range(_DIRECTIONS):
+                x = reach * sizes[n, 0] * _COSINES[direction]
+                y = reach * sizes[n, 1] * _SINES[direction]
+                beyond = _beyond(corners, marked[t], x, y)
+                if beyond > worst:
+                    worst, at_x, at_y = beyond, x, y
+            if worst <= limit:
+                break
+            # the axis that carries the rim's farthest point is the one that is too long
+            axis = 0 if abs(at_x) >= abs(at_y) else 1
+            length = max(abs(at_x), abs(at_y))
+            sizes[n, axis] *= max(0.4, 1.0 - 1.05 * (worst - limit) / length)
+
+
+@numba.njit(cache=True)
+def _distance_to_marked(corners: NDArray[np.float64], marked: int) -> float:
+    """Return how far the origin is from the nearest marked edge of a triangle [3, 2]."""
+    nearest = math.inf
+    for edge in range(3):
+        if marked >> edge & 1:
+            after = (edge + 1) % 3
+            dx, dy = corners[after, 0] - corners[edge, 0], corners[after, 1] - corners[edge, 1]
+            px, py = -corners[edge, 0], -corners[edge, 1]
+            share = (px * dx + py * dy) / max(dx * dx + dy * dy, 1e-300)
+            share = min(max(share, 0.0), 1.0)
+            nearest = min(nearest, math.hypot(px - share * dx, py - share * dy))
+    return nearest
+
+
+@numba.njit(cache=True)
+def _beyond(corners: NDArray[np.float64], marked: int, x: float, y: float) -> float:
+    """Return how far a point lies beyond the marked edges of a triangle [3, 2]; 0 = it does not."""
+    turn = (corners[1, 0] - corners[0, 0]) * (corners[2, 1] - corners[0, 1]) - (
+        corners[1, 1] - corners[0, 1]
+    ) * (corners[2, 0] - corners[0, 0])
+    sign = 1.0 if turn > 0 else -1.0
+    nearest, is_open, is_inside = math.inf, False, True
+    for edge in range(3):
+        after = (edge + 1) % 3
+        dx, dy = corners[after, 0] - corners[edge, 0], corners[after, 1] - corners[edge, 1]
+        px, py = x - corners[edge, 0], y - corners[edge, 1]
+        if sign * (dx * py - dy * px) < 0:
+            is_inside = False
+        along = (px * dx + py * dy) / max(dx * dx + dy * dy, 1e-300)
+        share = min(max(along, 0.0), 1.0)
+        off = math.hypot(px - share * dx, py - share * dy)
+        open_here = (marked >> edge & 1) != 0
+        if share == 0.0:  # a corner is open where either of its edges is
+            open_here = open_here or (marked >> ((edge + 2) % 3) & 1) != 0
+        elif share == 1.0:
+            open_here = open_here or (marked >> after & 1) != 0
+        if off < nearest:
+            nearest, is_open = off, open_here
+    return 0.0 if is_inside or not is_open else nearest

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, colors_to_sh
 from splatcomplete_data.mesh.allot import MAX_SPLATS, Allotment, allot_by_count, allot_by_spacing
-from splatcomplete_data.mesh.cells import Cells, cut_into_cells
+from splatcomplete_data.mesh.cells import Cells, cut_into_cells, keep_within
 from splatcomplete_data.mesh.edges import marked_edges
 from splatcomplete_data.mesh.files.load import BakedLight, Mesh
 from splatcomplete_data.mesh.grid import grid_cells
@@ -39,6 +39,10 @@ FloatArray = NDArray[np.float32]
 ConvertMode = Literal["cells", "grid", "random", "poisson"]
 """How splats are placed; see the module's conventions."""
 
+REACH_SIGMAS = 2.0
+"""A splat reaches this many standard deviations far: its opacity is 13 % of the middle's there."""
+MOST_OVERHANG = 0.5
+"""Farther than this, in spacings, no splat reaches beyond an edge of its surface."""
 FAINT = 0.02
 """Blended surface with a smaller alpha is dropped."""
 
@@ -197,10 +201,21 @@ def _even_cells(
         areas,
         marked,
         settings.inset,
+        allotment.spacing,
         cells.triangle,
         cells.weights,
         cells.steps,
         cells.axes,
+        cells.sizes,
+    )
+    keep_within(
+        vertices,
+        marked,
+        cells.triangle,
+        cells.weights,
+        cells.axes,
+        REACH_SIGMAS * settings.sigma_per_cell,
+        MOST_OVERHANG * allotment.spacing,
         cells.sizes,
     )
     stands_for = allotment.tiny_area[cells.triangle]
