@@ -7,6 +7,11 @@ from collections.abc import Sequence
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit code."""
-    from gscomplete.cli import program
+    from gscomplete.cli.guard import run_guarded
 
-    return program.main(arguments)
+    def load_and_run() -> int:
+        from gscomplete.cli import program
+
+        return program.main(arguments)
+
+    return run_guarded("gscomplete", load_and_run, "nothing was done")

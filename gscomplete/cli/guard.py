@@ -3,7 +3,8 @@
 Conventions
 -----------
 * Exit codes: 0 or the command's own; 2 user error; 4 out of memory; 70 internal error; 130
-  interrupted; 141 the reader of the output is gone.
+  interrupted by Ctrl-C; 129 and 143 stopped by SIGHUP and SIGTERM; 141 the reader of the output is
+  gone.
 * Shared by the packages' console commands.
 """
 
@@ -11,8 +12,11 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from types import FrameType
 
 from gscomplete import __version__
 from gscomplete.errors import UserError
@@ -22,6 +26,15 @@ DEBUG_VARIABLE = "GSCOMPLETE_DEBUG"
 
 _ALLOCATOR = "DefaultCPUAllocator: can't allocate memory"
 """What PyTorch's RuntimeError says where Python would raise a MemoryError."""
+
+
+class Stopped(KeyboardInterrupt):
+    """A signal asked the process to end; jobs keep a checkpoint, as after Ctrl-C."""
+
+    def __init__(self, number: int) -> None:
+        """Name the signal."""
+        super().__init__(signal.Signals(number).name)
+        self.number = number
 
 
 def let_threads_sleep() -> None:
@@ -56,15 +69,20 @@ def run_guarded(program: str, command: Callable[[], int], interrupted: str) -> i
     """
 
     def say(message: str) -> None:
-        sys.stderr.write(f"{program}: {message}\n")
+        with contextlib.suppress(OSError):  # the terminal may be gone
+            sys.stderr.write(f"{program}: {message}\n")
 
     try:
-        code = command()
+        with _signals_raise():
+            code = command()
         sys.stdout.flush()  # what is buffered may find its reader gone only now
         return code
     except UserError as error:
         say(f"error: {error}")
         return error.exit_code
+    except Stopped as stop:
+        say(f"stopped by {stop}; {interrupted}")
+        return 128 + stop.number
     except KeyboardInterrupt:
         say(f"interrupted; {interrupted}")
         return 130
@@ -88,6 +106,29 @@ def run_guarded(program: str, command: Callable[[], int], interrupted: str) -> i
             f"Please report it; {DEBUG_VARIABLE}=1 shows where it happened."
         )
         return 70
+
+
+@contextlib.contextmanager
+def _signals_raise() -> Iterator[None]:
+    """Have SIGTERM and SIGHUP raise ``Stopped`` in the block, but for signals that are ignored."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        raise Stopped(number)
+
+    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    numbers = [getattr(signal, name) for name in names]
+    before = {number: signal.getsignal(number) for number in numbers}
+    for number, handler in before.items():
+        if handler != signal.SIG_IGN:  # as with nohup
+            signal.signal(number, stop)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _forget_stdout() -> None:

@@ -171,7 +171,11 @@ class Optimisation:
         }
 
     def restore(self, state: dict[str, Tensor]) -> None:
-        """Continue from :meth:`state`."""
+        """Continue from :meth:`state`.
+
+        Raises:
+            ValueError: the targets of the rounds are missing, or of other shapes.
+        """
         self.step_number = int(state["step"])
         state = {
             name: value if _stays_on_cpu(name) else value.to(self._device)
@@ -181,6 +185,8 @@ class Optimisation:
         self._statistics.total = state["statistics.total"].clone()
         self._statistics.views = state["statistics.views"].clone()
         self._rings.restore(state)
+        if self.settings.mode == "reconstruct" and self.step_number and not len(self._rings):
+            raise ValueError("ring.0.color: expected the targets of a round, found none")
 
     @property
     def heeds_negative_prompt(self) -> bool:

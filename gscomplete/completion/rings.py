@@ -70,11 +70,27 @@ class RingMemory:
         return out
 
     def restore(self, state: dict[str, Tensor]) -> None:
-        """Take the rings from :meth:`state`."""
+        """Take the rings from :meth:`state`.
+
+        Raises:
+            ValueError: a tensor of a ring is missing, or of another shape.
+        """
         self._rings = []
         while f"ring.{len(self._rings)}.color" in state:
             prefix = f"ring.{len(self._rings)}."
             color = state[prefix + "color"]
+            views, height, width = color.shape[:3] if color.ndim == 4 else (0, 0, 0)
+            shapes = {
+                "color": (views, height, width, 3),
+                "alpha": (views, height, width),
+                "camera_from_world": (views, 4, 4),
+                "focal_px": (views, 2),
+                "center_px": (views, 2),
+            }
+            for name, shape in shapes.items():
+                found = state.get(prefix + name)
+                if found is None or tuple(found.shape) != shape or not found.is_floating_point():
+                    raise ValueError(f"{prefix}{name}: expected numbers {shape}")
             cameras = Cameras(
                 state[prefix + "camera_from_world"],
                 state[prefix + "focal_px"],
@@ -86,6 +102,10 @@ class RingMemory:
             step = int(state.get(prefix + "step", torch.tensor(-1)))
             alpha = state[prefix + "alpha"]
             self._rings.append(Ring(cameras, color, alpha, step))
+        read = tuple(f"ring.{index}." for index in range(min(len(self), self._capacity)))
+        other = [name for name in state if name.startswith("ring.") and not name.startswith(read)]
+        if other:
+            raise ValueError(f"{other[0]}: expected no ring beyond the first {len(read)}")
 
 
 def random_ring(views: PriorViews, size_px: int, seed: int, step: int) -> Cameras:

@@ -26,18 +26,23 @@ from gscomplete.completion.pipeline import Completed, Prepared
 from gscomplete.errors import UserError
 from gscomplete.evaluate.pictures import preview_sheet, save_image, save_turntable
 from gscomplete.evaluate.report import evaluate
-from gscomplete.fitting.checkpoint import FILE_NAME, load_checkpoint
+from gscomplete.fitting.checkpoint import FILE_NAME, check_fits, load_checkpoint
 from gscomplete.fitting.finite import NonFiniteError
-from gscomplete.fitting.step_loop import CHECKPOINTS, require_same_identity, run_steps
+from gscomplete.fitting.step_loop import CHECKPOINTS, LOG_FILE, require_same_identity, run_steps
 from gscomplete.folders.run_folder import OUTPUT_FILE, RUN_FILE
 from gscomplete.priors.base import Prior, prior_identity
 from gscomplete.splats.ply import SplatFile, read_splats, require_appendable
 from gscomplete.util import jsonio
-from gscomplete.util.atomic import atomic_path
+from gscomplete.util.atomic import atomic_path, forget_leftovers
 from gscomplete.util.device import peak_gpu_bytes
 from gscomplete.util.digests import sha256_of
+from gscomplete.util.folder_lock import FolderLock, create_folder, lock_folder
 
 ALTERNATIVES_FILE = "alternatives.png"
+_FILES = (
+    *(RUN_FILE, OUTPUT_FILE, ALTERNATIVES_FILE, "preview.png", "turntable.webp"),
+    *(LOG_FILE, FILE_NAME),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +78,8 @@ class Run:
     prepared: Prepared
     identity: dict[str, Any]
     notes: tuple[str, ...]
+    lock: FolderLock | None = None
+    """No other process works in the run folder; None = as yet, or where there are no locks."""
     timings: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -93,21 +100,32 @@ def prepare(request: RunRequest, prior: Prior, device: torch.device | str = "cpu
         UserError: the input, an option or the output folder is wrong.
     """
     started = time.perf_counter()
-    if request.resume and not (request.out / RUN_FILE).exists():
-        raise UserError(f"{request.out}: nothing to resume: there is no {RUN_FILE}")
+    lock = None
+    if request.resume:
+        if not (request.out / RUN_FILE).exists():
+            raise UserError(
+                f"{request.out}: nothing to resume: there is no {RUN_FILE}; start without --resume"
+            )
+        lock = lock_folder(request.out)
+        forget_leftovers(request.out, _FILES)
     source = read_splats(request.partial_path)
     require_appendable(source)
     prepared = pipeline.prepare(source, request.completion, prior, device)
     identity = _identity(request, prepared)
     notes = (*request.notes, *prepared.notes)
-    run = Run(request, source.released(), prepared, identity, notes)
+    run = Run(request, source.released(), prepared, identity, notes, lock)
     if request.resume:
         require_same_identity(request.out / RUN_FILE, identity)
         state = load_checkpoint(request.out / CHECKPOINTS)
         if state is not None:
-            run.steps.restore(state)
+            path = request.out / CHECKPOINTS / FILE_NAME
+            check_fits(path, state, run.steps.state(), request.completion.settings.steps)
+            try:
+                run.steps.restore(state)
+            except ValueError as error:
+                raise UserError(f"{path}: {error}") from error
     else:
-        _make_folder(request.out)
+        run.lock = create_folder(request.out, _FILES)
     run.timings["prepare_s"] = time.perf_counter() - started
     _write_run_file(run, "running", None)
     return run
@@ -222,23 +240,6 @@ def _draw_alternatives(run: Run, completed: Completed) -> list[str]:
     )
     save_image(sheet, request.out / ALTERNATIVES_FILE)
     return [alternative.option for alternative in found]
-
-
-def _make_folder(out: Path) -> None:
-    """Create the run folder.
-
-    Raises:
-        UserError: it exists with something in it, or cannot be created.
-    """
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise UserError(
-            f"{out}: the output folder exists and is not empty; choose another --out, or continue "
-            "the run in it with --resume"
-        )
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"{out}: cannot create the output folder: {error.strerror}") from error
 
 
 def _write_run_file(run: Run, status: str, result: dict[str, Any] | None) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save
 from torch import Tensor
 
 from gscomplete.errors import UserError
@@ -22,8 +22,49 @@ def save_checkpoint(folder: Path, state: dict[str, Tensor]) -> Path:
     # A tensor that shares storage with another is refused by safetensors, so each is made its own.
     own = {name: value.detach().contiguous().clone() for name, value in state.items()}
     with atomic_path(path) as temporary:
-        save_file(own, str(temporary))
+        temporary.write_bytes(save(own))  # safetensors' own writer hides what the system says
     return path
+
+
+def check_fits(path: Path, state: dict[str, Tensor], fresh: dict[str, Tensor], steps: int) -> None:
+    """Check that a job can go on from a checkpoint.
+
+    Args:
+        path: the checkpoint, for messages.
+        state: what it holds.
+        fresh: the state of the same job at step 0; rows may have come and gone since.
+        steps: of the complete job.
+
+    Raises:
+        UserError: the step is out of range, or a tensor is missing, of another type or shape.
+    """
+    step = state["step"]
+    if step.ndim or not 0 <= int(step) <= steps:
+        raise UserError(f"{path}: step: expected 0 to {steps}, found {step.tolist()}")
+    rows = len(state["value.means"]) if state.get("value.means", step).ndim else 0
+    if rows == 0:
+        raise UserError(f"{path}: value.means: expected one row a splat, found none")
+    for name, expected in fresh.items():
+        found = state.get(name)
+        shape = (rows, *expected.shape[1:]) if expected.ndim else ()
+        _require(path, name, found, expected.dtype, shape)
+    for name in (name.removeprefix("value.") for name in fresh if name.startswith("value.")):
+        value, count = state[f"value.{name}"], state.get(f"adam.{name}.step")
+        if count is None and int(step) == 0:
+            continue
+        _require(path, f"adam.{name}.step", count, torch.float32, ())
+        for key in ("exp_avg", "exp_avg_sq"):
+            moment = state.get(f"adam.{name}.{key}")
+            _require(path, f"adam.{name}.{key}", moment, value.dtype, tuple(value.shape))
+
+
+def _require(
+    path: Path, name: str, found: Tensor | None, dtype: torch.dtype, shape: tuple[int, ...]
+) -> None:
+    """Check one tensor of a checkpoint."""
+    if found is None or found.dtype != dtype or tuple(found.shape) != shape:
+        what = "none" if found is None else f"{found.dtype} {tuple(found.shape)}"
+        raise UserError(f"{path}: {name}: expected {dtype} {shape}, found {what}")
 
 
 def load_checkpoint(folder: Path) -> dict[str, Tensor] | None:

@@ -63,9 +63,26 @@ def run_steps(
         out: the job's folder.
         checkpoint_every: steps; 0 = only at the end, or when interrupted.
         on_step: is told of every step.
+
+    Raises:
+        UserError: the log or a checkpoint cannot be written.
     """
-    folder = out / CHECKPOINTS
     _trim_log(out / LOG_FILE, job.step_number)
+    try:
+        _run_trimmed(job, out, checkpoint_every, on_step)
+    except OSError as error:
+        where = error.filename or out / LOG_FILE
+        raise UserError(
+            f"{where}: cannot write: {error.strerror or error}; --resume continues from the last "
+            "checkpoint"
+        ) from error
+
+
+def _run_trimmed(
+    job: StepJob[Report], out: Path, checkpoint_every: int, on_step: Callable[[Report], None]
+) -> None:
+    """Do what ``run_steps`` does, on a log that is trimmed."""
+    folder = out / CHECKPOINTS
     with (out / LOG_FILE).open("a", encoding="utf-8") as log:
         try:
             while not job.finished:
@@ -91,10 +108,12 @@ def require_same_identity(path: Path, identity: dict[str, Any]) -> None:
         identity: what would decide it now.
 
     Raises:
-        UserError: they differ; it names what differs.
+        UserError: they differ, and it names what differs; or the file is damaged.
     """
     data = read_json(path)
-    stored = data.get("identity", {}) if isinstance(data, dict) else {}
+    stored = data.get("identity") if isinstance(data, dict) else None
+    if not isinstance(stored, dict):
+        raise UserError(f"{path}: identity: expected an object, found {type(stored).__name__}")
     for key, value in identity.items():
         found = stored.get(key)
         if found == value:
@@ -114,6 +133,6 @@ def _trim_log(path: Path, step: int) -> None:
     """Drop log lines of steps that will be taken again."""
     if not path.exists():
         return
-    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)[:step]
+    lines = path.read_bytes().splitlines(keepends=True)[:step]  # as they are, damaged or not
     with atomic_path(path) as temporary:
-        temporary.write_text("".join(lines), encoding="utf-8")
+        temporary.write_bytes(b"".join(lines))

@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import glob
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from gscomplete.errors import UserError
@@ -73,6 +74,22 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
+
+
+def forget_leftovers(folder: Path, names: Iterable[str]) -> None:
+    """Remove the temporary files that killed writers of some files left behind.
+
+    Call it only while nothing else writes into the folder.
+
+    Args:
+        folder: where they wrote.
+        names: of the files that they were to write; nothing else is removed.
+    """
+    for name in names:
+        suffix = Path(name).suffix
+        for path in folder.glob(f".{glob.escape(name[:32])}.????????{glob.escape(suffix)}"):
+            if path.is_file():
+                path.unlink(missing_ok=True)
 
 
 def _mode_for(destination: Path) -> int:

@@ -7,6 +7,11 @@ from collections.abc import Sequence
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit code."""
-    from splatcomplete_data.cli import program
+    from gscomplete.cli.guard import run_guarded
 
-    return program.main(arguments)
+    def load_and_run() -> int:
+        from splatcomplete_data.cli import program
+
+        return program.main(arguments)
+
+    return run_guarded("splatcomplete-data", load_and_run, "nothing was done")

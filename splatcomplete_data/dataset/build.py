@@ -31,7 +31,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing import get_context, parent_process
+from multiprocessing import active_children, get_context, parent_process
 from pathlib import Path
 from typing import Any, Literal
 
@@ -39,6 +39,7 @@ from gscomplete import __version__
 from gscomplete.errors import UserError
 from gscomplete.util import jsonio
 from gscomplete.util.digests import sha256_of
+from gscomplete.util.folder_lock import lock_folder
 from splatcomplete_data.atomic_folder import forget_leftovers
 from splatcomplete_data.dataset.recipe import Entry, Recipe
 from splatcomplete_data.mesh.files.side_files import side_files
@@ -113,6 +114,7 @@ def build(
         (state / CAPTURE_FOLDER).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"{out}: cannot create the folder: {error.strerror}") from error
+    lock = lock_folder(out)  # released when the build returns
     forget_leftovers(out, [entry.id for entry in recipe.objects])
     objects = [entry for entry in recipe.objects if not only or entry.id in only]
     needed = {name for entry in objects for name in entry.captures()}
@@ -132,6 +134,7 @@ def build(
     for outcome in _run_all(objects, data, out, reach, workers, failed, tell):
         outcomes[outcome.id] = outcome
     write_index(recipe, out)
+    del lock
     return [
         *(Outcome(name, "failed", text) for name, text in failed.items()),
         *(outcomes[entry.id] for entry in objects),
@@ -257,6 +260,8 @@ def _run_all(
                             waiting.append(entry)
             except KeyboardInterrupt:
                 pool.shutdown(wait=False, cancel_futures=True)
+                for worker in active_children():  # a signal to end reaches this process alone
+                    worker.terminate()
                 raise
         alone = alone or bool(waiting)
     return outcomes

@@ -20,6 +20,8 @@ from pathlib import Path
 
 from gscomplete.errors import UserError
 from gscomplete.fitting.step_loop import CHECKPOINTS, LOG_FILE
+from gscomplete.util.atomic import forget_leftovers
+from gscomplete.util.folder_lock import FolderLock, lock_folder
 
 CAPTURE_FILE = "capture.json"
 SPLATS_FILE = "splats.ply"
@@ -33,10 +35,11 @@ _OURS = (*_WRITTEN, PREVIOUS, _MOVING, _DROPPED)
 
 
 @contextlib.contextmanager
-def capture_folder(out: Path, *, resume: bool, overwrite: bool) -> Iterator[None]:
-    """Have the folder ready for the block that sets a run up.
+def capture_folder(out: Path, *, resume: bool, overwrite: bool) -> Iterator[FolderLock | None]:
+    """Have the folder ready for the block that sets a run up, and yield its lock.
 
-    When the block fails, an old capture that was to be replaced is put back.
+    When the block fails, an old capture that was to be replaced is put back. What a run that was
+    killed before its first file left behind does not count.
 
     Args:
         out: the folder; created if need be.
@@ -44,10 +47,16 @@ def capture_folder(out: Path, *, resume: bool, overwrite: bool) -> Iterator[None
         overwrite: the block starts anew, whatever is there.
 
     Raises:
-        UserError: it holds something and neither is asked for, there is nothing to resume, or it
-            holds files that are not ours.
+        UserError: it holds something and neither is asked for, there is nothing to resume, it
+            holds files that are not ours, or another process works in it.
     """
-    if out.exists() and (not out.is_dir() or (not (resume or overwrite) and any(out.iterdir()))):
+    lock = None
+    if out.is_dir():
+        lock = lock_folder(out)
+        forget_leftovers(out, _WRITTEN)
+    if out.exists() and not out.is_dir():
+        raise UserError(f"{out}: --out: expected a folder to create, found a file")
+    if out.exists() and not (resume or overwrite) and any(out.iterdir()):
         raise UserError(
             f"{out}: the output folder exists and is not empty; choose another --out, continue "
             "with --resume, or start again with --overwrite"
@@ -57,16 +66,19 @@ def capture_folder(out: Path, *, resume: bool, overwrite: bool) -> Iterator[None
     _put_back(out)
     if resume:
         if not any((out / name).exists() for name in (CAPTURE_FILE, SFM_FOLDER)):
-            raise UserError(f"{out}: nothing to resume: there is no {CAPTURE_FILE}")
-        yield
+            raise UserError(
+                f"{out}: nothing to resume: there is no {CAPTURE_FILE}; start without --resume"
+            )
+        yield lock
         return
     try:
         out.mkdir(parents=True, exist_ok=True)
+        lock = lock_folder(out)
     except OSError as error:
         raise UserError(f"{out}: cannot create the output folder: {error.strerror}") from error
     try:
         _set_aside(out)
-        yield
+        yield lock
     except BaseException:
         _put_back(out)
         raise
@@ -80,6 +92,7 @@ def clear_capture(out: Path) -> None:
         UserError: the folder holds files that are not ours.
     """
     if out.is_dir():
+        forget_leftovers(out, _WRITTEN)
         _require_ours(out)
         for path in out.iterdir():
             _remove(path)

@@ -24,12 +24,13 @@ from PIL import Image
 import gscomplete
 from gscomplete.errors import UserError
 from gscomplete.evaluate.pictures import contact_sheet, save_image, to_image
-from gscomplete.fitting.checkpoint import load_checkpoint
+from gscomplete.fitting.checkpoint import FILE_NAME, check_fits, load_checkpoint
 from gscomplete.fitting.step_loop import CHECKPOINTS, require_same_identity, run_steps
 from gscomplete.render import render
 from gscomplete.render.settings import RenderSettings
 from gscomplete.splats import Splats, write_splats
 from gscomplete.util import jsonio
+from gscomplete.util.folder_lock import FolderLock
 from splatcomplete_data.multiview.capture_folder import (
     CAPTURE_FILE,
     PREVIEW_FILE,
@@ -112,6 +113,8 @@ class Reconstruction:
     identity: dict[str, Any]
     notes: tuple[str, ...]
     timings: dict[str, float]
+    lock: FolderLock | None = None
+    """No other process works in the capture folder; None = as yet, or without locks."""
 
 
 def prepare(
@@ -122,8 +125,10 @@ def prepare(
     Raises:
         UserError: the photos, an option or the output folder is wrong.
     """
-    with capture_folder(request.out, resume=request.resume, overwrite=request.overwrite):
+    chosen = {"resume": request.resume, "overwrite": request.overwrite}
+    with capture_folder(request.out, **chosen) as lock:
         run = _set_up(request, device, progress)
+        run.lock = lock
         _write_capture_file(run, "running", None)
     return run
 
@@ -182,6 +187,8 @@ def _set_up(
         require_same_identity(request.out / CAPTURE_FILE, identity)
         state = load_checkpoint(request.out / CHECKPOINTS)
         if state is not None:
+            path = request.out / CHECKPOINTS / FILE_NAME
+            check_fits(path, state, training.state(), request.training.steps)
             training.restore(state)
     return Reconstruction(request, capture, training, train, held_out, identity, notes, timings)
 

@@ -1,11 +1,15 @@
 """Commands and recipes as processes: what is set before PyTorch, and readers that go away."""
 
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
+
+from gscomplete.cli.guard import run_guarded
 
 SAMPLE = Path(__file__).resolve().parents[2] / "recipes/demo/partial.ply"
 SPY = """
@@ -56,3 +60,49 @@ def test_a_reader_that_has_gone_is_no_error_of_the_file(words: list[str]) -> Non
     )
     os.close(writing)
     assert (done.returncode, done.stderr) == (141, "")
+
+
+INTERRUPT = """
+import importlib.abc, sys
+class Interrupt(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path, target=None):
+        if name == "{module}":
+            raise KeyboardInterrupt
+        return None
+sys.meta_path.insert(0, Interrupt())
+from {package}.cli import main
+sys.exit(main(["--help"]))
+"""
+
+
+@pytest.mark.parametrize("package", ["gscomplete", "splatcomplete_data"])
+def test_an_interrupt_while_loading_is_one_line(package: str) -> None:
+    code = INTERRUPT.format(package=package, module="tyro")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 130
+    program = package.replace("splatcomplete_data", "splatcomplete-data")
+    assert done.stderr == f"{program}: interrupted; nothing was done\n"
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_to_end_is_answered_as_an_interrupt(number: int, capsys) -> None:
+    before = signal.getsignal(number)
+
+    def work() -> int:
+        os.kill(os.getpid(), number)
+        time.sleep(5)
+        return 0
+
+    assert run_guarded("mug", work, "--resume goes on") == 128 + number
+    name = signal.Signals(number).name
+    assert capsys.readouterr().err == f"mug: stopped by {name}; --resume goes on\n"
+    assert signal.getsignal(number) == before
+
+
+def test_a_signal_that_is_ignored_stays_ignored() -> None:
+    """As ``nohup`` asks for."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        assert run_guarded("mug", lambda: os.kill(os.getpid(), signal.SIGHUP) or 0, "") == 0
+    finally:
+        signal.signal(signal.SIGHUP, before)

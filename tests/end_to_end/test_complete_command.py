@@ -89,17 +89,23 @@ def test_same_seed_same_bytes(finished, tmp_path):
     assert again == (finished / "completed.ply").read_bytes()
 
 
-def test_killed_and_resumed_run_gives_the_same_bytes(finished, tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_killed_and_resumed_run_gives_the_same_bytes(finished, tmp_path, number):
     out = tmp_path / "killed"
     command = [sys.executable, "-m", "gscomplete.cli", "complete", SAMPLE, "--prompt", "a red mug"]
     command += ["--out", out, *QUICK, "--checkpoint-every", "5"]
-    child = subprocess.Popen(list(map(str, command)), cwd=REPOSITORY, stderr=subprocess.DEVNULL)
+    child = subprocess.Popen(
+        list(map(str, command)), cwd=REPOSITORY, stderr=subprocess.PIPE, text=True
+    )
     deadline = time.monotonic() + 120
     checkpoint = out / "checkpoints/latest.safetensors"
     while not checkpoint.exists() and child.poll() is None and time.monotonic() < deadline:
         time.sleep(0.02)
-    os.kill(child.pid, signal.SIGKILL)
-    child.wait()
+    os.kill(child.pid, number)
+    _, told = child.communicate()
+    if number == signal.SIGTERM:
+        assert child.returncode == 143
+        assert told.endswith("stopped by SIGTERM; --resume continues from the last checkpoint\n")
     assert not (out / "completed.ply").exists()
     result = complete(SAMPLE, out, "--checkpoint-every", "5", "--resume")
     assert result.returncode == 0, result.stderr

@@ -5,7 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from recipes.stress_readers import mutate, seed_files, try_reader
+from recipes.stress_readers.mutations import mutate
+from recipes.stress_readers.seeds import seed_files
+from recipes.stress_readers.worker import try_reader
 
 
 def test_mutated_files_are_read_or_refused(

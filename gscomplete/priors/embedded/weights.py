@@ -17,10 +17,12 @@ Conventions
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -43,6 +45,10 @@ FORMAT_VERSION = 2
 _SCALE = ".scale"
 _DIGEST = "words_digest"
 
+_MOST_BLOCKS, _SIZE_PER_AXIS, _SMALL_AXIS = 64, 4, 64
+"""No size of a network is above four times the longest axis of its tensors."""
+Config = TypeVar("Config", ModelConfig, ShapeModelConfig)
+Network = TypeVar("Network", bound=nn.Module)
 Storage = Literal["int8", "float16", "float32"]
 
 
@@ -149,12 +155,10 @@ def load_weights(folder: Path) -> tuple[FourViewDenoiser, ShapeCompleter | None,
     _require(folder / CONFIG_FILE)
     config = _read_config(folder / CONFIG_FILE)
     digest = words_digest(config.words)
-    denoiser = FourViewDenoiser(config.model)
-    _load(denoiser, folder / WEIGHTS_FILE, digest)
+    denoiser = _load(FourViewDenoiser, config.model, folder / WEIGHTS_FILE, digest)
     if config.shape is None:
         return denoiser, None, config
-    shape = ShapeCompleter(config.shape.model, COARSE_CELLS)
-    _load(shape, folder / SHAPE_FILE, digest)
+    shape = _load(_shape_network, config.shape.model, folder / SHAPE_FILE, digest)
     return denoiser, shape, config
 
 
@@ -180,8 +184,31 @@ def _require(path: Path) -> None:
         )
 
 
-def _load(model: nn.Module, path: Path, digest: str) -> None:
-    """Fill a network from a file, for evaluation."""
+def _check_sizes(path: Path, config: ModelConfig | ShapeModelConfig, largest: int) -> None:
+    """Refuse sizes that the file's tensors cannot have, before a network is made of them.
+
+    Raises:
+        UserError: a size is out of range.
+    """
+    most = _SIZE_PER_AXIS * max(largest, _SMALL_AXIS)
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        numbers = value if isinstance(value, tuple) else (value,)
+        limit = _MOST_BLOCKS if field.name in ("blocks", "transformers") else most
+        if not all(isinstance(n, int | float) and 0 <= n <= limit for n in numbers):
+            raise UserError(
+                f"{path.parent / CONFIG_FILE}: {field.name}: expected 0 to {limit} as by the "
+                f"tensors of {path.name}, found {value}"
+            )
+
+
+def _shape_network(config: ShapeModelConfig) -> ShapeCompleter:
+    """Make the shape network for the one grid it is trained on."""
+    return ShapeCompleter(config, COARSE_CELLS)
+
+
+def _load(make: Callable[[Config], Network], config: Config, path: Path, digest: str) -> Network:
+    """Make a network and fill it from a file, for evaluation."""
     _require(path)
     try:
         with safe_open(path, framework="pt") as file:
@@ -195,12 +222,17 @@ def _load(model: nn.Module, path: Path, digest: str) -> None:
             f"{metadata.get(_DIGEST)}; the files are not of one export"
         )
     try:
+        _check_sizes(path, config, max(max(t.shape, default=1) for t in packed.values()))
+        model = make(config)
         model.load_state_dict(unpack_tensors(packed))
-    except (RuntimeError, KeyError) as error:
+    except UserError:
+        raise
+    except Exception as error:  # sizes that do not fit each other fail anywhere
         raise UserError(
             f"{path}: tensors do not fit the model of {CONFIG_FILE}: {error}"
         ) from error
     model.eval().requires_grad_(False)
+    return model
 
 
 def _read_config(path: Path) -> PriorConfig:

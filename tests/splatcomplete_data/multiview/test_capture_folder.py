@@ -109,3 +109,21 @@ def test_folders_with_other_things_are_never_cleared(tmp_path):
     clear_capture(out)
     assert list(out.iterdir()) == []
     clear_capture(tmp_path / "nothing")
+
+
+def test_the_first_file_of_a_killed_run_is_in_nobodys_way(tmp_path):
+    out = write(tmp_path / "c", {".capture.json.ab12_xyz.json": '{"sch'})
+    with capture_folder(out, resume=False, overwrite=False):
+        assert list(out.iterdir()) == []
+    out = write(tmp_path / "d", {**OLD, ".splats.ply.ab12_xyz.ply": "ply"})
+    replace(out)
+    assert files(out) == {**NEW, "sfm/colmap.log": "new"}
+
+
+def test_a_file_in_place_of_the_folder_is_named(tmp_path):
+    (tmp_path / "c").write_text("mine")
+    with (
+        pytest.raises(UserError, match="--out: expected a folder to create, found a file"),
+        capture_folder(tmp_path / "c", resume=False, overwrite=True),
+    ):
+        raise AssertionError

@@ -1,0 +1,88 @@
+"""The process that reads mutated files, one after the other."""
+
+from __future__ import annotations
+
+import logging
+import resource
+import signal
+import time
+import warnings
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from types import FrameType
+
+from gscomplete.errors import UserError
+from recipes.stress_readers.mutations import mutate
+from recipes.stress_readers.seeds import Reader, seed_files
+
+_SEED_LIMIT_S = 120
+"""Longest time for an undamaged file: the first of a kind compiles."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What became of one mutated file."""
+
+    number: int
+    file: str
+    text: str
+    """``read``, ``refused``, or what went wrong."""
+    seconds: float
+
+
+def read_all(
+    folder: Path,
+    seed: int,
+    first: int,
+    count: int,
+    limit_s: int,
+    limit_gb: float,
+    answers: Connection,
+) -> None:
+    """Read mutations ``first`` to ``count`` and send an answer to each."""
+    warnings.simplefilter("ignore")
+    logging.disable(logging.CRITICAL)
+    (folder / "seeds").mkdir()
+    (folder / "mutated").mkdir()
+    seeds = seed_files(folder / "seeds")
+    for path, reader in seeds:
+        answer = try_reader(reader, path, _SEED_LIMIT_S)
+        if answer != "read":
+            raise UserError(f"{path.name}: the seed itself gives: {answer}")
+    limit = _address_space() + int(limit_gb * 1e9)
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    for number in range(first, count):
+        path, reader = seeds[number % len(seeds)]
+        damaged = folder / "mutated" / path.name
+        damaged.write_bytes(mutate(path.read_bytes(), seed, number))
+        started = time.perf_counter()
+        text = try_reader(reader, damaged, limit_s)
+        answers.send(Answer(number, path.name, text, time.perf_counter() - started))
+
+
+def try_reader(reader: Reader, path: Path, limit_s: int) -> str:
+    """Read a file; return ``read``, ``refused``, or what went wrong."""
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        raise TimeoutError(f"longer than {limit_s} s")
+
+    signal.signal(signal.SIGALRM, stop)
+    signal.alarm(limit_s)
+    try:
+        reader(path)
+    except UserError as error:
+        if "longer than" in str(error):  # a reader took the alarm for a damaged file
+            return f"TimeoutError: {error}"[:200]
+        return "refused"
+    except BaseException as error:  # anything else is what is looked for
+        return f"{type(error).__name__}: {error}"[:200]
+    finally:
+        signal.alarm(0)
+    return "read"
+
+
+def _address_space() -> int:
+    """Return how many bytes of addresses the process has."""
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    return pages * resource.getpagesize()

@@ -1,0 +1,108 @@
+"""A run folder survives what happens to it, and what cannot go on says why."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+
+from gscomplete.completion.pipeline import Request
+from gscomplete.completion.presets import RECONSTRUCT
+from gscomplete.completion.run_folder import RUN_FILE, Run, RunRequest, execute, prepare
+from gscomplete.errors import UserError
+from gscomplete.fitting.step_loop import LOG_FILE
+from gscomplete.framing.decide import FramingRequest
+from gscomplete.splats import write_splats
+from tests.completion.oracle import OraclePrior, ball
+
+CHECKPOINT = "checkpoints/latest.safetensors"
+
+
+def begin(folder: Path, *, resume: bool = False) -> Run:
+    truth = ball(300)
+    write_splats(folder / "p.ply", truth.select(truth.means[:, 0] > 0))
+    settings = dataclasses.replace(
+        RECONSTRUCT, start="sphere", steps=6, new_splats=50, rounds=2, resolution_px=16
+    )
+    framing = FramingRequest(view_deg=(0.0, 10.0), center_file=(0.0, 0.0, 0.0), size_file=0.8)
+    asked = Request("a ball", dataclasses.replace(settings, checkpoint_every=1), framing)
+    request = RunRequest(folder / "p.ply", folder / "out", asked, resume=resume)
+    return prepare(request, OraclePrior(truth))
+
+
+class Stop(Exception):
+    """Ends a run after some steps."""
+
+
+@pytest.fixture
+def stopped(tmp_path: Path) -> Path:
+    """A run that was stopped after four of six steps."""
+
+    def stop(report) -> None:
+        if report.step == 4:
+            raise Stop
+
+    with pytest.raises(Stop):
+        execute(begin(tmp_path), stop)
+    return tmp_path
+
+
+def test_a_stopped_run_goes_on_to_the_same_bytes(stopped: Path, tmp_path_factory) -> None:
+    other = tmp_path_factory.mktemp("other")
+    execute(begin(other), lambda report: None)
+    # the log may hold anything: what it says decides nothing
+    log = stopped / "out" / LOG_FILE
+    log.write_bytes(b"\xff\xfe{\n" + log.read_bytes()[5:])
+    resumed = begin(stopped, resume=True)
+    assert resumed.steps.step_number == 4
+    execute(resumed, lambda report: None)
+    results = [(folder / "out/completed.ply").read_bytes() for folder in (stopped, other)]
+    assert results[0] == results[1]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"step": torch.tensor(-5)}, "step: expected 0 to 6, found -5"),
+        ({"value.means": torch.zeros(0, 3)}, "value.means: expected one row a splat"),
+        ({"ring.0.color": None}, "ring"),
+        ({"ring.0.alpha": torch.zeros(4, 3)}, r"ring\.0\.alpha: expected numbers"),
+        ({"ring.0.camera_from_world": None}, r"ring\.0\.camera_from_world"),
+        ({"adam.sh.exp_avg": None}, r"adam\.sh\.exp_avg: expected .* found none"),
+    ],
+)
+def test_a_damaged_checkpoint_is_named(stopped: Path, changes, message) -> None:
+    path = stopped / "out" / CHECKPOINT
+    state = {name: value.clone() for name, value in load_file(path).items()} | changes
+    save_file({name: value for name, value in state.items() if value is not None}, path)
+    with pytest.raises(UserError, match=rf"latest\.safetensors: .*{message}"):
+        begin(stopped, resume=True)
+
+
+@pytest.mark.parametrize("text", ['{"identity": "no"}', "[]", "{", "\udcff"])
+def test_a_damaged_run_file_is_named(stopped: Path, text: str) -> None:
+    (stopped / "out" / RUN_FILE).write_bytes(text.encode("utf-8", "surrogateescape"))
+    with pytest.raises(UserError, match=r"run\.json"):
+        begin(stopped, resume=True)
+
+
+def test_what_a_killed_start_leaves_is_no_run(tmp_path: Path) -> None:
+    """A kill while the very first run.json is written leaves its temporary file alone."""
+    (tmp_path / "out").mkdir()
+    (tmp_path / f"out/.{RUN_FILE}.ab12_xyz.json").write_text('{"schema')
+    with pytest.raises(UserError, match=r"there is no run\.json; start without --resume"):
+        begin(tmp_path, resume=True)
+    begin(tmp_path)
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {RUN_FILE}
+    assert json.loads((tmp_path / "out" / RUN_FILE).read_text())["status"] == "running"
+
+
+def test_a_file_in_place_of_the_folder_is_named(tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("mine")
+    with pytest.raises(UserError, match="--out: expected a folder to create, found a file"):
+        begin(tmp_path)
+    assert (tmp_path / "out").read_text() == "mine"
