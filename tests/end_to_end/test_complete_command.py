@@ -69,6 +69,20 @@ def test_run_folder_is_complete_and_partial_is_kept_byte_for_byte(finished):
     assert gscomplete("validate", finished / "completed.ply").returncode == 0
 
 
+def test_new_splats_can_be_had_alone(tmp_path):
+    alone, out = tmp_path / "new.ply", tmp_path / "run"
+    result = complete(SAMPLE, out, "--new-only", alone)
+    assert result.returncode == 0, result.stderr
+    assert f"the new splats alone: {alone}" in result.stdout
+    new, together = read_splats(alone), read_splats(out / "completed.ply")
+    assert len(new.splats) == len(together.splats) - read_splats(SAMPLE).n_rows > 0
+    for (name, own), (_, other) in zip(new.splats.fields(), together.splats.fields(), strict=True):
+        torch.testing.assert_close(own, other[-len(new.splats) :], msg=name)
+    result = complete(SAMPLE, tmp_path / "again", "--new-only", alone)
+    assert (result.returncode, (tmp_path / "again").exists()) == (2, False)
+    assert "it exists" in result.stderr
+
+
 def test_same_seed_same_bytes(finished, tmp_path):
     assert complete(SAMPLE, tmp_path / "again").returncode == 0
     again = (tmp_path / "again/completed.ply").read_bytes()
@@ -211,7 +225,7 @@ def test_another_file_beside_an_object_means_itself(tmp_path):
     (folder / "object.json").write_text('{"frame": []}')  # of some other program
     refused = gscomplete("complete", folder / "partial.ply", "--out", tmp_path / "out")
     assert refused.returncode == 2
-    assert "--prompt: expected what the whole object is" in refused.stderr
+    assert "--prompt: expected what the complete object is" in refused.stderr
     assert complete(tmp_path, tmp_path / "out").returncode == 2
 
 
@@ -329,7 +343,7 @@ def test_the_plane_of_symmetry_can_be_chosen(tmp_path):
         (("--mirror", "0,3"), "offset: expected -1 to 1"),
         (("--mirror", "none", "--preset", "paper"), "preset paper with prior embedded starts"),
         (("--alternatives", "9"), "--alternatives: expected 0 to 8"),
-        (("--alternatives", "2", "--text-only"), "starts without a guess of the whole"),
+        (("--alternatives", "2", "--text-only"), "starts without a guess of the complete object"),
     ],
 )
 def test_planes_that_make_no_sense_are_refused(tmp_path, options, message):
