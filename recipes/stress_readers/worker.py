@@ -16,7 +16,7 @@ from gscomplete.errors import UserError
 from recipes.stress_readers.mutations import mutate
 from recipes.stress_readers.seeds import Reader, seed_files
 
-_SEED_LIMIT_S = 120
+_SEED_LIMIT_S = 600
 """Longest time for an undamaged file: the first of a kind compiles."""
 
 
