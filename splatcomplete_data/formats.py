@@ -1,13 +1,15 @@
-"""Import and export of splat files other than PLY: .splat, .spz, and SuperSplat's compressed PLY.
+"""Import and export of splat files other than PLY: .splat, .spz, .glb, SuperSplat's compressed PLY.
 
 Conventions
 -----------
 * PLY is the native form; everything else is converted at the border and is lossy: ``.splat`` has
-  8-bit colours and rotations and no harmonics, ``.spz`` and compressed PLY are quantised.
+  8-bit colours and rotations and no harmonics, ``.spz`` and compressed PLY are quantised. Only
+  ``.glb`` (``glb_splats``) holds all that a PLY's splats have.
 * ``.splat``: 32 bytes per splat: position and linear scales as float32, sRGB and opacity as bytes,
   quaternion (w, x, y, z) as bytes (value x 128 + 128).
 * ``.spz`` stores right-up-back axes, PLY files of the same object right-down-front: reading and
-  writing turn by 180 degrees about x, harmonics too, and say so in ``notes``.
+  writing turn by 180 degrees about x, harmonics too, and say so in ``notes``. So it is with
+  ``.glb``, whose y axis points up, but about z, as PlayCanvas's splat-transform does.
 * SPZ and writing of compressed PLY go through the package gsply.
 """
 
@@ -39,15 +41,20 @@ from gscomplete.splats.ply_header import Element
 from gscomplete.splats.ply_layout import find_layout
 from gscomplete.splats.ply_records import LOG_SCALE_LIMIT, LOGIT_LIMIT
 from gscomplete.util.atomic import atomic_path
+from splatcomplete_data.glb_splats import read_glb_splats, write_glb_splats
 from splatcomplete_data.optional import import_optional
 from splatcomplete_data.spz_size import check_spz_size
 
-SplatFormat = Literal["ply", "compressed.ply", "splat", "spz"]
+SplatFormat = Literal["ply", "compressed.ply", "splat", "spz", "glb"]
 """Formats that are written; all are read."""
+SpzVersion = Literal[3, 4]
+"""3: gzip, read everywhere; 4: zstandard, smaller."""
+_SUFFIXES: tuple[SplatFormat, ...] = ("compressed.ply", "ply", "splat", "spz", "glb")
 
 _SPLAT_ROW = np.dtype([("xyz", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rot", "u1", 4)])
 _NORMALS = ("nx", "ny", "nz")
 _COMMENTS_SHOWN = 5
+_GLB_TURN = Similarity(1.0, torch.diag(torch.tensor([-1.0, -1.0, 1.0])), torch.zeros(3))
 _HALF_TURN = Similarity(1.0, torch.diag(torch.tensor([1.0, -1.0, -1.0])), torch.zeros(3))
 
 
@@ -71,11 +78,12 @@ def format_of(path: Path) -> SplatFormat:
         UserError: it says none of them.
     """
     name = path.name.lower()
-    formats: tuple[SplatFormat, ...] = ("compressed.ply", "ply", "splat", "spz")
-    for kind in formats:
+    for kind in _SUFFIXES:
         if name.endswith("." + kind):
             return kind
-    raise UserError(f"{path}: expected .ply, .compressed.ply, .splat or .spz, found {path.name!r}")
+    raise UserError(
+        f"{path}: expected .ply, .compressed.ply, .splat, .spz or .glb, found {path.name!r}"
+    )
 
 
 def read_any_splats(path: Path) -> Imported:
@@ -92,6 +100,11 @@ def read_any_splats(path: Path) -> Imported:
     if kind == "spz":
         note = "SPZ axes (right, up, back) turned by 180 degrees about x to PLY's"
         return Imported(_read_spz(path), kind, (note,), _HALF_TURN)
+    if kind == "glb":
+        raw, others = read_glb_splats(path)
+        note = "glTF axes (y up) turned by 180 degrees about z to PLY's"
+        left = (f"{others} primitives without splats",) if others else ()
+        return Imported(transform_splats(raw, _GLB_TURN), kind, (note,), _GLB_TURN, left)
     try:
         if kind == "ply":
             file = read_splats(path)
@@ -102,12 +115,13 @@ def read_any_splats(path: Path) -> Imported:
     return Imported(read_compressed_ply(path), "compressed.ply")
 
 
-def write_any_splats(path: Path, splats: Splats) -> tuple[str, ...]:
+def write_any_splats(path: Path, splats: Splats, *, spz_version: SpzVersion = 3) -> tuple[str, ...]:
     """Write splats in the format of the name; return what is lost.
 
     Args:
         path: destination, replaced atomically.
         splats: activated splats in the frame of a PLY.
+        spz_version: version of SPZ files.
 
     Raises:
         UserError: the name says no format, a splat is not finite, or the file cannot be written.
@@ -119,6 +133,9 @@ def write_any_splats(path: Path, splats: Splats) -> tuple[str, ...]:
     if kind == "ply":
         write_splats(path, splats)
         return ()
+    if kind == "glb":
+        write_glb_splats(path, transform_splats(splats, _GLB_TURN))
+        return ()
     if kind == "splat":
         _write_dot_splat(path, splats)
         lost = ("8-bit colours and rotations",)
@@ -128,7 +145,7 @@ def write_any_splats(path: Path, splats: Splats) -> tuple[str, ...]:
     with atomic_path(path) as temporary:
         data = _to_gsply(gsply, moved)
         if kind == "spz":
-            gsply.write_spz(temporary, data)
+            gsply.write_spz(temporary, data, version=spz_version)
         else:
             temporary.write_bytes(gsply.compress_to_bytes(data))
     return ("values are quantised",)

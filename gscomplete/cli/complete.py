@@ -44,6 +44,8 @@ class CompleteOptions:
     out: Path | None = None
     """Run folder; None = the name of PARTIAL or of its object with _completed, in the current
     folder."""
+    new_only: Path | None = None
+    """PLY file to write the new splats to as well, alone, in P's frame; it must not exist."""
     view: str | None = None
     """Input view c as AZIMUTH,ELEVATION in degrees (azimuth 0 looks from +x of the z-up object
     frame, 90 from +y); None = as object.json says, else the view that shows most of P from
@@ -153,7 +155,8 @@ def _complete(options: CompleteOptions) -> int:
         f"E_depth {c['depth']:.6f} from c, {views['depth']:.6f} over V"
         + ("" if result["measured_with"] == "P" else f" (of {result['measured_with']})"),
         f"written: {job.request.out}/completed.ply, preview.png, turntable.webp, run.json"
-        + (", alternatives.png" if options.alternatives else ""),
+        + (", alternatives.png" if options.alternatives else "")
+        + (f"; the new splats alone: {options.new_only}" if options.new_only else ""),
     )
     return 0
 
@@ -176,6 +179,8 @@ def _request(options: CompleteOptions, prior: Prior) -> RunRequest:
     from gscomplete.framing.decide import FramingRequest
 
     given = given_to(options)
+    if options.new_only is not None:
+        _check_new_only(options.new_only)
     settings = dataclasses.replace(
         preset(options.preset, prior.name, text_only=options.text_only), seed=options.seed
     )
@@ -217,7 +222,22 @@ def _request(options: CompleteOptions, prior: Prior) -> RunRequest:
         given.object_folder,
         given.sources,
         given.notes,
+        options.new_only,
     )
+
+
+def _check_new_only(path: Path) -> None:
+    """Check before the run that the new splats can be written on their own.
+
+    Raises:
+        UserError: it is no name of a PLY file, it exists, or its folder does not.
+    """
+    if path.suffix.lower() != ".ply":
+        raise UserError(f"--new-only: expected the name of a .ply file, found {str(path)!r}")
+    if path.exists():
+        raise UserError(f"--new-only: {path}: it exists; choose another name")
+    if not path.parent.is_dir():
+        raise UserError(f"--new-only: {path}: expected a folder that exists, found none")
 
 
 def given_to(options: CompleteOptions) -> Given:

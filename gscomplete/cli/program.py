@@ -11,12 +11,13 @@ import tyro
 from gscomplete.cli.guard import let_threads_sleep, print_version, run_guarded
 
 let_threads_sleep()  # the commands load PyTorch, and with it the OpenMP runtime
-from gscomplete.cli import complete, evaluate, render, validate, view, weights
+from gscomplete.cli import complete, evaluate, render, report, validate, view, weights
 
 _RUNNERS: dict[type, Callable[[Any], int]] = {
     complete.CompleteOptions: complete.run,
     evaluate.EvaluateOptions: evaluate.run,
     render.RenderOptions: render.run,
+    report.ReportOptions: report.run,
     validate.ValidateOptions: validate.run,
     view.ViewOptions: view.run,
     weights.WeightsOptions: weights.run,
@@ -26,6 +27,7 @@ Command = (
     Annotated[complete.CompleteOptions, tyro.conf.subcommand("complete")]
     | Annotated[evaluate.EvaluateOptions, tyro.conf.subcommand("evaluate")]
     | Annotated[render.RenderOptions, tyro.conf.subcommand("render")]
+    | Annotated[report.ReportOptions, tyro.conf.subcommand("report")]
     | Annotated[validate.ValidateOptions, tyro.conf.subcommand("validate")]
     | Annotated[view.ViewOptions, tyro.conf.subcommand("view")]
     | Annotated[weights.WeightsOptions, tyro.conf.subcommand("weights")]

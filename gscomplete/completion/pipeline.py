@@ -143,6 +143,14 @@ class Completed:
         else:
             write_splats(path, self.splats, comments)
 
+    def save_new(self, path: str | Path) -> None:
+        """Write the new splats alone, file frame, as a PLY file.
+
+        Raises:
+            UserError: the file cannot be written.
+        """
+        write_splats(path, self.new_in_file, (f"gscomplete version {gscomplete.__version__}",))
+
 
 def complete(
     partial: Splats | str | Path,

@@ -64,6 +64,8 @@ class RunRequest:
     """Which of the givens came from where."""
     notes: tuple[str, ...] = ()
     """What is odd about the request."""
+    new_only: Path | None = None
+    """PLY file for the new splats alone, file frame; None = none."""
 
 
 @dataclass(slots=True)
@@ -191,6 +193,8 @@ def _finish(run: Run) -> dict[str, Any]:
     run.timings["finish_s"] = time.perf_counter() - started
     started = time.perf_counter()
     completed.save(out / OUTPUT_FILE)
+    if run.request.new_only is not None:
+        completed.save_new(run.request.new_only)
     run.timings["write_s"] = time.perf_counter() - started
     started = time.perf_counter()
     together = completed.in_object_frame

@@ -12,7 +12,7 @@ Conventions
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from gscomplete.errors import UserError
@@ -51,6 +51,12 @@ class Subject:
     notes: tuple[str, ...] = ()
     settings: str = ""
     """How it was made, for people; empty = not known."""
+    timings: dict[str, float] = field(default_factory=dict)
+    """Seconds by stage, as a run records them."""
+    sources: dict[str, str] = field(default_factory=dict)
+    """Which of prompt, up axis, views and frame came from where, as a run records it."""
+    holds_partial: bool = True
+    """Whether O begins with P's splats."""
 
 
 def read_subject(path: Path, method: str, owner: Path | None = None) -> Subject:
@@ -129,6 +135,8 @@ def _read_run(folder: Path, method: str, owner: Path | None) -> Subject:
         _seconds(run),
         tuple(str(note) for note in run.content.get("notes", ())),
         _settings(run),
+        dict(run.content.get("timings") or {}),
+        dict(run.content["input"].get("sources") or {}),
     )
 
 
@@ -145,6 +153,7 @@ def _read_result(path: Path, method: str, known: ObjectFolder) -> Subject:
         None if truth is None else transform_splats(truth, to_object),
         known.views,
         known.frame,
+        holds_partial=False,
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -14,7 +14,7 @@ from splatcomplete_data.cli.common import say
 
 @dataclass(frozen=True, kw_only=True)
 class ConvertOptions:
-    """Convert a splat file: .ply, .compressed.ply, .splat, .spz.
+    """Convert a splat file: .ply, .compressed.ply, .splat, .spz, .glb (KHR_gaussian_splatting).
 
     What the target cannot hold is named, and so are properties and comments beside the splats.
 
@@ -27,6 +27,8 @@ class ConvertOptions:
     """File to write; its name says the format."""
     overwrite: bool = False
     """Replace the target if it exists."""
+    spz_version: Literal[3, 4] = 3
+    """Version of SPZ files: 3 is read everywhere, 4 is smaller."""
 
 
 def run(options: ConvertOptions) -> int:
@@ -37,7 +39,8 @@ def run(options: ConvertOptions) -> int:
     if options.target.exists() and not options.overwrite:
         raise UserError(f"{options.target}: it exists; replace it with --overwrite")
     found = read_any_splats(options.source)
-    lost = (*found.left, *write_any_splats(options.target, found.splats))
+    written = write_any_splats(options.target, found.splats, spz_version=options.spz_version)
+    lost = (*found.left, *written)
     say(options, *found.notes)
     if lost:
         say(options, f"lost: {', '.join(lost)}")

@@ -69,6 +69,20 @@ def test_run_folder_is_complete_and_partial_is_kept_byte_for_byte(finished):
     assert gscomplete("validate", finished / "completed.ply").returncode == 0
 
 
+def test_new_splats_can_be_had_alone(tmp_path):
+    alone, out = tmp_path / "new.ply", tmp_path / "run"
+    result = complete(SAMPLE, out, "--new-only", alone)
+    assert result.returncode == 0, result.stderr
+    assert f"the new splats alone: {alone}" in result.stdout
+    new, together = read_splats(alone), read_splats(out / "completed.ply")
+    assert len(new.splats) == len(together.splats) - read_splats(SAMPLE).n_rows > 0
+    for (name, own), (_, other) in zip(new.splats.fields(), together.splats.fields(), strict=True):
+        torch.testing.assert_close(own, other[-len(new.splats) :], msg=name)
+    result = complete(SAMPLE, tmp_path / "again", "--new-only", alone)
+    assert (result.returncode, (tmp_path / "again").exists()) == (2, False)
+    assert "it exists" in result.stderr
+
+
 def test_same_seed_same_bytes(finished, tmp_path):
     assert complete(SAMPLE, tmp_path / "again").returncode == 0
     again = (tmp_path / "again/completed.ply").read_bytes()

@@ -34,7 +34,7 @@ def covariances(splats: Splats) -> torch.Tensor:
     return axes @ axes.transpose(1, 2)
 
 
-@pytest.mark.parametrize("kind", ["ply", "splat", "spz", "compressed.ply"])
+@pytest.mark.parametrize("kind", ["ply", "splat", "spz", "compressed.ply", "glb"])
 def test_round_trip(tmp_path: Path, kind: str) -> None:
     if kind in ("spz", "compressed.ply"):
         pytest.importorskip("gsply")

@@ -1,0 +1,1 @@
+"""One self-contained page about completions: pictures, splats to turn, numbers, options."""

@@ -1,0 +1,90 @@
+"""What the page says of one completion: a picture, numbers, splats, options, timings, warnings."""
+
+from __future__ import annotations
+
+import base64
+import io
+from typing import Any
+
+import torch
+from PIL import Image
+
+from gscomplete.evaluate.pictures import LIGHT_GREY, to_image
+from gscomplete.evaluate.rows import Row
+from gscomplete.evaluate.subject import Subject
+from gscomplete.render import render
+from gscomplete.report.packed_splats import packed
+from gscomplete.splats import Splats
+from gscomplete.views import Cameras
+
+VIEWS_DEG = (0.0, 60.0, 180.0)
+"""Azimuths of the pictures from c."""
+_PICTURE_PX = 176
+_INSET_SHARE = 0.34
+_ERROR_GAIN = 4.0
+"""Differences of colours are drawn this much larger."""
+
+
+def card_of(subject: Subject, row: Row, most_splats: int) -> dict[str, Any]:
+    """Return the card as JSON values."""
+    count, data = packed(subject.completed, _is_new(subject), most_splats)
+    return {
+        "method": row.method,
+        "object": row.object,
+        "subset": row.subset,
+        "prompt": subject.prompt,
+        "values": row.values,
+        "seconds": row.seconds,
+        "unavailable": row.unavailable,
+        "notes": list(row.notes),
+        "settings": subject.settings,
+        "sources": subject.sources,
+        "timings": subject.timings,
+        "azimuth_deg": subject.views.azimuth_deg,
+        "elevation_deg": subject.views.elevation_deg,
+        "picture": _picture(subject),
+        "splats": {"count": count, "data": data},
+    }
+
+
+def _is_new(subject: Subject) -> torch.Tensor:  # [N] bool
+    """Mark what a completion added: in a run P comes first; another system's result is all new."""
+    place = torch.arange(len(subject.completed))
+    return place >= (len(subject.partial) if subject.holds_partial else 0)
+
+
+def _picture(subject: Subject) -> str:
+    """Draw input above completion from the same views, with errors inset; as a data URL."""
+    ring = subject.views.ring(360, _PICTURE_PX)
+    cameras = ring[[int(angle) for angle in VIEWS_DEG]]
+    sheet = Image.new("RGB", (_PICTURE_PX * len(VIEWS_DEG), 2 * _PICTURE_PX))
+    with torch.no_grad():
+        shown = [_colors(splats, cameras) for splats in (subject.partial, subject.completed)]
+    for column in range(len(VIEWS_DEG)):
+        for line, (color, _) in enumerate(shown):
+            sheet.paste(to_image(color[column]), (_PICTURE_PX * column, _PICTURE_PX * line))
+        inset = error_picture(shown[1][0][column], shown[0][0][column], shown[0][1][column])
+        side = int(_INSET_SHARE * _PICTURE_PX)
+        corner = (_PICTURE_PX * (column + 1) - side - 3, 2 * _PICTURE_PX - side - 3)
+        sheet.paste(inset.resize((side, side), Image.Resampling.LANCZOS), corner)
+    out = io.BytesIO()
+    sheet.save(out, format="WEBP", quality=82)
+    return "data:image/webp;base64," + base64.b64encode(out.getvalue()).decode("ascii")
+
+
+def _colors(splats: Splats, cameras: Cameras) -> tuple[torch.Tensor, torch.Tensor]:
+    view = render(splats, cameras, splats.means.new_tensor(LIGHT_GREY))
+    return view.color, view.alpha
+
+
+def error_picture(
+    ours: torch.Tensor,  # [H, W, 3]
+    theirs: torch.Tensor,  # [H, W, 3]
+    mask: torch.Tensor,  # [H, W]
+) -> Image.Image:
+    """Draw differences where P is: white = none, red = large; light grey where P is not."""
+    error = (_ERROR_GAIN * (ours - theirs).abs().mean(dim=-1) * mask).clamp(0, 1)[..., None]
+    red = torch.tensor([0.8, 0.05, 0.05])
+    inside = (1 - error) * torch.ones(3) + error * red
+    weight = mask[..., None].clamp(0, 1)
+    return to_image(weight * inside + (1 - weight) * torch.tensor(LIGHT_GREY))

@@ -1,0 +1,1 @@
+"""Results of other systems: what each gives, and how it enters our tables."""

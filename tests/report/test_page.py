@@ -1,0 +1,96 @@
+"""The page holds everything, and no text of a user becomes markup."""
+
+import base64
+import io
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from gscomplete.cli.report import ReportOptions, run
+from gscomplete.errors import UserError
+from gscomplete.report.cards import error_picture
+from gscomplete.report.packed_splats import unpacked
+from gscomplete.report.page import write_page
+from tests.cli.test_evaluate import FRAME, halves
+from tests.folders.object_folders import write_object_folder
+from tests.folders.run_folders import write_run_folder
+
+SMALL = {"views": 2, "truth_views": 2, "size_px": 32}
+
+
+def data_of(page: Path) -> dict:
+    text = page.read_text(encoding="utf-8")
+    found = re.search(r'<script id="data" type="application/json">(.*?)</script>', text, re.S)
+    assert found is not None
+    return json.loads(found[1])
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory) -> Path:
+    root = tmp_path_factory.mktemp("report")
+    front, back = halves()
+    partial = front.__class__(
+        FRAME.file_from_object.apply(front.means), front.quaternions, front.scales * 2,
+        front.opacities, front.sh,
+    )  # fmt: skip
+    folder = write_object_folder(
+        root / "cup", partial, prompt="</script><b>a cup</b>", frame=FRAME, frame_origin="given"
+    )
+    write_run_folder(root / "run", folder, back)
+    out = root / "page.html"
+    assert run(ReportOptions((root / "run",), out=out, title="A & <B>", **SMALL)) == 0
+    return out
+
+
+def test_the_page_holds_pictures_splats_numbers_and_notes(page):
+    data = data_of(page)
+    (card,) = data["cards"]
+    assert card["prompt"] == "</script><b>a cup</b>"
+    assert card["notes"] == ["a note <of> the run"]
+    assert card["sources"] == {"prompt": "object.json"}
+    assert card["timings"]["optimise_s"] == 2.0
+    assert 0 <= card["values"]["e_color_v"] < 0.1
+    assert len(unpacked(**{"count": card["splats"]["count"], "text": card["splats"]["data"]})
+               ["means"]) == 1500  # fmt: skip
+    kind, picture = card["picture"].split(",")
+    assert kind == "data:image/webp;base64"
+    assert Image.open(io.BytesIO(base64.b64decode(picture))).size == (528, 352)
+    assert [mean["method"] for mean in data["means"]] == ["run"]
+
+
+def test_nothing_is_fetched_and_no_text_ends_an_element(page):
+    text = page.read_text(encoding="utf-8")
+    assert "http://" not in text
+    assert "https://" not in text
+    assert "<b>a cup" not in text
+    assert "<title>A &amp; &lt;B></title>" in text
+    assert text.count("</script>") == 3
+
+
+def test_thirty_nine_objects_make_a_small_page(page, tmp_path):
+    """A page of 39 objects is below 25 MB with the splats that the command puts in."""
+    data = data_of(page)
+    card = data["cards"][0] | {"splats": {"count": 12_000, "data": "A" * 24 * 12_000}}
+    write_page(tmp_path / "p.html", "many", [], [card] * 39)
+    assert (tmp_path / "p.html").stat().st_size < 25 * 2**20
+
+
+def test_errors_are_drawn_where_p_is():
+    grey, red = torch.full((8, 8, 3), 0.5), torch.full((8, 8, 3), 0.5)
+    red[:, :4] = 0.9
+    mask = torch.zeros(8, 8)
+    mask[:4] = 1.0
+    picture = np.asarray(error_picture(red, grey, mask))
+    assert picture[0, 6].tolist() == [255, 255, 255]  # P, and the same
+    assert picture[0, 0].tolist() == [204, 13, 13]  # P, and very different
+    assert picture[7, 0].tolist() == [199, 199, 199]  # not P
+
+
+def test_numbers_of_splats_are_checked(tmp_path):
+    with pytest.raises(UserError, match="--most-splats: expected 100 to 1,000,000, found 3"):
+        run(ReportOptions((tmp_path,), most_splats=3))
