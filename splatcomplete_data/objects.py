@@ -104,13 +104,14 @@ class ObjectRecord:
     subset: Subset
     """Kind of source."""
     prompt: str
-    """What the whole object is."""
+    """What the complete object is."""
     source: SourceRecord
     """Where it comes from."""
     frame: ObjectFrame
-    """Up axis, centre and size of the whole object in the file frame."""
+    """Up axis, centre and size of the complete object in the file frame."""
     frame_origin: Literal["truth", "guess", "given"]
-    """Whether centre and size come from the known whole, a guess from the part, or the user."""
+    """Whether centre and size come from the known complete object, a guess from the part, or the
+    user."""
     views: ViewDistribution
     """Input view c and view distribution V."""
     file_from_source: dict[str, Any] | None = None
@@ -146,7 +147,7 @@ class ObjectRecord:
         if not self.id or self.id.startswith(".") or set(self.id) & set("/\\\0\n"):
             raise ValueError(f"id: expected a plain file name, found {self.id!r}")
         if not self.prompt.strip():
-            raise ValueError("prompt: expected what the whole object is, found an empty text")
+            raise ValueError("prompt: expected what the complete object is, found an empty text")
 
     def to_json(self) -> dict[str, Any]:
         """Return the JSON form."""
@@ -205,9 +206,9 @@ def write_object(
     Args:
         folder: the folder to create.
         record: what is known; ``counts`` and ``files`` are filled in here.
-        partial: the part, finite, in the file frame. None = only the whole is known, and
+        partial: the part, finite, in the file frame. None = only the complete object is known, and
             ``complete`` must be given.
-        complete: the whole, in the same frame; None = not known.
+        complete: the complete object, in the same frame; None = not known.
         overwrite: replace an object folder that exists.
         preview: picture for ``preview.png``; None = drawn here, part above whole from six views.
         partial_file: a splat PLY with exactly the part, copied instead of writing ``partial``

@@ -14,7 +14,7 @@ from gscomplete.priors import load_prior
 from gscomplete.render import Render, render
 from gscomplete.splats import read_splats, write_splats
 from gscomplete.views import ViewDistribution
-from splatcomplete_data.cli.common import Made, ObjectOptions, store_object
+from splatcomplete_data.cli.common import ObjectDraft, ObjectOptions, store_object
 from splatcomplete_data.formats import read_any_splats, write_any_splats
 from splatcomplete_data.objects import StepRecord, read_record
 from splatcomplete_data.points import points_to_splats
@@ -61,13 +61,13 @@ class GridOptions(ObjectOptions):
     file: Path = Path("grid.txt")
 
 
-def make_grid(options: GridOptions) -> Made:
+def make_grid(options: GridOptions) -> ObjectDraft:
     count = int(options.file.read_text())
     points = torch.cartesian_prod(*[torch.linspace(0.0, 1.0, count)] * 3).numpy()
     kept = points[:, 0] < 0.6
     step = StepRecord("half", len(points), int(kept.sum()), {"behind": int((~kept).sum())})
     splats = points_to_splats(points[kept], np.full((int(kept.sum()), 3), 0.5))
-    return Made("lidar", options.file, splats, None, "Z", (step,), ("a grid",))
+    return ObjectDraft("lidar", options.file, splats, None, "Z", (step,), ("a grid",))
 
 
 def test_a_source_of_ones_own_writes_an_object_folder_that_completes(tmp_path):

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from gscomplete.cli.given import Given, Options, take_given
 from gscomplete.cli.parse import parse_numbers
 from gscomplete.errors import UserError
 from gscomplete.priors.latent.settings import LatentPriorSettings
 
 if TYPE_CHECKING:
+    from gscomplete.cli.given import Given
     from gscomplete.completion.optimise import StepReport
     from gscomplete.completion.run_folder import Run, RunRequest
     from gscomplete.completion.settings import CompletionSettings
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 class CompleteOptions:
     """Complete a partial object made of Gaussian splats.
 
-    Reads PARTIAL.ply (P), adds new splats where the prompt and the prior want them, keeps P's looks
-    from the view distribution V, and writes a run folder: completed.ply (P's records first and
-    byte for byte, new ones after), run.json, preview.png, turntable.webp. Of an object folder of
-    splatcomplete-data, or any file in it, object.json says what the options leave open.
+    Reads PARTIAL.ply (P), adds new splats where the prompt and the prior want them, keeps P's
+    appearance from the view distribution V, and writes a run folder: completed.ply (P's records
+    first and byte for byte, new ones after), run.json, preview.png, turntable.webp. Of an object
+    folder of splatcomplete-data, or any file in it, object.json says what the options leave open.
 
     Examples: gscomplete complete half_mug.ply --prompt "a red mug" --out runs/mug;
     gscomplete complete objects/mug
@@ -40,7 +40,7 @@ class CompleteOptions:
     partial: Annotated[Path, tyro.conf.Positional]
     """Splat PLY of the partial object, in the layout of the original 3DGS; or an object folder."""
     prompt: str | None = None
-    """What the whole object is, such as "a red mug"; None = as object.json says."""
+    """What the complete object is, such as "a red mug"; None = as object.json says."""
     out: Path | None = None
     """Run folder; None = the name of PARTIAL or of its object with _completed, in the current
     folder."""
@@ -49,7 +49,7 @@ class CompleteOptions:
     view: str | None = None
     """Input view c as AZIMUTH,ELEVATION in degrees (azimuth 0 looks from +x of the z-up object
     frame, 90 from +y); None = as object.json says, else the view that shows most of P from
-    outside, or another if the prior's guess of the whole would hide P from there."""
+    outside, or another if the prior's guess of the complete object would hide P from there."""
     range: float | None = None
     """V reaches this many degrees of azimuth to either side of c; None = as object.json says, else
     50."""
@@ -57,10 +57,10 @@ class CompleteOptions:
     """Axis of the file that points up (glTF: Y; COLMAP and most 3DGS files: -Y); None = as
     object.json says, else Z."""
     center: str | None = None
-    """Centre of the WHOLE object as X,Y,Z in file coordinates; None = as object.json says where it
-    was given to that by hand, else guessed from P."""
+    """Centre of the COMPLETE object as X,Y,Z in file coordinates; None = as object.json says where
+    it was given to that by hand, else guessed from P."""
     size: float | None = None
-    """Largest side of the WHOLE object in file units; None = as for --center."""
+    """Largest side of the COMPLETE object in file units; None = as for --center."""
     prior: str = "embedded"
     """embedded, mvdream, or the path of weights: MVDream's file or folder, a folder of any
     diffusers text-to-image model, or an export of the embedded prior."""
@@ -72,7 +72,7 @@ class CompleteOptions:
     """default: best of time and quality for the prior. fast: less care. reconstruct: rounds of
     denoised views that the splats are fitted to. distill: the paper's method in fewer steps.
     paper: the paper's settings to the letter (6,000 steps); its sphere of new splats is about
-    P's box centre, here about the (guessed) centre of the whole."""
+    P's box centre, here about the (guessed) centre of the complete object."""
     steps: int | None = None
     """Optimiser steps; schedules, warm-up and pauses between subdivisions stretch with it. None =
     the preset's (the embedded prior's default takes none: its first guess is the result)."""
@@ -85,9 +85,9 @@ class CompleteOptions:
     """Upright plane that P is mirrored through: guess, none, or AZIMUTH,OFFSET (of its normal in
     degrees as in --view; from the frame's centre in object sizes). A run prints the one it took."""
     alternatives: int = 0
-    """Also guess the whole through this many likely planes (at most 8) and through none, and draw
-    these guesses below the result into alternatives.png, each with the --mirror that makes a run
-    take it."""
+    """Also guess the complete object through this many likely planes (at most 8) and through none,
+    and draw these guesses below the result into alternatives.png, each with the --mirror that makes
+    a run take it."""
     text_only: bool = False
     """Withhold P's renders from priors that can see them."""
     seed: int = 0
@@ -242,6 +242,8 @@ def _check_new_only(path: Path) -> None:
 
 def given_to(options: CompleteOptions) -> Given:
     """Join the options with what the object folder says."""
+    from gscomplete.cli.given import Options, take_given
+
     return take_given(
         Options(
             options.partial,
@@ -261,14 +263,15 @@ def _require_guess(
     """Refuse an option about guesses where there is none.
 
     Raises:
-        UserError: the run starts without a guess of the whole.
+        UserError: the run starts without a guess of the complete object.
     """
     from gscomplete.priors.base import ShapePrior
 
     if settings.start != "guess" or not isinstance(prior, ShapePrior):
         raise UserError(
             f"{name}: preset {options.preset} with prior {prior.name} starts without a guess "
-            "of the whole; --preset default, fast or reconstruct of the embedded prior have one"
+            "of the complete object; --preset default, fast or reconstruct of the embedded prior "
+            "have one"
         )
 
 

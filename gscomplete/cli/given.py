@@ -112,12 +112,12 @@ def _prompt(options: Options, found: ObjectFolder | None, sources: dict[str, str
     """
     if options.prompt is not None:
         if not options.prompt.strip():
-            raise UserError("--prompt: expected what the whole object is, found an empty text")
+            raise UserError("--prompt: expected what the complete object is, found an empty text")
         sources["prompt"] = "--prompt"
         return options.prompt
     if found is None:
         raise UserError(
-            f'--prompt: expected what the whole object is, such as "a red mug", found none; '
+            f'--prompt: expected what the complete object is, such as "a red mug", found none; '
             f"{options.path} belongs to no object folder that says it"
         )
     sources["prompt"] = OBJECT_FILE

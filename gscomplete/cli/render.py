@@ -12,7 +12,6 @@ import tyro
 
 from gscomplete.cli.parse import parse_numbers, parse_view
 from gscomplete.errors import UserError
-from gscomplete.folders import shown_by
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -77,6 +76,8 @@ def run(options: RenderOptions) -> int:
         raise UserError("--views: expected at least one AZIMUTH,ELEVATION, found none")
     background = parse_numbers(options.background, 3, "--background", "R,G,B") or [1.0, 1.0, 1.0]
     angles = [parse_view(view, "--views") for view in options.views]
+    from gscomplete.folders import shown_by
+
     shown = shown_by(options.file)
     up = options.up or (shown.frame.up if shown.frame is not None else "Z")
     given = _given_frame(options, up)

@@ -12,15 +12,16 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.console import Console
 from rich.markup import escape
 
 from gscomplete.errors import UserError
-from gscomplete.folders import splat_files_of
-from gscomplete.splats.validation import ValidationReport, validate_file
+
+if TYPE_CHECKING:
+    from gscomplete.splats.validation import ValidationReport
 
 _STYLES = {"error": "bold red", "warning": "yellow", "info": "dim"}
 
@@ -45,6 +46,9 @@ def run(options: ValidateOptions) -> int:
     Raises:
         UserError: no file was given, or a folder holds none.
     """
+    from gscomplete.folders import splat_files_of
+    from gscomplete.splats.validation import validate_file
+
     if not options.files:
         raise UserError("expected at least one FILE to check, found none")
     reports = [validate_file(file) for path in options.files for file in splat_files_of(path)]

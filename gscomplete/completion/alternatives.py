@@ -1,4 +1,4 @@
-"""Other wholes that the same part may be of, for users to choose from.
+"""Other complete objects that the same part may be of, for users to choose from.
 
 Which plane P is mirrored through decides most of a completion that starts from a guess, and a look
 tells people what no measure of ours does. So every likely plane's guess is drawn, with the option
@@ -29,7 +29,7 @@ _SIZE_PX = 192
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """One guess of the whole."""
+    """One guess of the complete object."""
 
     mirror: ChosenMirror
     splats: Splats
@@ -49,7 +49,7 @@ def guess_alternatives(
     settings: CompletionSettings,
     count: int,
 ) -> list[Alternative]:
-    """Guess the whole through each of the likeliest planes of symmetry, and through none.
+    """Guess the complete object through each of the likeliest planes of symmetry, and through none.
 
     Args:
         prior: of the run.
@@ -60,7 +60,7 @@ def guess_alternatives(
         count: most planes.
 
     Returns:
-        The likeliest first, none at last; nothing if the prior guesses no wholes.
+        The likeliest first, none at last; nothing if the prior guesses no complete objects.
     """
     if settings.start != "guess" or not isinstance(prior, ShapePrior):
         return []

@@ -4,8 +4,8 @@ Conventions
 -----------
 * ``PAPER`` has the paper's settings to the letter; the others differ from what they are made of
   only in what they list. One thing is no setting: the sphere of the start is about the origin of
-  the object frame, the guessed centre of the whole; the paper's (section 3.3) is about the centre
-  of P's box.
+  the object frame, the guessed centre of the complete object; the paper's (section 3.3) is about
+  the centre of P's box.
 """
 
 from __future__ import annotations
@@ -74,8 +74,8 @@ DEFAULT = dataclasses.replace(
     new_splats=20_000,
     hard_preservation=HardPreservationSettings(color_bound=8e-4, depth_bound=2e-3, mask_from=0.8),
 )
-"""The first guess of a prior with an idea of shape, held to P's looks where P is dense: steps of a
-small denoiser make it no better in shape, and dirtier (the time/quality benchmark)."""
+"""The first guess of a prior with a shape network, held to P's appearance where P is dense: steps
+of a small denoiser make it no better in shape, and dirtier (the time/quality benchmark)."""
 
 FAST = dataclasses.replace(DEFAULT, new_splats=10_000, hard_preservation=None)
 """The first guess as it is."""

@@ -25,7 +25,7 @@ cheap steps (after MicroDreamer); the preservation loss is the same."""
 
 Start = Literal["sphere", "guess"]
 """``sphere``: new splats uniform in a sphere (paper, section 3.3). ``guess``: on the surface that a
-prior with an idea of shape guesses (``priors.base.ShapePrior``), else in the sphere."""
+prior with a shape network guesses (``priors.base.ShapePrior``), else in the sphere."""
 
 
 LAST_TIMESTEP = 999.0
@@ -57,16 +57,16 @@ class TimestepStage:
 
 @dataclass(frozen=True, slots=True)
 class HardPreservationSettings:
-    """Bounds on what new splats may change of P's looks from V, and how they are reached."""
+    """Bounds on what new splats may change of P's appearance from V, and how they are reached."""
 
     color_bound: float = 1e-3
     """Largest E_color over V (``evaluate.metrics``)."""
     depth_bound: float = 5e-4
     """Largest E_depth over V, in squared object sizes."""
     mask_from: float = 0.0
-    """P's alpha from which a pixel is held to its looks; 0 = all pixels, each by its alpha, as the
-    errors are defined. Where P is a few scattered splats, its looks are mostly those of what lies
-    behind, and a completion that fills the gaps must change them."""
+    """P's alpha from which a pixel is held to its appearance; 0 = all pixels, each by its alpha, as
+    the errors are defined. Where P is a few scattered splats, its appearance is mostly that of what
+    lies behind, and a completion that fills the gaps must change them."""
     margin: float = 0.8
     """Share of the bounds that errors over the check views are brought below, so that other views
     of V are below the bounds too."""

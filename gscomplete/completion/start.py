@@ -121,8 +121,8 @@ def initial_splats(
 ) -> Splats:
     """Scatter new splats uniformly in the sphere about the object-frame origin.
 
-    That is the centre of the whole as it was guessed or given; the paper's sphere is about the
-    centre of P's box, from which what is missing may lie far off.
+    That is the centre of the complete object as it was guessed or given; the paper's sphere is
+    about the centre of P's box, from which what is missing may lie far off.
 
     Their scale is the mean spacing of ``count`` points in the sphere, their colour that of a random
     splat of P with noise, so that the start is neither dust nor a foreign colour.

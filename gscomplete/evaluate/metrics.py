@@ -2,9 +2,9 @@
 
 Conventions
 -----------
-* P is the partial input, O its completion, T the true whole; all in the object frame, so depths
-  are in object sizes. Colours are compared over one background, mid-grey unless told otherwise:
-  no object is favoured for being as bright as what lies behind it.
+* P is the partial input, O its completion, T the true complete object; all in the object frame, so
+  depths are in object sizes. Colours are compared over one background, mid-grey unless told
+  otherwise: no object is favoured for being as bright as what lies behind it.
 * M_c, the mask, is the alpha of P's render from c. The paper weights its errors by M_c and leaves
   the normalisation open. Here an error is the weighted mean over all pixels of all views,
 
@@ -117,7 +117,7 @@ def against_truth(
     cameras: Cameras,
     background: tuple[float, float, float] = MID_GREY,
 ) -> TruthErrors:
-    """Compare a completion with the known whole object from the given views.
+    """Compare a completion with the known complete object from the given views.
 
     Args:
         completed: O in the object frame.

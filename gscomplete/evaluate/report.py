@@ -69,7 +69,7 @@ class EvaluationReport:
     clip: float | Unavailable
     """S_CLIP between P from c and the completion from four sides."""
     truth: TruthErrors | None = None
-    """Agreement with the known whole object; None when it is not known."""
+    """Agreement with the known complete object object; None when it is not known."""
     truth_pictures: TruthPictures | None = None
     """Likeness to it."""
     truth_surface: HiddenSurfaceErrors | None = None
@@ -90,7 +90,7 @@ def evaluate(
         completed: O in the object frame.
         partial: P in the object frame.
         views: V with the input view c.
-        truth: the whole object in the object frame, if known.
+        truth: the complete object in the object frame, if known.
         settings: knobs; None = defaults.
 
     Raises:

@@ -17,11 +17,11 @@ from gscomplete.splats import Splats
 from gscomplete.views import ObjectFrame, ViewDistribution
 
 _LEAST_SHARE = 0.01
-"""A P whose largest side is less of the whole's is a mistake, mostly of units."""
+"""A P whose largest side is less of the complete object's is a mistake, mostly of units."""
 _SMALL_SHARE = 0.05
-"""One with less is worth a note."""
+"""One with less is reported."""
 _COARSE_SHARE = 1e-3
-"""A spacing of float32 coordinates above this share of the object's size is worth a note: less than
+"""A spacing of float32 coordinates above this share of the object's size is reported: less than
 a third of a pixel where the object fills 256."""
 _VISIBILITY_PX = 128
 """Side of the picture in which P must be seen."""
@@ -37,13 +37,13 @@ def largest_side(splats: Splats) -> float:
 
 
 def check_given_frame(partial: Splats, frame: ObjectFrame, name: str) -> tuple[str, ...]:
-    """Check that a frame which the user gives may be that of the whole.
+    """Check that a frame which the user gives may be that of the complete object.
 
     A wrong unit is the usual mistake: the run would add a few splats and measure no fault.
 
     Args:
         partial: P, in the file frame.
-        frame: the frame of the whole.
+        frame: the frame of the complete object.
         name: P's file, for errors.
 
     Returns:
@@ -55,7 +55,8 @@ def check_given_frame(partial: Splats, frame: ObjectFrame, name: str) -> tuple[s
     side, size = largest_side(partial), frame.size_file
     share = side / size
     sides = (
-        f"P's largest side is {side:.4g}, {100 * share:.2g} % of the whole's {size:.4g} (--size)"
+        f"P's largest side is {side:.4g}, {100 * share:.2g} % of the complete object's {size:.4g} "
+        "(--size)"
     )
     if share < _LEAST_SHARE:
         raise UserError(

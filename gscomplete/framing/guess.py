@@ -1,7 +1,7 @@
-"""Guess where the whole object is, from a part of it: centre, size and input view.
+"""Guess where the complete object is, from a part of it: centre, size and input view.
 
 The paper's authors set these by hand (its "Limitations" expects heuristics to do it). The box of P
-is not the box of the whole: half a mug has its true centre on the cut. Every guess can be
+is not the box of the complete object: half a mug has its true centre on the cut. Every guess can be
 overridden, and the reasons are recorded with the run.
 
 Conventions
@@ -62,12 +62,12 @@ class FramingSettings:
 
 @dataclass(frozen=True, slots=True)
 class FramingGuess:
-    """Where the whole object is believed to be."""
+    """Where the complete object is believed to be."""
 
     center: tuple[float, float, float]
-    """Centre of the whole, in the z-up axes of the splats given."""
+    """Centre of the complete object, in the z-up axes of the splats given."""
     size: float
-    """Largest side of the whole, in the units of the splats given."""
+    """Largest side of the complete object, in the units of the splats given."""
     view_azimuth_deg: float
     """Azimuth of the input view c."""
     view_elevation_deg: float
@@ -127,7 +127,7 @@ def guess_framing(
     *,
     seen_from_deg: float | None = None,
 ) -> FramingGuess:
-    """Guess centre, size and input view of the whole object.
+    """Guess centre, size and input view of the complete object.
 
     Floaters are left out of P's box. The input view is the candidate with the best
     ``ViewScores.score``. If P is open towards a side, the box grows that way (``extended_box``);
@@ -239,12 +239,12 @@ def extended_box(
     points: FloatArray,  # [N, 3]
     toward_deg: float,
 ) -> tuple[FloatArray, float, str]:
-    """Grow the box of P towards its open side to where the whole probably ends.
+    """Grow the box of P towards its open side to where the complete object probably ends.
 
-    Along the open direction the whole is taken to be as deep as it is wide, but at most twice as
-    deep as P: a cut or a scan that keeps less than half is rare. The size is that of the box of P
-    and its reflection through the new centre. Returns the centre [3], the size, and the reason in
-    words.
+    Along the open direction the complete object is taken to be as deep as it is wide, but at most
+    twice as deep as P: a cut or a scan that keeps less than half is rare. The size is that of the
+    box of P and its reflection through the new centre. Returns the centre [3], the size, and the
+    reason in words.
     """
     angle = math.radians(toward_deg)
     along = np.array([math.cos(angle), math.sin(angle), 0.0])

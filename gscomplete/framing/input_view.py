@@ -1,12 +1,14 @@
-"""Settle the input view c, where it is only guessed, by the prior's first guess of the whole.
+"""Refine a guessed input view c by the prior's guess of the complete object.
 
-P was seen from c, so the whole hides next to nothing of P there. Looking at P alone, ``framing``
-sometimes takes the inside of a cut or scanned part for its outside. Once there is a guess of the
-whole, that shows: from a wrong c it stands before P, and keeping P's looks would tear it apart.
+P was seen from c, so the complete object hides next to nothing of P there. Looking at P alone,
+``framing`` sometimes takes the inside of a cut or scanned part for its outside. Once there is a
+guess of the complete object, that is seen: from a wrong c it stands before P, and keeping P's
+appearance would tear it apart.
 
 Conventions
 -----------
-* Object frame. A pixel of P is hidden where the whole is nearer than P by more than a tolerance.
+* Object frame. A pixel of P is hidden where the complete object is nearer than P by more than a
+  tolerance.
 * Shares of hidden pixels are means over c and views to both sides of it within V.
 """
 
@@ -32,18 +34,19 @@ class InputViewSettings:
     Of 180 parts of 15 real objects that no benchmark uses, random cuts turned at random
     (`recipes.real_objects.validation --random 12`), 9 gave way. From the new views the truth hides
     less of each, in the mean 3 % for 64 %, and the IoU of a default run is about .06 higher there.
-    Guessing the whole anew from the new view is worse, by .03.
+    Guessing the complete object anew from the new view is worse, by .03.
     """
 
     most_hidden: float = 0.1
-    """A view from which the whole hides no more than this share of P's pixels stays, ..."""
+    """A view from which the complete object hides no more than this share of P's pixels stays,
+    ..."""
     least_hidden: float = 0.05
     """... and so it does if the best other one (by score and hidden share) hides more than this:
-    then it is rather the guess of the whole that is wrong."""
+    then it is rather the guess of the complete object that is wrong."""
     least_score: float = 0.5
     """Views that show P worse than this share of the best one's score are not asked."""
     depth_tolerance: float = 0.03
-    """In object sizes: hidden is what lies this much behind the whole."""
+    """In object sizes: hidden is what lies this much behind the complete object."""
     size_px: int = 48
     """Side of the renders."""
     max_splats: int = 20_000
@@ -56,7 +59,7 @@ def refine_input_view(
     guessed: ViewDistribution,
     settings: InputViewSettings | None = None,
 ) -> tuple[ViewDistribution, str]:
-    """Return V about the input view that the guess of the whole bears out, and a note if it moved.
+    """Return V about an input view consistent with the guess, and a note if it moved.
 
     Args:
         partial: P in the object frame.
@@ -76,22 +79,22 @@ def refine_input_view(
         return guessed, ""
     scores = score_partial(partial)
     shares = scores.score / max(float(scores.score.max()), 1e-12)
-    best, least, most_worth = guessed, before, 0.0
+    best, least, best_score = guessed, before, 0.0
     for row, column in sorted(
         np.argwhere(shares >= chosen.least_score), key=lambda at: -shares[*at]
     ):
-        if shares[row, column] <= most_worth:  # no later one can be worth more than its share
+        if shares[row, column] <= best_score:  # no later one can score more than its share
             break
         views = _looking_from(guessed, scores, row, column)
         hidden = hidden_share(partial, whole, views, chosen)
-        worth = float(shares[row, column]) * (1.0 - hidden) ** 2
-        if worth > most_worth:
-            best, least, most_worth = views, hidden, worth
+        score = float(shares[row, column]) * (1.0 - hidden) ** 2
+        if score > best_score:
+            best, least, best_score = views, hidden, score
     if least >= chosen.least_hidden:
         return guessed, ""
     return best, (
         f"input view {best.azimuth_deg:g},{best.elevation_deg:g} after all: from "
-        f"{guessed.azimuth_deg:g},{guessed.elevation_deg:g} the guess of the whole hides "
+        f"{guessed.azimuth_deg:g},{guessed.elevation_deg:g} the guess of the complete object hides "
         f"{100 * before:.0f} % of P, from here {100 * least:.0f} % (--view keeps another)"
     )
 
@@ -99,7 +102,7 @@ def refine_input_view(
 def hidden_share(
     partial: Splats, whole: Splats, views: ViewDistribution, settings: InputViewSettings
 ) -> float:
-    """Return the share of P's pixels that the whole hides, seen from about c; 0 where P is not."""
+    """Return the share of P's pixels that the complete object hides from about c; 0 without P."""
     cameras = views.sides(settings.size_px)
     with torch.no_grad():
         alone, together = render(partial, cameras), render(whole, cameras)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import importlib
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from gscomplete.errors import UserError
-from gscomplete.priors.base import Conditioning, FourViews, Guidance, Prior, PriorViews
 
 if TYPE_CHECKING:
     import torch
 
+    from gscomplete.priors.base import Conditioning, FourViews, Guidance, Prior, PriorViews
     from gscomplete.priors.latent.settings import LatentPriorSettings
 
 __all__ = [
@@ -29,6 +29,16 @@ PRIOR_NAMES = ("embedded", "mvdream")
 """Priors that can be asked for by name."""
 _CALLABLE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 """``MODULE:FUNCTION``."""
+
+
+_OF_BASE = ("Conditioning", "FourViews", "Guidance", "Prior", "PriorViews")
+
+
+def __getattr__(name: str) -> Any:
+    """Load the interface on first use (PEP 562): options name priors without PyTorch."""
+    if name not in _OF_BASE:
+        raise AttributeError(f"module 'gscomplete.priors' has no attribute {name!r}")
+    return getattr(importlib.import_module("gscomplete.priors.base"), name)
 
 
 def load_prior(

@@ -207,7 +207,7 @@ class FirstGuess:
 
 @runtime_checkable
 class ShapePrior(Protocol):
-    """A prior that can also guess the whole from P at once, for new splats to start from."""
+    """A prior that can also guess the complete object from P at once."""
 
     def first_guess(
         self,

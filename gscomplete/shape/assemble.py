@@ -1,4 +1,4 @@
-"""The first guess of the whole: P mirrored where that is believed, the network's surface elsewhere.
+"""The guess of the complete object: P mirrored where believed, the network's surface elsewhere.
 
 Conventions
 -----------
@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from gscomplete.shape.mirror_plane import MirrorPlane
-from gscomplete.shape.mirrored import borne_out, mirror_image
+from gscomplete.shape.mirrored import mirror_image, select_consistent
 from gscomplete.shape.predict import Prediction
 from gscomplete.shape.surface import (
     SurfaceSettings,
@@ -38,27 +38,27 @@ _MOST_LOOKED_AT = 20_000
 
 
 @dataclass(frozen=True, slots=True)
-class WholeSettings:
+class AssembleSettings:
     """How the first guess is put together."""
 
     count: int = 20_000
     """Most new splats."""
-    least_worth: float = 0.75
+    min_symmetry_score: float = 0.75
     """Worth of the first mirror image, by the network's answer, from which on its splats are used;
     below it the network's surface is all there is."""
-    beside_logit: float = 0.0
+    occupancy_threshold_beside: float = 0.0
     """Cells of the network's surface beside mirrored splats count as filled from this logit on."""
-    unsure_logit: float = -1.0
+    occupancy_threshold_low: float = -1.0
     """Without mirrored splats: from this logit on where much is missing; the network is never sure
-    of thin walls there, and they are worth some excess ..."""
-    sure_logit: float = 0.25
-    """... and from this one on where little is missing, so that what is whole stays as it is. On
+    of thin walls there, and some excess is accepted for them ..."""
+    occupancy_threshold_high: float = 0.25
+    """... and from this one on where little is missing, so that what is complete stays as it is. On
     135 parts of 15 real objects that no benchmark uses, IoU is .009 above that of -1 everywhere:
     .023 on those that lack little, .001 on the others."""
-    sure_worths: tuple[float, float] = (0.1, 0.3)
-    """Little is missing where no mirror image of P is worth more than the first: none adds anything
+    threshold_symmetry_scores: tuple[float, float] = (0.1, 0.3)
+    """Little is missing where no mirror image of P scores more than the first: none adds anything
     that the network believes in. From the second on that says nothing ..."""
-    sure_shares: tuple[float, float] = (0.2, 0.3)
+    threshold_missing_shares: tuple[float, float] = (0.2, 0.3)
     """... or where no more of the surface than the first share lies beyond P's cells and those
     beside them (were more counted as P's, scattered splats would seem to be a whole surface); from
     the second on that says nothing. Between them levels are interpolated; the higher one counts."""
@@ -72,7 +72,7 @@ class WholeSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class Whole:
+class AssembledSplats:
     """What completes one object."""
 
     splats: Splats
@@ -81,51 +81,54 @@ class Whole:
     """How many of them, the first, are P's own, mirrored."""
 
 
-def whole_splats(
-    prediction: Prediction, partial: Splats, settings: WholeSettings, generator: torch.Generator
-) -> Whole:
+def assemble_splats(
+    prediction: Prediction, partial: Splats, settings: AssembleSettings, generator: torch.Generator
+) -> AssembledSplats:
     """Return the new splats of one object.
 
     Args:
-        prediction: the network's answer and what it was shown.
+        prediction: the network's answer and what it was given.
         partial: P in the object frame.
         settings: knobs.
         generator: chooses where splats sit.
     """
     copies = None
     most = int(settings.mirrored_share * settings.count)
-    if most and prediction.worth >= settings.least_worth:
+    if most and prediction.symmetry_score >= settings.min_symmetry_score:
         copies = _new_copies(prediction, partial, most, generator)
     if copies is None or not len(copies):
         level = _surface_logit(prediction, settings)
         plain = SurfaceSettings(settings.count, filled_logit=level)
         surface = surface_splats(prediction.output, prediction.seen, partial, plain, generator)
-        return Whole(surface, 0)
+        return AssembledSplats(surface, 0)
     beside = SurfaceSettings(
         settings.count - len(copies),
         near_partial=settings.reach,
         gap_spacings=settings.gap_spacings,
-        filled_logit=settings.beside_logit,
+        filled_logit=settings.occupancy_threshold_beside,
         least_spacing=min(max(median_spacing(copies.means), _LEAST_SPACING), _MOST_SPACING),
     )
     surface = surface_splats(prediction.output, prediction.seen, partial, beside, generator, copies)
-    return Whole(concatenate([copies, surface]), len(copies))
+    return AssembledSplats(concatenate([copies, surface]), len(copies))
 
 
-def _surface_logit(prediction: Prediction, settings: WholeSettings) -> float:
+def _surface_logit(prediction: Prediction, settings: AssembleSettings) -> float:
     """Return the logit from which on cells count as filled, by how much is missing."""
     surface = surface_cells(prediction.output.occupancy > 0)
-    away = surface & (grown(torch.from_numpy(prediction.look.volume[:1])) <= 0)
+    away = surface & (grown(torch.from_numpy(prediction.voxels.volume[:1])) <= 0)
     share = float(away.sum()) / max(float(surface.sum()), 1.0)
-    levels = (settings.sure_logit, settings.unsure_logit)
-    by_share = float(np.interp(share, settings.sure_shares, levels))
+    levels = (settings.occupancy_threshold_high, settings.occupancy_threshold_low)
+    by_share = float(np.interp(share, settings.threshold_missing_shares, levels))
     if not _is_mirrored(prediction):
         return by_share
-    return max(by_share, float(np.interp(prediction.worth, settings.sure_worths, levels)))
+    return max(
+        by_share,
+        float(np.interp(prediction.symmetry_score, settings.threshold_symmetry_scores, levels)),
+    )
 
 
 def _is_mirrored(prediction: Prediction) -> bool:
-    """Say whether the network was shown any mirror image."""
+    """Say whether the network was given any mirror image."""
     return prediction.seen.symmetries[0].score > 0
 
 
@@ -139,7 +142,7 @@ def mirror_note(prediction: Prediction, mirrored: int) -> str:
     """Tell users through which plane P was mirrored, as they would ask for it.
 
     Args:
-        prediction: what the network was shown.
+        prediction: what the network was given.
         mirrored: how many of the new splats are P's own.
     """
     if not _is_mirrored(prediction):
@@ -155,7 +158,9 @@ def _new_copies(
     """Return P's splats through the first mirror image, where P has none and nothing is against."""
     source = thinned(partial, _MOST_MIRRORED, generator)
     copies = mirror_image(source, prediction.seen.symmetries[0])
-    copies = borne_out(copies, prediction.output.occupancy.float(), prediction.look.evidence)
+    copies = select_consistent(
+        copies, prediction.output.occupancy.float(), prediction.voxels.evidence
+    )
     if not len(copies):
         return copies
     axes = rotation_matrices(copies.quaternions)

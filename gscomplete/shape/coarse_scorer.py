@@ -1,11 +1,11 @@
-"""Which plane of symmetry is the right one: a small network over what speaks for each.
+"""Which plane of symmetry is the right one: a small network over the evidence for each.
 
 It was trained on procedural objects whose truth is known (``recipes/train_embedded_prior``) to
 prefer planes whose copy of P covers much of what is missing and little that is not there.
 
 Conventions
 -----------
-* Scores are logits over all planes of ``planes``: their softmax is the belief in each.
+* Scores are logits over all planes of ``symmetry_features``: their softmax is the belief in each.
 * The file holds float32 tensors: two of scaling, then weight and bias of each layer.
 """
 
@@ -26,12 +26,12 @@ from gscomplete.shape.symmetry_features import FEATURES
 from gscomplete.shape.voxels import FloatArray
 from gscomplete.util.atomic import atomic_path
 
-RANKER_FILE = "planes.safetensors"
+COARSE_SCORER_FILE = "planes.safetensors"
 LAYERS = 3
 
 
 @dataclass(frozen=True, slots=True)
-class PlaneRanker:
+class CoarseSymmetryScorer:
     """A perceptron: features in, logit out."""
 
     tensors: dict[str, FloatArray]
@@ -57,7 +57,7 @@ class PlaneRanker:
             temporary.write_bytes(save(self.tensors))
 
     @classmethod
-    def load(cls, path: Path) -> PlaneRanker:
+    def load(cls, path: Path) -> CoarseSymmetryScorer:
         """Read a network.
 
         Raises:
@@ -74,6 +74,6 @@ class PlaneRanker:
 
 
 @functools.cache
-def packaged_ranker() -> PlaneRanker:
+def packaged_coarse_scorer() -> CoarseSymmetryScorer:
     """Return the network that ships with the package."""
-    return PlaneRanker.load(PACKAGED_WEIGHTS / RANKER_FILE)
+    return CoarseSymmetryScorer.load(PACKAGED_WEIGHTS / COARSE_SCORER_FILE)

@@ -8,7 +8,7 @@ colours, and so does a mean of two patterns. So new splats take the colour of on
 
 Conventions
 -----------
-* Sources are P and its mirror images, in the order of ``inputs``; colours in [0, 1].
+* Sources are P and its mirror images, in the order of ``partial_voxels``; colours in [0, 1].
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""What a plane's copy of P would be worth, as a small network sees P on both sides of the plane.
+"""What a plane's copy of P scores by the truth, from P on both sides of the plane.
 
-The ranker (``plane_ranker``) reads 21 numbers per plane and can afford all 1,332 planes. The judge
+The ranker (``coarse_scorer``) reads 21 numbers per plane and can afford all 1,332 planes. The judge
 looks at the voxels themselves, folded about the plane, for the few planes that the ranker likes,
 and corrects its opinion. It was trained on procedural objects whose truth is known
 (``recipes/train_embedded_prior``).
@@ -37,7 +37,7 @@ from gscomplete.shape.symmetry_features import FEATURES
 from gscomplete.shape.voxels import CELL_SIDE, HALF_SIDE, FloatArray
 from gscomplete.util.atomic import atomic_path
 
-JUDGE_FILE = "plane_judge.safetensors"
+FINE_SCORER_FILE = "plane_judge.safetensors"
 STEP = 0.04
 SIZE = (18, 36, 28)
 """Cells along u, v, z."""
@@ -72,7 +72,7 @@ class JudgeBlock(nn.Module):
         return x + self.conv_out(F.silu(self.norm_out(h)))
 
 
-class PlaneJudge(nn.Module):
+class FineSymmetryScorer(nn.Module):
     """Judge planes one by one."""
 
     center: Tensor
@@ -98,7 +98,7 @@ class PlaneJudge(nn.Module):
     def forward(
         self,
         volumes: FoldedVolumes,
-        features: Tensor,  # [K, F] of ``planes``
+        features: Tensor,  # [K, F] of ``symmetry_features``
         ranked: Tensor,  # [K] the ranker's logits
     ) -> tuple[Tensor, Tensor]:  # [K] logits of being the best, [K] worths
         """Judge planes."""
@@ -124,7 +124,7 @@ class PlaneJudge(nn.Module):
         return {k: v.detach().half().contiguous() for k, v in self.state_dict().items()}
 
     @classmethod
-    def load(cls, path: Path) -> PlaneJudge:
+    def load(cls, path: Path) -> FineSymmetryScorer:
         """Read a network, for evaluation.
 
         Raises:
@@ -141,9 +141,9 @@ class PlaneJudge(nn.Module):
 
 
 @functools.cache
-def packaged_judge() -> PlaneJudge:
+def packaged_fine_scorer() -> FineSymmetryScorer:
     """Return the network that ships with the package."""
-    return PlaneJudge.load(PACKAGED_WEIGHTS / JUDGE_FILE)
+    return FineSymmetryScorer.load(PACKAGED_WEIGHTS / FINE_SCORER_FILE)
 
 
 def folded_volumes(

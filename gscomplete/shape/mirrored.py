@@ -42,12 +42,12 @@ def mirror_image(splats: Splats, symmetry: SymmetryMap) -> Splats:
     )
 
 
-def borne_out(
+def select_consistent(
     copies: Splats,
     occupancy: Tensor,  # [1, C, C, C] logits of the network's answer
     evidence: Evidence,
 ) -> Splats:
-    """Return the copies that neither the network nor the views speak against."""
+    """Return the copies that neither the network nor the views contradict."""
     logit = sample_volume(occupancy, copies.means)[:, 0]
     in_front = torch.from_numpy(evidence.classify(copies.means.numpy())[:, 0])
     return copies.select((logit > _LEAST_LOGIT) & (in_front <= _MOST_IN_FRONT))

@@ -1,4 +1,4 @@
-"""The shape network: a three-dimensional U-Net from P's voxels to the whole object's.
+"""The shape network: a three-dimensional U-Net from P's voxels to the complete object's.
 
 It predicts whether the object fills each fine cell (solid, or a thin wall passes) and, for each
 coarse cell, where its colour comes from: P nearby, one of the mirror images of P, or a colour of
@@ -104,7 +104,7 @@ class GlobalAttention(nn.Module):
 
 
 class ShapeCompleter(nn.Module):
-    """Predict the whole from a part."""
+    """Predict the complete object from a part."""
 
     place: Tensor
 
@@ -144,7 +144,7 @@ class ShapeCompleter(nn.Module):
         scores: Tensor,  # [B, COPIES]
         tokens: Tensor,  # [B, L] word ids, 0 = padding
     ) -> ShapeOutput:
-        """Predict the whole."""
+        """Predict the complete object."""
         embedding = self.mix(self.words(tokens) + self.scores(scores))
         place = self.place.expand(len(volumes), -1, -1, -1, -1)
         x = torch.cat([fold(volumes.flatten(1, 2)), evidence, place], dim=1)

@@ -1,8 +1,8 @@
-"""What the shape network is shown of P: its voxels, its mirror images' voxels, the views' evidence.
+"""What the shape network is given of P: its voxels, its mirror images' voxels, the views' evidence.
 
 Conventions
 -----------
-* Volumes are those of ``grid``: occupancy and colour at ``CELLS``, evidence (in front, behind,
+* Volumes are those of ``voxels``: occupancy and colour at ``CELLS``, evidence (in front, behind,
   beside) at ``COARSE_CELLS``.
 * The first colour volume is P, then follow ``COPIES`` mirror images of P.
 """
@@ -17,8 +17,8 @@ import numpy as np
 from gscomplete.shape.evidence import Evidence, gather_evidence
 from gscomplete.shape.symmetry import (
     SymmetryMap,
-    companion,
-    shown_symmetries,
+    second_symmetry,
+    with_composition,
 )
 from gscomplete.shape.symmetry_features import PartSamples, part_samples
 from gscomplete.shape.voxels import (
@@ -44,8 +44,8 @@ class ShapeInputs:
 
 
 @dataclass(frozen=True, slots=True)
-class PartLook:
-    """P as the network sees it, whatever mirror images are shown beside it."""
+class PartialVoxels:
+    """P as the network sees it, whatever mirror images are given beside it."""
 
     positions: FloatArray  # [N, 3]
     tangents: FloatArray  # [N, 2, 3]
@@ -59,14 +59,14 @@ class PartLook:
         """Return P as planes are judged on it."""
         return part_samples(self.positions, self.tangents, self.colors, self.volume)
 
-    def shown_first(
+    def input_symmetries(
         self, planes: Sequence[SymmetryMap], first: int
     ) -> tuple[SymmetryMap, ...]:  # COPIES
-        """Return what the network is to be shown: one of the planes, and what goes with it."""
-        return shown_symmetries(planes[first], companion(planes, first, self.positions))
+        """Return what the network is given: one of the planes, and what goes with it."""
+        return with_composition(planes[first], second_symmetry(planes, first, self.positions))
 
     def with_copies(self, symmetries: tuple[SymmetryMap, ...]) -> ShapeInputs:
-        """Return what the network is shown with these mirror images."""
+        """Return what the network is given with these mirror images."""
         volumes = [self.volume]
         for symmetry in symmetries:
             turned = np.ascontiguousarray(self.tangents @ symmetry.matrix.T)
@@ -76,7 +76,7 @@ class PartLook:
         return ShapeInputs(np.stack(volumes), self.shares, scores, symmetries)
 
 
-def look_at(partial: Splats, distribution: ViewDistribution) -> PartLook:
+def voxelize_partial(partial: Splats, distribution: ViewDistribution) -> PartialVoxels:
     """Look at P.
 
     Args:
@@ -88,4 +88,4 @@ def look_at(partial: Splats, distribution: ViewDistribution) -> PartLook:
     evidence = gather_evidence(partial, distribution)
     shares = evidence.classify(cell_centers(COARSE_CELLS))
     split = np.ascontiguousarray(shares.T.reshape(3, *(COARSE_CELLS,) * 3))
-    return PartLook(positions, tangents, opacities, colors, volume, evidence, split)
+    return PartialVoxels(positions, tangents, opacities, colors, volume, evidence, split)

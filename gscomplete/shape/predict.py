@@ -16,7 +16,7 @@ from torch import Tensor
 
 from gscomplete.shape.mirror_plane import Mirror
 from gscomplete.shape.network import ShapeCompleter, ShapeOutput
-from gscomplete.shape.partial_voxels import PartLook, ShapeInputs, look_at
+from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs, voxelize_partial
 from gscomplete.shape.precision import cpu_precision
 from gscomplete.shape.symmetry_choice import choose_symmetries
 from gscomplete.splats import Splats
@@ -30,13 +30,13 @@ ORIENTATIONS = 8
 class Prediction:
     """The network's answer about one object."""
 
-    look: PartLook
+    voxels: PartialVoxels
     seen: ShapeInputs
-    """What the network was shown of P."""
+    """What the network was given of P."""
     output: ShapeOutput
     """Its answer, for a batch of one."""
-    worth: float
-    """Of the first mirror image; see ``choice.Choice``."""
+    symmetry_score: float
+    """Of the first mirror image; see ``symmetry_choice.Choice``."""
 
 
 def predict(
@@ -58,15 +58,15 @@ def predict(
         bfloat16: precision of the network.
         mirror_plane: which plane of symmetry to show first.
     """
-    look = look_at(partial, distribution)
-    choice = choose_symmetries(model, look, tokens, bfloat16=bfloat16, mirror_plane=mirror_plane)
-    seen = look.with_copies(choice.symmetries)
-    output = predict_whole(model, seen, tokens, bfloat16=bfloat16)
-    return Prediction(look, seen, output, choice.worth)
+    voxels = voxelize_partial(partial, distribution)
+    choice = choose_symmetries(model, voxels, tokens, bfloat16=bfloat16, mirror_plane=mirror_plane)
+    seen = voxels.with_copies(choice.symmetries)
+    output = predict_occupancy(model, seen, tokens, bfloat16=bfloat16)
+    return Prediction(voxels, seen, output, choice.symmetry_score)
 
 
 @torch.no_grad()
-def predict_whole(
+def predict_occupancy(
     model: ShapeCompleter,
     seen: ShapeInputs,
     tokens: Tensor,  # [L]
@@ -78,7 +78,7 @@ def predict_whole(
 
     Args:
         model: in evaluation mode, on the CPU.
-        seen: what it is shown.
+        seen: what it is given.
         tokens: the prompt.
         orientations: how many of the eight are asked and averaged.
         bfloat16: precision of the network.

@@ -65,8 +65,8 @@ class SurfaceSettings:
     least_spacing: float = 0.002
     """Splats are at least this far apart, however few there are to place."""
     filled_logit: float = -1.0
-    """Cells with at least this logit count as filled; ``whole.WholeSettings`` says from which on
-    for whole objects."""
+    """Cells with at least this logit count as filled; ``assemble.AssembleSettings`` says from
+    which on for complete objects."""
 
 
 def surface_splats(

@@ -1,9 +1,9 @@
 """Mirror images of P that may show what is missing.
 
-Most objects have an upright plane of symmetry, and many have two, so what P lacks is often there,
-elsewhere: on real objects one well-chosen plane shows most of what is missing. ``proposals`` finds
-likely planes, ``choice`` chooses among them; the shape network is shown the copies through two that
-differ and their composition, and decides what to take.
+Most objects have an upright plane of symmetry, and many have two: on real objects the copy of P
+through one well-chosen plane holds most of what is missing. ``symmetry_proposals`` finds likely
+planes, ``symmetry_choice`` chooses among them; the shape network is given the copies through two
+that differ and their composition, and decides what to take.
 
 Conventions
 -----------
@@ -50,7 +50,7 @@ class SymmetryMap:
         return np.ascontiguousarray((points - self.shift) @ self.matrix, dtype=np.float32)
 
 
-def companion(
+def second_symmetry(
     planes: Sequence[SymmetryMap], first: int, points: FloatArray
 ) -> SymmetryMap:  # points [N, 3] of P
     """Return the first of the other planes that shows something else, or else the first other."""
@@ -61,8 +61,8 @@ def companion(
     return others[0]
 
 
-def shown_symmetries(one: SymmetryMap, other: SymmetryMap) -> tuple[SymmetryMap, ...]:
-    """Return what the shape network is shown: two mirror images, and one after the other."""
+def with_composition(one: SymmetryMap, other: SymmetryMap) -> tuple[SymmetryMap, ...]:
+    """Return what the shape network is given: two mirror images, and one after the other."""
     both = SymmetryMap(
         other.matrix @ one.matrix,
         other.matrix @ one.shift + other.shift,
@@ -72,7 +72,7 @@ def shown_symmetries(one: SymmetryMap, other: SymmetryMap) -> tuple[SymmetryMap,
 
 
 def no_symmetries() -> tuple[SymmetryMap, ...]:  # COPIES
-    """Return what the shape network is shown where no mirror image is right: P itself."""
+    """Return what the shape network is given where no mirror image is right: P itself."""
     nothing = SymmetryMap(np.eye(3, dtype=np.float32), np.zeros(3, np.float32), 0.0)
     return (nothing,) * COPIES
 

@@ -1,12 +1,12 @@
-"""The upright planes that P may be mirrored through, and what speaks for each of them.
+"""The upright planes that P may be mirrored through, and the evidence for each of them.
 
 Conventions
 -----------
 * Plane (a, o) holds the points x with ``normal(a) . x = OFFSETS[o]``; its normal is horizontal, at
   azimuth ``pi a / ANGLES``.
 * Everything is measured on samples of P and of its rim (where its surface ends, by a cut or by
-  what a scanner saw), in the cells of ``grid``: a copy's sample is on P if P fills its cell or one
-  beside it, and new if there is nothing of P within two cells.
+  what a scanner saw), in the cells of ``voxels``: a copy's sample is on P if P fills its cell or
+  one beside it, and new if there is nothing of P within two cells.
 * Features are shares of samples or lengths in object sizes; ``FEATURES`` names them in order.
 """
 
@@ -116,7 +116,7 @@ def plane_places(
 
 
 def plane_features(part: PartSamples, evidence: Evidence) -> FloatArray:  # [A, O, F]
-    """Measure what speaks for each plane and against it."""
+    """Measure the evidence for and against each plane."""
     normals, offsets = plane_normals(), np.array(OFFSETS, np.float32)
     counted = _count_samples(
         part.points, part.colors, part.normals, part.distance, part.cell_colors,

@@ -1,11 +1,12 @@
 """Likely planes of symmetry, in three steps of rising cost.
 
-All planes are ranked by what speaks for them (``plane_ranker``), the best that differ are judged by
-their voxels (``plane_judge``), and the best of those are moved to where P and its copy agree.
+All planes are ranked by what is evidence for them (``coarse_scorer``), the best that differ are
+judged by their voxels (``fine_scorer``), and the best of those are moved to where P and its copy
+agree.
 
 Conventions
 -----------
-* Planes are numbered as in ``planes``: (angle, offset).
+* Planes are numbered as in ``symmetry_features``: (angle, offset).
 * A plane's score is the judge's belief in it and those near it, in [0, 1].
 """
 
@@ -19,14 +20,14 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gscomplete.shape.coarse_scorer import PlaneRanker, packaged_ranker
+from gscomplete.shape.coarse_scorer import CoarseSymmetryScorer, packaged_coarse_scorer
 from gscomplete.shape.evidence import Evidence
 from gscomplete.shape.fine_scorer import (
     colored_cells,
     folded_volumes,
-    packaged_judge,
+    packaged_fine_scorer,
 )
-from gscomplete.shape.partial_voxels import PartLook
+from gscomplete.shape.partial_voxels import PartialVoxels
 from gscomplete.shape.precision import cpu_precision
 from gscomplete.shape.symmetry import SymmetryMap, mirror
 from gscomplete.shape.symmetry_features import (
@@ -39,7 +40,7 @@ from gscomplete.shape.symmetry_features import (
 from gscomplete.shape.voxels import CELL_SIDE, FloatArray
 
 JUDGED = 48
-"""Planes that the judge looks at: on 45 cuts of 15 real objects the best of them is worth .68 by
+"""Planes that the judge looks at: on 45 cuts of 15 real objects the best of them scores .68 by
 the truth, the best of 8 .63, the best of all planes .72."""
 APART_DEG = 11.0
 APART_OFFSET = 0.05
@@ -63,19 +64,21 @@ class RankedPlanes:
 
 
 def ranked_planes(
-    part: PartSamples, evidence: Evidence, ranker: PlaneRanker, count: int
+    part: PartSamples, evidence: Evidence, ranker: CoarseSymmetryScorer, count: int
 ) -> RankedPlanes:
     """Return the planes unlike each other that the ranker likes best."""
     features = plane_features(part, evidence)
     logits = ranker(features)
-    planes = unlike_planes(logits, count)
+    planes = distinct_planes(logits, count)
     a, o = planes.T
     return RankedPlanes(planes, features[a, o], logits[a, o])
 
 
-def unlike_planes(worths: FloatArray, count: int) -> NDArray[np.intp]:  # [A, O] -> [K, 2]
+def distinct_planes(
+    symmetry_scores: FloatArray, count: int
+) -> NDArray[np.intp]:  # [A, O] -> [K, 2]
     """Return the best planes that differ, the best first; fewer where there are not as many."""
-    left = worths.astype(np.float64)
+    left = symmetry_scores.astype(np.float64)
     found: list[tuple[int, int]] = []
     while len(found) < count and np.isfinite(left).any():
         a, o = np.unravel_index(int(left.argmax()), left.shape)
@@ -84,20 +87,22 @@ def unlike_planes(worths: FloatArray, count: int) -> NDArray[np.intp]:  # [A, O]
     return np.array(found)
 
 
-def candidate_planes(look: PartLook, count: int, *, bfloat16: bool = False) -> list[SymmetryMap]:
+def candidate_planes(
+    voxels: PartialVoxels, count: int, *, bfloat16: bool = False
+) -> list[SymmetryMap]:
     """Return mirror images through the planes that are believed in most, the best first.
 
     Args:
-        look: P.
+        voxels: P.
         count: how many planes.
         bfloat16: precision of the judge.
     """
-    part = look.samples()
-    ranked = ranked_planes(part, look.evidence, packaged_ranker(), JUDGED)
+    part = voxels.samples()
+    ranked = ranked_planes(part, voxels.evidence, packaged_coarse_scorer(), JUDGED)
     angles, offsets = plane_places(ranked.planes)
-    volumes = folded_volumes(colored_cells(look.volume), look.shares, angles, offsets)
+    volumes = folded_volumes(colored_cells(voxels.volume), voxels.shares, angles, offsets)
     with torch.no_grad(), cpu_precision(bfloat16=bfloat16):
-        logits, _ = packaged_judge()(
+        logits, _ = packaged_fine_scorer()(
             volumes, torch.from_numpy(ranked.features), torch.from_numpy(ranked.logits)
         )
     belief = torch.softmax(logits.double(), dim=0).numpy()

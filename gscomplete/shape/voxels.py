@@ -4,7 +4,7 @@ Conventions
 -----------
 * A grid is a cube about the object frame's origin, of half side ``HALF_SIDE`` (object sizes), with
   ``CELLS`` cells along each axis; volumes are indexed [x, y, z]. The guessed frame of a part may be
-  smaller than the whole: the cube reaches beyond it.
+  smaller than the complete object: the cube reaches beyond it.
 * ``COARSE_CELLS`` cells of twice the side are what the network's body works on.
 * Colours are display-referred in [0, 1]; occupancy is the sum of opacities in a cell, at most 1.
 """

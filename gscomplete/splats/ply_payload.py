@@ -3,7 +3,7 @@
 Conventions
 -----------
 * A payload is three runs of bytes: the elements before ``vertex``, the vertex records, the rest.
-* Nothing is allocated for a count that the file's size does not bear out.
+* Nothing is allocated for a count that the file's size contradicts.
 * In ASCII files a row is a line.
 """
 

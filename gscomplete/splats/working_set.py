@@ -29,7 +29,7 @@ class WorkingSet:
 
     @property
     def stands_for(self) -> str:
-        """Whose looks are measured and drawn where these splats are."""
+        """Whose appearance is measured and drawn where these splats are."""
         if not self.thinned:
             return "P"
         return f"{len(self.splats):,} splats that stand for P's {self.total:,}"

@@ -1,4 +1,4 @@
-"""View distributions: where the partial object must keep its looks, and views to show it from.
+"""View distributions: where the partial object must keep its appearance, and views to show it from.
 
 Conventions
 -----------

@@ -101,7 +101,7 @@ class ObjectFrame:
 
     @classmethod
     def about(cls, splats: Splats, up: UpAxis) -> ObjectFrame:
-        """Build the frame of splats taken as the whole object.
+        """Build the frame of splats taken as the complete object.
 
         Its box is that of the middle 99.9 % of their centres along every axis, since trained splats
         have floaters. Its size is at least the median of the splats' own, so that a single one has

@@ -1,12 +1,12 @@
-"""What a bound on P's looks costs: ``python -m recipes.benchmarks.hard_preservation --out DIR``.
+"""Cost of bounds on P's appearance: ``python -m recipes.benchmarks.hard_preservation --out DIR``.
 
 Real objects with a known truth are completed (with P shown to the prior, and from text only), then
 held to bounds on E_color and E_depth. Before and after: the errors from views that were never
 looked at, the hidden region against the truth, seconds, and what was done to the new splats.
 
-The true object need not keep P's looks either: where P is cut so that V looks into it, the missing
-part stands before it. Its own errors are in the table, since a bound below them can only be kept
-by leaving out what is really there.
+The true object need not keep P's appearance either: where P is cut so that V looks into it, the
+missing part stands before it. Its own errors are in the table, since a bound below them can only be
+kept by leaving out what is really there.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ UNSEEN_SEED = 20_000
 
 @dataclass(frozen=True)
 class Options:
-    """Hold completions of real objects to bounds on P's looks."""
+    """Hold completions of real objects to bounds on P's appearance."""
 
     out: Path
     """Folder for ``hard_preservation.json``, ``.png``, and the completions as splat files."""

@@ -50,7 +50,7 @@ from gscomplete.framing.decide import FramingRequest
 from gscomplete.priors import Prior, load_prior
 from gscomplete.priors.base import prior_identity
 from gscomplete.shape.mirrored import mirror_image
-from gscomplete.shape.partial_voxels import look_at
+from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.symmetry_choice import CANDIDATES
 from gscomplete.shape.symmetry_proposals import candidate_planes
 from gscomplete.splats import Splats, colors_to_sh, concatenate, read_splats, write_splats
@@ -167,8 +167,8 @@ def settings_of(way: Way, prior: Prior, seed: int) -> CompletionSettings:
 
 def mirror_images(framed: FramedObject) -> list[Splats]:
     """Return P's copies by the likeliest planes, the likeliest first; see ``mirror`` above."""
-    look = look_at(framed.partial.with_sh_degree(0), framed.views)
-    shown = look.shown_first(candidate_planes(look, CANDIDATES), 0)
+    look = voxelize_partial(framed.partial.with_sh_degree(0), framed.views)
+    shown = look.input_symmetries(candidate_planes(look, CANDIDATES), 0)
     return [mirror_image(framed.partial, symmetry) for symmetry in shown]
 
 

@@ -45,13 +45,13 @@ class RealObject:
     """File axis that points up."""
     partial: Splats
     complete: Splats | None
-    """The whole object, where it is known."""
+    """The complete object, where it is known."""
     note: str
     """How the part came about."""
 
     @property
     def true_frame(self) -> ObjectFrame | None:
-        """Object frame of the whole object, where it is known."""
+        """Object frame of the complete object, where it is known."""
         return None if self.complete is None else ObjectFrame.about(self.complete, self.up)
 
 

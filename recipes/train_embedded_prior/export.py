@@ -36,8 +36,8 @@ from gscomplete.priors.embedded.weights import (
     load_weights,
     save_weights,
 )
-from gscomplete.shape.coarse_scorer import RANKER_FILE
-from gscomplete.shape.fine_scorer import JUDGE_FILE
+from gscomplete.shape.coarse_scorer import COARSE_SCORER_FILE
+from gscomplete.shape.fine_scorer import FINE_SCORER_FILE
 from gscomplete.shape.network import ShapeCompleter, ShapeModelConfig
 from gscomplete.shape.voxels import CELL_SIDE, CELLS
 from gscomplete.util.jsonio import from_json, read_json
@@ -235,9 +235,9 @@ def card(
             f"* Training: {made.steps} steps, {made.sets} objects with their parts, each seen "
             f"about twice in different orientations, {made.hours:.2f} hours on {made.machine}, "
             f"seed {made.seed}.",
-            f"* Planes that P is mirrored through are ranked by `{RANKER_FILE}` and judged by "
-            f"`{JUDGE_FILE}`, trained before it by `plane_ranker.py` and `plane_judge.py` of "
-            "`recipes/train_embedded_prior`.",
+            f"* Planes that P is mirrored through are ranked by `{COARSE_SCORER_FILE}` and judged "
+            f"by `{FINE_SCORER_FILE}`, trained before it by `plane_ranker.py` and "
+            "`plane_judge.py` of `recipes/train_embedded_prior`.",
             *([f"* History: {history}"] if history else []),
             *(f"* Held-out {name}: {value:.4f}" for name, value in shape_losses.items()),
             "",

@@ -34,11 +34,11 @@ from torch import Tensor
 from gscomplete.cli.guard import run_guarded
 from gscomplete.fitting.step_loop import require_same_identity
 from gscomplete.priors.embedded.prior import packaged_weights
-from gscomplete.shape.coarse_scorer import packaged_ranker
+from gscomplete.shape.coarse_scorer import packaged_coarse_scorer
 from gscomplete.shape.fine_scorer import (
-    JUDGE_FILE,
+    FINE_SCORER_FILE,
+    FineSymmetryScorer,
     FoldedVolumes,
-    PlaneJudge,
     colored_cells,
     folded_volumes,
 )
@@ -68,7 +68,7 @@ class JudgeConfig:
 
     run: Path = Path("runs/plane_judge")
     """Folder for the objects and the checkpoint."""
-    out: Path = field(default_factory=lambda: packaged_weights() / JUDGE_FILE)
+    out: Path = field(default_factory=lambda: packaged_weights() / FINE_SCORER_FILE)
     """File to write; the default is the package's own."""
     objects: int = 6000
     """Objects to learn from, the held-out ones included."""
@@ -174,7 +174,7 @@ class JudgeTraining:
         """Start anew; ``features`` [N, K, F] gives their scaling."""
         torch.manual_seed(config.seed)
         self.config = config
-        self.judge = PlaneJudge()
+        self.judge = FineSymmetryScorer()
         self.judge.center.copy_(features.mean(dim=(0, 1)))
         self.judge.spread.copy_(features.std(dim=(0, 1)).clamp_min(1e-3))
         self.average = copy.deepcopy(self.judge)
@@ -246,7 +246,7 @@ def open_run(config: JudgeConfig) -> None:
         UserError: it is of another run.
     """
     options = {k: v for k, v in to_json(config).items() if k not in _WITHOUT_EFFECT}
-    identity = {"options": options, "ranker": packaged_ranker().digest()}
+    identity = {"options": options, "ranker": packaged_coarse_scorer().digest()}
     if (config.run / _CHECKPOINT).is_file():
         require_same_identity(config.run / _RUN, identity)
     config.run.mkdir(parents=True, exist_ok=True)
@@ -254,7 +254,7 @@ def open_run(config: JudgeConfig) -> None:
 
 
 @torch.no_grad()
-def worth_of_choice(judge: PlaneJudge, sets: PlaneSets) -> tuple[float, float, float]:
+def worth_of_choice(judge: FineSymmetryScorer, sets: PlaneSets) -> tuple[float, float, float]:
     """Return the mean worths of the judge's first planes, the ranker's, and the best judged."""
     found = []
     for index in range(len(sets)):

@@ -25,8 +25,8 @@ from rich.progress import track
 from torch import Tensor, nn
 
 from gscomplete.priors.embedded.prior import packaged_weights
-from gscomplete.shape.coarse_scorer import LAYERS, RANKER_FILE, PlaneRanker
-from gscomplete.shape.partial_voxels import look_at
+from gscomplete.shape.coarse_scorer import COARSE_SCORER_FILE, LAYERS, CoarseSymmetryScorer
+from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.symmetry_features import FEATURES, plane_features
 from gscomplete.shape.voxels import FloatArray
 from recipes.entry_point import start
@@ -41,7 +41,7 @@ _HELD_OUT_EVERY = 5
 class RankerConfig:
     """Train the ranker of planes."""
 
-    out: Path = field(default_factory=lambda: packaged_weights() / RANKER_FILE)
+    out: Path = field(default_factory=lambda: packaged_weights() / COARSE_SCORER_FILE)
     """File to write; the default is the package's own."""
     objects: int = 2800
     """Objects to learn from, the held-out ones included."""
@@ -63,7 +63,7 @@ def _measured(task: tuple[int, int]) -> tuple[FloatArray, FloatArray]:  # (seed,
     """Return the planes' features and worths for one object."""
     torch.set_num_threads(1)
     posed, _ = posed_object(task)
-    look = look_at(posed.partial, posed.distribution)
+    look = voxelize_partial(posed.partial, posed.distribution)
     features = plane_features(look.samples(), look.evidence)
     return features, Truth.of(posed.partial, posed.whole).plane_worths()
 
@@ -80,7 +80,7 @@ def measured_planes(config: RankerConfig) -> tuple[Tensor, Tensor]:  # [N, A, O,
     return torch.from_numpy(np.stack(features)), torch.from_numpy(np.stack(worths))
 
 
-def fit(config: RankerConfig, features: Tensor, worths: Tensor) -> PlaneRanker:
+def fit(config: RankerConfig, features: Tensor, worths: Tensor) -> CoarseSymmetryScorer:
     """Train the ranker.
 
     Args:
@@ -116,10 +116,12 @@ def fit(config: RankerConfig, features: Tensor, worths: Tensor) -> PlaneRanker:
     tensors = {"center": center, "spread": spread}
     for n, layer in enumerate(layers):
         tensors |= {f"weight{n}": layer.weight.detach(), f"bias{n}": layer.bias.detach()}
-    return PlaneRanker({name: value.float().numpy() for name, value in tensors.items()})
+    return CoarseSymmetryScorer({name: value.float().numpy() for name, value in tensors.items()})
 
 
-def worth_of_choice(ranker: PlaneRanker, features: Tensor, worths: Tensor) -> tuple[float, float]:
+def worth_of_choice(
+    ranker: CoarseSymmetryScorer, features: Tensor, worths: Tensor
+) -> tuple[float, float]:
     """Return the mean worth of the planes that the ranker puts first, and of the best ones."""
     first = torch.from_numpy(ranker(features.numpy())).flatten(1).argmax(dim=1)
     flat = worths.flatten(1)

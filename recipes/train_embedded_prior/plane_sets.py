@@ -24,10 +24,10 @@ from rich.console import Console
 from rich.progress import track
 
 from gscomplete.priors.embedded.text import Tokenizer
-from gscomplete.shape.coarse_scorer import packaged_ranker
-from gscomplete.shape.partial_voxels import look_at
+from gscomplete.shape.coarse_scorer import packaged_coarse_scorer
+from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.symmetry_features import plane_features
-from gscomplete.shape.symmetry_proposals import JUDGED, unlike_planes
+from gscomplete.shape.symmetry_proposals import JUDGED, distinct_planes
 from gscomplete.shape.voxels import FloatArray
 from gscomplete.util.atomic import atomic_path
 from recipes.train_embedded_prior.config import ShapeDataConfig
@@ -63,12 +63,12 @@ class PlaneSets:
 
 def planes_of(posed: PosedObject, rng: np.random.Generator) -> PlaneSets:
     """Measure the planes of one object."""
-    look = look_at(posed.partial, posed.distribution)
+    look = voxelize_partial(posed.partial, posed.distribution)
     features = plane_features(look.samples(), look.evidence)
     worths = Truth.of(posed.partial, posed.whole).plane_worths()
-    logits = packaged_ranker()(features)
-    likely = unlike_planes(logits, JUDGED)
-    planes = np.concatenate([likely, unlike_planes(worths, BEST_PLANES)])
+    logits = packaged_coarse_scorer()(features)
+    likely = distinct_planes(logits, JUDGED)
+    planes = np.concatenate([likely, distinct_planes(worths, BEST_PLANES)])
     a, o = planes.T
     return PlaneSets(
         pack_cells(look.volume, _MOST_CELLS, rng)[None],
@@ -97,7 +97,7 @@ def plane_sets(folder: Path, seed: int, objects: int, workers: int) -> PlaneSets
     """
     folder.mkdir(parents=True, exist_ok=True)
     starts = range(0, objects, FILE_OBJECTS)
-    key = hashlib.sha256(f"{seed} {packaged_ranker().digest()}".encode()).hexdigest()[:8]
+    key = hashlib.sha256(f"{seed} {packaged_coarse_scorer().digest()}".encode()).hexdigest()[:8]
     paths = {start: folder / f"planes-{key}-{start:06d}.npz" for start in starts}
     missing = [start for start in starts if not paths[start].is_file()]
     context = multiprocessing.get_context("spawn")

@@ -22,9 +22,9 @@ from torch import Tensor
 
 from gscomplete.framing.guess import FramingSettings, guess_framing
 from gscomplete.priors.embedded.text import Tokenizer
-from gscomplete.shape.coarse_scorer import packaged_ranker
-from gscomplete.shape.fine_scorer import packaged_judge
-from gscomplete.shape.partial_voxels import ShapeInputs, look_at
+from gscomplete.shape.coarse_scorer import packaged_coarse_scorer
+from gscomplete.shape.fine_scorer import packaged_fine_scorer
+from gscomplete.shape.partial_voxels import ShapeInputs, voxelize_partial
 from gscomplete.shape.predict import turned
 from gscomplete.shape.symmetry import COPIES, SOURCES, no_symmetries
 from gscomplete.shape.symmetry_choice import CANDIDATES
@@ -99,7 +99,7 @@ class ShapeSpec:
 
     def key(self) -> str:
         """Name the contents: folders of different options never mix."""
-        planes = [packaged_ranker().digest(), packaged_judge().digest()]
+        planes = [packaged_coarse_scorer().digest(), packaged_fine_scorer().digest()]
         text = dumps([self.data, self.words, self.seed, planes, "shape"])
         return hashlib.sha256(f"{text}{self.shard_sets}".encode()).hexdigest()[:12]
 
@@ -145,7 +145,7 @@ class ShapeSetMaker:
 
         Runs choose among the same candidates by the network's answers, better than the likeliest.
         """
-        look = look_at(posed.partial, posed.distribution)
+        look = voxelize_partial(posed.partial, posed.distribution)
         if rng.random() < self.data.no_copy_share:
             return look.with_copies(no_symmetries())
         planes = candidate_planes(look, CANDIDATES, bfloat16=True)
@@ -156,7 +156,7 @@ class ShapeSetMaker:
             first = int(np.argmax(worths))
             if worths[first] < self.data.least_worth:
                 return look.with_copies(no_symmetries())
-        return look.with_copies(look.shown_first(planes, first))
+        return look.with_copies(look.input_symmetries(planes, first))
 
     def posed(self, index: int, rng: np.random.Generator) -> PosedObject:
         """Return object ``index`` and a part of it in a frame as a run would guess it."""

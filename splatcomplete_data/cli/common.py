@@ -24,13 +24,13 @@ from typing import TYPE_CHECKING, Any, Literal
 from gscomplete.cli.parse import parse_numbers, parse_view
 from gscomplete.errors import UserError
 from gscomplete.util import jsonio
-from gscomplete.views import UpAxis
 
 if TYPE_CHECKING:
     from PIL import Image
 
     from gscomplete.framing.decide import FramingRequest
     from gscomplete.splats import Similarity, Splats
+    from gscomplete.views import UpAxis
     from splatcomplete_data.cuts.boxes import CropBox
     from splatcomplete_data.objects import ObjectRecord, StepRecord, Subset
 
@@ -42,12 +42,12 @@ Report = Callable[[int, int], None]
 """Progress callback: (done, total) in whatever unit the step counts."""
 
 
-Enter = Callable[[str, float], None]
+StageCallback = Callable[[str, float], None]
 """Says that a stage begins: (what is done now, share of the work that is behind, 0 to 1)."""
 
 
-def stay_silent(name: str, share: float) -> None:
-    """Ignore a stage; the ``Enter`` of callers that show no progress."""
+def ignore_stage(name: str, share: float) -> None:
+    """Ignore a stage; the ``StageCallback`` of callers that show no progress."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +57,7 @@ class ObjectOptions:
     out: Path | None = None
     """Object folder to write; None = the source's name, in the current folder."""
     prompt: str | None = None
-    """What the whole object is, such as "a red mug"; None = the source's name as words."""
+    """What the complete object is, such as "a red mug"; None = the source's name as words."""
     view: str | None = None
     """Input view c as AZIMUTH,ELEVATION in degrees (azimuth 0 looks from +x of the z-up object
     frame, 90 from +y); None = the camera's own view where there is one, else the view that shows
@@ -67,10 +67,10 @@ class ObjectOptions:
     up: Literal["auto", "X", "Y", "Z", "-X", "-Y", "-Z"] = "auto"
     """Axis of the source that points up; auto = by the kind of source, as told above."""
     center: str | None = None
-    """Centre of the WHOLE object as X,Y,Z in the source's coordinates, those of --box, also where
-    an offset or --level moves the splats; None = known or guessed."""
+    """Centre of the COMPLETE object as X,Y,Z in the source's coordinates, those of --box, also
+    where an offset or --level moves the splats; None = known or guessed."""
     size_whole: float | None = None
-    """Largest side of the WHOLE object in the source's units; None = known or guessed."""
+    """Largest side of the COMPLETE object in the source's units; None = known or guessed."""
     id: str | None = None
     """Name within a dataset; None = the folder's name."""
     licence: str | None = None
@@ -85,7 +85,7 @@ class ObjectOptions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Made:
+class ObjectDraft:
     """What a pipeline made, before frame and record are decided."""
 
     subset: Subset
@@ -109,7 +109,7 @@ class Made:
     extra_pictures: dict[str, Image.Image] = dataclasses.field(default_factory=dict)
 
 
-def finish_object(options: ObjectOptions, made: Made) -> int:
+def finish_object(options: ObjectOptions, made: ObjectDraft) -> int:
     """Decide frame and views, write the folder, report; return the exit code.
 
     Raises:
@@ -118,7 +118,7 @@ def finish_object(options: ObjectOptions, made: Made) -> int:
     return report_object(options, made, store_object(options, made))
 
 
-def report_object(options: ObjectOptions, made: Made, record: ObjectRecord) -> int:
+def report_object(options: ObjectOptions, made: ObjectDraft, record: ObjectRecord) -> int:
     """Tell what was made and written; return the exit code."""
     folder = options.out or default_folder(made.source_file)
     command = complete_command(folder, record)
@@ -161,7 +161,7 @@ def complete_command(folder: Path, record: ObjectRecord) -> str | None:
     return shlex.join(("gscomplete", "complete", str(folder), *frame, *out))
 
 
-def store_object(options: ObjectOptions, made: Made) -> ObjectRecord:
+def store_object(options: ObjectOptions, made: ObjectDraft) -> ObjectRecord:
     """Decide frame and views and write the folder; return the record.
 
     Raises:
@@ -313,7 +313,7 @@ def progress(title: str) -> Iterator[Report]:
 
 
 @contextlib.contextmanager
-def stages(title: str) -> Iterator[Enter]:
+def stages(title: str) -> Iterator[StageCallback]:
     """Show the stage, a bar and an ETA on standard error; yield what says that a stage begins.
 
     The shares that callers give are rough, and so is the ETA. Nothing is shown where standard

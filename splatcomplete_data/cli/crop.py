@@ -12,7 +12,7 @@ import tyro
 
 from gscomplete.errors import UserError
 from splatcomplete_data.cli.common import (
-    Made,
+    ObjectDraft,
     ObjectOptions,
     check_out,
     finish_object,
@@ -67,7 +67,7 @@ def make(
     boxes: list[Any],
     notes: list[str],
     folder: Path,
-) -> Made:
+) -> ObjectDraft:
     """Cut the part; its PLY goes into ``folder``.
 
     Raises:
@@ -85,7 +85,7 @@ def make(
     write_rows(path, scene.file, mask)
     step = StepRecord("crop", scene.file.n_rows, len(part), reasons)
     sheet = box_sheet(scene.drawable(), part, boxes, scene.picture_cameras(boxes), scene.near)
-    return Made(
+    return ObjectDraft(
         "multiview",
         scene.name,
         part,

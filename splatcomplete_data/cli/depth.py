@@ -11,12 +11,12 @@ import tyro
 from gscomplete.cli.parse import parse_numbers
 from gscomplete.util import jsonio
 from splatcomplete_data.cli.common import (
-    Enter,
-    Made,
+    ObjectDraft,
+    StageCallback,
     check_out,
+    ignore_stage,
     report_object,
     stages,
-    stay_silent,
     store_object,
 )
 from splatcomplete_data.cli.points import PointOptions, made_from_points
@@ -90,7 +90,7 @@ def source_of(options: DepthOptions) -> Path:
     return options.depth if str(options.image) == "-" else options.image
 
 
-def make(options: DepthOptions, enter: Enter = stay_silent) -> Made:
+def make(options: DepthOptions, enter: StageCallback = ignore_stage) -> ObjectDraft:
     """Read picture and depth and make the part.
 
     Args:

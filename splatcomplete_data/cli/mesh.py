@@ -8,20 +8,20 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from gscomplete.views import UpAxis
 from splatcomplete_data.cli.common import (
-    Enter,
-    Made,
+    ObjectDraft,
     ObjectOptions,
+    StageCallback,
     check_out,
+    ignore_stage,
     report_object,
     stages,
-    stay_silent,
     store_object,
 )
 
 if TYPE_CHECKING:
     from gscomplete.splats import Splats
+    from gscomplete.views import UpAxis
     from splatcomplete_data.objects import StepRecord
 
 
@@ -94,7 +94,7 @@ def run(options: MeshOptions) -> int:
     return report_object(options, made, record)
 
 
-def make(options: MeshOptions, enter: Enter = stay_silent) -> Made:
+def make(options: MeshOptions, enter: StageCallback = ignore_stage) -> ObjectDraft:
     """Convert the mesh and cut the part.
 
     Args:
@@ -142,7 +142,7 @@ def make(options: MeshOptions, enter: Enter = stay_silent) -> Made:
     moved = None if mesh.offset is None else without_offset(mesh.offset)
     far = () if mesh.offset is None else (offset_note(mesh.offset),)
     size = f"{len(complete):,} splats, spacing {made.spacing:.4g} file units"
-    return Made(
+    return ObjectDraft(
         "mesh",
         options.file,
         part,

@@ -11,7 +11,7 @@ import tyro
 
 from gscomplete.errors import UserError
 from splatcomplete_data.cli.common import (
-    Made,
+    ObjectDraft,
     ObjectOptions,
     check_out,
     finish_object,
@@ -39,7 +39,7 @@ class PartialOptions(ObjectOptions):
     """
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """Splat file (.ply, .compressed.ply, .splat, .spz) or object folder."""
+    """Splat file (.ply, .compressed.ply, .splat, .spz, .glb) or object folder."""
     cut: tuple[str, ...] = ()
     """plane:AZIMUTH[,OFFSET], box:LX,LY,LZ,HX,HY,HZ or scan:AZ/EL[,AZ/EL...] (object frame)."""
     box: tuple[str, ...] = ()
@@ -56,8 +56,8 @@ def run(options: PartialOptions) -> int:
     return finish_object(*make(options))
 
 
-def make(options: PartialOptions) -> tuple[PartialOptions, Made]:
-    """Read the whole and cut the part.
+def make(options: PartialOptions) -> tuple[PartialOptions, ObjectDraft]:
+    """Read the complete object and cut the part.
 
     Returns:
         The options, with prompt, licence and origin of an object folder filled in where they were
@@ -102,7 +102,7 @@ def make(options: PartialOptions) -> tuple[PartialOptions, Made]:
     if not cuts and not boxes:
         raise UserError("partial: expected --cut, --box or --seen-from-views, found none of them")
     part, steps = apply_cuts(complete, frame, cuts, boxes, str(options.file))
-    made = Made(
+    made = ObjectDraft(
         subset,
         options.file,
         part,

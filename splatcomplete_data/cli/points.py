@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 from gscomplete.cli.parse import parse_numbers
 from gscomplete.errors import UserError
-from gscomplete.views import UpAxis
-from splatcomplete_data.cli.common import Enter, Made, ObjectOptions, stay_silent
+from splatcomplete_data.cli.common import ObjectDraft, ObjectOptions, StageCallback, ignore_stage
 
 if TYPE_CHECKING:
+    from gscomplete.views import UpAxis
     from splatcomplete_data.objects import StepRecord, Subset
     from splatcomplete_data.scan.cloud import PointCloud
     from splatcomplete_data.scan.make import PartSettings
@@ -106,8 +106,8 @@ def made_from_points(
     steps: tuple[StepRecord, ...],
     notes: tuple[str, ...],
     details: dict[str, object],
-    enter: Enter = stay_silent,
-) -> Made:
+    enter: StageCallback = ignore_stage,
+) -> ObjectDraft:
     """Run the shared steps on points in the source's frame.
 
     Args:
@@ -157,7 +157,7 @@ def made_from_points(
         pictures["removed.png"] = removed_sheet(part, up, view, f"{source.name}: what was removed")
     far = () if part.offset is None else (offset_note(part.offset),)
     size = f"splat size {part.sigma:.4g} source units ({options.size})"
-    return Made(
+    return ObjectDraft(
         subset,
         source,
         part.splats,

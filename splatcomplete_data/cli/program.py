@@ -17,7 +17,6 @@ from gscomplete.cli.guard import let_threads_sleep, print_version, run_guarded
 
 let_threads_sleep()  # the commands load PyTorch, and with it the OpenMP runtime
 from splatcomplete_data.cli import convert, crop, dataset, depth, images, mesh, partial, scan
-from splatcomplete_data.pictures import allow_large_pictures
 
 _RUNNERS: dict[type, Callable[[Any], int]] = {
     convert.ConvertOptions: convert.run,
@@ -52,7 +51,6 @@ Command = (
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit code."""
-    allow_large_pictures()
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     if arguments == ["--version"]:
         return print_version("splatcomplete-data")
@@ -71,9 +69,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise
     return run_guarded(
         "splatcomplete-data",
-        lambda: _RUNNERS[type(options)](options),
+        lambda: _run(options),
         "nothing half-written is left; the same command starts again",
     )
+
+
+def _run(options: Any) -> int:
+    """Run a command; return its exit code."""
+    from splatcomplete_data.pictures import allow_large_pictures
+
+    allow_large_pictures()
+    return _RUNNERS[type(options)](options)
 
 
 def gathered(arguments: Sequence[str]) -> list[str]:

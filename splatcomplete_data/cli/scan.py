@@ -10,21 +10,21 @@ import tyro
 
 from gscomplete.cli.parse import parse_numbers
 from gscomplete.errors import UserError
-from gscomplete.views import UpAxis, axis_direction
 from splatcomplete_data.cli.common import (
-    Enter,
-    Made,
+    ObjectDraft,
+    StageCallback,
     check_out,
     framing_request,
+    ignore_stage,
     report_object,
     say,
     stages,
-    stay_silent,
     store_object,
 )
 from splatcomplete_data.cli.points import PointOptions, made_from_points
 
 if TYPE_CHECKING:
+    from gscomplete.views import UpAxis
     from splatcomplete_data.objects import StepRecord
     from splatcomplete_data.scan.cloud import PointCloud
     from splatcomplete_data.scan.pcd import Position
@@ -73,7 +73,7 @@ def run(options: ScanOptions) -> int:
     return report_object(options, made, record)
 
 
-def make(options: ScanOptions, enter: Enter = stay_silent) -> Made:
+def make(options: ScanOptions, enter: StageCallback = ignore_stage) -> ObjectDraft:
     """Read the scan and make the part.
 
     Args:
@@ -174,6 +174,8 @@ def _propose(options: ScanOptions) -> int:
         source = _read(options)
         request = framing_request(options, source.up)
         is_told = source.is_up_known or options.up != "auto"
+        from gscomplete.views import axis_direction
+
         around = Surroundings(source.viewpoint, axis_direction(request.up) if is_told else None)
         enter(f"looking for objects among {len(source.cloud):,} points", 0.2)
         found = propose_clusters(source.cloud, part_settings(options), str(options.file), around)

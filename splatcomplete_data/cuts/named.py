@@ -131,7 +131,7 @@ def apply_cuts(
     """Cut a part out of complete splats in the file frame.
 
     Args:
-        complete: the whole, file frame.
+        complete: the complete object, file frame.
         frame: its object frame.
         cuts: cuts in the object frame.
         boxes: boxes in the file frame, applied after the cuts.

@@ -149,7 +149,7 @@ def _read_las(path: Path) -> Scan:
 
 
 def _check_las_header(path: Path) -> None:
-    """Refuse counts that the file's size does not bear out, before laspy makes room for them.
+    """Refuse counts that the file's size contradicts, before laspy makes room for them.
 
     Raises:
         UserError: it is no LAS file, or shorter than its header says.

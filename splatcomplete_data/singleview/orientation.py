@@ -2,7 +2,7 @@
 
 Conventions
 -----------
-* Depth comes from the photo's stored pixels (sensors) or from the photo as it is shown (networks
+* Depth comes from the photo's stored pixels (sensors) or from the photo as it is given (networks
   that turn it first). The aspect ratio tells which: that of the depth, or the nearer of two.
 * As shown, the photo is turned and up is -y of the camera. As stored, nothing is turned, and up is
   where a viewer of the photo sees it.

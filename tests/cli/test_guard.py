@@ -22,6 +22,7 @@ class Spy(importlib.abc.MetaPathFinder):
         return None
 sys.meta_path.insert(0, Spy())
 import {module}
+import torch
 """
 
 

@@ -225,7 +225,7 @@ def test_another_file_beside_an_object_means_itself(tmp_path):
     (folder / "object.json").write_text('{"frame": []}')  # of some other program
     refused = gscomplete("complete", folder / "partial.ply", "--out", tmp_path / "out")
     assert refused.returncode == 2
-    assert "--prompt: expected what the whole object is" in refused.stderr
+    assert "--prompt: expected what the complete object is" in refused.stderr
     assert complete(tmp_path, tmp_path / "out").returncode == 2
 
 
@@ -343,7 +343,7 @@ def test_the_plane_of_symmetry_can_be_chosen(tmp_path):
         (("--mirror", "0,3"), "offset: expected -1 to 1"),
         (("--mirror", "none", "--preset", "paper"), "preset paper with prior embedded starts"),
         (("--alternatives", "9"), "--alternatives: expected 0 to 8"),
-        (("--alternatives", "2", "--text-only"), "starts without a guess of the whole"),
+        (("--alternatives", "2", "--text-only"), "starts without a guess of the complete object"),
     ],
 )
 def test_planes_that_make_no_sense_are_refused(tmp_path, options, message):

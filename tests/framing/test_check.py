@@ -17,7 +17,7 @@ from tests.completion.cylinders import cylinder
         ((0.0, 0.0, 0.0), 1.0, None),
         ((0.5, 0.0, 0.0), 1.5, None),
         ((0.0, 0.0, 0.0), 19.0, None),  # 5.3 %
-        ((0.0, 0.0, 0.0), 40.0, "2.5 % of the whole's 40"),
+        ((0.0, 0.0, 0.0), 40.0, "2.5 % of the complete object's 40"),
         ((0.0, 0.0, 0.0), 0.4, "reaches 0.3 beyond"),
         ((0.0, 0.0, 0.0), 0.6, None),  # beyond by 0.2, a third of the size
     ],

@@ -1,4 +1,4 @@
-"""The input view settles by what a guess of the whole hides of P."""
+"""The input view settles by what a guess of the complete object hides of P."""
 
 import dataclasses
 
@@ -21,7 +21,7 @@ WRONG = ViewDistribution(255.0, 15.0)
 def test_the_wrong_side_gives_way_to_the_right_one() -> None:
     settled, note = refine_input_view(PART, REST, WRONG)
     assert angle_between(settled.azimuth_deg, 75.0) <= 45
-    assert "from 255,15 the guess of the whole hides" in note
+    assert "from 255,15 the guess of the complete object hides" in note
     # All that has nothing to do with c stays as it was.
     c = {"azimuth_deg": WRONG.azimuth_deg, "elevation_deg": WRONG.elevation_deg}
     assert dataclasses.replace(settled, **c) == WRONG

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from gscomplete.shape.network import ShapeCompleter, ShapeModelConfig
-from gscomplete.shape.partial_voxels import ShapeInputs, look_at
+from gscomplete.shape.partial_voxels import ShapeInputs, voxelize_partial
 from gscomplete.shape.symmetry import SymmetryMap
 from gscomplete.shape.symmetry_choice import CANDIDATES
 from gscomplete.shape.symmetry_proposals import candidate_planes
@@ -21,7 +21,7 @@ TINY = ShapeModelConfig(vocabulary_size=8, widths=(8, 8, 16), blocks=(1, 1, 1), 
 
 
 def tiny_network() -> ShapeCompleter:
-    """Return a network whose answers depend on all that it is shown."""
+    """Return a network whose answers depend on all that it is given."""
     torch.manual_seed(0)
     model = ShapeCompleter(TINY, COARSE_CELLS)
     with torch.no_grad():
@@ -59,9 +59,9 @@ def moved(splats: Splats, shift: tuple[float, float, float]) -> Splats:
 
 
 def likeliest_inputs(partial: Splats, distribution: ViewDistribution) -> ShapeInputs:
-    """Return what the network is shown with the copies that are believed in most."""
-    look = look_at(partial, distribution)
-    return look.with_copies(look.shown_first(candidate_planes(look, CANDIDATES), 0))
+    """Return what the network is given with the copies that are believed in most."""
+    voxels = voxelize_partial(partial, distribution)
+    return voxels.with_copies(voxels.input_symmetries(candidate_planes(voxels, CANDIDATES), 0))
 
 
 def mirrors() -> tuple[SymmetryMap, SymmetryMap, SymmetryMap]:

@@ -6,9 +6,9 @@ import torch
 from scipy.spatial import cKDTree
 
 from gscomplete.render import render
-from gscomplete.shape.assemble import WholeSettings, mirror_note, whole_splats
+from gscomplete.shape.assemble import AssembleSettings, assemble_splats, mirror_note
 from gscomplete.shape.network import ShapeOutput
-from gscomplete.shape.partial_voxels import look_at
+from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.predict import Prediction
 from gscomplete.shape.surface import SurfaceSettings, surface_splats
 from gscomplete.shape.symmetry import SOURCES, no_symmetries
@@ -20,19 +20,19 @@ from tests.shape.shapes import half, mirrors, sphere
 VIEWS = ViewDistribution(0.0, 10.0)
 
 
-def predicted(worth: float, *, confidence: float = 200.0) -> Prediction:
+def predicted(symmetry_score: float, *, confidence: float = 200.0) -> Prediction:
     """Half a ball and its mirror image, of which the network thinks a ball (blurred inwards)."""
     partial = half(sphere())
-    look = look_at(partial, VIEWS)
+    voxels = voxelize_partial(partial, VIEWS)
     distance = torch.from_numpy(np.linalg.norm(cell_centers(CELLS), axis=-1))
     nothing = torch.zeros(1, SOURCES + 1, *(COARSE_CELLS,) * 3)
     output = ShapeOutput((confidence * (0.42 - distance))[None], nothing[:, :3], nothing)
-    return Prediction(look, look.with_copies(mirrors()), output, worth)
+    return Prediction(voxels, voxels.with_copies(mirrors()), output, symmetry_score)
 
 
 def put_together(prediction: Prediction, **changes: object):
-    settings = dataclasses.replace(WholeSettings(count=8000), **changes)
-    return whole_splats(
+    settings = dataclasses.replace(AssembleSettings(count=8000), **changes)
+    return assemble_splats(
         prediction, half(sphere()), settings, torch.Generator().manual_seed(0)
     ).splats
 
@@ -57,30 +57,42 @@ def test_without_belief_the_networks_surface_is_all():
     generator = torch.Generator().manual_seed(0)
     settings = SurfaceSettings(8000, filled_logit=-0.3)
     alone = surface_splats(prediction.output, prediction.seen, partial, settings, generator)
-    found = put_together(prediction, sure_logit=-0.3, unsure_logit=-0.3)
+    found = put_together(prediction, occupancy_threshold_high=-0.3, occupancy_threshold_low=-0.3)
     assert torch.equal(found.means, alone.means)
 
 
 @pytest.mark.parametrize(
-    ("worth", "shares", "is_sure"),
+    ("symmetry_score", "shares", "is_sure"),
     [
         (0.5, (0.0, 0.1), False),  # a copy adds something, and half the ball is missing
         (0.0, (0.0, 0.1), True),  # no copy adds anything
         (0.5, (0.9, 0.95), True),  # less than nine tenths are missing
     ],
 )
-def test_where_little_is_missing_the_network_has_to_be_surer(worth, shares, is_sure):
-    prediction = predicted(worth, confidence=40.0)
-    found = put_together(prediction, sure_shares=shares, sure_logit=2.0, unsure_logit=-2.0)
+def test_where_little_is_missing_the_network_has_to_be_surer(symmetry_score, shares, is_sure):
+    prediction = predicted(symmetry_score, confidence=40.0)
+    found = put_together(
+        prediction,
+        threshold_missing_shares=shares,
+        occupancy_threshold_high=2.0,
+        occupancy_threshold_low=-2.0,
+    )
     level = 2.0 if is_sure else -2.0
-    same = put_together(prediction, sure_logit=level, unsure_logit=level)
+    same = put_together(prediction, occupancy_threshold_high=level, occupancy_threshold_low=level)
     assert torch.equal(found.means, same.means)
     if is_sure:  # whoever asks for no mirror image says nothing about what is missing
-        alone = dataclasses.replace(prediction, seen=prediction.look.with_copies(no_symmetries()))
-        asked = put_together(alone, sure_shares=(0.0, 0.1), sure_logit=2.0, unsure_logit=-2.0)
-        unsure = put_together(alone, sure_logit=-2.0, unsure_logit=-2.0)
+        alone = dataclasses.replace(prediction, seen=prediction.voxels.with_copies(no_symmetries()))
+        asked = put_together(
+            alone,
+            threshold_missing_shares=(0.0, 0.1),
+            occupancy_threshold_high=2.0,
+            occupancy_threshold_low=-2.0,
+        )
+        unsure = put_together(alone, occupancy_threshold_high=-2.0, occupancy_threshold_low=-2.0)
         assert torch.equal(asked.means, unsure.means)
-    other = put_together(prediction, sure_logit=-level, unsure_logit=-level)
+    other = put_together(
+        prediction, occupancy_threshold_high=-level, occupancy_threshold_low=-level
+    )
     farthest = found.means.norm(dim=1).max()
     assert bool(other.means.norm(dim=1).max() > farthest) is is_sure
 
@@ -89,13 +101,17 @@ def test_where_little_is_missing_the_network_has_to_be_surer(worth, shares, is_s
 def test_scattered_splats_are_no_whole_surface(count, is_sure):
     """All of a ball is there; of few splats, as far scanners see it, most of it is open."""
     partial = sphere(count)
-    look = look_at(partial, VIEWS)
+    voxels = voxelize_partial(partial, VIEWS)
     half_ball = predicted(0.5, confidence=40.0)
-    prediction = dataclasses.replace(half_ball, look=look, seen=look.with_copies(mirrors()))
+    prediction = dataclasses.replace(half_ball, voxels=voxels, seen=voxels.with_copies(mirrors()))
 
     def found(sure: float, unsure: float):
-        settings = WholeSettings(count=4000, sure_logit=sure, unsure_logit=unsure)
-        return whole_splats(prediction, partial, settings, torch.Generator().manual_seed(0)).splats
+        settings = AssembleSettings(
+            count=4000, occupancy_threshold_high=sure, occupancy_threshold_low=unsure
+        )
+        return assemble_splats(
+            prediction, partial, settings, torch.Generator().manual_seed(0)
+        ).splats
 
     level = 3.0 if is_sure else -3.0
     assert torch.equal(found(3.0, -3.0).means, found(level, level).means)
@@ -135,7 +151,7 @@ def test_the_note_tells_the_plane_as_users_ask_for_it():
     )
     assert "as a hint" in mirror_note(predicted(0.9), 0)
     prediction = predicted(0.0)
-    alone = prediction.look.with_copies(no_symmetries())
+    alone = prediction.voxels.with_copies(no_symmetries())
     assert mirror_note(dataclasses.replace(prediction, seen=alone), 0) == "not mirrored"
 
 
@@ -148,11 +164,11 @@ def test_where_no_mirrored_splat_is_left_the_networks_surface_is_all():
     occupancy[:, 16:32, 16:32, 16:32] = 8.0
     nowhere = dataclasses.replace(
         prediction,
-        seen=prediction.look.with_copies((far, along, turn)),
+        seen=prediction.voxels.with_copies((far, along, turn)),
         output=dataclasses.replace(prediction.output, occupancy=occupancy),
     )
-    level = {"sure_logit": 0.0, "unsure_logit": 0.0}
+    level = {"occupancy_threshold_high": 0.0, "occupancy_threshold_low": 0.0}
     found = put_together(nowhere, **level)
     assert len(found) > 0
-    not_believed = put_together(dataclasses.replace(nowhere, worth=0.0), **level)
+    not_believed = put_together(dataclasses.replace(nowhere, symmetry_score=0.0), **level)
     assert torch.equal(found.means, not_believed.means)

@@ -2,12 +2,12 @@ import numpy as np
 import pytest
 
 from gscomplete.errors import UserError
-from gscomplete.shape.coarse_scorer import PlaneRanker, packaged_ranker
+from gscomplete.shape.coarse_scorer import CoarseSymmetryScorer, packaged_coarse_scorer
 from gscomplete.shape.symmetry_features import FEATURES
 
 
 def test_the_ranker_is_a_perceptron():
-    ranker = packaged_ranker()
+    ranker = packaged_coarse_scorer()
     t = {name: value.astype(np.float64) for name, value in ranker.tensors.items()}
     features = np.random.default_rng(0).normal(size=(3, 4, len(FEATURES))).astype(np.float32)
     x = (features - t["center"]) / t["spread"]
@@ -23,21 +23,21 @@ def test_the_ranker_is_a_perceptron():
 
 def test_extreme_features_give_finite_logits():
     features = np.full((1, 1, len(FEATURES)), 1e6, np.float32)
-    assert np.isfinite(packaged_ranker()(features)).all()
-    assert np.isfinite(packaged_ranker()(-features)).all()
+    assert np.isfinite(packaged_coarse_scorer()(features)).all()
+    assert np.isfinite(packaged_coarse_scorer()(-features)).all()
 
 
 def test_files_are_checked(tmp_path):
     path = tmp_path / "planes.safetensors"
     with pytest.raises(UserError, match=r"planes\.safetensors"):
-        PlaneRanker.load(path)
+        CoarseSymmetryScorer.load(path)
     path.write_bytes(b"junk")
     with pytest.raises(UserError, match="expected a safetensors file"):
-        PlaneRanker.load(path)
-    packaged_ranker().save(path)
-    again = PlaneRanker.load(path)
-    assert again.digest() == packaged_ranker().digest()
-    narrow = PlaneRanker({**again.tensors, "weight0": again.tensors["weight0"][:, 1:]})
+        CoarseSymmetryScorer.load(path)
+    packaged_coarse_scorer().save(path)
+    again = CoarseSymmetryScorer.load(path)
+    assert again.digest() == packaged_coarse_scorer().digest()
+    narrow = CoarseSymmetryScorer({**again.tensors, "weight0": again.tensors["weight0"][:, 1:]})
     narrow.save(path)
     with pytest.raises(UserError, match="weight0: expected 21 columns, found 20"):
-        PlaneRanker.load(path)
+        CoarseSymmetryScorer.load(path)

@@ -5,7 +5,7 @@ import torch
 
 from gscomplete.shape.colors import ColorSettings, nearest_colors, source_colors
 from gscomplete.shape.network import ShapeOutput
-from gscomplete.shape.partial_voxels import look_at
+from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.symmetry import SOURCES
 from gscomplete.shape.voxels import CELLS, COARSE_CELLS
 from gscomplete.splats import Splats, colors_to_sh, concatenate
@@ -28,7 +28,7 @@ def pointing_at(*sources: int) -> ShapeOutput:
 
 def colors_at(points, output, partial=None, settings=None):
     partial = half(sphere()) if partial is None else partial
-    inputs = look_at(partial, VIEWS).with_copies(mirrors())
+    inputs = voxelize_partial(partial, VIEWS).with_copies(mirrors())
     generator = torch.Generator().manual_seed(0)
     return source_colors(output, inputs, partial, points, generator, settings), inputs
 

@@ -7,16 +7,16 @@ from safetensors.torch import save_file
 
 from gscomplete.errors import UserError
 from gscomplete.shape.fine_scorer import (
-    JUDGE_FILE,
+    FINE_SCORER_FILE,
     SIZE,
     STEP,
+    FineSymmetryScorer,
     FoldedVolumes,
-    PlaneJudge,
     colored_cells,
     folded_volumes,
-    packaged_judge,
+    packaged_fine_scorer,
 )
-from gscomplete.shape.partial_voxels import look_at
+from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.symmetry_features import FEATURES
 from gscomplete.shape.voxels import COARSE_CELLS, cell_centers
 from gscomplete.views import ViewDistribution
@@ -84,15 +84,15 @@ def test_evidence_is_looked_up_on_both_sides():
 
 
 def test_the_sides_of_a_plane_of_symmetry_are_alike():
-    look = look_at(sphere(), ViewDistribution(0.0, 10.0))
-    fine = folded_volumes(colored_cells(look.volume), look.shares, np.zeros(1, np.float32),
+    voxels = voxelize_partial(sphere(), ViewDistribution(0.0, 10.0))
+    fine = folded_volumes(colored_cells(voxels.volume), voxels.shares, np.zeros(1, np.float32),
                           np.zeros(1, np.float32)).fine[0]  # fmt: skip
     one, other = fine[0], fine[4]
     assert float((one - other).abs().mean()) < 0.1 * float(one.mean())
 
 
 def test_judging_one_plane_or_many_is_the_same():
-    judge = packaged_judge()
+    judge = packaged_fine_scorer()
     generator = torch.Generator().manual_seed(0)
     fine = torch.rand(3, 8, *SIZE, generator=generator)
     coarse = torch.rand(3, 6, *(n // 2 for n in SIZE), generator=generator)
@@ -106,15 +106,15 @@ def test_judging_one_plane_or_many_is_the_same():
 
 
 def test_files_are_checked(tmp_path):
-    path = tmp_path / JUDGE_FILE
+    path = tmp_path / FINE_SCORER_FILE
     with pytest.raises(UserError, match=r"plane_judge\.safetensors"):
-        PlaneJudge.load(path)
+        FineSymmetryScorer.load(path)
     path.write_bytes(b"junk")
     with pytest.raises(UserError, match="expected a safetensors file"):
-        PlaneJudge.load(path)
-    packaged_judge().save(path)
-    assert PlaneJudge.load(path).digest() == packaged_judge().digest()
-    tensors = packaged_judge().state_dict()
+        FineSymmetryScorer.load(path)
+    packaged_fine_scorer().save(path)
+    assert FineSymmetryScorer.load(path).digest() == packaged_fine_scorer().digest()
+    tensors = packaged_fine_scorer().state_dict()
     save_file({k: v.contiguous() for k, v in tensors.items() if k != "trust"}, path)
     with pytest.raises(UserError, match="expected tensors of the plane judge"):
-        PlaneJudge.load(path)
+        FineSymmetryScorer.load(path)

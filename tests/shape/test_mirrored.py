@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gscomplete.render import render
-from gscomplete.shape.mirrored import borne_out, mirror_image
-from gscomplete.shape.partial_voxels import look_at
-from gscomplete.shape.symmetry import mirror, shown_symmetries
+from gscomplete.shape.mirrored import mirror_image, select_consistent
+from gscomplete.shape.partial_voxels import voxelize_partial
+from gscomplete.shape.symmetry import mirror, with_composition
 from gscomplete.shape.voxels import CELLS
 from gscomplete.splats import Splats
 from gscomplete.splats.rotations import rotation_matrices
@@ -42,7 +42,7 @@ def covariances(splats: Splats) -> torch.Tensor:
 @given(st.floats(-math.pi, math.pi), st.floats(-0.4, 0.4), st.booleans())
 def test_ellipsoids_are_mirrored(angle, offset, twice):
     one = mirror(angle, offset, 0.5)
-    symmetry = shown_symmetries(one, mirror(angle + 1.0, 0.1, 0.5))[2] if twice else one
+    symmetry = with_composition(one, mirror(angle + 1.0, 0.1, 0.5))[2] if twice else one
     splats = some_splats()
     image = mirror_image(splats, symmetry)
     matrix = torch.from_numpy(symmetry.matrix)
@@ -66,19 +66,19 @@ def test_the_picture_of_the_image_is_the_mirrored_picture():
 
 def test_copies_that_something_speaks_against_are_left_out():
     partial = half(sphere())
-    look = look_at(partial, ViewDistribution(0.0, 10.0))
+    voxels = voxelize_partial(partial, ViewDistribution(0.0, 10.0))
     copies = mirror_image(partial, mirrors()[0])
     everywhere = torch.full((1, CELLS, CELLS, CELLS), 5.0)
-    assert len(borne_out(copies, everywhere, look.evidence)) == len(copies)
+    assert len(select_consistent(copies, everywhere, voxels.evidence)) == len(copies)
     left = everywhere.clone()
     left[:, :, : CELLS // 2] = -5.0
-    kept = borne_out(copies, left, look.evidence)
+    kept = select_consistent(copies, left, voxels.evidence)
     assert 0.4 < len(kept) / len(copies) < 0.6
     assert float(kept.means[:, 1].min()) > -0.02
     # P faces the views: what lies above its surface was seen to be empty, but for the rim.
     above = dataclasses.replace(partial, means=1.2 * partial.means)
     facing = above.select(above.means[:, 0] > 0.42)
-    assert len(borne_out(facing, everywhere, look.evidence)) < 0.05 * len(facing)
+    assert len(select_consistent(facing, everywhere, voxels.evidence)) < 0.05 * len(facing)
 
 
 @pytest.mark.parametrize("count", [0, 1])

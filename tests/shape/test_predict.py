@@ -1,8 +1,8 @@
 import pytest
 import torch
 
-from gscomplete.shape.partial_voxels import look_at
-from gscomplete.shape.predict import predict, predict_whole, turned, turned_back
+from gscomplete.shape.partial_voxels import voxelize_partial
+from gscomplete.shape.predict import predict, predict_occupancy, turned, turned_back
 from gscomplete.shape.symmetry_choice import choose_symmetries
 from gscomplete.views import ViewDistribution
 from tests.shape.shapes import half, likeliest_inputs, sphere, tiny_network
@@ -20,9 +20,9 @@ def test_turning_is_undone_and_the_mean_answer_turns_with_the_object(model):
             assert torch.equal(turned_back(turned(x, turns, mirror), turns, mirror), x)
     seen = likeliest_inputs(half(sphere()), ViewDistribution(0.0, 10.0))
     tokens = torch.tensor([2, 3])
-    answer = predict_whole(model, seen, tokens)
+    answer = predict_occupancy(model, seen, tokens)
     assert torch.isfinite(answer.occupancy).all()
-    single = predict_whole(model, seen, tokens, orientations=1)
+    single = predict_occupancy(model, seen, tokens, orientations=1)
     assert not torch.allclose(single.occupancy, answer.occupancy)
 
 
@@ -30,10 +30,10 @@ def test_the_answer_is_to_what_was_chosen(model):
     partial, views = half(sphere()), ViewDistribution(0.0, 10.0)
     tokens = torch.tensor([2, 3])
     guess = predict(model, partial, views, tokens)
-    chosen = choose_symmetries(model, look_at(partial, views), tokens)
-    assert guess.worth == chosen.worth
+    chosen = choose_symmetries(model, voxelize_partial(partial, views), tokens)
+    assert guess.symmetry_score == chosen.symmetry_score
     for found, expected in zip(guess.seen.symmetries, chosen.symmetries, strict=True):
         assert (found.matrix == expected.matrix).all()
         assert (found.shift == expected.shift).all()
-    again = predict_whole(model, guess.seen, tokens)
+    again = predict_occupancy(model, guess.seen, tokens)
     assert torch.equal(guess.output.occupancy, again.occupancy)

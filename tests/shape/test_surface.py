@@ -4,7 +4,7 @@ import torch
 
 from gscomplete.render import render
 from gscomplete.shape.network import ShapeOutput
-from gscomplete.shape.partial_voxels import look_at
+from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.surface import (
     SurfaceSettings,
     is_missing,
@@ -129,7 +129,7 @@ def test_the_surface_goes_on_from_ps_rim_without_a_gap():
 
 def test_points_near_a_copy_move_onto_it_and_others_stay():
     partial = half(sphere(12_000))
-    inputs = look_at(partial, VIEWS).with_copies(mirrors())
+    inputs = voxelize_partial(partial, VIEWS).with_copies(mirrors())
     normals = torch.nn.functional.normalize(
         torch.from_numpy(inputs.symmetries[0].apply(partial.means.numpy()[::40])), dim=1
     )

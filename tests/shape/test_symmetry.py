@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from gscomplete.shape.symmetry import (
     SOURCES,
-    companion,
     mirror,
     plane_of,
+    second_symmetry,
 )
 from gscomplete.shape.voxels import CELLS
 from gscomplete.views import ViewDistribution
@@ -23,10 +23,10 @@ def test_the_companion_shows_something_else():
     points = half(sphere()).means.numpy()
     across, along, turn = mirrors()
     nearly = dataclasses.replace(across, shift=np.array([0.02, 0, 0], np.float32))
-    assert companion([across, nearly, along, turn], 0, points) is along
-    assert companion([across, nearly, along], 1, points) is along
-    assert companion([along, across, turn], 0, points) is across
-    assert companion([across, nearly], 0, points) is nearly  # there is nothing else
+    assert second_symmetry([across, nearly, along, turn], 0, points) is along
+    assert second_symmetry([across, nearly, along], 1, points) is along
+    assert second_symmetry([along, across, turn], 0, points) is across
+    assert second_symmetry([across, nearly], 0, points) is nearly  # there is nothing else
 
 
 def test_what_is_shown_is_two_maps_and_one_after_the_other():

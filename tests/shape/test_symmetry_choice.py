@@ -5,21 +5,21 @@ import torch
 
 from gscomplete.shape.mirror_plane import MirrorPlane
 from gscomplete.shape.network import ShapeOutput
-from gscomplete.shape.partial_voxels import look_at
+from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.symmetry import SOURCES, plane_of
 from gscomplete.shape.symmetry_choice import (
     CANDIDATES,
-    AskedPlanes,
-    answered_worths,
-    ask_planes,
+    ScoredPlanes,
     choose_symmetries,
+    score_planes,
+    symmetry_scores_of_answers,
 )
 from gscomplete.shape.symmetry_proposals import candidate_planes
 from gscomplete.shape.voxels import CELLS, COARSE_CELLS
 from gscomplete.views import ViewDistribution
 from tests.shape.shapes import half, mirrors, sphere
 
-LOOK = look_at(half(sphere()), ViewDistribution(0.0, 10.0))
+LOOK = voxelize_partial(half(sphere()), ViewDistribution(0.0, 10.0))
 
 
 class Believer(torch.nn.Module):
@@ -42,7 +42,7 @@ def test_a_copy_the_answer_fills_is_worth_more_than_one_it_leaves_empty():
     whole = ((partial > 0) | (across > 0)).float()
     alone = (partial > 0).float()
     answers = torch.stack([whole, whole, alone])
-    filled, useless, refused = answered_worths(
+    filled, useless, refused = symmetry_scores_of_answers(
         answers, torch.stack([across, along, across]), partial
     ).tolist()
     assert filled > 0.95
@@ -57,8 +57,10 @@ def test_an_answer_that_adds_next_to_nothing_does_not_win():
     little = (partial > 0).float()
     free = (along > 0) & (torch.nn.functional.max_pool3d(partial[None], 3, 1, 1)[0] <= 0)
     little[free] = 1.0  # the few new cells of the copy are all filled
-    worths = answered_worths(torch.stack([whole, little]), torch.stack([across, along]), partial)
-    assert float(worths[0]) > float(worths[1]) + 0.5
+    symmetry_scores = symmetry_scores_of_answers(
+        torch.stack([whole, little]), torch.stack([across, along]), partial
+    )
+    assert float(symmetry_scores[0]) > float(symmetry_scores[1]) + 0.5
 
 
 def test_the_copies_that_answers_bear_out_are_shown():
@@ -66,7 +68,7 @@ def test_the_copies_that_answers_bear_out_are_shown():
     planes = candidate_planes(LOOK, CANDIDATES)
     choice = choose_symmetries(Believer(), LOOK, tokens)
     chosen = choice.symmetries
-    assert 0.9 < choice.worth <= 1
+    assert 0.9 < choice.symmetry_score <= 1
     assert len(chosen) == SOURCES - 1
     places = {plane.shift.tobytes() + plane.matrix.tobytes() for plane in planes}
     among = [plane.shift.tobytes() + plane.matrix.tobytes() in places for plane in chosen]
@@ -79,28 +81,28 @@ def test_the_copies_that_answers_bear_out_are_shown():
 
 def test_all_likely_planes_are_asked_about_and_the_best_is_the_one_shown():
     tokens = torch.zeros(4, dtype=torch.long)
-    asked = ask_planes(Believer(), LOOK, tokens)
+    asked = score_planes(Believer(), LOOK, tokens)
     shown = choose_symmetries(Believer(), LOOK, tokens)
     planes = candidate_planes(LOOK, CANDIDATES)
     assert {p.shift.tobytes() for p in asked.planes} == {p.shift.tobytes() for p in planes}
     assert asked.planes[0] is not asked.planes[1]
     assert (asked.planes[0].shift == shown.symmetries[0].shift).all()
-    assert asked.worths[0] == shown.worth
-    unlike = asked.unlike(LOOK.positions)
+    assert asked.symmetry_scores[0] == shown.symmetry_score
+    unlike = asked.distinct(LOOK.positions)
     assert unlike[0] is asked.planes[0]
-    twice = AskedPlanes(asked.planes[:1] * 2 + asked.planes, (0.0,) * (len(asked.planes) + 2))
-    assert twice.unlike(LOOK.positions) == unlike
+    twice = ScoredPlanes(asked.planes[:1] * 2 + asked.planes, (0.0,) * (len(asked.planes) + 2))
+    assert twice.distinct(LOOK.positions) == unlike
     assert not any(a.is_like(b, LOOK.positions) for k, a in enumerate(unlike) for b in unlike[:k])
 
 
 def test_users_may_choose_the_plane_or_none():
     tokens = torch.zeros(4, dtype=torch.long)
     none = choose_symmetries(Believer(), LOOK, tokens, mirror_plane="none")
-    assert none.worth == 0
+    assert none.symmetry_score == 0
     assert all(symmetry.score == 0 for symmetry in none.symmetries)
     given = choose_symmetries(Believer(), LOOK, tokens, mirror_plane=MirrorPlane(30.0, 0.1))
     angle, offset = plane_of(given.symmetries[0])
     assert math.degrees(angle) == pytest.approx(30.0, abs=1e-4)
     assert offset == pytest.approx(0.1, abs=1e-6)
-    assert given.worth == 1
+    assert given.symmetry_score == 1
     assert given.symmetries[0].score > 0

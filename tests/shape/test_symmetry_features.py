@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gscomplete.shape.evidence import gather_evidence
-from gscomplete.shape.partial_voxels import look_at
+from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.symmetry_features import (
     ANGLES,
     FEATURES,
@@ -23,7 +23,7 @@ MIDDLE = OFFSETS.index(0.0)
 
 
 def sampled(partial: Splats) -> PartSamples:
-    return look_at(partial, VIEWS).samples()
+    return voxelize_partial(partial, VIEWS).samples()
 
 
 def features_of(partial: Splats) -> dict[str, np.ndarray]:

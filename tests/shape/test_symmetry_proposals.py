@@ -8,15 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from gscomplete.shape.partial_voxels import look_at
+from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.symmetry_choice import CANDIDATES
 from gscomplete.shape.symmetry_features import ANGLES, OFFSETS
 from gscomplete.shape.symmetry_proposals import (
     APART_DEG,
     APART_OFFSET,
     candidate_planes,
+    distinct_planes,
     refined,
-    unlike_planes,
 )
 from gscomplete.shape.voxels import CELL_SIDE
 from gscomplete.splats import Splats, concatenate
@@ -37,7 +37,7 @@ def dumbbell() -> Splats:
 def test_part_of_a_sphere_is_mirrored_to_what_is_missing():
     """Every upright plane through the middle is right; the one chosen must show something new."""
     partial = half(sphere())
-    planes = candidate_planes(look_at(partial, VIEWS), CANDIDATES)
+    planes = candidate_planes(voxelize_partial(partial, VIEWS), CANDIDATES)
     copy = planes[0].apply(partial.means.numpy())
     missing = copy[copy[:, 0] < -0.05]
     assert len(missing) > 0.4 * len(copy)
@@ -82,10 +82,12 @@ def test_where_nothing_matches_a_plane_stays():
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 60))
 def test_ranked_planes_differ_and_none_better_is_left_out(seed, count):
-    worths = np.random.default_rng(seed).normal(size=(ANGLES, len(OFFSETS))).astype(np.float32)
-    planes = unlike_planes(worths, count)
+    symmetry_scores = (
+        np.random.default_rng(seed).normal(size=(ANGLES, len(OFFSETS))).astype(np.float32)
+    )
+    planes = distinct_planes(symmetry_scores, count)
     assert len(planes) == count
-    found = worths[planes[:, 0], planes[:, 1]]
+    found = symmetry_scores[planes[:, 0], planes[:, 1]]
     assert (np.diff(found) <= 0).all()
     turn = np.abs(planes[:, None, 0] - planes[None, :, 0]) * (180 / ANGLES)
     offsets = np.array(OFFSETS)[planes[:, 1]]
@@ -94,7 +96,7 @@ def test_ranked_planes_differ_and_none_better_is_left_out(seed, count):
     apart = np.abs(sign * offsets[None, :] - offsets[:, None])
     unlike = (np.minimum(turn, 180 - turn) >= APART_DEG) | (apart >= APART_OFFSET - 1e-6)
     assert unlike[~np.eye(count, dtype=bool)].all()
-    better = worths > found[-1]
+    better = symmetry_scores > found[-1]
     for a, o in np.argwhere(better):
         turn = np.abs(planes[:, 0] - a) * (180 / ANGLES)
         sign = np.where(turn > 90, -1, 1)

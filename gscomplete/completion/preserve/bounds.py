@@ -1,7 +1,7 @@
 """Bring the error that new splats cause in P's pictures from V below a bound that the user gives.
 
-The preservation loss of the paper (section 3.2) weighs P's looks against the prior's wishes and
-leaves what it leaves. Here, after the optimisation, the errors E_color and E_depth of
+The preservation loss of the paper (section 3.2) weighs P's appearance against the prior's wishes
+and leaves what it leaves. Here, after the optimisation, the errors E_color and E_depth of
 ``evaluate.metrics`` are brought below bounds, at as little cost to the rest as can be:
 
 1. Measure over the check views. Below the bounds: nothing is changed.
@@ -93,7 +93,7 @@ def preserve_hard(
     settings: HardPreservationSettings,
     seed: int = 0,
 ) -> HardPreservation:
-    """Change or remove new splats until P's looks from V are within the bounds.
+    """Change or remove new splats until P's appearance from V are within the bounds.
 
     Args:
         new: N new splats in the object frame.

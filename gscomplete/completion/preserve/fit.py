@@ -1,4 +1,4 @@
-"""One round of refitting new splats to P's looks from V, with everything else kept as it was.
+"""One round of refitting new splats to P's appearance from V, with everything else kept as it was.
 
 Conventions
 -----------

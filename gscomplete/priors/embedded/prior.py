@@ -35,16 +35,16 @@ from gscomplete.priors.embedded.rays import ring_numbers
 from gscomplete.priors.embedded.text import Tokenizer
 from gscomplete.priors.embedded.weights import PriorConfig, load_weights, weights_digest
 from gscomplete.shape.assemble import (
-    WholeSettings,
+    AssembleSettings,
+    assemble_splats,
     mirror_note,
     mirror_plane_of,
-    whole_splats,
 )
 from gscomplete.shape.mirror_plane import ChosenMirror, Mirror
 from gscomplete.shape.network import ShapeCompleter
-from gscomplete.shape.partial_voxels import look_at
+from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.predict import predict
-from gscomplete.shape.symmetry_choice import ask_planes
+from gscomplete.shape.symmetry_choice import score_planes
 from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution
 
@@ -102,7 +102,7 @@ class EmbeddedPrior:
             config: what goes with it.
             device: where it runs.
             precision: of the network; ``auto`` = bfloat16 where hardware has it.
-            shape: in evaluation mode; None = no first guess of the whole.
+            shape: in evaluation mode; None = no first guess of the complete object.
         """
         self.views: PriorViews = config.views
         self._device = torch.device(device)
@@ -147,7 +147,7 @@ class EmbeddedPrior:
         count: int,
         mirror: Mirror = "guess",
     ) -> FirstGuess | None:
-        """Return the whole as the shape network sees it; see :class:`base.ShapePrior`."""
+        """Return the complete object as the shape network sees it; see :class:`base.ShapePrior`."""
         if self._shape is None:
             return None
         assert isinstance(conditioning, EmbeddedConditioning)
@@ -159,8 +159,8 @@ class EmbeddedPrior:
             bfloat16=self._shape_bfloat16,
             mirror_plane=mirror,
         )
-        settings = WholeSettings(count=count)
-        whole = whole_splats(prediction, partial, settings, generator)
+        settings = AssembleSettings(count=count)
+        whole = assemble_splats(prediction, partial, settings, generator)
         return FirstGuess(whole.splats, (mirror_note(prediction, whole.mirrored),))
 
     def likely_mirrors(
@@ -170,9 +170,11 @@ class EmbeddedPrior:
         if self._shape is None:
             return ()
         assert isinstance(conditioning, EmbeddedConditioning)
-        look = look_at(partial, distribution)
-        asked = ask_planes(self._shape, look, conditioning.tokens, bfloat16=self._shape_bfloat16)
-        return (*(mirror_plane_of(plane) for plane in asked.unlike(look.positions)), "none")
+        voxels = voxelize_partial(partial, distribution)
+        asked = score_planes(
+            self._shape, voxels, conditioning.tokens, bfloat16=self._shape_bfloat16
+        )
+        return (*(mirror_plane_of(plane) for plane in asked.distinct(voxels.positions)), "none")
 
     def distill(
         self,

@@ -12,11 +12,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
-
-import torch
+from typing import TYPE_CHECKING, Literal
 
 from gscomplete.errors import UserError
+
+if TYPE_CHECKING:
+    import torch
 
 Loss = Literal["x0", "epsilon"]
 """``x0``: half the squared distance to the denoised latents (the paper's Equation 2 as
@@ -108,6 +109,8 @@ class LatentPriorSettings:
 
 def memory_plan(memory: Memory, device: torch.device) -> MemoryPlan:
     """Return the plan asked for, or the largest that fits the device (``24gb`` on a CPU)."""
+    import torch
+
     if memory != "auto":
         return PLANS[memory]
     if device.type != "cuda":
@@ -120,6 +123,8 @@ def memory_plan(memory: Memory, device: torch.device) -> MemoryPlan:
 
 def unet_dtype(precision: Precision, device: torch.device) -> torch.dtype:
     """Return the number type of the UNet."""
+    import torch
+
     if precision != "auto":
         return _named(precision)
     if device.type != "cuda":
@@ -131,6 +136,8 @@ def unet_dtype(precision: Precision, device: torch.device) -> torch.dtype:
 
 def vae_dtype(precision: Precision, device: torch.device) -> torch.dtype:
     """Return the number type of the autoencoder; ``auto`` is never float16."""
+    import torch
+
     if precision != "auto":
         return _named(precision)
     wide = unet_dtype("auto", device)
@@ -138,6 +145,8 @@ def vae_dtype(precision: Precision, device: torch.device) -> torch.dtype:
 
 
 def _named(precision: Precision) -> torch.dtype:
+    import torch
+
     dtype = getattr(torch, precision)
     assert isinstance(dtype, torch.dtype)
     return dtype

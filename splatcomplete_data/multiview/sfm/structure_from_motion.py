@@ -6,9 +6,9 @@ Conventions
   work folder, read back by ``colmap_model``; what is finished there is not computed again if it
   was made from the same photos, settings and cameras (``sfm_folder``).
 * COLMAP's world frame has no meaning: its scale is arbitrary and its up axis is not known.
-* COLMAP runs in a process of its own (``colmap_process``), because its native code ends the whole
-  process on errors of its own and can only be stopped with it. Its database is its own: COLMAP
-  fails where anybody else has it open.
+* COLMAP runs in a process of its own (``colmap_process``), because its native code ends the
+  process on errors of its own and can only be stopped with it. Its database is its
+  own: COLMAP fails where anybody else has it open.
 """
 
 from __future__ import annotations

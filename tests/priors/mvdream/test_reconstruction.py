@@ -18,7 +18,7 @@ CONDITIONING = LatentConditioning(torch.zeros(77, 4), torch.zeros(77, 4), ())
 
 
 class KnowingDenoiser:
-    """Predicts the noise that was added to ``CLEAN`` and remembers what it was shown."""
+    """Predicts the noise that was added to ``CLEAN`` and remembers what it was given."""
 
     schedule = SCHEDULE
     group = 4
