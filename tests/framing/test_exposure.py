@@ -28,6 +28,14 @@ def test_a_hole_below_is_not_seen_and_one_above_is():
     assert not is_closed(points[points[:, 2] < 0.3])
 
 
+def test_half_a_cup_of_two_walls_is_not_closed():
+    directions = ball() / 0.4
+    walls = np.concatenate([0.4 * directions, 0.385 * directions])
+    below = walls[walls[:, 2] < 0.2]
+    assert share_exposed_twice(below[below[:, 0] > 0]) < 0.05
+    assert not is_closed(below[below[:, 0] > 0])
+
+
 def test_place_size_and_order_do_not_matter():
     points = half(sphere()).means.double().numpy()
     moved = 1e3 * points + [5e3, -2e3, 1e2]

@@ -1,0 +1,31 @@
+import numpy as np
+import pytest
+
+from gscomplete.framing.cut_plane import find_cut
+from tests.shape.shapes import sphere
+
+BALL = sphere().means.double().numpy()
+
+
+@pytest.mark.parametrize("azimuth_deg", [0.0, 37.0, 200.0])
+@pytest.mark.parametrize("offset", [-0.1, 0.1])
+def test_the_plane_of_a_cut_is_found(azimuth_deg, offset):
+    angle = np.radians(azimuth_deg)
+    normal = np.array([np.cos(angle), np.sin(angle), 0.0])
+    found = find_cut(1e3 * BALL[BALL @ normal < offset] + [5.0, 3.0, 1e3])
+    assert found is not None
+    assert abs((found.azimuth_deg - azimuth_deg + 180) % 360 - 180) <= 4.0
+    assert found.rim_share > 0.6
+
+
+def test_closed_surfaces_level_cuts_and_scans_have_no_upright_plane():
+    assert find_cut(BALL) is None
+    assert find_cut(BALL[BALL[:, 2] < 0.1]) is None
+    # Two planes at a right angle: half of the rim lies in each, none holds all but one side.
+    corner = BALL[(BALL[:, 0] < 0) | (BALL[:, 1] < 0)]
+    assert find_cut(corner) is None
+
+
+def test_too_few_points_have_none():
+    assert find_cut(np.zeros((4, 3))) is None
+    assert find_cut(np.zeros((100, 3))) is None
