@@ -3,6 +3,8 @@ PYTHON ?= python3
 # On a machine with an NVIDIA GPU: make setup TORCH=torch EXTRAS=dev,cuda
 TORCH ?= torch==2.13.0
 EXTRAS ?= dev
+# LOCKED=1 installs the versions of constraints.txt, which all tests pass with; else the newest.
+LOCKED ?=
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-done
@@ -15,7 +17,7 @@ setup: $(STAMP)
 $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet "$(TORCH)"
-	$(BIN)/pip install --quiet --editable ".[$(EXTRAS)]"
+	$(BIN)/pip install --quiet $(if $(LOCKED),--constraint constraints.txt) --editable ".[$(EXTRAS)]"
 	touch $(STAMP)
 
 # What is asked for by name is installed whatever is there already.

@@ -7,18 +7,16 @@ that decided the result, and what came of it), ``preview.png``, ``turntable.webp
 
 from __future__ import annotations
 
+import dataclasses
 import json
-import platform
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
-import gscomplete
 from gscomplete.completion import pipeline
 from gscomplete.completion.alternatives import alternatives_sheet, guess_alternatives
 from gscomplete.completion.optimise import Optimisation, StepReport
@@ -37,6 +35,7 @@ from gscomplete.util.atomic import atomic_path, forget_leftovers
 from gscomplete.util.device import peak_gpu_bytes
 from gscomplete.util.digests import sha256_of
 from gscomplete.util.folder_lock import FolderLock, create_folder, lock_folder
+from gscomplete.util.versions import differences_note, made_with
 
 ALTERNATIVES_FILE = "alternatives.png"
 _FILES = (
@@ -116,6 +115,10 @@ def prepare(request: RunRequest, prior: Prior, device: torch.device | str = "cpu
     run = Run(request, source.released(), prepared, identity, notes, lock)
     if request.resume:
         require_same_identity(request.out / RUN_FILE, identity)
+        versions = jsonio.read_json(request.out / RUN_FILE).get("versions")
+        odd = differences_note(versions)
+        run.request = dataclasses.replace(request, notes=(*request.notes, *odd))
+        run.notes = (*notes, *odd)
         state = load_checkpoint(request.out / CHECKPOINTS)
         if state is not None:
             path = request.out / CHECKPOINTS / FILE_NAME
@@ -257,12 +260,7 @@ def _write_run_file(run: Run, status: str, result: dict[str, Any] | None) -> dic
         },
         "identity": run.identity,
         "notes": list(run.notes),
-        "versions": {
-            "gscomplete": gscomplete.__version__,
-            "python": platform.python_version(),
-            "torch": torch.__version__,
-            "numpy": np.__version__,
-        },
+        "versions": made_with(),
         "timings": {name: round(seconds, 3) for name, seconds in run.timings.items()},
         "result": result,
     }

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gscomplete.errors import UserError
+from gscomplete.framing.exposure import is_closed
 from gscomplete.render import render
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.rotations import rotation_matrices
@@ -131,7 +132,8 @@ def guess_framing(
 
     Floaters are left out of P's box. The input view is the candidate with the best
     ``ViewScores.score``. If P is open towards a side, the box grows that way (``extended_box``);
-    it never grows vertically, because scans lack the side that an object stands on.
+    it never grows vertically, because scans lack the side that an object stands on, nor where P's
+    surface is closed (``exposure``).
 
     Args:
         partial: P in z-up axes.
@@ -158,7 +160,9 @@ def guess_framing(
     toward, strength = scores.openness()
     if seen_from_deg is not None:
         toward = (seen_from_deg + 180.0) % 360.0
-    if strength < chosen.min_openness:
+    if is_closed(kept.means.double().numpy()):
+        center, reason = (low + high) / 2, "P's surface is closed: centre and size are the box's"
+    elif strength < chosen.min_openness:
         center, reason = (low + high) / 2, "no side is clearly open: centre and size are the box's"
     else:
         center, grown, reason = extended_box(kept.means.double().numpy(), toward)

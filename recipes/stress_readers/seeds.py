@@ -21,8 +21,8 @@ def seed_files(folder: Path) -> list[tuple[Path, Reader]]:
     import trimesh
     from PIL import Image
 
-    from gscomplete.cli.validate import validate_file
     from gscomplete.splats import write_splats
+    from gscomplete.splats.validation import validate_file
     from recipes.benchmarks.ply_io import random_splats
     from splatcomplete_data.dataset.recipe import read_recipe
     from splatcomplete_data.formats import write_any_splats

@@ -16,7 +16,7 @@ from gscomplete.errors import UserError
 from recipes.stress_readers.mutations import mutate
 from recipes.stress_readers.seeds import Reader, seed_files
 
-_SEED_LIMIT_S = 120
+_SEED_LIMIT_S = 600
 """Longest time for an undamaged file: the first of a kind compiles."""
 
 
@@ -72,7 +72,7 @@ def try_reader(reader: Reader, path: Path, limit_s: int) -> str:
     try:
         reader(path)
     except UserError as error:
-        if "longer than" in str(error):  # a reader took the alarm for a damaged file
+        if f"longer than {limit_s} s" in str(error):  # a reader took the alarm for a damaged file
             return f"TimeoutError: {error}"[:200]
         return "refused"
     except BaseException as error:  # anything else is what is looked for

@@ -30,6 +30,10 @@ class DataConfig:
     """Half of the rings are drawn from this narrower range."""
     center_jitter: float = 0.12
     """The target is off the object's centre by up to this along each axis."""
+    mesh_share: float = 0.7
+    """Share of sets made from the pack of meshes, where one is given."""
+    most_meshes: int | None = None
+    """Train on so many meshes of the pack; None = all of its training split."""
     render_px: int = 128
     """Side of the renders, area-averaged down to the model's resolution."""
     corrupt_share: float = 0.5
@@ -62,6 +66,10 @@ class ShapeDataConfig:
     """Where the best by the truth is worth less, no mirror images are shown either."""
     frame_jitter: float = 0.04
     """Standard deviation of the error of frames that are not guessed, object sizes."""
+    mesh_share: float = 0.7
+    """Share of sets made from the pack of meshes, where one is given."""
+    most_meshes: int | None = None
+    """Train on so many meshes of the pack; None = all of its training split."""
     most_cells: int = 4096
     """Most filled cells stored of P and of each of its mirror images."""
     most_surface_cells: int = 6144
@@ -81,6 +89,8 @@ class RunConfig:
     numbers. Their words keep their places, new ones follow."""
     minutes: float | None = 95.0
     """Length of training in minutes of its own running time; None = set by ``steps``."""
+    meshes: Path | None = None
+    """Pack of meshes to train on (``mesh_pack``) beside procedural objects; None = none."""
     steps: int | None = None
     """Length of training in steps; None = set by ``minutes``. Exactly one of them is given."""
     seed: int = 0

@@ -43,6 +43,7 @@ from gscomplete.shape.voxels import CELL_SIDE, CELLS
 from gscomplete.util.jsonio import from_json, read_json
 from recipes.train_embedded_prior.config import ShapeTrainConfig, TrainConfig
 from recipes.train_embedded_prior.evaluate import held_out_sets, measure_losses
+from recipes.train_embedded_prior.mesh_source import MixedSource
 from recipes.train_embedded_prior.procedural.objects import make_object
 from recipes.train_embedded_prior.shape_task import ShapeTask
 from recipes.train_embedded_prior.source import procedural_source
@@ -87,11 +88,18 @@ class Exportable:
     training: TrainingRecord
 
     def weights(self, kept: tuple[str, ...]) -> dict[str, Tensor]:
-        """Return the weights with the embeddings of the kept words, in their order."""
+        """Return the weights with the embeddings of the kept words, in their order.
+
+        A word that only the other network has learned gets the mean of those that this one knows.
+        """
         name = "words.weight" if isinstance(self.model, ShapeModelConfig) else "text.words.weight"
-        places = (FIRST_WORD_TOKEN + self.words.index(word) for word in kept)
-        rows = torch.tensor([*range(FIRST_WORD_TOKEN), *places])
-        return self.state | {name: self.state[name][rows]}
+        special, known = self.state[name].split(
+            [FIRST_WORD_TOKEN, len(self.state[name]) - FIRST_WORD_TOKEN]
+        )
+        place = {word: k for k, word in enumerate(self.words)}
+        neutral = known[: len(self.words)].mean(dim=0)
+        rows = [known[place[word]] if word in place else neutral for word in kept]
+        return self.state | {name: torch.stack([*special, *rows])}
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,8 +208,9 @@ def card(
         "",
         "A four-view, camera-, text- and input-conditioned denoiser of premultiplied RGBA images,",
         "and a three-dimensional network that guesses the whole from a part at once; both",
-        "trained by `recipes/train_embedded_prior` on procedural objects only: no photographs, no",
-        "third-party models, no downloads. Licence: Apache-2.0, as the rest of the repository.",
+        "trained by `recipes/train_embedded_prior`: the denoiser on procedural objects, the shape",
+        "network on these and on free meshes (sources below). No third-party models, no downloads.",
+        "Licence: Apache-2.0, as the rest of the repository.",
         "",
         f"* Parameters: {count_parameters(model) / 1e6:.1f} million, stored as {config.storage}.",
         f"* Images: {views.resolution_px} x {views.resolution_px}, field of view "
@@ -306,9 +315,12 @@ def export_runs(options: ExportConfig) -> tuple[TrainedRun | None, set[str]]:
     shape = None if shape_run is None else shape_run.exportable()
     seed = 0 if run is None else run.config.seed
     captions = [make_object(seed, index).caption for index in range(options.words_from)]
-    kept = words_seen(denoiser.words, captions)
-    if shape is not None:
-        kept = tuple(word for word in kept if word in shape.words)
+    words = denoiser.words
+    if shape_run is not None and shape is not None:
+        words = tuple(dict.fromkeys([*words, *shape.words]))
+        if shape_run.config.meshes is not None:
+            captions += MixedSource(shape_run.config.meshes).captions()
+    kept = words_seen(words, captions)
     export(denoiser, views, shape, kept, options.out, options.storage)
     return run, set(denoiser.words) - set(kept) - STOP_WORDS
 

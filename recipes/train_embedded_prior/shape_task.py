@@ -2,15 +2,16 @@
 
 Conventions
 -----------
-* The loss is the cross entropy of the filled cells, heavier near the whole's surface, plus what
-  soft intersections over union of the filled cells and of their shadows along the axes lack of 1,
-  plus the absolute error of the surface's colour where P is not. The cross entropy alone leaves
-  thin objects out: they have few cells, and none of them is certain.
+* The loss is the cross entropy of the filled cells, heavier near the complete object's surface and
+  at thin parts, plus what Tversky indices of the filled cells and of their shadows (along the axes
+  and four oblique directions) lack of 1, plus the absolute error of the surface's colour where P
+  is not. The cross entropy alone leaves thin objects out: they have few cells, none certain.
 * While training, a source's colour in a cell is that of its filled cells nearby.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,6 +38,12 @@ from recipes.train_embedded_prior.shape_dataset import (
 )
 
 _SURFACE_WEIGHT = 4.0
+_THIN_WEIGHT = 4.0
+"""Of the cells of thin parts and those beside them."""
+_MISS_WEIGHT, _EXCESS_WEIGHT = 1.3, 0.7
+"""Of what is missed and what is too much, in overlaps."""
+_LEAST_FREE = 1e-6
+"""No cell blocks a ray more surely than to this probability."""
 _OVERLAP_WEIGHT = 1.0
 _SHADOW_WEIGHT = 2.0
 _COLOR_WEIGHT = 0.5
@@ -91,7 +98,7 @@ class ShapeTask:
         tokens = torch.where(dropped[:, None], no_text, batch.tokens)
         batch, tokens = batch.to(config.device), tokens.to(config.device)
         out = model(batch.volumes, batch.evidence, batch.scores, tokens)
-        losses = shape_losses(out, batch)
+        losses = shape_losses(out, batch, rng)
         return (
             losses["occupancy"]
             + _OVERLAP_WEIGHT * losses["overlap"]
@@ -124,44 +131,92 @@ class ShapeTask:
 
 
 def _measured(out: ShapeOutput, batch: ShapeBatch) -> dict[str, float]:
-    losses = {name: float(value) for name, value in shape_losses(out, batch).items()}
+    rng = np.random.default_rng(0)
+    losses = {name: float(value) for name, value in shape_losses(out, batch, rng).items()}
     return losses | filled_iou(out, batch)
 
 
-def shape_losses(out: ShapeOutput, batch: ShapeBatch) -> dict[str, Tensor]:
-    """Return the parts of the loss."""
+def shape_losses(
+    out: ShapeOutput, batch: ShapeBatch, rng: np.random.Generator
+) -> dict[str, Tensor]:
+    """Return the parts of the loss.
+
+    Args:
+        out: the network's answer.
+        batch: the sets.
+        rng: draws the oblique directions of shadows.
+    """
     solid = batch.solid
     around = grown(solid) + grown(1 - solid)
-    weight = 1 + _SURFACE_WEIGHT * (around - 1)
+    weight = 1 + _SURFACE_WEIGHT * (around - 1) + _THIN_WEIGHT * grown(thin_cells(solid))
     occupancy = F.binary_cross_entropy_with_logits(out.occupancy, solid, reduction="none")
     true_colors, there = coarse_colors(batch.surface)
     error = (blended_colors(out, batch.volumes) - true_colors).abs().mean(dim=1)
     seen = F.max_pool3d(batch.volumes[:, 0, :1], 2)[:, 0] > 0
     where = there * torch.where(seen, _SEEN_WEIGHT, 1.0)
+    filled = out.occupancy.float().sigmoid()
+    shadow = torch.stack(
+        [
+            shadow_overlap(filled, solid, (1, 2, 3)),
+            *(shadow_overlap(*_turned(filled, solid, rng), (1, 2)) for _ in range(2)),
+        ]
+    )
     return {
         "occupancy": (weight * occupancy).mean() * 10,
-        "overlap": 1 - soft_iou(out.occupancy.sigmoid(), solid).mean(),
-        "shadow": 1 - shadow_iou(out.occupancy, solid).mean(),
+        "overlap": 1 - soft_overlap(out.occupancy.sigmoid(), solid).mean(),
+        "shadow": 1 - shadow.mean(),
         "color": (where * error).sum() / where.sum().clamp_min(1.0),
     }
 
 
-def soft_iou(filled: Tensor, solid: Tensor) -> Tensor:  # [B, ...] both -> [B]
-    """Return expected intersections over expected unions of shares in [0, 1] with a truth."""
-    both = (filled * solid).flatten(1).sum(dim=1)
-    return both / (filled + solid - filled * solid).flatten(1).sum(dim=1).clamp_min(1.0)
+def thin_cells(solid: Tensor) -> Tensor:  # [B, C, C, C] -> [B, C, C, C]
+    """Return 1 for filled cells that no filled block of 3 x 3 x 3 cells holds."""
+    return solid - grown(1 - grown(1 - solid))
 
 
-def shadow_iou(logits: Tensor, solid: Tensor) -> Tensor:  # [B, C, C, C] both -> [B]
-    """Return soft intersections over union of the shadows along x, y and z, their mean.
+def soft_overlap(filled: Tensor, solid: Tensor) -> Tensor:  # [B, ...] both -> [B]
+    """Return the Tversky index of shares in [0, 1], misses weighted above excess; 1 if equal."""
+    both = torch.minimum(filled, solid).flatten(1).sum(dim=1)
+    missed = (solid - filled).clamp_min(0).flatten(1).sum(dim=1)
+    excess = (filled - solid).clamp_min(0).flatten(1).sum(dim=1)
+    return both / (both + _MISS_WEIGHT * missed + _EXCESS_WEIGHT * excess).clamp_min(1.0)
+
+
+def shadow_overlap(
+    filled: Tensor,  # [B, C, C, C] probabilities
+    solid: Tensor,  # [B, C, C, C] shares in [0, 1]
+    axes: Sequence[int],
+) -> Tensor:  # [B]
+    """Return the overlap of the shadows along some axes, their mean.
 
     A ray is free with the product of its cells' probabilities to be empty.
     """
-    blocked = F.softplus(logits.float())
+    ours, true = (-torch.log1p(-x.clamp(max=1 - _LEAST_FREE)) for x in (filled, solid))
     shares = [
-        soft_iou(-torch.expm1(-blocked.sum(dim=axis)), solid.amax(dim=axis)) for axis in (1, 2, 3)
+        soft_overlap(-torch.expm1(-ours.sum(dim=axis)), -torch.expm1(-true.sum(dim=axis)))
+        for axis in axes
     ]
     return torch.stack(shares).mean(dim=0)
+
+
+def _turned(
+    filled: Tensor,  # [B, C, C, C]
+    solid: Tensor,  # [B, C, C, C]
+    rng: np.random.Generator,
+) -> tuple[Tensor, Tensor]:
+    """Turn both by any azimuth and an elevation of -10 to 45 degrees; outside is empty."""
+    azimuth, elevation = rng.uniform(0, 2 * math.pi), math.radians(rng.uniform(-10, 45))
+    cos, sin = math.cos(azimuth), math.sin(azimuth)
+    up, flat = math.sin(elevation), math.cos(elevation)
+    about_z = torch.tensor([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    lean = torch.tensor([[flat, 0.0, -up], [0.0, 1.0, 0.0], [up, 0.0, flat]])
+    matrix = torch.cat([about_z @ lean, torch.zeros(3, 1)], dim=1).to(filled)
+    count, size = len(filled), tuple(filled.shape[1:])
+    # grid_sample names the last axis x: the volume's axes are handed over in reverse.
+    grid = F.affine_grid(matrix.expand(count, -1, -1), [count, 1, *size], align_corners=False)
+    pair = torch.stack([filled, solid], dim=1).permute(0, 1, 4, 3, 2)
+    seen = F.grid_sample(pair, grid, align_corners=False).permute(0, 1, 4, 3, 2)
+    return seen[:, 0], seen[:, 1]
 
 
 def coarse_colors(volume: Tensor) -> tuple[Tensor, Tensor]:

@@ -33,6 +33,7 @@ from torch import Tensor, nn
 
 from gscomplete.errors import UserError
 from recipes.train_embedded_prior.config import RunConfig, ShapeTrainConfig, TrainConfig
+from recipes.train_embedded_prior.dataset import Source
 from recipes.train_embedded_prior.evaluate import autocast
 from recipes.train_embedded_prior.replicas import GradientExchange, Signals
 from recipes.train_embedded_prior.shape_task import ShapeTask
@@ -261,6 +262,26 @@ def _rounded(value: Any) -> Any:
     return float(f"{value:.5g}") if isinstance(value, float) else value
 
 
+def training_source(config: TrainConfig | ShapeTrainConfig) -> tuple[Source, tuple[str, ...]]:
+    """Return where a run's objects come from, and the words to train on.
+
+    Raises:
+        UserError: the pack of meshes has no manifest.
+    """
+    from recipes.train_embedded_prior.mesh_source import MixedSource
+    from recipes.train_embedded_prior.source import (
+        frequent_words,
+        procedural_source,
+        procedural_words,
+    )
+
+    words = procedural_words()
+    if config.meshes is None:
+        return procedural_source, words
+    mixed = MixedSource(config.meshes, config.data.mesh_share, config.data.most_meshes)
+    return mixed, (*words, *(w for w in frequent_words(mixed.captions()) if w not in words))
+
+
 def main() -> int:
     """Run from the command line."""
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
@@ -271,14 +292,13 @@ def main() -> int:
     )
     os.nice(config.nice)
     torch.set_num_threads(config.threads)
-    from recipes.train_embedded_prior.source import procedural_source, procedural_words
-
     try:
-        words = open_run(config, procedural_words())
+        source, words = training_source(config)
+        words = open_run(config, words)
         if isinstance(config, ShapeTrainConfig):
-            train(ShapeTask(config, procedural_source, words))
+            train(ShapeTask(config, source, words))
         else:
-            train(ViewsTask(config, procedural_source, words))
+            train(ViewsTask(config, source, words))
     except UserError as error:
         _LOG.error("%s", error)
         return error.exit_code

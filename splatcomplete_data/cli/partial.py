@@ -39,7 +39,7 @@ class PartialOptions(ObjectOptions):
     """
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """Splat file (.ply, .compressed.ply, .splat, .spz) or object folder."""
+    """Splat file (.ply, .compressed.ply, .splat, .spz, .glb) or object folder."""
     cut: tuple[str, ...] = ()
     """plane:AZIMUTH[,OFFSET], box:LX,LY,LZ,HX,HY,HZ or scan:AZ/EL[,AZ/EL...] (object frame)."""
     box: tuple[str, ...] = ()

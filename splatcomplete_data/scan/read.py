@@ -12,6 +12,7 @@ Conventions
 from __future__ import annotations
 
 import dataclasses
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -168,10 +169,35 @@ def _check_las_header(path: Path) -> None:
     room = 50 * size if packed else (size - field(96, 4)) // max(field(105, 2), 1)
     if points > room:
         raise UserError(f"{path}: truncated: expected {points:,} points, room for {max(room, 0):,}")
+    if packed and points:
+        _check_chunks(path, field(96, 4), size)
     records = field(100, 4) + (field(243, 4) if is_new else 0)
     if 54 * records > size:
         raise UserError(
             f"{path}: expected {records:,} header records, found a file of {size} bytes"
+        )
+
+
+def _check_chunks(path: Path, start: int, size: int) -> None:
+    """Refuse a LAZ file whose table of chunks is larger than the file: its decoder would abort.
+
+    Raises:
+        UserError: it is.
+    """
+    with path.open("rb") as stream:
+        stream.seek(start)
+        table = int.from_bytes(stream.read(8), "little", signed=True)
+        if table == -1:  # written as a stream: the table's place is told at the end
+            stream.seek(-8, os.SEEK_END)
+            table = int.from_bytes(stream.read(8), "little", signed=True)
+        if not start <= table <= size - 8:
+            raise UserError(f"{path}: table of chunks: expected within the file, found at {table}")
+        stream.seek(table + 4)
+        chunks = int.from_bytes(stream.read(4), "little")
+    if chunks > size:
+        raise UserError(
+            f"{path}: table of chunks: expected at most {size:,} in a file of that many bytes, "
+            f"found {chunks:,}"
         )
 
 

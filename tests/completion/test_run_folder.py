@@ -106,3 +106,15 @@ def test_a_file_in_place_of_the_folder_is_named(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="--out: expected a folder to create, found a file"):
         begin(tmp_path)
     assert (tmp_path / "out").read_text() == "mine"
+
+
+def test_a_run_records_what_its_bytes_depend_on_and_tells_of_changes(stopped: Path) -> None:
+    path = stopped / "out" / RUN_FILE
+    content = json.loads(path.read_text())
+    assert content["versions"]["torch_threads"] == torch.get_num_threads()
+    content["versions"]["torch"] = "1.0"
+    path.write_text(json.dumps(content))
+    run = begin(stopped, resume=True)
+    assert any("begun with torch 1.0 (now" in note for note in run.notes)
+    finished = execute(run, lambda report: None)
+    assert any("begun with torch 1.0 (now" in note for note in finished["notes"])

@@ -8,6 +8,7 @@ import json
 import struct
 import subprocess
 import sys
+import tracemalloc
 import zipfile
 from pathlib import Path
 
@@ -129,6 +130,17 @@ def test_a_gltf_without_data_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.gltf").write_text(json.dumps(data))
     with pytest.raises(UserError, match=r"accessors\[0\]: expected at most .*1,000,000,000"):
         load_mesh(tmp_path / "a.gltf")
+
+
+def test_a_glb_that_says_its_json_is_huge_is_refused(tmp_path: Path) -> None:
+    """A read of what the header says makes room for it first."""
+    path = tmp_path / "a.glb"
+    path.write_bytes(b"glTF" + struct.pack("<IIII", 2, 40, 2**32 - 1, 0x4E4F534A) + b"{}  ")
+    tracemalloc.start()
+    with pytest.raises(UserError):
+        load_mesh(path)
+    assert tracemalloc.get_traced_memory()[1] < 100 * MIB
+    tracemalloc.stop()
 
 
 @pytest.mark.parametrize("name", ["a.zip", "a.zae", "a.tar.gz", "a.bz2"])

@@ -21,6 +21,7 @@ import torch
 from torch import Tensor
 
 from gscomplete.errors import UserError
+from gscomplete.framing.exposure import is_closed
 from gscomplete.priors.base import Conditioning, FirstGuess, FourViews, Guidance, PriorViews
 from gscomplete.priors.embedded.diffusion import (
     NUM_TIMESTEPS,
@@ -54,6 +55,11 @@ DEFAULT_GUIDANCE = Guidance(text_scale=1.0, input_scale=1.0, rescale=0.0)
 """With P in sight plain conditional denoising is best, and takes a single pass."""
 TEXT_ONLY_GUIDANCE = Guidance(text_scale=3.0, input_scale=1.0, rescale=0.5)
 """Without P the text must decide more."""
+
+_COMPLETE_NOTE = (
+    "P's surface is closed: it is taken for complete, and nothing is added "
+    "(--mirror none completes it all the same)"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +157,9 @@ class EmbeddedPrior:
         if self._shape is None:
             return None
         assert isinstance(conditioning, EmbeddedConditioning)
+        if mirror == "guess" and is_closed(partial.means.double().numpy()):
+            nothing = partial.with_sh_degree(0).select(torch.arange(0))
+            return FirstGuess(nothing, (_COMPLETE_NOTE,))
         prediction = predict(
             self._shape,
             partial,

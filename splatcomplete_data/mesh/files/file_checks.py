@@ -62,6 +62,7 @@ def refuse_unknown_geometry(path: Path) -> None:
     """
     if path.suffix.lower() not in GLTF_SUFFIXES:
         return
+    _check_chunks(path)
     text = gltf_text(path)
     _check_zeros(path, text)
     for name in ("KHR_draco_mesh_compression", "EXT_meshopt_compression"):
@@ -75,6 +76,27 @@ def refuse_unknown_geometry(path: Path) -> None:
             f"{path}: instances are given by EXT_mesh_gpu_instancing, expected nodes of their own; "
             "write them out first: npx @gltf-transform/cli uninstance in.glb out.glb"
         )
+
+
+def _check_chunks(path: Path) -> None:
+    """Refuse a GLB whose chunks are longer than the file: reading one makes room for it first.
+
+    Raises:
+        UserError: one is.
+    """
+    size, place = path.stat().st_size, 12
+    with path.open("rb") as stream:
+        if stream.read(4) != b"glTF":
+            return
+        while place + 8 <= size:
+            stream.seek(place)
+            length = int.from_bytes(stream.read(4), "little")
+            place += 8 + length
+            if place > size:
+                raise UserError(
+                    f"{path}: truncated or damaged: expected a chunk up to byte {place:,}, found "
+                    f"the end at {size:,}"
+                )
 
 
 def _check_zeros(path: Path, text: str) -> None:

@@ -75,7 +75,8 @@ def gltf_text(path: Path) -> str:
         head = stream.read(20)
         if head[:4] != b"glTF":
             return read_text(path)
-        return stream.read(int.from_bytes(head[12:16], "little")).decode("utf-8", "replace")
+        length = min(int.from_bytes(head[12:16], "little"), path.stat().st_size)
+        return stream.read(length).decode("utf-8", "replace")
 
 
 def gltf_binary(path: Path) -> bytes:

@@ -8,7 +8,9 @@ from gscomplete.priors import FourViews, Guidance, Prior, load_prior
 from gscomplete.priors.base import prior_identity
 from gscomplete.priors.embedded.prior import EmbeddedPrior
 from gscomplete.priors.embedded.weights import save_weights
+from gscomplete.views import ViewDistribution
 from tests.priors.embedded.tiny import ring_views, tiny_config, tiny_model
+from tests.shape.shapes import half, sphere
 
 
 @pytest.fixture(scope="module")
@@ -176,3 +178,15 @@ def test_the_shape_network_runs_in_the_precision_of_the_cpu(monkeypatch):
     prior = EmbeddedPrior(tiny_model(), tiny_config(), "meta")
     assert prior._bfloat16
     assert not prior._shape_bfloat16
+
+
+def test_nothing_is_added_to_a_closed_surface_unless_asked():
+    prior = load_prior("embedded")
+    views, conditioning = ViewDistribution(0.0, 10.0), prior.condition("a ball")
+    ball = sphere(2000)
+    closed = prior.first_guess(ball, views, conditioning, generator(), 500)
+    assert len(closed.splats) == 0
+    assert "complete" in closed.notes[0]
+    assert len(prior.first_guess(half(ball), views, conditioning, generator(), 500).splats) > 100
+    asked = prior.first_guess(ball, views, conditioning, generator(), 500, "none")
+    assert "complete" not in asked.notes[0]

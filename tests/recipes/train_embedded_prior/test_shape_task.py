@@ -16,9 +16,10 @@ from recipes.train_embedded_prior.shape_dataset import (
 from recipes.train_embedded_prior.shape_task import (
     ShapeTask,
     filled_iou,
-    shadow_iou,
+    shadow_overlap,
     shape_losses,
-    soft_iou,
+    soft_overlap,
+    thin_cells,
 )
 from recipes.train_embedded_prior.state import open_run
 from recipes.train_embedded_prior.train import train
@@ -108,7 +109,7 @@ def test_training_lowers_the_loss(tmp_path, batch):
 
     def loss(model):
         out = model(batch.volumes, batch.evidence, batch.scores, batch.tokens)
-        return float(shape_losses(out, batch)["occupancy"].detach())
+        return float(shape_losses(out, batch, np.random.default_rng(0))["occupancy"].detach())
 
     before = loss(task.make_model())
     assert loss(train(task).model) < 0.6 * before
@@ -155,7 +156,7 @@ def test_the_truth_scores_full_marks(batch):
     sources = torch.zeros(count, SOURCES + 1, half, half, half)
     out = ShapeOutput(40 * batch.solid - 20, torch.zeros(count, 3, half, half, half), sources)
     assert filled_iou(out, batch)["iou"] == 1.0
-    losses = shape_losses(out, batch)
+    losses = shape_losses(out, batch, np.random.default_rng(0))
     assert float(losses["occupancy"]) < 1e-3
     # Thousands of cells at a probability of 2e-9 of being wrong.
     assert float(losses["overlap"]) < 1e-4
@@ -170,17 +171,30 @@ def test_overlaps_of_hard_answers_are_counts():
     truth = (torch.rand(2, 6, 6, 6, generator=generator) < 0.1).float()
 
     def counted(a, b):
-        return [float((x * y).sum() / ((x + y) > 0).sum()) for x, y in zip(a, b, strict=True)]
+        return [
+            float(both / (both + 1.3 * (y - x).clamp(0).sum() + 0.7 * (x - y).clamp(0).sum()))
+            for x, y in zip(a, b, strict=True)
+            for both in [(x * y).sum()]
+        ]
 
-    assert soft_iou(ours, truth).tolist() == pytest.approx(counted(ours, truth))
+    assert soft_overlap(ours, truth).tolist() == pytest.approx(counted(ours, truth))
     shadows = [counted(ours.amax(d), truth.amax(d)) for d in (1, 2, 3)]
-    found = shadow_iou(80 * ours - 40, truth)
+    found = shadow_overlap(ours, truth, (1, 2, 3))
     assert found.tolist() == pytest.approx(np.mean(shadows, axis=0).tolist(), rel=1e-5)
+
+
+def test_thin_cells_are_those_of_walls_and_rods():
+    solid = torch.zeros(1, 12, 12, 12)
+    solid[0, 2:6, 2:6, 2:6] = 1
+    solid[0, 9, 1:11, 1:11] = 1
+    thin = thin_cells(solid)
+    assert float(thin[0, 2:6, 2:6, 2:6].sum()) == 0
+    assert float(thin[0, 9].sum()) == 100
 
 
 def test_shadows_pull_a_missing_rod_into_being():
     truth = torch.zeros(1, 8, 8, 8)
     truth[0, 3, 3, :] = 1
     logits = torch.full_like(truth, -4.0, requires_grad=True)
-    (1 - shadow_iou(logits, truth)).sum().backward()
+    (1 - shadow_overlap(logits.sigmoid(), truth, (1, 2, 3))).sum().backward()
     assert float(logits.grad[0, 3, 3].max()) < 0 < float(logits.grad[0, 6, 6].min())

@@ -100,3 +100,19 @@ def test_a_colour_that_is_not_finite_darkens_no_other(tmp_path: Path) -> None:
     (tmp_path / "a.xyz").write_text("\n".join(" ".join(map(str, row)) for row in rows))
     colors = read_scan(tmp_path / "a.xyz").cloud.colors
     np.testing.assert_allclose(colors, [[1.0, 0.5, 0.0], [0.0, 0.0, 0.25]])
+
+
+def test_a_laz_with_more_chunks_than_bytes_is_refused(tmp_path: Path) -> None:
+    """Its decoder makes room for what the table says, and ends the process."""
+    laspy = pytest.importorskip("laspy")
+    las = laspy.create(point_format=2, file_version="1.2")
+    las.x = las.y = las.z = np.arange(50.0)
+    las.write(str(tmp_path / "a.laz"))
+    assert len(read_scan(tmp_path / "a.laz").cloud) == 50
+    raw = bytearray((tmp_path / "a.laz").read_bytes())
+    start = int.from_bytes(raw[96:100], "little")
+    table = int.from_bytes(raw[start : start + 8], "little")
+    raw[table + 4 : table + 8] = b"\xff\xff\xff\x7f"
+    (tmp_path / "a.laz").write_bytes(raw)
+    with pytest.raises(UserError, match="table of chunks: expected at most"):
+        read_scan(tmp_path / "a.laz")

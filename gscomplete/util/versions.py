@@ -1,0 +1,54 @@
+"""What a result's bytes depend on besides the input: versions, threads and the kind of processor.
+
+Conventions
+-----------
+* PyTorch divides a sum among its threads, and rounds with the division: the same seed gives the
+  same bytes for the same versions, number of threads and kind of processor.
+"""
+
+from __future__ import annotations
+
+import platform
+from importlib.metadata import version
+from typing import Any
+
+import numba
+import torch
+
+import gscomplete
+
+
+def made_with() -> dict[str, Any]:
+    """Return what bytes depend on, as JSON values."""
+    return {
+        "gscomplete": gscomplete.__version__,
+        "python": platform.python_version(),
+        "torch": torch.__version__,
+        "numpy": version("numpy"),
+        "numba": version("numba"),
+        "scipy": version("scipy"),
+        "torch_threads": torch.get_num_threads(),
+        "numba_threads": numba.get_num_threads(),
+        "processor": f"{platform.machine()} {torch.backends.cpu.get_cpu_capability()}",
+    }
+
+
+def differences_note(before: object) -> tuple[str, ...]:
+    """Tell what has changed since a run began; none = nothing.
+
+    Args:
+        before: ``made_with`` of then, from a file that may be damaged.
+    """
+    if not isinstance(before, dict):
+        return ()
+    changed = [
+        f"{name} {before[name]} (now {value})"
+        for name, value in made_with().items()
+        if name != "numba_threads" and name in before and before[name] != value
+    ]
+    if not changed:
+        return ()
+    return (
+        f"resuming a run begun with {', '.join(changed)}: its bytes may differ from those of a run "
+        "that was never stopped",
+    )
