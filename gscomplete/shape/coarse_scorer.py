@@ -21,7 +21,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save
 
 from gscomplete.errors import UserError
-from gscomplete.shape.packaged import PACKAGED_WEIGHTS
+from gscomplete.shape.network import PACKAGED_WEIGHTS
 from gscomplete.shape.symmetry_features import FEATURES
 from gscomplete.shape.voxels import FloatArray
 from gscomplete.util.atomic import atomic_path

@@ -32,7 +32,7 @@ from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
 from gscomplete.errors import UserError
-from gscomplete.shape.packaged import PACKAGED_WEIGHTS
+from gscomplete.shape.network import PACKAGED_WEIGHTS
 from gscomplete.shape.symmetry_features import FEATURES
 from gscomplete.shape.voxels import CELL_SIDE, HALF_SIDE, FloatArray
 from gscomplete.util.atomic import atomic_path

@@ -14,7 +14,9 @@ Conventions
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
+from pathlib import Path
 
 import torch
 import torch.nn.functional as F
@@ -22,6 +24,8 @@ from torch import Tensor, nn
 
 from gscomplete.shape.symmetry import COPIES, SOURCES
 
+PACKAGED_WEIGHTS = Path(__file__).resolve().parents[1] / "priors/embedded/weights"
+"""Where the weights of the shape networks lie: beside those of the embedded prior."""
 _FOLD = 2
 _EVIDENCE = 3
 _POSITION = 3
@@ -182,3 +186,11 @@ def unfold(x: Tensor) -> Tensor:  # [B, 8 C, n, n, n] -> [B, C, 2n, 2n, 2n]
     c = folded // _FOLD**3
     x = x.reshape(b, c, _FOLD, _FOLD, _FOLD, h, h, h)
     return x.permute(0, 1, 5, 2, 6, 3, 7, 4).reshape(b, c, h * _FOLD, h * _FOLD, h * _FOLD)
+
+
+def cpu_precision(*, bfloat16: bool) -> contextlib.AbstractContextManager[None]:
+    """Return the context that a network runs in on the CPU."""
+    context: contextlib.AbstractContextManager[None] = torch.autocast(
+        "cpu", torch.bfloat16, enabled=bfloat16
+    )
+    return context

@@ -15,9 +15,8 @@ import torch
 from torch import Tensor
 
 from gscomplete.shape.mirror_plane import Mirror
-from gscomplete.shape.network import ShapeCompleter, ShapeOutput
+from gscomplete.shape.network import ShapeCompleter, ShapeOutput, cpu_precision
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs, voxelize_partial
-from gscomplete.shape.precision import cpu_precision
 from gscomplete.shape.symmetry_choice import choose_symmetries
 from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution

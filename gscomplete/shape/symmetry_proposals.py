@@ -27,8 +27,8 @@ from gscomplete.shape.fine_scorer import (
     folded_volumes,
     packaged_fine_scorer,
 )
+from gscomplete.shape.network import cpu_precision
 from gscomplete.shape.partial_voxels import PartialVoxels
-from gscomplete.shape.precision import cpu_precision
 from gscomplete.shape.symmetry import SymmetryMap, mirror
 from gscomplete.shape.symmetry_features import (
     ANGLES,

@@ -42,7 +42,7 @@ from gscomplete.shape.fine_scorer import (
     colored_cells,
     folded_volumes,
 )
-from gscomplete.shape.precision import cpu_precision
+from gscomplete.shape.network import cpu_precision
 from gscomplete.shape.symmetry_features import plane_places
 from gscomplete.shape.symmetry_proposals import JUDGED
 from gscomplete.util.atomic import atomic_path

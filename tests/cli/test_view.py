@@ -15,15 +15,25 @@ def test_the_command_serves_until_it_is_interrupted(tmp_path):
     pytest.importorskip("viser")
     write_splats(tmp_path / "a.ply", make_splats(50))
     command = [sys.executable, "-m", "gscomplete.cli", "view", str(tmp_path), "--port", "18180"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "a: 50 splats\n"
-        address = process.stdout.readline().split()[0]
-        with urllib.request.urlopen(address, timeout=20) as page:
-            assert page.status == 200
-        process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=20) == 0
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, preexec_fn=heed_interrupts
+    ) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "a: 50 splats\n"
+            address = process.stdout.readline().split()[0]
+            with urllib.request.urlopen(address, timeout=20) as page:
+                assert page.status == 200
+            process.send_signal(signal.SIGINT)
+            assert process.wait(timeout=20) == 0
+        finally:
+            process.kill()
     assert os.listdir(tmp_path) == ["a.ply"]
+
+
+def heed_interrupts():
+    """Undo what a shell does to jobs in the background: they ignore interrupts."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.mark.parametrize(
