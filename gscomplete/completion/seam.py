@@ -25,6 +25,7 @@ from torch import Tensor
 
 from gscomplete.completion.settings import SeamColorSettings
 from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.util.same_bits import fixed_power
 
 _LMS_FROM_LINEAR = torch.tensor(
     [
@@ -147,15 +148,15 @@ def oklab_from_srgb(colors: Tensor) -> Tensor:  # [N, 3] in [0, 1] -> [N, 3], fl
     """Turn sRGB colours into Oklab."""
     srgb = colors.double()
     linear = torch.where(
-        srgb <= 0.04045, srgb / 12.92, ((srgb.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4
+        srgb <= 0.04045, srgb / 12.92, fixed_power((srgb.clamp_min(0.04045) + 0.055) / 1.055, 2.4)
     )
     lms = linear @ _LMS_FROM_LINEAR.T
-    return (lms.sign() * lms.abs() ** (1.0 / 3.0)) @ _LAB_FROM_ROOTS.T
+    return (lms.sign() * fixed_power(lms.abs(), 1.0 / 3.0)) @ _LAB_FROM_ROOTS.T
 
 
 def srgb_from_oklab(lab: Tensor) -> Tensor:  # [N, 3] -> [N, 3], float64; may leave [0, 1]
     """Turn Oklab colours into sRGB."""
     roots = lab.double() @ torch.linalg.inv(_LAB_FROM_ROOTS).T
     linear = (roots**3) @ torch.linalg.inv(_LMS_FROM_LINEAR).T
-    curved = 1.055 * linear.clamp_min(0.0031308) ** (1.0 / 2.4) - 0.055
+    curved = 1.055 * fixed_power(linear.clamp_min(0.0031308), 1.0 / 2.4) - 0.055
     return torch.where(linear <= 0.0031308, 12.92 * linear, curved)

@@ -31,6 +31,7 @@ from gscomplete.framing.exposure import is_closed
 from gscomplete.render import render
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.rotations import rotation_matrices
+from gscomplete.util.same_bits import fixed_sum
 from gscomplete.views import Cameras, orbit_cameras
 from gscomplete.views.distribution import FOV_DEG, RADIUS
 
@@ -271,7 +272,7 @@ def extended_box(
 def outward_normals(splats: Splats) -> Tensor:  # [N, 3] unit
     """Return each splat's normal, signed to point away from the opacity-weighted centroid."""
     weights = splats.opacities[:, None]
-    centroid = (weights * splats.means).sum(dim=0) / weights.sum().clamp_min(1e-12)
+    centroid = (weights * splats.means).sum(dim=0) / fixed_sum(weights).clamp_min(1e-12)
     outward = torch.nn.functional.normalize(splats.means - centroid, dim=1)
     ordered = splats.scales.sort(dim=1).values
     is_flat = ordered[:, 0] < 0.5 * ordered[:, 1]

@@ -56,6 +56,7 @@ from gscomplete.fitting.randomness import generator_for
 from gscomplete.render import PreparedFrozen, Render, prepare_frozen, render
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.filters import thinned
+from gscomplete.util.same_bits import fixed_sum
 from gscomplete.views import Cameras, ViewDistribution, join_cameras
 
 _FIRST_CHECK_VIEW = 10_000
@@ -305,7 +306,7 @@ def largest_share(amounts: Tensor, share: float) -> Tensor:  # [N] >= 0 -> [N] b
     order = torch.argsort(amounts, descending=True, stable=True)
     before = amounts[order].double().cumsum(0) - amounts[order].double()
     marked = torch.zeros_like(amounts, dtype=torch.bool)
-    marked[order] = (before < share * amounts.double().sum()) & (amounts[order] > 0)
+    marked[order] = (before < share * fixed_sum(amounts.double())) & (amounts[order] > 0)
     return marked
 
 
