@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from gscomplete.cli.parse import parse_numbers
 from gscomplete.errors import UserError
 from gscomplete.priors.latent.settings import LatentPriorSettings
+from gscomplete.util.parse import parse_numbers, parse_view
 
 if TYPE_CHECKING:
+    import torch
+
     from gscomplete.cli.given import Given
     from gscomplete.completion.optimise import StepReport
     from gscomplete.completion.run_folder import Run, RunRequest
@@ -127,15 +129,14 @@ def run(options: CompleteOptions) -> int:
 
 def _complete(options: CompleteOptions) -> int:
     """Load the prior, run, and say what came of it."""
-    from gscomplete.completion.run_folder import completing_seconds, prepare
-    from gscomplete.priors import load_prior
-    from gscomplete.util.device import choose_device, choose_render_device
+    from gscomplete.completion.run_folder import prepare
+    from gscomplete.render.dispatch import choose_render_device
+    from gscomplete.util.device import choose_device
 
     device = choose_device(options.device)
     render_device, fallback = choose_render_device(options.device, device)
-    knobs = None if options.diffusion == LatentPriorSettings() else options.diffusion
-    prior = load_prior(options.prior, device, knobs)
-    job = prepare(_request(options, prior), prior, render_device)
+    prior, request = _set_up(options, device)
+    job = prepare(request, prior, render_device)
     _say(options, *job.notes, *([fallback] if fallback else []))
     if job.steps.step_number:
         _say(options, f"resuming at step {job.steps.step_number}")
@@ -146,11 +147,12 @@ def _complete(options: CompleteOptions) -> int:
         return 0
     result = content["result"]
     c, views = result["metrics"]["input_view"], result["metrics"]["all_views"]
+    peak = result["peak_gpu_bytes"]
+    memory = "" if peak is None else f", at most {peak / 2**30:.2f} GiB of GPU memory"
     _say(
         options,
         *job.notes[said:],
-        f"{result['new_splats']:,} new splats in {completing_seconds(content['timings']):.1f} s"
-        + _memory_note(result["peak_gpu_bytes"]),
+        f"{result['new_splats']:,} new splats in {result['seconds']:.1f} s" + memory,
         f"E_color {c['color']:.6f} from c, {views['color']:.6f} over V; "
         f"E_depth {c['depth']:.6f} from c, {views['depth']:.6f} over V"
         + ("" if result["measured_with"] == "P" else f" (of {result['measured_with']})"),
@@ -161,13 +163,8 @@ def _complete(options: CompleteOptions) -> int:
     return 0
 
 
-def _memory_note(peak_bytes: int | None) -> str:
-    """Return the peak of GPU memory as words, or nothing without a GPU."""
-    return "" if peak_bytes is None else f", at most {peak_bytes / 2**30:.2f} GiB of GPU memory"
-
-
-def _request(options: CompleteOptions, prior: Prior) -> RunRequest:
-    """Turn command-line options into a request.
+def _set_up(options: CompleteOptions, device: torch.device) -> tuple[Prior, RunRequest]:
+    """Load the prior and turn command-line options into a request.
 
     Raises:
         UserError: an option has the wrong form.
@@ -177,12 +174,15 @@ def _request(options: CompleteOptions, prior: Prior) -> RunRequest:
     from gscomplete.completion.run_folder import RunRequest
     from gscomplete.completion.settings import HardPreservationSettings, SeamColorSettings
     from gscomplete.framing.decide import FramingRequest
+    from gscomplete.priors import load_prior
 
     given = given_to(options)
     if options.new_only is not None:
         _check_new_only(options.new_only)
+    knobs = None if options.diffusion == LatentPriorSettings() else options.diffusion
+    prior = load_prior(options.prior, device, knobs)
     settings = dataclasses.replace(
-        preset(options.preset, prior.name, text_only=options.text_only), seed=options.seed
+        preset(options.preset, prior, text_only=options.text_only), seed=options.seed
     )
     if options.steps is not None:
         settings = _stretched(settings, options.steps)
@@ -213,7 +213,7 @@ def _request(options: CompleteOptions, prior: Prior) -> RunRequest:
     )
     completion = Request(given.prompt, settings, framing, options.negative_prompt)
     name = given.partial.stem if given.object_folder is None else given.object_folder.resolve().name
-    return RunRequest(
+    return prior, RunRequest(
         given.partial,
         options.out or Path(f"{name}_completed"),
         completion,
@@ -244,14 +244,16 @@ def given_to(options: CompleteOptions) -> Given:
     """Join the options with what the object folder says."""
     from gscomplete.cli.given import Options, take_given
 
+    view_deg = parse_view(options.view)
+    center = parse_numbers(options.center, 3, "--center", "X,Y,Z")
     return take_given(
         Options(
             options.partial,
             options.prompt,
             options.up,
-            options.view,
+            view_deg,
             options.range,
-            options.center,
+            None if center is None else (center[0], center[1], center[2]),
             options.size,
         )
     )

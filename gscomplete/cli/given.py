@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from gscomplete.cli.parse import parse_numbers, parse_view
 from gscomplete.errors import UserError
 from gscomplete.folders import OBJECT_FILE, ObjectFolder, object_folder_of
 from gscomplete.views import UpAxis
@@ -29,10 +28,10 @@ class Options:
     """A splat file, an object folder, or a file that such a folder records."""
     prompt: str | None = None
     up: UpAxis | None = None
-    view: str | None = None
+    view_deg: tuple[float, float] | None = None
     range_deg: float | None = None
-    center: str | None = None
-    size: float | None = None
+    center_file: tuple[float, float, float] | None = None
+    size_file: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +73,7 @@ def take_given(options: Options) -> Given:
     if found is not None and options.path.suffix == ".ply" and options.path != found.partial:
         notes.append(f"{options.path}: what is completed is its object's part, {found.partial}")
     up = _up(options, found, sources)
-    view = parse_view(options.view)
+    view = options.view_deg
     if view is not None:
         sources["input_view"] = "--view"
     elif found is None:
@@ -156,15 +155,14 @@ def _box(
     Raises:
         UserError: an option has the wrong form.
     """
-    if options.size is not None and not 0 < options.size < float("inf"):
-        raise UserError(f"--size: expected a positive length, found {options.size:g}")
-    numbers = parse_numbers(options.center, 3, "--center", "X,Y,Z")
+    if options.size_file is not None and not 0 < options.size_file < float("inf"):
+        raise UserError(f"--size: expected a positive length, found {options.size_file:g}")
     known = None if found is None else found.known_frame
     sources["center"] = sources["size"] = "guess" if known is None else OBJECT_FILE
     center = None if known is None else known.center_file
     size = None if known is None else known.size_file
-    if numbers is not None:
-        center, sources["center"] = (numbers[0], numbers[1], numbers[2]), "--center"
-    if options.size is not None:
-        size, sources["size"] = options.size, "--size"
+    if options.center_file is not None:
+        center, sources["center"] = options.center_file, "--center"
+    if options.size_file is not None:
+        size, sources["size"] = options.size_file, "--size"
     return center, size

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from gscomplete.fitting.randomness import generator_for, uniform
 from gscomplete.priors.base import PriorViews
+from gscomplete.util.randomness import generator_for, uniform
 from gscomplete.views import Cameras, ViewDistribution, four_view_orbit, radius_to_fit
 
 

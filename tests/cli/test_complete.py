@@ -2,8 +2,10 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+import torch
 
-from gscomplete.cli.complete import CompleteOptions, _request
+from gscomplete import priors
+from gscomplete.cli.complete import CompleteOptions, _set_up
 from gscomplete.errors import UserError
 
 
@@ -14,12 +16,19 @@ def test_a_plane_is_refused_where_the_prior_cannot_guess_the_whole(mirror):
         partial=Path("half.ply"), prompt="a mug", preset="reconstruct", mirror=mirror
     )
     with pytest.raises(UserError, match="preset reconstruct with prior known starts without"):
-        _request(options, SimpleNamespace(name="known"))
+        set_up(options, "known")
+
+
+def set_up(options, name):
+    """Set up a run with a prior that is nothing but a name, for which nothing is loaded."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(priors, "load_prior", lambda *args: SimpleNamespace(name=name))
+        return _set_up(options, torch.device("cpu"))[1]
 
 
 def request_of(**changes):
     options = CompleteOptions(partial=Path("half.ply"), prompt="a mug", **changes)
-    return _request(options, SimpleNamespace(name="mvdream"))
+    return set_up(options, "mvdream")
 
 
 @pytest.mark.parametrize("steps", [6000, 600, 12_000])

@@ -15,13 +15,13 @@ from __future__ import annotations
 import contextlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 import torch
 from torch import Tensor
 
 from gscomplete.errors import UserError
-from gscomplete.framing.exposure import is_closed
+from gscomplete.framing.extent import is_closed
 from gscomplete.priors.base import Conditioning, FirstGuess, FourViews, Guidance, PriorViews
 from gscomplete.priors.embedded.diffusion import (
     NUM_TIMESTEPS,
@@ -89,6 +89,14 @@ class EmbeddedPrior:
 
     name = "embedded"
     sees_input = True
+    presets: ClassVar[dict[str, str]] = {
+        "default": "guess",
+        "fast": "small guess",
+        "reconstruct": "reconstruct",
+        "distill": "distill",
+        "paper": "paper",
+    }
+    """Which settings of ``completion.presets`` a preset stands for with this prior."""
     num_timesteps = NUM_TIMESTEPS
     identity: EmbeddedIdentity | None = None
     """None = made from networks in memory."""

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gscomplete.framing.exposure import CLOSED_BELOW, is_closed, share_exposed_twice
+from gscomplete.framing.extent import CLOSED_BELOW, is_closed, share_exposed_twice
 from tests.shape.shapes import half, sphere
 
 
