@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from gscomplete.batch import storage, work
+from gscomplete.batch import storage
 from gscomplete.batch.manifest import Item
 from gscomplete.batch.work import ITEM_FILE, Task, do, input_signatures, option_key
 from tests.batch.toys import ToyJob, notes_of
@@ -101,21 +101,14 @@ def exit_now() -> None:
     raise SystemExit
 
 
-def test_an_unfinished_run_goes_on_only_for_what_it_was_begun_with(task, monkeypatch):
-    with monkeypatch.context() as patch:
-        patch.setattr(work, "_finished_facts", lambda *arguments: None)
-        patch.setattr(storage, "publish", lambda *arguments: exit_now())
-        for _ in range(2):  # made as if no checkpoint said that all is done
-            with pytest.raises(SystemExit):
-                begun = Path(task.work, "a.json")
-                if begun.exists():
-                    record = json.loads(begun.read_text())
-                    record.pop("facts", None)
-                    begun.write_text(json.dumps(record))
-                do(task)
-    assert notes_of(task.job.notes) == {"a": ["begun", "resumed"]}
-    assert do(changed(task, key="other")).status == "finished"
+def test_an_unfinished_run_goes_on_only_for_what_it_was_begun_with(task):
+    stopped = changed(task, job=ToyJob(task.job.notes, stops=True))
+    for unfinished in (stopped, stopped, changed(stopped, key="other")):
+        with pytest.raises(KeyboardInterrupt):
+            do(unfinished)
     assert notes_of(task.job.notes) == {"a": ["begun", "resumed", "begun"]}
+    assert do(changed(task, key="other")).status == "finished"
+    assert notes_of(task.job.notes) == {"a": ["begun", "resumed", "begun", "resumed"]}
 
 
 def test_a_folder_of_somebody_else_is_left_alone(task):

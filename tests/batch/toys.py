@@ -20,6 +20,8 @@ class ToyJob:
     notes: Path
     kills: tuple[str, ...] = ()
     """Objects whose first worker kills itself in the middle."""
+    stops: bool = False
+    """Whether objects are interrupted in the middle."""
 
     def make(self, item: Item, source: Path, out: Path, *, resume: bool) -> dict[str, Any]:
         files = [source] if source.is_file() else [source / "partial.ply"]
@@ -34,6 +36,8 @@ class ToyJob:
         (out / "run.json").write_text(json.dumps({"input": {"path": str(files[0])}}))
         if item.id in self.kills and not resume:
             os.kill(os.getpid(), signal.SIGKILL)
+        if self.stops:
+            raise KeyboardInterrupt
         (out / "completed.ply").write_bytes(hashlib.sha256(content).digest())
         return {"new_splats": len(content)}
 
