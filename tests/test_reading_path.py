@@ -37,6 +37,7 @@ LEVELS = (
     ("folders", "fitting", "framing", "shape"),
     ("evaluate", "priors", "viewer"),
     ("report", "completion"),
+    ("batch",),
     ("cli",),
 )
 """Rooms of the package; one imports only from those before it, never from its own line's others."""
@@ -155,7 +156,7 @@ def followed_functions(tmp_path: Path) -> list[tuple[str, str]]:
 
     load_prior("embedded")  # modules that load on the way are no part of it
     sample = ROOT / "recipes" / "demo" / "partial.ply"
-    options = CompleteOptions(sample, prompt="a toy", out=tmp_path / "run", device="cpu")
+    options = CompleteOptions(partial=sample, prompt="a toy", out=tmp_path / "run", device="cpu")
     sys.setprofile(listen)
     try:
         run(options)

@@ -2,10 +2,9 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-import torch
 
-from gscomplete import priors
-from gscomplete.cli.complete import CompleteOptions, _set_up
+from gscomplete.cli.complete import CompleteOptions
+from gscomplete.cli.request import request_of
 from gscomplete.errors import UserError
 
 
@@ -16,25 +15,18 @@ def test_a_plane_is_refused_where_the_prior_cannot_guess_the_whole(mirror):
         partial=Path("half.ply"), prompt="a mug", preset="reconstruct", mirror=mirror
     )
     with pytest.raises(UserError, match="preset reconstruct with prior known starts without"):
-        set_up(options, "known")
+        request_of(options, SimpleNamespace(name="known"))
 
 
-def set_up(options, name):
-    """Set up a run with a prior that is nothing but a name, for which nothing is loaded."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(priors, "load_prior", lambda *args: SimpleNamespace(name=name))
-        return _set_up(options, torch.device("cpu"))[1]
-
-
-def request_of(**changes):
+def request_with(**changes):
     options = CompleteOptions(partial=Path("half.ply"), prompt="a mug", **changes)
-    return set_up(options, "mvdream")
+    return request_of(options, SimpleNamespace(name="mvdream"))
 
 
 @pytest.mark.parametrize("steps", [6000, 600, 12_000])
 def test_what_is_counted_in_steps_stretches_with_their_number(steps):
-    whole = request_of().completion.settings
-    chosen = request_of(steps=steps).completion.settings
+    whole = request_with().completion.settings
+    chosen = request_with(steps=steps).completion.settings
     assert chosen.steps == steps
     share = steps / whole.steps
     assert chosen.warmup_steps == round(share * whole.warmup_steps)

@@ -1,4 +1,4 @@
-"""What a completion is given: by options, by the object folder, or not at all.
+"""What a completion is asked for: by options, by the object folder, or not at all.
 
 Conventions
 -----------
@@ -9,11 +9,25 @@ Conventions
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
+from gscomplete.cli.complete import CompleteOptions, HowToComplete
+from gscomplete.completion.pipeline import Request
+from gscomplete.completion.presets import preset
+from gscomplete.completion.run_folder import RunRequest
+from gscomplete.completion.settings import (
+    CompletionSettings,
+    HardPreservationSettings,
+    SeamColorSettings,
+)
 from gscomplete.errors import UserError
 from gscomplete.folders import OBJECT_FILE, ObjectFolder, object_folder_of
+from gscomplete.framing.decide import FramingRequest
+from gscomplete.priors.base import Prior, ShapePrior
+from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
+from gscomplete.util.parse import parse_numbers, parse_view
 from gscomplete.views import UpAxis
 from gscomplete.views.distribution import AZIMUTH_RANGE_DEG, ELEVATION_RANGE_DEG
 
@@ -51,6 +65,146 @@ class Given:
     """For prompt, up, input_view, V, center and size: the option, object.json, default or guess."""
     notes: tuple[str, ...]
     """What of the object folder was set aside."""
+
+
+def request_of(options: CompleteOptions, prior: Prior) -> RunRequest:
+    """Turn command-line options into a request.
+
+    Raises:
+        UserError: an option has the wrong form.
+    """
+    given = given_to(options)
+    if options.new_only is not None:
+        _check_new_only(options.new_only)
+    settings = settings_of(options, prior)
+    framing = FramingRequest(
+        given.up,
+        given.view_deg,
+        given.azimuth_range_deg,
+        given.center_file,
+        given.size_file,
+        elevation_range_deg=given.elevation_range_deg,
+    )
+    completion = Request(given.prompt, settings, framing, options.negative_prompt)
+    name = given.partial.stem if given.object_folder is None else given.object_folder.resolve().name
+    return RunRequest(
+        given.partial,
+        options.out or Path(f"{name}_completed"),
+        completion,
+        options.resume,
+        options.alternatives,
+        given.object_folder,
+        given.sources,
+        given.notes,
+        options.new_only,
+    )
+
+
+def settings_of(options: HowToComplete, prior: Prior) -> CompletionSettings:
+    """Turn the options that say how to complete into the method's settings.
+
+    Raises:
+        UserError: an option has the wrong form.
+    """
+    settings = dataclasses.replace(
+        preset(options.preset, prior, text_only=options.text_only), seed=options.seed
+    )
+    if options.steps is not None:
+        settings = _stretched(settings, options.steps)
+    if options.checkpoint_every is not None:
+        settings = dataclasses.replace(settings, checkpoint_every=options.checkpoint_every)
+    bounds = parse_numbers(options.preserve, 2, "--preserve", "COLOR,DEPTH")
+    if bounds is not None:
+        if min(bounds) <= 0:
+            raise UserError(f"--preserve: expected positive bounds, found {options.preserve!r}")
+        hard = HardPreservationSettings(color_bound=bounds[0], depth_bound=bounds[1])
+        settings = dataclasses.replace(settings, hard_preservation=hard)
+    if options.match_seam:
+        settings = dataclasses.replace(settings, seam_colors=SeamColorSettings())
+    if options.mirror != "guess":
+        settings = dataclasses.replace(settings, mirror=_mirror(options.mirror))
+        _require_guess("--mirror", options, settings, prior)
+    if not 0 <= options.alternatives <= 8:
+        raise UserError(f"--alternatives: expected 0 to 8, found {options.alternatives}")
+    if options.alternatives:
+        _require_guess("--alternatives", options, settings, prior)
+    return settings
+
+
+def _check_new_only(path: Path) -> None:
+    """Check before the run that the new splats can be written on their own.
+
+    Raises:
+        UserError: it is no name of a PLY file, it exists, or its folder does not.
+    """
+    if path.suffix.lower() != ".ply":
+        raise UserError(f"--new-only: expected the name of a .ply file, found {str(path)!r}")
+    if path.exists():
+        raise UserError(f"--new-only: {path}: it exists; choose another name")
+    if not path.parent.is_dir():
+        raise UserError(f"--new-only: {path}: expected a folder that exists, found none")
+
+
+def given_to(options: CompleteOptions) -> Given:
+    """Join the options with what the object folder says."""
+    center = parse_numbers(options.center, 3, "--center", "X,Y,Z")
+    return take_given(
+        Options(
+            options.partial,
+            options.prompt,
+            options.up,
+            parse_view(options.view),
+            options.range,
+            None if center is None else (center[0], center[1], center[2]),
+            options.size,
+        )
+    )
+
+
+def _require_guess(
+    name: str, options: HowToComplete, settings: CompletionSettings, prior: Prior
+) -> None:
+    """Refuse an option about guesses where there is none.
+
+    Raises:
+        UserError: the run starts without a guess of the complete object.
+    """
+    if settings.start != "guess" or not isinstance(prior, ShapePrior):
+        raise UserError(
+            f"{name}: preset {options.preset} with prior {prior.name} starts without a guess "
+            "of the complete object; --preset default, fast or reconstruct of the embedded prior "
+            "have one"
+        )
+
+
+def _mirror(text: str) -> Mirror:
+    """Parse a plane of symmetry.
+
+    Raises:
+        UserError: it has the wrong form.
+    """
+    if text == "none":
+        return "none"
+    numbers = parse_numbers(text, 2, "--mirror", "guess, none or AZIMUTH,OFFSET")
+    assert numbers is not None
+    return MirrorPlane(*numbers)
+
+
+def _stretched(settings: CompletionSettings, steps: int) -> CompletionSettings:
+    """Return the settings for another number of steps, with what is counted in steps in proportion.
+
+    Presets without steps have nothing to stretch.
+    """
+    if settings.steps == 0 or steps <= 0:
+        return dataclasses.replace(settings, steps=steps)
+    share = steps / settings.steps
+    every = max(1, round(share * settings.densify.every))
+    return dataclasses.replace(
+        settings,
+        steps=steps,
+        warmup_steps=round(share * settings.warmup_steps),
+        densify=dataclasses.replace(settings.densify, every=every),
+    )
 
 
 def take_given(options: Options) -> Given:
