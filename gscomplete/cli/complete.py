@@ -24,28 +24,12 @@ if TYPE_CHECKING:
     from gscomplete.shape.mirror_plane import Mirror
 
 
-@dataclass(frozen=True)
-class CompleteOptions:
-    """Complete a partial object made of Gaussian splats.
+@dataclass(frozen=True, kw_only=True)
+class HowToComplete:
+    """The options of a completion that say neither which object nor where to."""
 
-    Reads PARTIAL.ply (P), adds new splats where the prompt and the prior want them, keeps P's
-    appearance from the view distribution V, and writes a run folder: completed.ply (P's records
-    first and byte for byte, new ones after), run.json, preview.png, turntable.webp. Of an object
-    folder of splatcomplete-data, or any file in it, object.json says what the options leave open.
-
-    Examples: gscomplete complete half_mug.ply --prompt "a red mug" --out runs/mug;
-    gscomplete complete objects/mug
-    """
-
-    partial: Annotated[Path, tyro.conf.Positional]
-    """Splat PLY of the partial object, in the layout of the original 3DGS; or an object folder."""
     prompt: str | None = None
     """What the complete object is, such as "a red mug"; None = as object.json says."""
-    out: Path | None = None
-    """Run folder; None = the name of PARTIAL or of its object with _completed, in the current
-    folder."""
-    new_only: Path | None = None
-    """PLY file to write the new splats to as well, alone, in P's frame; it must not exist."""
     view: str | None = None
     """Input view c as AZIMUTH,ELEVATION in degrees (azimuth 0 looks from +x of the z-up object
     frame, 90 from +y); None = as object.json says, else the view that shows most of P from
@@ -96,6 +80,28 @@ class CompleteOptions:
     """cpu, cuda, cuda:1, or auto = cuda if there is one."""
     checkpoint_every: int | None = None
     """Steps between checkpoints; None = the preset's."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompleteOptions(HowToComplete):
+    """Complete a partial object made of Gaussian splats.
+
+    Reads PARTIAL.ply (P), adds new splats where the prompt and the prior want them, keeps P's
+    appearance from the view distribution V, and writes a run folder: completed.ply (P's records
+    first and byte for byte, new ones after), run.json, preview.png, turntable.webp. Of an object
+    folder of splatcomplete-data, or any file in it, object.json says what the options leave open.
+
+    Examples: gscomplete complete half_mug.ply --prompt "a red mug" --out runs/mug;
+    gscomplete complete objects/mug
+    """
+
+    partial: Annotated[Path, tyro.conf.Positional]
+    """Splat PLY of the partial object, in the layout of the original 3DGS; or an object folder."""
+    out: Path | None = None
+    """Run folder; None = the name of PARTIAL or of its object with _completed, in the current
+    folder."""
+    new_only: Path | None = None
+    """PLY file to write the new splats to as well, alone, in P's frame; it must not exist."""
     resume: bool = False
     """Continue the run in --out from its last checkpoint; all other options must be the same."""
     json: bool = False
@@ -135,7 +141,7 @@ def _complete(options: CompleteOptions) -> int:
     render_device, fallback = choose_render_device(options.device, device)
     knobs = None if options.diffusion == LatentPriorSettings() else options.diffusion
     prior = load_prior(options.prior, device, knobs)
-    job = prepare(_request(options, prior), prior, render_device)
+    job = prepare(request_of(options, prior), prior, render_device)
     _say(options, *job.notes, *([fallback] if fallback else []))
     if job.steps.step_number:
         _say(options, f"resuming at step {job.steps.step_number}")
@@ -166,21 +172,52 @@ def _memory_note(peak_bytes: int | None) -> str:
     return "" if peak_bytes is None else f", at most {peak_bytes / 2**30:.2f} GiB of GPU memory"
 
 
-def _request(options: CompleteOptions, prior: Prior) -> RunRequest:
+def request_of(options: CompleteOptions, prior: Prior) -> RunRequest:
     """Turn command-line options into a request.
 
     Raises:
         UserError: an option has the wrong form.
     """
     from gscomplete.completion.pipeline import Request
-    from gscomplete.completion.presets import preset
     from gscomplete.completion.run_folder import RunRequest
-    from gscomplete.completion.settings import HardPreservationSettings, SeamColorSettings
     from gscomplete.framing.decide import FramingRequest
 
     given = given_to(options)
     if options.new_only is not None:
         _check_new_only(options.new_only)
+    settings = settings_of(options, prior)
+    framing = FramingRequest(
+        given.up,
+        given.view_deg,
+        given.azimuth_range_deg,
+        given.center_file,
+        given.size_file,
+        elevation_range_deg=given.elevation_range_deg,
+    )
+    completion = Request(given.prompt, settings, framing, options.negative_prompt)
+    name = given.partial.stem if given.object_folder is None else given.object_folder.resolve().name
+    return RunRequest(
+        given.partial,
+        options.out or Path(f"{name}_completed"),
+        completion,
+        options.resume,
+        options.alternatives,
+        given.object_folder,
+        given.sources,
+        given.notes,
+        options.new_only,
+    )
+
+
+def settings_of(options: HowToComplete, prior: Prior) -> CompletionSettings:
+    """Turn the options that say how to complete into the method's settings.
+
+    Raises:
+        UserError: an option has the wrong form.
+    """
+    from gscomplete.completion.presets import preset
+    from gscomplete.completion.settings import HardPreservationSettings, SeamColorSettings
+
     settings = dataclasses.replace(
         preset(options.preset, prior.name, text_only=options.text_only), seed=options.seed
     )
@@ -203,27 +240,7 @@ def _request(options: CompleteOptions, prior: Prior) -> RunRequest:
         raise UserError(f"--alternatives: expected 0 to 8, found {options.alternatives}")
     if options.alternatives:
         _require_guess("--alternatives", options, settings, prior)
-    framing = FramingRequest(
-        given.up,
-        given.view_deg,
-        given.azimuth_range_deg,
-        given.center_file,
-        given.size_file,
-        elevation_range_deg=given.elevation_range_deg,
-    )
-    completion = Request(given.prompt, settings, framing, options.negative_prompt)
-    name = given.partial.stem if given.object_folder is None else given.object_folder.resolve().name
-    return RunRequest(
-        given.partial,
-        options.out or Path(f"{name}_completed"),
-        completion,
-        options.resume,
-        options.alternatives,
-        given.object_folder,
-        given.sources,
-        given.notes,
-        options.new_only,
-    )
+    return settings
 
 
 def _check_new_only(path: Path) -> None:
@@ -258,7 +275,7 @@ def given_to(options: CompleteOptions) -> Given:
 
 
 def _require_guess(
-    name: str, options: CompleteOptions, settings: CompletionSettings, prior: Prior
+    name: str, options: HowToComplete, settings: CompletionSettings, prior: Prior
 ) -> None:
     """Refuse an option about guesses where there is none.
 
