@@ -168,7 +168,7 @@ class Optimisation:
             "statistics.total": self._statistics.total,
             "statistics.views": self._statistics.views,
             **self.parameters.state(),
-            **self._rings.state(),
+            **self._rings.tensors,
         }
 
     def restore(self, state: dict[str, Tensor]) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gscomplete.framing.cut_plane import find_cut
+from gscomplete.framing.cut_plane import CutPlane
 
 FloatArray = NDArray[np.float64]
 
@@ -39,12 +39,19 @@ _REACH_SPACINGS = 1.6
 _PX_PER_SPACING = 2.0
 
 
-def is_closed(points: FloatArray) -> bool:  # [N, 3] z up
+def is_closed(
+    points: FloatArray,  # [N, 3] z up
+    cut: CutPlane | None,
+) -> bool:
     """Say whether P's surface is closed as far as it can be seen from the sides and from above.
 
     Half a cup of two walls shows neither wall's inside: what ends in a plane is not closed.
+
+    Args:
+        points: P.
+        cut: what ``find_cut`` finds of them.
     """
-    return share_exposed_twice(points) < CLOSED_BELOW and find_cut(points) is None
+    return cut is None and share_exposed_twice(points) < CLOSED_BELOW
 
 
 def extended_box(

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gscomplete.errors import UserError
+from gscomplete.framing.cut_plane import find_cut
 from gscomplete.framing.extent import extended_box, is_closed
 from gscomplete.render import render
 from gscomplete.splats import Splats, colors_to_sh
@@ -150,14 +151,20 @@ def guess_framing(
         f"splats visible, {100 * scores.facing[row, column]:.0f} % of the area is outside surface"
     )
     toward, strength = scores.openness()
+    points = kept.means.double().numpy()
+    cut = find_cut(points)
     if seen_from_deg is not None:
         toward = (seen_from_deg + 180.0) % 360.0
-    if is_closed(kept.means.double().numpy()):
+    if is_closed(points, cut):
         center, reason = (low + high) / 2, "P's surface is closed: centre and size are the box's"
+    elif cut is not None and cut.is_symmetric and seen_from_deg is None:
+        both = np.concatenate([points, cut.mirrored(points)])
+        center, size = (both.min(axis=0) + both.max(axis=0)) / 2, float(np.ptp(both, axis=0).max())
+        reason = "P ends squarely at a plane: centre and size are of P and its mirror image"
     elif strength < chosen.min_openness:
         center, reason = (low + high) / 2, "no side is clearly open: centre and size are the box's"
     else:
-        center, grown, reason = extended_box(kept.means.double().numpy(), toward)
+        center, grown, reason = extended_box(points, toward)
         size = max(size, grown)
     box_reason = f"{reason} (openness {strength:.2f} towards azimuth {toward:.0f})"
     x, y, z = center.tolist()
