@@ -11,9 +11,10 @@ import tyro
 from gscomplete.cli.guard import let_threads_sleep, print_version, run_guarded
 
 let_threads_sleep()  # the commands load PyTorch, and with it the OpenMP runtime
-from gscomplete.cli import complete, evaluate, render, report, validate, view, weights
+from gscomplete.cli import batch, complete, evaluate, render, report, validate, view, weights
 
 _RUNNERS: dict[type, Callable[[Any], int]] = {
+    batch.BatchOptions: batch.run,
     complete.CompleteOptions: complete.run,
     evaluate.EvaluateOptions: evaluate.run,
     render.RenderOptions: render.run,
@@ -23,8 +24,12 @@ _RUNNERS: dict[type, Callable[[Any], int]] = {
     weights.WeightsOptions: weights.run,
 }
 
+_GOES_ON: dict[type, str] = {batch.BatchOptions: "the same command goes on with what is unfinished"}
+"""What to tell after Ctrl-C; for all others, that --resume continues."""
+
 Command = (
-    Annotated[complete.CompleteOptions, tyro.conf.subcommand("complete")]
+    Annotated[batch.BatchOptions, tyro.conf.subcommand("batch")]
+    | Annotated[complete.CompleteOptions, tyro.conf.subcommand("complete")]
     | Annotated[evaluate.EvaluateOptions, tyro.conf.subcommand("evaluate")]
     | Annotated[render.RenderOptions, tyro.conf.subcommand("render")]
     | Annotated[report.ReportOptions, tyro.conf.subcommand("report")]
@@ -48,5 +53,5 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return run_guarded(
         "gscomplete",
         lambda: _RUNNERS[type(options)](options),
-        "--resume continues from the last checkpoint",
+        _GOES_ON.get(type(options), "--resume continues from the last checkpoint"),
     )

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from gscomplete.errors import UserError
+from gscomplete.util.file_names import COMPLETE_FILE, OBJECT_FILE, PARTIAL_FILE
 from gscomplete.util.jsonio import read_json
 from gscomplete.views import ObjectFrame, ViewDistribution
 
@@ -23,9 +24,6 @@ SCHEMA = "splatcomplete.object"
 """Name of the JSON form."""
 SCHEMA_VERSION = 1
 """Version of the JSON form; other versions are refused."""
-OBJECT_FILE = "object.json"
-PARTIAL_FILE = "partial.ply"
-COMPLETE_FILE = "complete.ply"
 
 FrameOrigin = Literal["truth", "guess", "given"]
 """Whether centre and size come from the complete object, a guess from the part, or the user."""

@@ -16,11 +16,9 @@ import torch
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, read_splats
+from gscomplete.util.file_names import OUTPUT_FILE, RUN_FILE
 from gscomplete.util.jsonio import read_json
 from gscomplete.views import ObjectFrame, ViewDistribution
-
-RUN_FILE = "run.json"
-OUTPUT_FILE = "completed.ply"
 
 
 @dataclass(frozen=True, slots=True)

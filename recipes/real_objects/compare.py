@@ -49,8 +49,8 @@ from gscomplete.evaluate.pictures import contact_sheet, render_images, save_imag
 from gscomplete.framing.decide import FramingRequest
 from gscomplete.priors import Prior, load_prior
 from gscomplete.priors.base import prior_identity
-from gscomplete.shape.mirrored import mirror_image
 from gscomplete.shape.partial_voxels import voxelize_partial
+from gscomplete.shape.symmetry import mirror_image
 from gscomplete.shape.symmetry_choice import CANDIDATES
 from gscomplete.shape.symmetry_proposals import candidate_planes
 from gscomplete.splats import Splats, colors_to_sh, concatenate, read_splats, write_splats
@@ -161,7 +161,7 @@ def completed_as_run(framed: FramedObject, prior: Prior, settings: CompletionSet
 def settings_of(way: Way, prior: Prior, seed: int) -> CompletionSettings:
     """Return the settings of a way to complete."""
     name: PresetName = way if way in ("fast", "reconstruct") else "default"
-    chosen = preset(name, prior.name, text_only=way == "text")
+    chosen = preset(name, prior, text_only=way == "text")
     return dataclasses.replace(chosen, seed=seed)
 
 

@@ -39,6 +39,7 @@ from gscomplete import __version__
 from gscomplete.errors import UserError
 from gscomplete.util import jsonio
 from gscomplete.util.digests import sha256_of
+from gscomplete.util.file_names import DATASET_FILE
 from gscomplete.util.folder_lock import lock_folder
 from splatcomplete_data.atomic_folder import forget_leftovers
 from splatcomplete_data.dataset.recipe import Entry, Recipe
@@ -51,7 +52,6 @@ from splatcomplete_data.pictures import allow_large_pictures
 
 STATE_FOLDER = ".build"
 CAPTURE_FOLDER = "captures"
-INDEX_FILE = "dataset.json"
 INDEX_SCHEMA = "splatcomplete.dataset"
 
 Status = Literal["built", "up to date", "failed"]
@@ -157,7 +157,7 @@ def write_index(recipe: Recipe, out: Path) -> None:
                 }
             )
     content = {"schema": INDEX_SCHEMA, "version": 1, "name": recipe.name, "objects": rows}
-    path = out / INDEX_FILE
+    path = out / DATASET_FILE
     if not path.is_file() or path.read_text(encoding="utf-8") != jsonio.dumps(content):
         jsonio.write_json(path, content)
 

@@ -10,7 +10,7 @@ from PIL import Image
 
 from gscomplete.errors import UserError
 from gscomplete.splats import transform_splats, usable_rows
-from splatcomplete_data.dataset.build import INDEX_FILE
+from gscomplete.util.file_names import DATASET_FILE
 from splatcomplete_data.dataset.validate import object_folders, read_index
 from splatcomplete_data.objects import Subset, read_object, read_record
 
@@ -81,7 +81,7 @@ def survey(dataset: Path) -> Survey:
             )
         )
         if rows[-1].in_recipe is False:
-            notes.append(f"not in the recipe (by {INDEX_FILE}): {record.id}")
+            notes.append(f"not in the recipe (by {DATASET_FILE}): {record.id}")
     if not rows:
         raise UserError(f"{dataset}: expected objects, found none; {notes[0]}")
     return Survey(tuple(sorted(rows, key=lambda row: (row.subset, row.id))), tuple(notes))

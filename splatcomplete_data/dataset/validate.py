@@ -20,7 +20,8 @@ from gscomplete.splats import Splats, read_splats
 from gscomplete.splats.validation import validate_file
 from gscomplete.util import jsonio
 from gscomplete.util.digests import sha256_of
-from splatcomplete_data.dataset.build import INDEX_FILE, INDEX_SCHEMA
+from gscomplete.util.file_names import DATASET_FILE
+from splatcomplete_data.dataset.build import INDEX_SCHEMA
 from splatcomplete_data.objects import (
     COMPLETE_FILE,
     PARTIAL_FILE,
@@ -73,7 +74,7 @@ def read_index(dataset: Path) -> dict[str, str] | None:
     Raises:
         UserError: it is not what it should be.
     """
-    path = dataset / INDEX_FILE
+    path = dataset / DATASET_FILE
     if not path.is_file():
         return None
     data = jsonio.read_json(path)
@@ -230,15 +231,15 @@ def _check_index(dataset: Path, folders: list[Path]) -> Iterator[ObjectFinding]:
         yield ObjectFinding("dataset", "bad_index", "error", str(error))
         return
     if listed is None:
-        yield ObjectFinding("dataset", "no_index", "warning", f"no {INDEX_FILE}")
+        yield ObjectFinding("dataset", "no_index", "warning", f"no {DATASET_FILE}")
         return
     names = {folder.name for folder in folders}
     for name in sorted(set(listed) - names):
-        yield ObjectFinding(name, "missing_object", "error", f"listed in {INDEX_FILE}, not there")
+        yield ObjectFinding(name, "missing_object", "error", f"listed in {DATASET_FILE}, not there")
     for name in sorted(names - set(listed)):
-        yield ObjectFinding(name, "unlisted_object", "warning", f"not listed in {INDEX_FILE}")
+        yield ObjectFinding(name, "unlisted_object", "warning", f"not listed in {DATASET_FILE}")
     for name in sorted(names & set(listed)):
         record = dataset / name / RECORD_FILE
         if record.is_file() and sha256_of(record) != listed[name]:
-            message = f"{RECORD_FILE} is not the one in {INDEX_FILE}"
+            message = f"{RECORD_FILE} is not the one in {DATASET_FILE}"
             yield ObjectFinding(name, "changed_record", "error", message)

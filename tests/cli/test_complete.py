@@ -3,7 +3,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from gscomplete.cli.complete import CompleteOptions, _request
+from gscomplete.cli.complete import CompleteOptions
+from gscomplete.cli.request import request_of
 from gscomplete.errors import UserError
 
 
@@ -14,18 +15,18 @@ def test_a_plane_is_refused_where_the_prior_cannot_guess_the_whole(mirror):
         partial=Path("half.ply"), prompt="a mug", preset="reconstruct", mirror=mirror
     )
     with pytest.raises(UserError, match="preset reconstruct with prior known starts without"):
-        _request(options, SimpleNamespace(name="known"))
+        request_of(options, SimpleNamespace(name="known"))
 
 
-def request_of(**changes):
+def request_with(**changes):
     options = CompleteOptions(partial=Path("half.ply"), prompt="a mug", **changes)
-    return _request(options, SimpleNamespace(name="mvdream"))
+    return request_of(options, SimpleNamespace(name="mvdream"))
 
 
 @pytest.mark.parametrize("steps", [6000, 600, 12_000])
 def test_what_is_counted_in_steps_stretches_with_their_number(steps):
-    whole = request_of().completion.settings
-    chosen = request_of(steps=steps).completion.settings
+    whole = request_with().completion.settings
+    chosen = request_with(steps=steps).completion.settings
     assert chosen.steps == steps
     share = steps / whole.steps
     assert chosen.warmup_steps == round(share * whole.warmup_steps)

@@ -16,7 +16,7 @@ from gscomplete.completion.presets import preset
 prior = gscomplete.load_prior("embedded")
 runs = [("default", None), ("distill", 1)]
 for name, steps in runs:
-    settings = preset(name, "embedded")
+    settings = preset(name, prior)
     if steps:
         settings = dataclasses.replace(settings, steps=steps)
     result = gscomplete.complete(sys.argv[1], "a red mug", prior=prior, settings=settings)

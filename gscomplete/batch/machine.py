@@ -1,0 +1,133 @@
+"""How many workers a machine carries: cores, memory, GPUs.
+
+Conventions
+-----------
+* Threads of all workers together are at most the cores that this process may use.
+* Memory is what the system says can be had without swapping, within the limit of the control group
+  that the process runs in.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from gscomplete.errors import UserError
+
+GIB = 2**30
+
+
+@dataclass(frozen=True, slots=True)
+class WorkerPlan:
+    """Workers of one machine."""
+
+    count: int
+    threads: int
+    """Of each worker."""
+    memory_bytes: int
+    """That must be free before a worker starts, and that a worker on the CPU may take at most."""
+    gpus: tuple[str, ...] = ()
+    """One for each worker in turn; none = the CPU."""
+
+    def environment(self, number: int = 0) -> dict[str, str]:
+        """Return the environment variables of a worker, which must be there when it starts."""
+        threads = str(self.threads)
+        values = {
+            "OMP_NUM_THREADS": threads,
+            "MKL_NUM_THREADS": threads,
+            "NUMBA_NUM_THREADS": threads,
+        }
+        if self.gpus:
+            values["CUDA_VISIBLE_DEVICES"] = self.gpus[number % len(self.gpus)]
+        return values
+
+
+def plan_workers(
+    items: int,
+    *,
+    memory_bytes: int,
+    count: int | None = None,
+    threads: int | None = None,
+    gpus: tuple[str, ...] = (),
+) -> WorkerPlan:
+    """Choose workers for this machine.
+
+    Args:
+        items: how many there are to do.
+        memory_bytes: what a worker needs.
+        count: of workers; None = one per GPU, else one per core, as far as memory reaches.
+        threads: of each worker; None = the cores shared out.
+        gpus: to be used.
+
+    Raises:
+        UserError: the machine does not carry what was asked for.
+    """
+    cores = usable_cores()
+    if count is not None and count < 1:
+        raise UserError(f"--workers: expected 1 or more, found {count}")
+    if threads is not None and threads < 1:
+        raise UserError(f"--threads: expected 1 or more, found {threads}")
+    free = available_bytes()
+    fitting = cores if free is None else free // memory_bytes
+    if fitting < (count or 1):
+        assert free is not None
+        raise UserError(
+            f"--workers {count or 1}: expected {memory_bytes / GIB:.1f} GiB of memory for each "
+            f"worker (--memory), found {free / GIB:.1f} GiB free"
+        )
+    if count is None:
+        wanted = len(gpus) or max(1, cores // (threads or 1))
+        count = max(1, min(wanted, fitting, items))
+    return WorkerPlan(count, threads or max(1, cores // count), memory_bytes, gpus)
+
+
+def usable_cores() -> int:
+    """Return how many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def available_bytes(proc: Path = Path("/proc"), group: Path = Path("/sys/fs/cgroup")) -> int | None:
+    """Return how much memory can be had; None where the system does not say.
+
+    Args:
+        proc: folder of the system's figures.
+        group: folder of the control group's limits.
+    """
+    found = []
+    try:
+        for line in (proc / "meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                found.append(int(line.split()[1]) * 1024)
+    except (OSError, ValueError):
+        pass
+    try:
+        most = (group / "memory.max").read_text().strip()
+        if most != "max":
+            used = int((group / "memory.current").read_text())
+            cached = _cached_bytes(group / "memory.stat")
+            found.append(max(0, int(most) - used + cached))
+    except (OSError, ValueError):
+        pass
+    return min(found, default=None)
+
+
+def _cached_bytes(path: Path) -> int:
+    """Return how much of a control group's memory are files that can be dropped."""
+    for line in path.read_text().splitlines():
+        if line.startswith("inactive_file "):
+            return int(line.split()[1])
+    return 0
+
+
+def visible_gpus(proc: Path = Path("/proc/driver/nvidia/gpus")) -> tuple[str, ...]:
+    """Return the names of the NVIDIA GPUs that CUDA would use, without loading PyTorch."""
+    chosen = os.environ.get("CUDA_VISIBLE_DEVICES")
+    if chosen is not None:
+        return tuple(name for name in chosen.split(",") if name and name != "-1")
+    try:
+        return tuple(str(number) for number, _ in enumerate(proc.iterdir()))
+    except OSError:
+        return ()

@@ -1,0 +1,313 @@
+"""What a worker does with one object of a batch: look whether it is done, do it, publish it.
+
+Conventions
+-----------
+* A run folder is made in the batch's work folder and becomes the result in one step, together with
+  ``item.json``, which says of which input, options and weights it is. So a result is never half
+  there, and never taken for that of other options.
+* ``WORK/ID.json`` says the same of the unfinished folder ``WORK/ID``, and is there before it: an
+  unfinished run goes on only for what it was begun with.
+* Nothing here depends on which worker does it, or on how often: a worker that dies loses what it
+  did since its last checkpoint, and the next one goes on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import json
+import os
+import shutil
+import socket
+import sys
+import time
+import traceback
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Protocol
+
+from gscomplete.batch import storage
+from gscomplete.batch.ledger import Row
+from gscomplete.batch.manifest import Item
+from gscomplete.errors import UserError
+from gscomplete.util.digests import sha256_of
+from gscomplete.util.file_names import OBJECT_FILE, PARTIAL_FILE, RUN_FILE
+from gscomplete.util.jsonio import read_json, write_json
+
+ITEM_FILE = "item.json"
+"""In a result: what it was made of."""
+_SCHEMA = "gscomplete.batch.item"
+
+
+class Job(Protocol):
+    """What a batch does with its objects; pickled to the workers."""
+
+    def make(self, item: Item, source: Path, out: Path, *, resume: bool) -> dict[str, Any]:
+        """Make an object's run folder.
+
+        Args:
+            item: the object.
+            source: its splat file or object folder, on this machine.
+            out: the run folder to create, or to go on with.
+            resume: whether to go on with it.
+
+        Returns:
+            What the ledger tells of the result.
+
+        Raises:
+            UserError: something of this object is wrong.
+            SetupError: something that all objects need is wrong.
+        """
+        ...
+
+
+class SetupError(UserError):
+    """Something that all objects of a batch need is wrong: the batch ends."""
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One object, for a worker."""
+
+    job: Job
+    item: Item
+    key: str
+    """Digest of the options and weights that are asked for."""
+    runs: str
+    """Folder of the results: path or URL."""
+    work: str
+    """Folder on this machine for what is unfinished; on the file system of ``runs`` if that is a
+    path."""
+    failed: str
+    """Folder for the logs of what failed: path or URL."""
+
+    @property
+    def result(self) -> str:
+        """Return the folder of the object's result."""
+        return storage.join(self.runs, self.item.id)
+
+
+def option_key(identity: dict[str, Any], item: Item) -> str:
+    """Return the digest of what is asked for: the batch's options and weights, the object's own.
+
+    Args:
+        identity: of the batch, as JSON values.
+        item: the object.
+    """
+    asked = json.dumps([identity, item.options], sort_keys=True)
+    return hashlib.sha256(asked.encode()).hexdigest()[:32]
+
+
+def input_files(source: str) -> tuple[str, ...]:
+    """Return the files that an object is read from: its splats, and what is beside or in it."""
+    if source.endswith(".ply"):
+        return source, storage.join(source.rpartition("/")[0], OBJECT_FILE)
+    return storage.join(source, PARTIAL_FILE), storage.join(source, OBJECT_FILE)
+
+
+def input_signatures(source: str) -> list[Any]:
+    """Return the signatures of an object's files, as JSON values."""
+    found = (storage.signature(path) for path in input_files(source))
+    return [None if each is None else list(each) for each in found]
+
+
+def do(task: Task) -> Row:
+    """Do one object; never raises but for what ends the batch.
+
+    Raises:
+        SetupError: something that all objects need is wrong.
+    """
+    started = time.perf_counter()
+    worker = f"{socket.gethostname()}:{os.getpid()}"
+    said = io.StringIO()
+    inputs: list[Any] = []
+    try:
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+            inputs = input_signatures(task.item.source)
+            found, facts = _do(task)
+    except SetupError:
+        raise
+    except Exception as error:
+        text = _message(error)
+        log = _write_log(task, f"{said.getvalue()}{_details(error)}{text}\n")
+        return Row(
+            task.item.id,
+            "failed",
+            task.key,
+            inputs,
+            round(time.perf_counter() - started, 3),
+            worker,
+            error=text,
+            log=log,
+            ended=_now(),
+        )
+    return Row(
+        task.item.id,
+        "found" if found else "finished",
+        task.key,
+        inputs,
+        round(time.perf_counter() - started, 3),
+        worker,
+        facts=facts,
+        ended=_now(),
+    )
+
+
+def died(task: Task, attempts: int) -> Row:
+    """Return the row of an object that every worker died over."""
+    text = f"{attempts} workers died over it, one after another (killed, or out of memory)"
+    log = _write_log(task, text + "\n")
+    return Row(
+        task.item.id, "failed", task.key, attempts=attempts, error=text, log=log, ended=_now()
+    )
+
+
+def _do(task: Task) -> tuple[bool, dict[str, Any]]:
+    """Do one object; return whether it was done already, and what the ledger tells of it."""
+    work = Path(task.work) / task.item.id
+    copies = work.with_name(f"{work.name}.input")
+    source = _local_source(task.item.source, copies)
+    inputs = {Path(path).name: sha256_of(local) for path, local in source.files.items()}
+    record = {"schema": _SCHEMA, "version": 1, "inputs": inputs, "asked": task.key}
+    result = _read_record(task.result)
+    if result is not None and all(result.get(name) == value for name, value in record.items()):
+        shutil.rmtree(copies, ignore_errors=True)
+        return True, result.get("facts", {})
+    begun = work.with_name(f"{work.name}.json")
+    facts = _finished_facts(begun, work, record)
+    if facts is None:
+        facts = _make(task, source.path, work, begun, record)
+        write_json(begun, record | {"facts": facts})
+    write_json(work / ITEM_FILE, record | {"facts": facts})
+    if storage.is_url(task.item.source):
+        _name_source(work / RUN_FILE, task.item.source)
+    storage.publish(work, task.result, ITEM_FILE)
+    begun.unlink(missing_ok=True)
+    if not storage.is_url(task.failed):
+        Path(_log_path(task)).unlink(missing_ok=True)  # it failed before
+    shutil.rmtree(copies, ignore_errors=True)
+    return False, facts
+
+
+@dataclass(frozen=True, slots=True)
+class _Source:
+    """An object's input on this machine."""
+
+    path: Path
+    files: dict[str, Path]
+
+
+def _local_source(source: str, copies: Path) -> _Source:
+    """Return the input's files that are there, copied from a store if they are in one.
+
+    Raises:
+        UserError: there is none, or it cannot be read.
+    """
+    files = {
+        path: storage.fetch(path, copies)
+        for path in input_files(source)
+        if storage.signature(path) is not None
+    }
+    if not files:
+        raise UserError(f"{source}: expected a splat file or an object folder, found none")
+    if not storage.is_url(source):
+        return _Source(Path(source), files)
+    main = input_files(source)[0]
+    return _Source(files[main] if source.endswith(".ply") and main in files else copies, files)
+
+
+def _finished_facts(begun: Path, work: Path, record: dict[str, Any]) -> dict[str, Any] | None:
+    """Return the facts of a run that is finished but not yet published; None = it is not."""
+    found = _read(begun)
+    if found is None or "facts" not in found or not work.is_dir():
+        return None
+    facts = found.pop("facts")
+    return facts if found == record else None
+
+
+def _make(
+    task: Task, source: Path, work: Path, begun: Path, record: dict[str, Any]
+) -> dict[str, Any]:
+    """Make the run folder, going on with an unfinished one that was begun with the same."""
+    found = _read(begun)
+    if found == record and (work / RUN_FILE).is_file():
+        try:
+            return task.job.make(task.item, source, work, resume=True)
+        except SetupError:
+            raise
+        except UserError as error:
+            sys.stderr.write(f"starting again: {error}\n")
+    shutil.rmtree(work, ignore_errors=True)
+    work.parent.mkdir(parents=True, exist_ok=True)
+    write_json(begun, record)
+    return task.job.make(task.item, source, work, resume=False)
+
+
+def _read_record(result: str) -> dict[str, Any] | None:
+    """Return what a result says it was made of; None where there is no result."""
+    text = storage.read_text(storage.join(result, ITEM_FILE))
+    try:
+        record = json.loads(text or "null")
+    except ValueError:
+        return None
+    return record if isinstance(record, dict) else None
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    """Return a JSON object of this machine; None where there is none."""
+    try:
+        found = read_json(path)
+    except UserError:
+        return None
+    return found if isinstance(found, dict) else None
+
+
+def _name_source(path: Path, source: str) -> None:
+    """Have ``run.json`` name the store that the input came from, not this machine's copy."""
+    content = read_json(path)
+    content["input"]["path"] = input_files(source)[0]
+    if content["input"].get("object") is not None:
+        content["input"]["object"] = source.removesuffix("/" + PARTIAL_FILE)
+    write_json(path, content)
+
+
+def _message(error: Exception) -> str:
+    """Return an error in one line."""
+    if isinstance(error, UserError):
+        return str(error)
+    if isinstance(error, MemoryError) or "can't allocate memory" in str(error):
+        return "out of memory (--memory gives each worker more)"
+    if isinstance(error, OSError):
+        return f"{error.filename or 'input or output'}: {error.strerror or error}"
+    return f"internal error: {type(error).__name__}: {error}"
+
+
+def _details(error: Exception) -> str:
+    """Return where an unexpected error happened."""
+    return "" if isinstance(error, UserError) else "".join(traceback.format_exception(error))
+
+
+def _write_log(task: Task, text: str) -> str:
+    """Write what an object said before it failed; return where, "" if it cannot be written."""
+    path = _log_path(task)
+    local = Path(task.work) / f"{task.item.id}.log"
+    try:
+        local.parent.mkdir(parents=True, exist_ok=True)
+        local.write_text(text, encoding="utf-8")
+        storage.put(local, path)
+        local.unlink()
+    except (OSError, UserError):
+        return ""
+    return path
+
+
+def _log_path(task: Task) -> str:
+    """Return where an object's log goes if it fails."""
+    return storage.join(task.failed, f"{task.item.id}.log")
+
+
+def _now() -> str:
+    """Return date and time in UTC."""
+    return datetime.now(UTC).isoformat(timespec="seconds")

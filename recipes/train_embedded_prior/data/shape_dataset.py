@@ -1,0 +1,242 @@
+"""Training sets of the shape network: a pure function of (seed, index), and their stored form.
+
+Conventions
+-----------
+* P and the whole are carried into a frame that is guessed from P as a run would guess it, so that
+  the network learns with the errors it will meet.
+* What of the whole counts as solid is said in ``solids``.
+* Colour volumes are stored as lists of filled cells: (x, y, z, r, g, b, occupancy) in eight bits.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from gscomplete.framing.guess import FramingSettings, guess_framing
+from gscomplete.priors.embedded.text import Tokenizer
+from gscomplete.shape.coarse_scorer import packaged_coarse_scorer
+from gscomplete.shape.fine_scorer import packaged_fine_scorer
+from gscomplete.shape.partial_voxels import ShapeInputs, voxelize_partial
+from gscomplete.shape.predict import turned
+from gscomplete.shape.symmetry import COPIES, SOURCES, no_symmetries
+from gscomplete.shape.symmetry_choice import CANDIDATES
+from gscomplete.shape.symmetry_proposals import candidate_planes
+from gscomplete.shape.voxels import (
+    CELLS,
+    COARSE_CELLS,
+    FloatArray,
+    fill_colored,
+    splat_arrays,
+)
+from gscomplete.splats import Splats
+from gscomplete.splats.transform import transform_splats
+from gscomplete.util.jsonio import dumps
+from gscomplete.views import ObjectFrame, ViewDistribution
+from recipes.train_embedded_prior.config import ShapeDataConfig
+from recipes.train_embedded_prior.data.copies import Truth
+from recipes.train_embedded_prior.data.dataset import Source
+from recipes.train_embedded_prior.data.solids import solid_cells
+
+_QUICK_FRAMING = FramingSettings(azimuths=12, elevations_deg=(15.0,), size_px=32, max_splats=3000)
+"""The guess of runs at an eighth of its cost."""
+TEXT_LENGTH = 16
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeBatch:
+    """Training sets as the shape network takes them."""
+
+    volumes: Tensor  # [B, SOURCES, 4, C, C, C]
+    evidence: Tensor  # [B, 3, C/2, C/2, C/2]
+    scores: Tensor  # [B, COPIES]
+    tokens: Tensor  # [B, L]
+    solid: Tensor  # [B, C, C, C] 0 or 1
+    surface: Tensor  # [B, 4, C, C, C] of the whole: occupancy and colour
+
+    def to(self, device: str) -> ShapeBatch:
+        """Return the sets on a device."""
+        return ShapeBatch(
+            **{f.name: getattr(self, f.name).to(device) for f in dataclasses.fields(self)}
+        )
+
+
+def set_dtype(data: ShapeDataConfig) -> np.dtype:
+    """Record layout of one stored set."""
+    return np.dtype(
+        [
+            ("cells", "u1", (SOURCES, data.most_cells, 7)),
+            ("evidence", "u1", (3, COARSE_CELLS, COARSE_CELLS, COARSE_CELLS)),
+            ("scores", "f4", (COPIES,)),
+            ("tokens", "i2", (TEXT_LENGTH,)),
+            ("solid", "u1", (CELLS**3 // 8,)),
+            ("surface", "u1", (data.most_surface_cells, 7)),
+        ]
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeSpec:
+    """What the shards hold."""
+
+    source: Source
+    data: ShapeDataConfig
+    words: tuple[str, ...]
+    seed: int
+    shard_sets: int
+
+    def maker(self, seed: int | None = None) -> Callable[[int], np.ndarray]:
+        """Return the function that makes the sets, of another seed if one is given."""
+        chosen = self.seed if seed is None else seed
+        return ShapeSetMaker(self.source, self.data, Tokenizer(self.words, TEXT_LENGTH), chosen)
+
+    def key(self) -> str:
+        """Name the contents: folders of different options never mix."""
+        planes = [packaged_coarse_scorer().digest(), packaged_fine_scorer().digest()]
+        text = dumps([self.data, self.words, self.seed, planes, "shape"])
+        return hashlib.sha256(f"{text}{self.shard_sets}".encode()).hexdigest()[:12]
+
+
+@dataclass(frozen=True, slots=True)
+class PosedObject:
+    """A part and the whole in the frame guessed from the part."""
+
+    partial: Splats
+    whole: Splats
+    distribution: ViewDistribution
+    caption: str
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeSetMaker:
+    """Make stored sets by index."""
+
+    source: Source
+    data: ShapeDataConfig
+    tokenizer: Tokenizer
+    seed: int
+
+    def __call__(self, index: int) -> np.ndarray:  # [] of set_dtype
+        """Make set ``index``."""
+        rng = np.random.default_rng((self.seed, index, 2))
+        posed = self.posed(index, rng)
+        seen = self._shown(posed, rng)
+        stored = np.zeros((), set_dtype(self.data))
+        for n, volume in enumerate(seen.volumes):
+            stored["cells"][n] = pack_cells(volume, self.data.most_cells, rng)
+        stored["evidence"] = np.round(seen.evidence * 255)
+        stored["scores"] = seen.scores
+        stored["tokens"] = self.tokenizer.encode(posed.caption).numpy()
+        whole = splat_arrays(posed.whole)
+        stored["solid"] = np.packbits(solid_cells(whole[0], whole[1]))
+        surface = fill_colored(*whole, CELLS)
+        stored["surface"] = pack_cells(surface, self.data.most_surface_cells, rng)
+        return stored
+
+    def _shown(self, posed: PosedObject, rng: np.random.Generator) -> ShapeInputs:
+        """Show P with the likeliest mirror image first, or the best by the truth, or none.
+
+        Runs choose among the same candidates by the network's answers, better than the likeliest.
+        """
+        look = voxelize_partial(posed.partial, posed.distribution)
+        if rng.random() < self.data.no_copy_share:
+            return look.with_copies(no_symmetries())
+        planes = candidate_planes(look, CANDIDATES, bfloat16=True)
+        first = 0
+        if rng.random() < self.data.best_copy_share:
+            truth = Truth.of(posed.partial, posed.whole)
+            worths = [truth.map_worth(plane) for plane in planes]
+            first = int(np.argmax(worths))
+            if worths[first] < self.data.least_worth:
+                return look.with_copies(no_symmetries())
+        return look.with_copies(look.input_symmetries(planes, first))
+
+    def posed(self, index: int, rng: np.random.Generator) -> PosedObject:
+        """Return object ``index`` and a part of it in a frame as a run would guess it."""
+        item = self.source(self.seed, index)
+        disturb = bool(rng.random() < self.data.corrupt_share)
+        slight = np.random.default_rng((self.seed, index, 3)).random() < self.data.slight_share
+        partial = item.partial(disturb=disturb, slight=bool(slight))
+        frame, distribution = self._frame(partial, rng)
+        to_frame = frame.object_from_file
+        return PosedObject(
+            transform_splats(partial, to_frame),
+            transform_splats(item.splats, to_frame),
+            distribution,
+            item.caption,
+        )
+
+    def _frame(
+        self, partial: Splats, rng: np.random.Generator
+    ) -> tuple[ObjectFrame, ViewDistribution]:
+        """Guess the frame and the view, or take the true frame with an error."""
+        guess = guess_framing(partial, _QUICK_FRAMING)
+        center, size = np.array(guess.center), guess.size
+        if rng.random() >= self.data.guess_share:
+            center = rng.normal(scale=self.data.frame_jitter, size=3)
+            size = float(np.exp(rng.normal(scale=self.data.frame_jitter)))
+        elevation = float(rng.choice([0.0, 15.0, 30.0]))
+        x, y, z = center.tolist()
+        return ObjectFrame("Z", (x, y, z), size), ViewDistribution(
+            guess.view_azimuth_deg, elevation
+        )
+
+
+def pack_cells(
+    volume: FloatArray,  # [4, C, C, C]
+    most: int,
+    rng: np.random.Generator,
+) -> NDArray[np.uint8]:  # [most, 7]
+    """List the filled cells, a random choice of them where there are too many."""
+    filled = np.argwhere(volume[0] > 0)
+    if len(filled) > most:
+        filled = filled[np.sort(rng.choice(len(filled), most, replace=False))]
+    x, y, z = filled.T
+    packed = np.zeros((most, 7), np.uint8)
+    packed[: len(filled), :3] = filled
+    packed[: len(filled), 3:6] = np.round(volume[1:, x, y, z].T * 255)
+    packed[: len(filled), 6] = np.maximum(np.round(volume[0, x, y, z] * 255), 1)
+    return packed
+
+
+def unpack_cells(packed: NDArray[np.uint8]) -> FloatArray:  # [most, 7] -> [4, C, C, C]
+    """Undo :func:`pack_cells`."""
+    volume = np.zeros((4, CELLS, CELLS, CELLS), np.float32)
+    filled = packed[packed[:, 6] > 0]
+    x, y, z = filled[:, :3].T.astype(np.intp)
+    volume[0, x, y, z] = filled[:, 6] / 255
+    volume[1:, x, y, z] = filled[:, 3:6].T / 255
+    return volume
+
+
+def decode_sets(stored: np.ndarray) -> ShapeBatch:  # [B] of set_dtype
+    """Turn stored sets into a batch."""
+    volumes = np.stack([np.stack([unpack_cells(c) for c in one]) for one in stored["cells"]])
+    bits = np.unpackbits(stored["solid"], axis=1).reshape(-1, CELLS, CELLS, CELLS)
+    surface = np.stack([unpack_cells(one) for one in stored["surface"]])
+    return ShapeBatch(
+        torch.from_numpy(volumes),
+        torch.from_numpy(np.ascontiguousarray(stored["evidence"])).float() / 255,
+        torch.from_numpy(np.ascontiguousarray(stored["scores"])),
+        torch.from_numpy(stored["tokens"].astype(np.int64)),
+        torch.from_numpy(bits).float(),
+        torch.from_numpy(surface),
+    )
+
+
+def turn_batch(batch: ShapeBatch, turns: int, mirror: bool) -> ShapeBatch:
+    """Turn all volumes by quarter turns about z, and mirror them: the same objects anew."""
+    return dataclasses.replace(
+        batch,
+        volumes=turned(batch.volumes, turns, mirror),
+        evidence=turned(batch.evidence, turns, mirror),
+        solid=turned(batch.solid, turns, mirror),
+        surface=turned(batch.surface, turns, mirror),
+    )

@@ -1,0 +1,87 @@
+"""The options of ``gscomplete batch``, and what it prints."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from gscomplete.batch.manifest import Item
+from gscomplete.cli import main
+from gscomplete.cli.batch_job import CompleteJob, identity_of
+from gscomplete.cli.complete import HowToComplete
+from tests.batch.toys import ToyJob
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch) -> Path:
+    """Three files, one of them bad, and a job that does not complete anything."""
+    for name in ("a", "bad", "c"):
+        (tmp_path / "in").mkdir(exist_ok=True)
+        (tmp_path / "in" / f"{name}.ply").write_bytes(name.encode())
+    (tmp_path / "notes").mkdir()
+    monkeypatch.setattr("gscomplete.cli.batch_job.CompleteJob", lambda how: job)
+    job = ToyJob(tmp_path / "notes")
+    return tmp_path
+
+
+def batch(folder: Path, *more: str) -> int:
+    arguments = ("batch", str(folder / "in"), "--out", str(folder / "runs"), "--workers", "1")
+    return main([*arguments, *more])
+
+
+def test_failures_are_told_and_are_the_exit_code(folder, capsys):
+    assert batch(folder) == 1
+    told = capsys.readouterr().out
+    assert "finished: a, 1 new splats" in told
+    assert f"failed: bad: {folder}/in/bad.ply: it is bad" in told
+    assert "logs of what failed:" in told
+    (folder / "in/bad.ply").unlink()
+    assert batch(folder) == 0
+    assert "2 objects, 2 of them finished before" in capsys.readouterr().out
+
+
+def test_json_is_one_object_on_standard_output(folder, capsys):
+    assert batch(folder, "--json") == 1
+    told = json.loads(capsys.readouterr().out)
+    assert (told["objects"], told["counts"]) == (
+        3,
+        {"finished_before": 0, "finished": 2, "failed": 1},
+    )
+    assert [row["id"] for row in told["rows"]] == ["a", "bad", "c"]
+    assert Path(told["ledger"]).is_file()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--memory", "-1"), "--memory: expected a positive number"),
+        (("--workers", "0"), "--workers: expected 1 or more"),
+        (("--retries", "-1"), "--retries: expected 0 or more"),
+        (("--view", "nowhere"), "--view: expected AZIMUTH,ELEVATION"),
+        (("--ray", "one", "two"), "--ray: expected one address at most"),
+        (("--prior", "mvdream:no-such", "--memory", "100000"), "100000.0 GiB of memory"),
+    ],
+)
+def test_wrong_options_are_one_line(folder, capsys, options, message):
+    assert batch(folder, *options) == 2
+    told = capsys.readouterr().err
+    assert message in told
+    assert len(told.strip().splitlines()) == 1
+
+
+def test_nothing_but_what_decides_results_is_the_batch_s_identity(tmp_path):
+    plain = identity_of(HowToComplete())
+    assert identity_of(HowToComplete(device="cpu", checkpoint_every=7)) == plain
+    assert identity_of(HowToComplete(preset="fast")) != plain
+    (tmp_path / "weights").write_bytes(b"1")
+    first = identity_of(HowToComplete(prior=str(tmp_path)))
+    (tmp_path / "weights").write_bytes(b"2")
+    assert identity_of(HowToComplete(prior=str(tmp_path))) != first
+
+
+def test_a_prior_that_cannot_be_loaded_ends_the_batch(tmp_path):
+    from gscomplete.batch.work import SetupError
+
+    job = CompleteJob(HowToComplete(prior=str(tmp_path / "no weights"), device="cpu"))
+    with pytest.raises(SetupError, match="no weights"):
+        job.make(Item("a", "a.ply"), tmp_path / "a.ply", tmp_path / "out", resume=False)
