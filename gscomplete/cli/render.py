@@ -39,9 +39,9 @@ class RenderOptions:
     up: Literal["X", "Y", "Z", "-X", "-Y", "-Z"] | None = None
     """Axis of the file that points up; None = as its run or object folder says, else Z."""
     center: str | None = None
-    """Centre of the object frame as X,Y,Z in file coordinates, with --size; None = as the run or
+    """Centre of the object frame as X,Y,Z in file coordinates, with --object-size; None = as the run or
     object folder says, else the middle of the splats, floaters apart."""
-    size: float | None = None
+    size: Annotated[float | None, tyro.conf.arg(name="object-size")] = None
     """Side of the object frame in file units, with --center; None = as the folder says, else the
     splats' largest side, floaters apart. Pictures show 1.6 times as much."""
     size_px: int = 512
@@ -134,11 +134,11 @@ def _given_frame(options: RenderOptions, up: UpAxis) -> ObjectFrame | None:
 
     center = parse_numbers(options.center, 3, "--center", "X,Y,Z")
     if options.size is not None and not 0 < options.size < float("inf"):
-        raise UserError(f"--size: expected a positive length, found {options.size:g}")
+        raise UserError(f"--object-size: expected a positive length, found {options.size:g}")
     if center is None and options.size is None:
         return None
     if center is None or options.size is None:
-        raise UserError("--center, --size: expected both or none, found one")
+        raise UserError("--center, --object-size: expected both or none, found one")
     return ObjectFrame(up, (center[0], center[1], center[2]), options.size)
 
 

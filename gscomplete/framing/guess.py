@@ -142,7 +142,9 @@ def guess_framing(
     low, high = (corner.double().numpy() for corner in kept.bounds())
     size = float((high - low).max())
     if not size > 0:
-        raise UserError("framing: all splats are at one place; give --center, --size and --view")
+        raise UserError(
+            "framing: all splats are at one place; give --center, --object-size and --view"
+        )
     scores = score_views(_centered(kept, (low + high) / 2, size), chosen)
     row, column = np.unravel_index(int(np.argmax(scores.score)), scores.score.shape)
     azimuth, elevation = float(scores.azimuths_deg[column]), float(scores.elevations_deg[row])
