@@ -46,7 +46,7 @@ class EvaluationSettings:
 
 @dataclass(frozen=True, slots=True)
 class TruthPictures:
-    """How much a completion looks like the true object from all round."""
+    """How similar a completion and the true object appear from all round."""
 
     hidden_ssim: float | None
     """Mean SSIM over the hidden region; None if it is empty."""
@@ -63,7 +63,7 @@ class EvaluationReport:
     all_views: PreservationErrors
     """E_color and E_depth over the view distribution V."""
     haarpsi: float
-    """Mean HaarPSI of O to P over V, weighted by M_c; 1 = P looks the same."""
+    """Mean HaarPSI of O to P over V, weighted by M_c; 1 = P's appearance is unchanged."""
     lpips: float | Unavailable
     """E_LPIPS from the input view c."""
     clip: float | Unavailable

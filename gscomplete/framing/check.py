@@ -60,8 +60,8 @@ def check_given_frame(partial: Splats, frame: ObjectFrame, name: str) -> tuple[s
     )
     if share < _LEAST_SHARE:
         raise UserError(
-            f"{name}: --object-size: expected at most {side / _LEAST_SHARE:.4g} (file units), found "
-            f"{size:.4g}; {sides}"
+            f"{name}: --object-size: expected at most {side / _LEAST_SHARE:.4g} (file units), "
+            f"found {size:.4g}; {sides}"
         )
     low, high = _middle_box(partial)
     center = np.array(frame.center_file)
@@ -76,7 +76,7 @@ def check_given_frame(partial: Splats, frame: ObjectFrame, name: str) -> tuple[s
     if beyond > 0.5:
         notes.append(
             f"P reaches {beyond * size:.4g} beyond the frame of size {size:.4g}: is it that of the "
-            "whole?"
+            "complete object?"
         )
     return tuple(notes)
 

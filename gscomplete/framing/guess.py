@@ -57,14 +57,14 @@ class FramingSettings:
     dense_neighbours: float = 8.0
     """With at least this many splats around the median one, a splat all alone is a floater."""
     max_floater_fraction: float = 0.02
-    """If more than this share of the splats looks like floaters, all are taken as object."""
+    """If more than this share of the splats counts as floaters, all are taken as object."""
     min_openness: float = 0.25
     """How one-sided the view scores must be for P to count as open, in [0, 1]."""
 
 
 @dataclass(frozen=True, slots=True)
 class FramingGuess:
-    """Where the complete object is believed to be."""
+    """Where the complete object is estimated to be."""
 
     center: tuple[float, float, float]
     """Centre of the complete object, in the z-up axes of the splats given."""
@@ -84,7 +84,7 @@ class FramingGuess:
 
 @dataclass(frozen=True, slots=True)
 class ViewScores:
-    """How P looks from E elevations times A azimuths."""
+    """P's appearance from E elevations times A azimuths."""
 
     azimuths_deg: FloatArray  # [A]
     elevations_deg: FloatArray  # [E]

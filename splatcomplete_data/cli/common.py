@@ -91,7 +91,7 @@ class ObjectDraft:
     subset: Subset
     source_file: Path
     partial: Splats | None
-    """The part, file frame; None = only the whole was asked for."""
+    """The part, file frame; None = only the complete object was asked for."""
     complete: Splats | None
     default_up: UpAxis
     steps: tuple[StepRecord, ...] = ()
@@ -173,8 +173,8 @@ def store_object(options: ObjectOptions, made: ObjectDraft) -> ObjectRecord:
     from splatcomplete_data.objects import ObjectRecord, SourceRecord, write_object
 
     folder = options.out or default_folder(made.source_file)
-    shown = made.partial if made.partial is not None else made.complete
-    if shown is None or len(shown) == 0:
+    drawn = made.partial if made.partial is not None else made.complete
+    if drawn is None or len(drawn) == 0:
         raise UserError(f"{made.source_file}: no splats are left to write")
     request = dataclasses.replace(
         framing_request(options, made.default_up),
@@ -185,9 +185,9 @@ def store_object(options: ObjectOptions, made: ObjectDraft) -> ObjectRecord:
     given_in = turn if made.is_center_of_source else None
     if given_in is not None:
         request = moved_center(request, given_in)
-    decided = decide_framing(shown, request, made.complete)
+    decided = decide_framing(drawn, request, made.complete)
     if request.center_file is not None or request.size_file is not None:
-        require_touching(decided.frame, shown, given_in)
+        require_touching(decided.frame, drawn, given_in)
     is_file = made.source_file.is_file()
     try:
         record = ObjectRecord(

@@ -1,7 +1,7 @@
 """How fast the CPU renderer is: ``python -m recipes.benchmarks.renderer [--mesh FILE]``.
 
 Draws the surface of a mesh (a torus knot when none is given) as oriented discs, forward and
-backward through the whole differentiable render, over the number of splats, image size, degree of
+backward through the differentiable render, over the number of splats, image size, degree of
 the spherical harmonics and threads; one is varied at a time, from a middle point. Prints medians,
 fits how cost grows, and compares every kernel with what the machine can do (``work``).
 ``--out DIR`` leaves ``renderer.json`` and ``renderer.png`` there. Errors: ``accuracy``;

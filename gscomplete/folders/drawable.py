@@ -18,7 +18,7 @@ from gscomplete.views import ObjectFrame, ViewDistribution
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class Drawable:
     """A splat file, with what its folder says."""
 
     file: Path
@@ -28,7 +28,7 @@ class Shown:
     """Input view c and V in that frame."""
 
 
-def shown_by(path: Path) -> Shown:
+def drawable_of(path: Path) -> Drawable:
     """Return what a path means.
 
     Raises:
@@ -38,17 +38,17 @@ def shown_by(path: Path) -> Shown:
     means_run = path.is_dir() or path.name in (OUTPUT_FILE, RUN_FILE)
     if means_run and (folder / RUN_FILE).is_file():
         run = read_run_folder(folder)
-        return Shown(run.output, run.frame, run.views)
+        return Drawable(run.output, run.frame, run.views)
     found = object_folder_of(path)
     if found is not None:
         is_splats = path.suffix == ".ply"
-        return Shown(path if is_splats else found.partial, found.frame, found.views)
+        return Drawable(path if is_splats else found.partial, found.frame, found.views)
     if path.is_dir():
         raise UserError(
             f"{path}: expected a splat file, a run folder ({RUN_FILE}) or an object folder "
             f"({OBJECT_FILE}), found another folder"
         )
-    return Shown(path)
+    return Drawable(path)
 
 
 def splat_files_of(path: Path) -> list[Path]:
