@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from gscomplete.cli.complete import HowToComplete
-from gscomplete.cli.parse import parse_numbers, parse_view
 from gscomplete.errors import UserError
+from gscomplete.util.parse import parse_numbers, parse_view
 
 if TYPE_CHECKING:
     from gscomplete.batch.ledger import Row

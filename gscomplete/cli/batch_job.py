@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 from gscomplete.batch.manifest import FieldKind, Item
 from gscomplete.batch.work import SetupError
-from gscomplete.cli.complete import CompleteOptions, HowToComplete, request_of, settings_of
+from gscomplete.cli.complete import CompleteOptions, HowToComplete
+from gscomplete.cli.request import request_of, settings_of
 from gscomplete.errors import UserError
 from gscomplete.priors.latent.settings import LatentPriorSettings
 from gscomplete.util import jsonio
@@ -129,7 +130,8 @@ def _warm_prior(
         UserError: it cannot be loaded, or there is no such device.
     """
     from gscomplete.priors import load_prior
-    from gscomplete.util.device import choose_device, choose_render_device
+    from gscomplete.render.dispatch import choose_render_device
+    from gscomplete.util.device import choose_device
 
     device = choose_device(device_name)
     render_device, _ = choose_render_device(device_name, device)

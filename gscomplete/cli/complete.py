@@ -11,17 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from gscomplete.cli.parse import parse_numbers
 from gscomplete.errors import UserError
 from gscomplete.priors.latent.settings import LatentPriorSettings
 
 if TYPE_CHECKING:
-    from gscomplete.cli.given import Given
     from gscomplete.completion.optimise import StepReport
-    from gscomplete.completion.run_folder import Run, RunRequest
-    from gscomplete.completion.settings import CompletionSettings
-    from gscomplete.priors.base import Prior
-    from gscomplete.shape.mirror_plane import Mirror
+    from gscomplete.completion.run_folder import Run
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,9 +128,11 @@ def run(options: CompleteOptions) -> int:
 
 def _complete(options: CompleteOptions) -> int:
     """Load the prior, run, and say what came of it."""
-    from gscomplete.completion.run_folder import completing_seconds, prepare
+    from gscomplete.cli.request import request_of
+    from gscomplete.completion.run_folder import prepare
     from gscomplete.priors import load_prior
-    from gscomplete.util.device import choose_device, choose_render_device
+    from gscomplete.render.dispatch import choose_render_device
+    from gscomplete.util.device import choose_device
 
     device = choose_device(options.device)
     render_device, fallback = choose_render_device(options.device, device)
@@ -152,11 +149,12 @@ def _complete(options: CompleteOptions) -> int:
         return 0
     result = content["result"]
     c, views = result["metrics"]["input_view"], result["metrics"]["all_views"]
+    peak = result["peak_gpu_bytes"]
+    memory = "" if peak is None else f", at most {peak / 2**30:.2f} GiB of GPU memory"
     _say(
         options,
         *job.notes[said:],
-        f"{result['new_splats']:,} new splats in {completing_seconds(content['timings']):.1f} s"
-        + _memory_note(result["peak_gpu_bytes"]),
+        f"{result['new_splats']:,} new splats in {result['seconds']:.1f} s" + memory,
         f"E_color {c['color']:.6f} from c, {views['color']:.6f} over V; "
         f"E_depth {c['depth']:.6f} from c, {views['depth']:.6f} over V"
         + ("" if result["measured_with"] == "P" else f" (of {result['measured_with']})"),
@@ -165,163 +163,6 @@ def _complete(options: CompleteOptions) -> int:
         + (f"; the new splats alone: {options.new_only}" if options.new_only else ""),
     )
     return 0
-
-
-def _memory_note(peak_bytes: int | None) -> str:
-    """Return the peak of GPU memory as words, or nothing without a GPU."""
-    return "" if peak_bytes is None else f", at most {peak_bytes / 2**30:.2f} GiB of GPU memory"
-
-
-def request_of(options: CompleteOptions, prior: Prior) -> RunRequest:
-    """Turn command-line options into a request.
-
-    Raises:
-        UserError: an option has the wrong form.
-    """
-    from gscomplete.completion.pipeline import Request
-    from gscomplete.completion.run_folder import RunRequest
-    from gscomplete.framing.decide import FramingRequest
-
-    given = given_to(options)
-    if options.new_only is not None:
-        _check_new_only(options.new_only)
-    settings = settings_of(options, prior)
-    framing = FramingRequest(
-        given.up,
-        given.view_deg,
-        given.azimuth_range_deg,
-        given.center_file,
-        given.size_file,
-        elevation_range_deg=given.elevation_range_deg,
-    )
-    completion = Request(given.prompt, settings, framing, options.negative_prompt)
-    name = given.partial.stem if given.object_folder is None else given.object_folder.resolve().name
-    return RunRequest(
-        given.partial,
-        options.out or Path(f"{name}_completed"),
-        completion,
-        options.resume,
-        options.alternatives,
-        given.object_folder,
-        given.sources,
-        given.notes,
-        options.new_only,
-    )
-
-
-def settings_of(options: HowToComplete, prior: Prior) -> CompletionSettings:
-    """Turn the options that say how to complete into the method's settings.
-
-    Raises:
-        UserError: an option has the wrong form.
-    """
-    from gscomplete.completion.presets import preset
-    from gscomplete.completion.settings import HardPreservationSettings, SeamColorSettings
-
-    settings = dataclasses.replace(
-        preset(options.preset, prior.name, text_only=options.text_only), seed=options.seed
-    )
-    if options.steps is not None:
-        settings = _stretched(settings, options.steps)
-    if options.checkpoint_every is not None:
-        settings = dataclasses.replace(settings, checkpoint_every=options.checkpoint_every)
-    bounds = parse_numbers(options.preserve, 2, "--preserve", "COLOR,DEPTH")
-    if bounds is not None:
-        if min(bounds) <= 0:
-            raise UserError(f"--preserve: expected positive bounds, found {options.preserve!r}")
-        hard = HardPreservationSettings(color_bound=bounds[0], depth_bound=bounds[1])
-        settings = dataclasses.replace(settings, hard_preservation=hard)
-    if options.match_seam:
-        settings = dataclasses.replace(settings, seam_colors=SeamColorSettings())
-    if options.mirror != "guess":
-        settings = dataclasses.replace(settings, mirror=_mirror(options.mirror))
-        _require_guess("--mirror", options, settings, prior)
-    if not 0 <= options.alternatives <= 8:
-        raise UserError(f"--alternatives: expected 0 to 8, found {options.alternatives}")
-    if options.alternatives:
-        _require_guess("--alternatives", options, settings, prior)
-    return settings
-
-
-def _check_new_only(path: Path) -> None:
-    """Check before the run that the new splats can be written on their own.
-
-    Raises:
-        UserError: it is no name of a PLY file, it exists, or its folder does not.
-    """
-    if path.suffix.lower() != ".ply":
-        raise UserError(f"--new-only: expected the name of a .ply file, found {str(path)!r}")
-    if path.exists():
-        raise UserError(f"--new-only: {path}: it exists; choose another name")
-    if not path.parent.is_dir():
-        raise UserError(f"--new-only: {path}: expected a folder that exists, found none")
-
-
-def given_to(options: CompleteOptions) -> Given:
-    """Join the options with what the object folder says."""
-    from gscomplete.cli.given import Options, take_given
-
-    return take_given(
-        Options(
-            options.partial,
-            options.prompt,
-            options.up,
-            options.view,
-            options.range,
-            options.center,
-            options.size,
-        )
-    )
-
-
-def _require_guess(
-    name: str, options: HowToComplete, settings: CompletionSettings, prior: Prior
-) -> None:
-    """Refuse an option about guesses where there is none.
-
-    Raises:
-        UserError: the run starts without a guess of the complete object.
-    """
-    from gscomplete.priors.base import ShapePrior
-
-    if settings.start != "guess" or not isinstance(prior, ShapePrior):
-        raise UserError(
-            f"{name}: preset {options.preset} with prior {prior.name} starts without a guess "
-            "of the complete object; --preset default, fast or reconstruct of the embedded prior "
-            "have one"
-        )
-
-
-def _mirror(text: str) -> Mirror:
-    """Parse a plane of symmetry.
-
-    Raises:
-        UserError: it has the wrong form.
-    """
-    from gscomplete.shape.mirror_plane import MirrorPlane
-
-    if text == "none":
-        return "none"
-    numbers = parse_numbers(text, 2, "--mirror", "guess, none or AZIMUTH,OFFSET")
-    assert numbers is not None
-    return MirrorPlane(*numbers)
-
-
-def _stretched(settings: CompletionSettings, steps: int) -> CompletionSettings:
-    """Return the settings for another number of steps, with what is counted in steps in proportion.
-
-    Presets without steps have nothing to stretch.
-    """
-    if settings.steps == 0 or steps <= 0:
-        return dataclasses.replace(settings, steps=steps)
-    share = steps / settings.steps
-    every = max(1, round(share * settings.densify.every))
-    return dataclasses.replace(
-        settings,
-        steps=steps,
-        warmup_steps=round(share * settings.warmup_steps),
-        densify=dataclasses.replace(settings.densify, every=every),
-    )
 
 
 def _with_progress(job: Run) -> dict[str, Any]:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from gscomplete.cli.parse import parse_numbers, parse_view
 from gscomplete.errors import UserError
+from gscomplete.util.parse import parse_numbers, parse_view
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -18,10 +18,10 @@ from PIL import Image
 
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.evaluate.pictures import contact_sheet, render_images
-from gscomplete.fitting.randomness import generator_for
 from gscomplete.priors.base import Conditioning, Prior, ShapePrior
 from gscomplete.shape.mirror_plane import ChosenMirror
 from gscomplete.splats import Splats, concatenate
+from gscomplete.util.randomness import generator_for
 from gscomplete.views import ViewDistribution
 
 _SIZE_PX = 192

@@ -25,11 +25,11 @@ from gscomplete.completion.start import scale_bounds
 from gscomplete.fitting.densify import GradientStatistics, prune_mask, subdivide
 from gscomplete.fitting.finite import require_finite
 from gscomplete.fitting.parameters import SplatParameters
-from gscomplete.fitting.randomness import generator_for, uniform
 from gscomplete.priors.base import Conditioning, FourViews, Guidance, Prior
 from gscomplete.render import Render
 from gscomplete.render.partial_views import PartialViews
 from gscomplete.splats import Splats
+from gscomplete.util.randomness import generator_for, uniform
 from gscomplete.views import Cameras, ViewDistribution
 
 _CORNER_RADIUS = 0.9
@@ -102,8 +102,9 @@ class Optimisation:
         """Whether all steps are done."""
         return self.step_number >= self.settings.steps
 
+    @property
     def new_splats(self) -> Splats:
-        """Return the current new splats, object frame, without P."""
+        """The current new splats, object frame, without P."""
         return self.parameters.splats().detach()
 
     def step(self) -> StepReport:
@@ -167,7 +168,7 @@ class Optimisation:
             "statistics.total": self._statistics.total,
             "statistics.views": self._statistics.views,
             **self.parameters.state(),
-            **self._rings.state(),
+            **self._rings.tensors,
         }
 
     def restore(self, state: dict[str, Tensor]) -> None:
@@ -214,7 +215,7 @@ class Optimisation:
         """Render a fresh ring, let the prior denoise it, and keep P where V sees it."""
         settings, step = self.settings, self.step_number
         cameras = random_ring(self._prior.views, self._size_px, settings.seed, step)
-        splats = self.new_splats()
+        splats = self.new_splats
         with torch.no_grad():
             drawn = self._renders.together(splats, [cameras])
             color, alpha = self._prior.reconstruct(
@@ -290,7 +291,7 @@ class Optimisation:
         if schedules.is_prune_step(settings, step):
             late = step >= settings.densify.final_from * settings.steps
             opacity = settings.densify.final_opacity if late else settings.densify.prune_opacity
-            keep, report = prune_mask(self.new_splats(), opacity, self._max_radius)
+            keep, report = prune_mask(self.new_splats, opacity, self._max_radius)
             if report.total and bool(keep.any()):
                 self.parameters.keep(keep)
             self._statistics = GradientStatistics(len(self.parameters), self._device)

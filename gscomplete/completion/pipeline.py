@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -38,7 +39,8 @@ from gscomplete.framing.check import (
 from gscomplete.framing.decide import Framing, FramingRequest, decide_framing
 from gscomplete.framing.input_view import refine_input_view
 from gscomplete.priors import load_prior
-from gscomplete.priors.base import Conditioning, Prior
+from gscomplete.priors.base import Conditioning, Prior, prior_identity
+from gscomplete.render.dispatch import choose_render_device
 from gscomplete.splats import (
     SplatFile,
     Splats,
@@ -49,7 +51,8 @@ from gscomplete.splats import (
     write_splats,
 )
 from gscomplete.splats.working_set import WorkingSet, working_set
-from gscomplete.util.device import choose_device, choose_render_device
+from gscomplete.util.device import choose_device
+from gscomplete.util.jsonio import to_json
 from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution, radius_to_fit
 from gscomplete.views.distribution import AZIMUTH_RANGE_DEG, ELEVATION_RANGE_DEG
 
@@ -87,6 +90,20 @@ class Prepared:
     steps: Optimisation
     notes: tuple[str, ...]
     """What was decided and why, for the user."""
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """Everything but P that decides the result, as JSON values."""
+        settings = to_json(self.request.settings)
+        del settings["checkpoint_every"]  # decides nothing about the result
+        return {
+            "prompt": self.request.prompt,
+            "negative_prompt": self.request.negative_prompt,
+            "prior": prior_identity(self.prior),
+            "frame": self.frame.to_json(),
+            "views": self.views.to_json(),
+            "settings": settings,
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,7 +218,7 @@ def complete(
     if isinstance(prior, str):
         prior = load_prior(prior, chosen_device)
     if settings is None:
-        settings = dataclasses.replace(preset(preset_name, prior.name), seed=seed)
+        settings = dataclasses.replace(preset(preset_name, prior), seed=seed)
     started = time.perf_counter()
     given = partial if isinstance(partial, Splats) else read_splats(partial)
     framing = FramingRequest(
@@ -248,12 +265,11 @@ def prepare(
     notes += framing.notes
     if framing_request.center_file is not None or framing_request.size_file is not None:
         notes += check_given_frame(working.splats, framing.frame, name)
-    notes += (*describe_frame(framing.frame, framing.views), working.summary())
-    conditioning = prior.condition(request.prompt, request.negative_prompt)
+    notes += (*describe_frame(framing.frame, framing.views), working.summary)
     partial = transform_splats(working.splats, framing.frame.object_from_file).detach().to("cpu")
     require_visible(partial, framing.views, name)
-
     diameter = largest_side(working.splats) / framing.frame.size_file
+    conditioning = prior.condition(request.prompt, request.negative_prompt)
     start = start_splats(partial, prior, conditioning, framing.views, settings, diameter)
     views, moved = framing.views, ""
     if start.is_guess and framing_request.view_deg is None:
@@ -302,18 +318,18 @@ def finish(prepared: Prepared, given: SplatFile | Splats) -> Completed:
     """
     started = time.perf_counter()
     settings, partial = prepared.request.settings, prepared.partial
-    new = prepared.steps.new_splats().to("cpu")
+    new = prepared.steps.new_splats.to("cpu")
     notes = prepared.notes
     colors, bounds = None, None
     if settings.seam_colors is not None:
         new, colors = match_seam_colors(new, partial, settings.seam_colors)
-        notes += (colors.summary(),)
+        notes += (colors.summary,)
     if settings.hard_preservation is not None:
         bounded = preserve_hard(
             new, partial, prepared.views, settings.hard_preservation, settings.seed
         )
         new, bounds = bounded.splats, bounded.report
-        notes += (bounds.summary(),)
+        notes += (bounds.summary,)
     seconds = time.perf_counter() - started
     return Completed(
         given, partial, new, prepared.frame, prepared.views, notes, colors, bounds, seconds

@@ -20,6 +20,7 @@ from gscomplete.completion.settings import (
 )
 from gscomplete.errors import UserError
 from gscomplete.fitting.settings import DensifySettings, LearningRates
+from gscomplete.priors.base import Prior
 
 PresetName = Literal["default", "fast", "reconstruct", "distill", "paper"]
 """``default``: the best of time and quality for the prior. ``fast``: less care.
@@ -103,23 +104,42 @@ TEXT_ONLY = dataclasses.replace(
 a sphere, from nearly pure noise."""
 
 
-def preset(name: PresetName, prior_name: str, *, text_only: bool = False) -> CompletionSettings:
-    """Return the settings of a preset for a prior, with P withheld from it if ``text_only``.
+SETTINGS: dict[str, CompletionSettings] = {
+    "paper": PAPER,
+    "distill": DISTILL,
+    "reconstruct": RECONSTRUCT,
+    "guess": DEFAULT,
+    "small guess": FAST,
+    "text only": TEXT_ONLY,
+}
+"""What a prior's ``presets`` may name."""
+
+ANY_PRIOR: dict[PresetName, str] = {
+    "default": "paper",
+    "fast": "text only",
+    "reconstruct": "text only",
+    "distill": "paper",
+    "paper": "paper",
+}
+"""Presets of priors that name none."""
+
+
+def preset(name: PresetName, prior: Prior, *, text_only: bool = False) -> CompletionSettings:
+    """Return the settings that a prior names for a preset.
+
+    Args:
+        name: of the preset.
+        prior: the model that guides; its attribute ``presets``, where it has one, says which of
+            ``SETTINGS`` a preset stands for (``ANY_PRIOR`` for others).
+        text_only: withhold P from the prior.
 
     Raises:
         UserError: there is no such preset.
     """
-    small = prior_name == "embedded"
-    table = {
-        "default": DEFAULT if small else PAPER,
-        "fast": FAST if small else TEXT_ONLY,
-        "reconstruct": RECONSTRUCT if small else TEXT_ONLY,
-        "distill": DISTILL if small else PAPER,
-        "paper": PAPER,
-    }
+    table = getattr(prior, "presets", ANY_PRIOR)
     if name not in table:
         raise UserError(f"preset: expected one of {', '.join(table)}, found {name!r}")
+    chosen = SETTINGS[table[name]]
     if not text_only:
-        return table[name]
-    chosen = TEXT_ONLY if table[name].start == "guess" else table[name]
-    return dataclasses.replace(chosen, see_input=False)
+        return chosen
+    return dataclasses.replace(TEXT_ONLY if chosen.start == "guess" else chosen, see_input=False)

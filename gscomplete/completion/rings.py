@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from gscomplete.fitting.randomness import generator_for, uniform
 from gscomplete.priors.base import PriorViews
+from gscomplete.util.randomness import generator_for, uniform
 from gscomplete.views import Cameras, ViewDistribution, four_view_orbit, radius_to_fit
 
 
@@ -57,8 +57,9 @@ class RingMemory:
         """Keep a ring, forgetting the oldest when full."""
         self._rings = [*self._rings, ring][-self._capacity :]
 
-    def state(self) -> dict[str, Tensor]:
-        """Return the rings as named tensors."""
+    @property
+    def tensors(self) -> dict[str, Tensor]:
+        """The rings as named tensors."""
         out = {}
         for index, ring in enumerate(self._rings):
             out[f"ring.{index}.color"] = ring.color
@@ -70,7 +71,7 @@ class RingMemory:
         return out
 
     def restore(self, state: dict[str, Tensor]) -> None:
-        """Take the rings from :meth:`state`.
+        """Take the rings from :attr:`tensors`.
 
         Raises:
             ValueError: a tensor of a ring is missing, or of another shape.

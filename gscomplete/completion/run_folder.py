@@ -28,7 +28,7 @@ from gscomplete.fitting.checkpoint import FILE_NAME, check_fits, load_checkpoint
 from gscomplete.fitting.finite import NonFiniteError
 from gscomplete.fitting.step_loop import CHECKPOINTS, LOG_FILE, require_same_identity, run_steps
 from gscomplete.folders.run_folder import OUTPUT_FILE, RUN_FILE
-from gscomplete.priors.base import Prior, prior_identity
+from gscomplete.priors.base import Prior
 from gscomplete.splats.ply import SplatFile, read_splats, require_appendable
 from gscomplete.util import jsonio
 from gscomplete.util.atomic import atomic_path, forget_leftovers
@@ -110,7 +110,7 @@ def prepare(request: RunRequest, prior: Prior, device: torch.device | str = "cpu
     source = read_splats(request.partial_path)
     require_appendable(source)
     prepared = pipeline.prepare(source, request.completion, prior, device)
-    identity = _identity(request, prepared)
+    identity = {"input_sha256": sha256_of(request.partial_path), **prepared.identity}
     notes = (*request.notes, *prepared.notes)
     run = Run(request, source.released(), prepared, identity, notes, lock)
     if request.resume:
@@ -134,22 +134,6 @@ def prepare(request: RunRequest, prior: Prior, device: torch.device | str = "cpu
     return run
 
 
-def _identity(request: RunRequest, prepared: Prepared) -> dict[str, Any]:
-    """Return everything that decides the result, as JSON values."""
-    asked = request.completion
-    settings = jsonio.to_json(asked.settings)
-    del settings["checkpoint_every"]  # decides nothing about the result
-    return {
-        "input_sha256": sha256_of(request.partial_path),
-        "prompt": asked.prompt,
-        "negative_prompt": asked.negative_prompt,
-        "prior": prior_identity(prepared.prior),
-        "frame": prepared.frame.to_json(),
-        "views": prepared.views.to_json(),
-        "settings": settings,
-    }
-
-
 def execute(run: Run, on_step: Callable[[StepReport], None]) -> dict[str, Any]:
     """Take all remaining steps, write the results, and return the content of ``run.json``.
 
@@ -158,39 +142,13 @@ def execute(run: Run, on_step: Callable[[StepReport], None]) -> dict[str, Any]:
     Raises:
         UserError: a value stopped being finite, or a file cannot be written.
     """
-    out = run.request.out
-    every = run.request.completion.settings.checkpoint_every
-    started = time.perf_counter()
-    try:
-        run_steps(run.steps, out, every, on_step)
-    except NonFiniteError as error:
-        stopped = NonFiniteError(error.step, error.tensor, _way_back(out / CHECKPOINTS))
-        _write_run_file(run, "stopped", {"error": str(stopped)})
-        raise stopped from error
-    run.timings["optimise_s"] = time.perf_counter() - started
-    return _finish(run)
-
-
-def completing_seconds(timings: dict[str, float]) -> float:
-    """Return the time that completing took, by ``run.json``'s timings: no files, no pictures."""
-    return sum(timings[stage] for stage in ("prepare_s", "optimise_s", "finish_s"))
-
-
-def _way_back(folder: Path) -> str:
-    """Tell which checkpoint a stopped run can go on from."""
-    state = load_checkpoint(folder)
-    if state is None:
-        return "; there is no checkpoint yet"
-    return f"; the last good checkpoint is kept: {folder / FILE_NAME}, step {int(state['step'])}"
-
-
-def _finish(run: Run) -> dict[str, Any]:
-    """Write the completed splats, measure, and draw the pictures."""
+    _take_steps(run, on_step)
     out = run.request.out
     started = time.perf_counter()
     completed = pipeline.finish(run.prepared, run.source)
     run.notes = (*run.request.notes, *completed.notes)
     run.timings["finish_s"] = time.perf_counter() - started
+    completing_s = sum(run.timings.values())
     started = time.perf_counter()
     completed.save(out / OUTPUT_FILE)
     if run.request.new_only is not None:
@@ -207,12 +165,13 @@ def _finish(run: Run) -> dict[str, Any]:
     save_turntable(together, completed.views, out / "turntable.webp")
     run.timings["pictures_s"] = time.perf_counter() - started
     started = time.perf_counter()
-    alternatives = _draw_alternatives(run, completed)
+    alternatives = _draw_alternatives(run, completed) if run.request.alternatives else []
     run.timings["alternatives_s"] = time.perf_counter() - started
     result = {
         "metrics": metrics,
         "measured_with": run.prepared.working.stands_for,
         "new_splats": len(completed.new),
+        "seconds": round(completing_s, 3),
         "peak_gpu_bytes": peak_gpu_bytes(),
         "seam_colors": jsonio.to_json(completed.seam_colors),
         "hard_preservation": jsonio.to_json(completed.hard_preservation),
@@ -221,11 +180,36 @@ def _finish(run: Run) -> dict[str, Any]:
     return _write_run_file(run, "finished", result)
 
 
+def _take_steps(run: Run, on_step: Callable[[StepReport], None]) -> None:
+    """Take all remaining steps.
+
+    Raises:
+        NonFiniteError: a value stopped being finite; the message names the last good checkpoint.
+        UserError: the log or a checkpoint cannot be written.
+    """
+    out = run.request.out
+    every = run.request.completion.settings.checkpoint_every
+    started = time.perf_counter()
+    try:
+        run_steps(run.steps, out, every, on_step)
+    except NonFiniteError as error:
+        stopped = NonFiniteError(error.step, error.tensor, _way_back(out / CHECKPOINTS))
+        _write_run_file(run, "stopped", {"error": str(stopped)})
+        raise stopped from error
+    run.timings["optimise_s"] = time.perf_counter() - started
+
+
+def _way_back(folder: Path) -> str:
+    """Tell which checkpoint a stopped run can go on from."""
+    state = load_checkpoint(folder)
+    if state is None:
+        return "; there is no checkpoint yet"
+    return f"; the last good checkpoint is kept: {folder / FILE_NAME}, step {int(state['step'])}"
+
+
 def _draw_alternatives(run: Run, completed: Completed) -> list[str]:
     """Draw the guesses that the user asked for; return the options that give them."""
     request, prepared = run.request, run.prepared
-    if not request.alternatives:
-        return []
     found = guess_alternatives(
         prepared.prior,
         prepared.partial,

@@ -6,7 +6,7 @@ Steps count from 0 here; the paper's step 1 is step 0.
 from __future__ import annotations
 
 from gscomplete.completion.settings import CompletionSettings
-from gscomplete.fitting.randomness import generator_for, uniform
+from gscomplete.util.randomness import generator_for, uniform
 
 
 def timestep_at(settings: CompletionSettings, step: int) -> float:

@@ -60,6 +60,7 @@ class SeamColorReport:
     """Mean distance in Oklab of P's and the new splats' colours at the seam; 0 without a seam."""
     difference_after: float
 
+    @property
     def summary(self) -> str:
         """Describe what was done in one line."""
         return (
@@ -72,7 +73,7 @@ class SeamColorReport:
 def match_seam_colors(
     new: Splats, partial: Splats, settings: SeamColorSettings
 ) -> tuple[Splats, SeamColorReport]:
-    """Return the new splats with colours that pass into P's at the seam.
+    """The new splats with colours that pass into P's at the seam.
 
     Args:
         new: N new splats, object frame.

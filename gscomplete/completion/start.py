@@ -16,9 +16,9 @@ from gscomplete.completion.settings import CompletionSettings
 from gscomplete.errors import UserError
 from gscomplete.fitting.finite import require_finite
 from gscomplete.fitting.parameters import Bounds
-from gscomplete.fitting.randomness import generator_for, sphere_points
 from gscomplete.priors.base import Conditioning, Prior, PriorViews, ShapePrior
 from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.util.randomness import generator_for, sphere_points
 from gscomplete.views import ViewDistribution
 
 INITIAL_OPACITY = 0.1
@@ -59,6 +59,7 @@ def start_splats(
         UserError: there are no steps to take and no guess that could be the result.
         NonFiniteError: a value of the start is not finite.
     """
+    bounds = scale_bounds(prior.views, settings)
     start = None
     if settings.start == "guess" and isinstance(prior, ShapePrior):
         start = _guess(partial, prior, conditioning, views, settings)
@@ -68,7 +69,6 @@ def start_splats(
             "choose another --preset (distill) or give --steps"
         )
     if start is None:
-        bounds = scale_bounds(prior.views, settings)
         scattered = initial_splats(
             partial,
             settings.new_splats,

@@ -11,10 +11,10 @@ import torch
 from torch import Tensor
 
 from gscomplete.fitting.parameters import SplatParameters
-from gscomplete.fitting.randomness import generator_for
 from gscomplete.fitting.settings import DensifySettings
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.rotations import rotation_matrices
+from gscomplete.util.randomness import generator_for
 
 SPLIT_SHRINK = 1.6
 """Scales of the two halves of a split splat are divided by this (Kerbl et al. 2023)."""

@@ -97,7 +97,9 @@ def decide_framing(
         anchor = partial.means.double().median(dim=0).values
         level = transform_splats(partial, Similarity(1.0, rotation, -(rotation @ anchor)))
         guess = guess_framing(level, seen_from_deg=_azimuth_of_camera(partial, request))
-        notes = guess.reasons(view=not is_viewed, box=not is_boxed)
+        notes = guess.notes
+        notes += () if is_viewed else (guess.view_reason,)
+        notes += () if is_boxed else (guess.box_reason,)
         if center is None:
             lifted = rotation.T @ torch.tensor(guess.center, dtype=torch.float64) + anchor
             x, y, z = lifted.tolist()

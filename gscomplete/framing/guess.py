@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gscomplete.errors import UserError
-from gscomplete.framing.exposure import is_closed
+from gscomplete.framing.cut_plane import find_cut
+from gscomplete.framing.extent import extended_box, is_closed
 from gscomplete.render import render
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.rotations import rotation_matrices
@@ -80,14 +81,6 @@ class FramingGuess:
     box_reason: str
     """Why that centre and size."""
 
-    def reasons(self, *, view: bool, box: bool) -> tuple[str, ...]:
-        """Return what to tell of the parts of the guess that are used."""
-        return (
-            *self.notes,
-            *((self.view_reason,) if view else ()),
-            *((self.box_reason,) if box else ()),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class ViewScores:
@@ -133,7 +126,7 @@ def guess_framing(
     Floaters are left out of P's box. The input view is the candidate with the best
     ``ViewScores.score``. If P is open towards a side, the box grows that way (``extended_box``);
     it never grows vertically, because scans lack the side that an object stands on, nor where P's
-    surface is closed (``exposure``).
+    surface is closed (``extent``).
 
     Args:
         partial: P in z-up axes.
@@ -158,14 +151,20 @@ def guess_framing(
         f"splats visible, {100 * scores.facing[row, column]:.0f} % of the area is outside surface"
     )
     toward, strength = scores.openness()
+    points = kept.means.double().numpy()
+    cut = find_cut(points)
     if seen_from_deg is not None:
         toward = (seen_from_deg + 180.0) % 360.0
-    if is_closed(kept.means.double().numpy()):
+    if is_closed(points, cut):
         center, reason = (low + high) / 2, "P's surface is closed: centre and size are the box's"
+    elif cut is not None and cut.is_symmetric and seen_from_deg is None:
+        both = np.concatenate([points, cut.mirrored(points)])
+        center, size = (both.min(axis=0) + both.max(axis=0)) / 2, float(np.ptp(both, axis=0).max())
+        reason = "P ends squarely at a plane: centre and size are of P and its mirror image"
     elif strength < chosen.min_openness:
         center, reason = (low + high) / 2, "no side is clearly open: centre and size are the box's"
     else:
-        center, grown, reason = extended_box(kept.means.double().numpy(), toward)
+        center, grown, reason = extended_box(points, toward)
         size = max(size, grown)
     box_reason = f"{reason} (openness {strength:.2f} towards azimuth {toward:.0f})"
     x, y, z = center.tolist()
@@ -237,35 +236,6 @@ def score_views(centered: Splats, settings: FramingSettings) -> ViewScores:
     area, facing, visible = (np.stack(column) for column in zip(*rows, strict=True))
     elevations = np.array(settings.elevations_deg)
     return ViewScores(azimuths.numpy(), elevations, area, facing, visible)
-
-
-def extended_box(
-    points: FloatArray,  # [N, 3]
-    toward_deg: float,
-) -> tuple[FloatArray, float, str]:
-    """Grow the box of P towards its open side to where the complete object probably ends.
-
-    Along the open direction the complete object is taken to be as deep as it is wide, but at most
-    twice as deep as P: a cut or a scan that keeps less than half is rare. The size is that of the
-    box of P and its reflection through the new centre. Returns the centre [3], the size, and the
-    reason in words.
-    """
-    angle = math.radians(toward_deg)
-    along = np.array([math.cos(angle), math.sin(angle), 0.0])
-    across = np.array([-along[1], along[0], 0.0])
-    depths, widths = points @ along, points @ across
-    depth, width = float(np.ptp(depths)), float(np.ptp(widths))
-    extra = max(min(width, 2.0 * depth) - depth, 0.0)
-    if extra <= 0.1 * depth:
-        low, high = points.min(axis=0), points.max(axis=0)
-        reason = "P is open but as deep as it is wide: centre and size are the box's"
-        return (low + high) / 2, float((high - low).max()), reason
-    center = (depths.min() + depths.max() + extra) / 2 * along
-    center = center + (widths.min() + widths.max()) / 2 * across
-    center[2] = (points[:, 2].min() + points[:, 2].max()) / 2
-    size = 2.0 * float(np.abs(points - center).max())
-    share = 100.0 * extra / depth
-    return center, size, f"the box grows by {share:.0f} % to the open side"
 
 
 def outward_normals(splats: Splats) -> Tensor:  # [N, 3] unit

@@ -114,3 +114,29 @@ def _backend(name: Backend) -> Any:
 
         return reference
     raise UserError(f"render: expected backend auto, cpu, cuda or reference, found {name}")
+
+
+def choose_render_device(name: str, device: torch.device) -> tuple[torch.device, str | None]:
+    """Choose where splats are rendered, next to a prior on ``device``.
+
+    Args:
+        name: what the user asked for; only ``auto`` may fall back to the CPU renderer.
+        device: where the prior computes (``util.device.choose_device``).
+
+    Returns:
+        The device, and a line for the user if it is not the prior's.
+
+    Raises:
+        UserError: a CUDA device was asked for by name and cannot render.
+    """
+    if device.type != "cuda":
+        return device, None
+    from gscomplete.render.cuda import check_cuda_renderer  # it loads gsplat
+
+    try:
+        check_cuda_renderer(device)
+    except UserError as error:
+        if name != "auto":
+            raise
+        return torch.device("cpu"), f"rendering on the CPU: {error}"
+    return device, None

@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gscomplete.errors import UserError
-from gscomplete.fitting.randomness import generator_for
 from gscomplete.splats import Splats
 from gscomplete.splats.filters import thinned, usable_rows
+from gscomplete.util.randomness import generator_for
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +34,7 @@ class WorkingSet:
             return "P"
         return f"{len(self.splats):,} splats that stand for P's {self.total:,}"
 
+    @property
     def summary(self) -> str:
         """Describe the choice in one line."""
         parts = [f"{len(self.splats):,} of {self.total:,} splats of P take part"]

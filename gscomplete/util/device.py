@@ -30,32 +30,6 @@ def choose_device(name: str) -> torch.device:
     return device
 
 
-def choose_render_device(name: str, device: torch.device) -> tuple[torch.device, str | None]:
-    """Choose where splats are rendered, next to a prior on ``device``.
-
-    Args:
-        name: what the user asked for; only ``auto`` may fall back to the CPU renderer.
-        device: from :func:`choose_device`.
-
-    Returns:
-        The device, and a line for the user if it is not the prior's.
-
-    Raises:
-        UserError: a CUDA device was asked for by name and cannot render.
-    """
-    if device.type != "cuda":
-        return device, None
-    from gscomplete.render.cuda import check_cuda_renderer
-
-    try:
-        check_cuda_renderer(device)
-    except UserError as error:
-        if name != "auto":
-            raise
-        return torch.device("cpu"), f"rendering on the CPU: {error}"
-    return device, None
-
-
 def peak_gpu_bytes() -> int | None:
     """Return the most memory that tensors held on a GPU; None where there is none."""
     count = torch.cuda.device_count() if torch.cuda.is_available() else 0

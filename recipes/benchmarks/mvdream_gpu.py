@@ -40,11 +40,12 @@ from gscomplete.priors.mvdream.config import PUBLISHED, MVDreamConfig, UNetConfi
 from gscomplete.priors.mvdream.model import MultiViewUNet, build_unet, build_vae
 from gscomplete.priors.mvdream.prior import MVDREAM_VIEWS, mvdream_prior
 from gscomplete.render import render
+from gscomplete.render.dispatch import choose_render_device
 from gscomplete.render.partial_views import PartialViews
 from gscomplete.splats import Splats, concatenate, read_splats
 from gscomplete.splats.filters import usable_rows
 from gscomplete.util.atomic import atomic_path
-from gscomplete.util.device import choose_device, choose_render_device
+from gscomplete.util.device import choose_device
 from gscomplete.views import ViewDistribution, four_view_orbit
 from recipes.benchmarks.scenes import surface_discs
 from recipes.entry_point import start

@@ -161,7 +161,7 @@ def completed_as_run(framed: FramedObject, prior: Prior, settings: CompletionSet
 def settings_of(way: Way, prior: Prior, seed: int) -> CompletionSettings:
     """Return the settings of a way to complete."""
     name: PresetName = way if way in ("fast", "reconstruct") else "default"
-    chosen = preset(name, prior.name, text_only=way == "text")
+    chosen = preset(name, prior, text_only=way == "text")
     return dataclasses.replace(chosen, seed=seed)
 
 

@@ -24,7 +24,6 @@ from gscomplete.completion.presets import PresetName, preset
 from gscomplete.completion.run_folder import (
     RUN_FILE,
     RunRequest,
-    completing_seconds,
     execute,
     prepare,
 )
@@ -69,7 +68,7 @@ class Options:
 
 def settings_of(options: Options, prior: Prior) -> CompletionSettings:
     """Return the settings that the options ask for."""
-    settings = preset(options.preset, prior.name, text_only=options.text_only)
+    settings = preset(options.preset, prior, text_only=options.text_only)
     settings = dataclasses.replace(settings, seed=options.seed, checkpoint_every=0)
     if options.steps is not None:
         settings = dataclasses.replace(settings, steps=options.steps)
@@ -116,7 +115,7 @@ def measure(item: RealObject, folder: Path) -> dict[str, Any]:
     row: dict[str, Any] = {
         "name": item.name,
         "prompt": item.prompt,
-        "seconds": completing_seconds(content["timings"]),
+        "seconds": content["result"]["seconds"],
         "new_splats": content["result"]["new_splats"],
         "e_color_c": metrics["input_view"]["color"],
         "e_color_v": metrics["all_views"]["color"],

@@ -1,14 +1,15 @@
 """Complete parts of objects that nothing was trained or tuned on: ``--meshes DIR --out DIR``.
 
 ``python -m recipes.real_objects.unseen --meshes PACK --out runs/unseen`` takes the validation split
-of a pack of meshes (all scanned objects and a part of the others), cuts every object in five ways,
+of a pack of meshes (all scanned objects and a part of the others), cuts every object in six ways,
 completes the parts as a run would and compares them with the truth. Settings and weights are chosen
 here; the benchmark's objects (``compare``) only tell whether something broke.
 
 Conventions
 -----------
 * Parts: ``scan``, one scanner view; ``arc``, views along 100 degrees; ``half``, an upright plane at
-  a random azimuth and offset; ``box``, 40 % of the splats inside a box taken away; ``complete``.
+  a random azimuth and offset; ``box``, 40 % of the splats inside a box taken away; ``complete``;
+  ``middle``, an upright plane through the middle along one of the mesh's own axes.
   All are fixed by the object's place in the list.
 * Ways: ``input`` (P alone), ``likeliest`` and ``mirror`` (see ``compare``), and the presets.
 * Frames and input views are guessed from the part. Every object is turned by a fixed random angle.
@@ -52,7 +53,7 @@ from recipes.train_embedded_prior.procedural.quads import turn_about
 from splatcomplete_data.cuts.geometry import by_box, by_plane, by_visibility, splat_points
 from splatcomplete_data.mesh.discs import ColoredTriangles, sample_triangles, triangles_to_discs
 
-PartKind = Literal["scan", "arc", "half", "box", "complete"]
+PartKind = Literal["scan", "arc", "half", "box", "complete", "middle"]
 _SCANNED = ("gso", "gso-shape")
 _OTHERS = 60
 """Objects of other sources than scans, evenly spread over their list."""
@@ -105,10 +106,10 @@ def _evenly(entries: list[PackEntry], count: int) -> list[PackEntry]:
     return [entries[math.floor((k + 0.5) * len(entries) / count)] for k in range(count)]
 
 
-def complete_object(mesh: PackMesh, entry: PackEntry, rng: np.random.Generator) -> Splats:
-    """Cover a mesh with splats, turned about the up axis by a random angle."""
+def complete_object(mesh: PackMesh, entry: PackEntry, turn_deg: float) -> Splats:
+    """Cover a mesh with splats, turned about the up axis."""
     triangles = mesh.vertices[mesh.faces]
-    turn = turn_about("z", float(rng.uniform(0, 360)))
+    turn = turn_about("z", turn_deg)
     corners = (triangles.reshape(-1, 3) @ turn.T).reshape(-1, 3, 3).astype(np.float32)
     plain = np.full_like(corners, 0.0) + np.array(_FLAT_COLOR, np.float32)
     splats = triangles_to_discs(ColoredTriangles(corners, plain), _SPLATS)
@@ -127,12 +128,20 @@ def _painted(splats: Splats, mesh: PackMesh, turn: np.ndarray) -> Splats:
     return dataclasses.replace(splats, sh=colors_to_sh(torch.from_numpy(colors)))
 
 
-def part_of(splats: Splats, kind: PartKind, rng: np.random.Generator) -> Splats:
-    """Cut a complete object in the object frame."""
+def part_of(
+    splats: Splats, kind: PartKind, rng: np.random.Generator, turn_deg: float = 0.0
+) -> Splats:
+    """Cut a complete object that is turned by ``turn_deg``."""
     azimuth = float(rng.uniform(0, 2 * math.pi))
     offset = float(rng.uniform(-_LARGEST_OFFSET, _LARGEST_OFFSET))
     if kind == "complete":
         return splats
+    if kind == "middle":
+        turned = math.radians(turn_deg + 90.0 * int(rng.integers(2)))
+        normal = (math.cos(turned), math.sin(turned), 0.0)
+        low, high = splats.bounds()
+        center = ((low + high) / 2).double().numpy()
+        return splats.select(by_plane(splats, normal, float(center @ normal)).mask)
     if kind == "half":
         normal = (math.cos(azimuth), math.sin(azimuth), 0.0)
         mask = by_plane(splats, normal, offset).mask
@@ -176,6 +185,7 @@ def main(options: Options) -> None:
     entries = chosen_entries(options.meshes, options.objects)
     for entry in track(entries, "objects", console=Console(file=sys.stderr)):
         number = int.from_bytes(entry.id.encode()[-6:], "little")
+        turn_deg = float(np.random.default_rng((number, 0)).uniform(0, 360))
         complete: Splats | None = None
         for kind in options.kinds:
             rows = results.rows.setdefault(f"{entry.id}:{kind}", {"prompt": entry.caption})
@@ -183,9 +193,9 @@ def main(options: Options) -> None:
                 continue
             if complete is None:
                 mesh = read_mesh(options.meshes, entry)
-                complete = complete_object(mesh, entry, np.random.default_rng((number, 0)))
+                complete = complete_object(mesh, entry, turn_deg)
             cut_rng = np.random.default_rng((number, 1 + get_args(PartKind).index(kind)))
-            partial = part_of(complete, kind, cut_rng)
+            partial = part_of(complete, kind, cut_rng, turn_deg)
             item = RealObject(entry.id, entry.caption, "Z", partial, complete, kind)
             framed = frame_object(item, prior)
             for way in options.ways:

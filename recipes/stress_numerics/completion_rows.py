@@ -115,7 +115,7 @@ def _rates(quick: bool) -> Iterator[Check]:
                 edits |= schedules.is_prune_step(settings, report.step)
                 silent += int(report.new_splats != count and not edits)
                 count = report.new_splats
-            left = job.new_splats()
+            left = job.new_splats
             yield Check(f"{label}: non-finite", nonfinite(*(v for _, v in left.fields())), 0)
             yield Check(f"{label}: last count is not the result's", abs(count - len(left)), 0)
         except NonFiniteError as error:

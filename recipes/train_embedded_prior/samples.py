@@ -26,12 +26,12 @@ from gscomplete.completion.losses import fit_loss, random_background
 from gscomplete.completion.start import initial_splats
 from gscomplete.evaluate.pictures import contact_sheet, save_image, to_image
 from gscomplete.fitting.parameters import Bounds, SplatParameters
-from gscomplete.fitting.randomness import generator_for
 from gscomplete.fitting.settings import LearningRates
 from gscomplete.priors.base import FourViews
 from gscomplete.priors.embedded.prior import EmbeddedPrior, packaged_weights
 from gscomplete.render import render
 from gscomplete.splats import Splats
+from gscomplete.util.randomness import generator_for
 from gscomplete.views import four_view_orbit, radius_to_fit
 from recipes.entry_point import start
 from recipes.train_embedded_prior.procedural.objects import FAMILIES, make_object_of

@@ -21,9 +21,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from gscomplete.cli.parse import parse_numbers, parse_view
 from gscomplete.errors import UserError
 from gscomplete.util import jsonio
+from gscomplete.util.parse import parse_numbers, parse_view
 
 if TYPE_CHECKING:
     from PIL import Image

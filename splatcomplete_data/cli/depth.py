@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 
 import tyro
 
-from gscomplete.cli.parse import parse_numbers
 from gscomplete.util import jsonio
+from gscomplete.util.parse import parse_numbers
 from splatcomplete_data.cli.common import (
     ObjectDraft,
     StageCallback,

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gscomplete.cli.parse import parse_numbers
 from gscomplete.errors import UserError
+from gscomplete.util.parse import parse_numbers
 from splatcomplete_data.cli.common import ObjectDraft, ObjectOptions, StageCallback, ignore_stage
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from gscomplete.cli.parse import parse_numbers
 from gscomplete.errors import UserError
+from gscomplete.util.parse import parse_numbers
 from splatcomplete_data.cli.common import (
     ObjectDraft,
     StageCallback,

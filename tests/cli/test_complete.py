@@ -3,7 +3,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from gscomplete.cli.complete import CompleteOptions, request_of
+from gscomplete.cli.complete import CompleteOptions
+from gscomplete.cli.request import request_of
 from gscomplete.errors import UserError
 
 

@@ -4,16 +4,16 @@ import pytest
 import torch
 
 from gscomplete.completion.alternatives import alternatives_sheet, guess_alternatives
-from gscomplete.completion.presets import preset
-from gscomplete.fitting.randomness import generator_for
+from gscomplete.completion.presets import FAST
 from gscomplete.priors import load_prior
 from gscomplete.shape.mirror_plane import MirrorPlane
+from gscomplete.util.randomness import generator_for
 from gscomplete.views import ViewDistribution
 from tests.shape.shapes import half, sphere
 
 PARTIAL = half(sphere(2000))
 VIEWS = ViewDistribution(0.0, 10.0)
-SETTINGS = dataclasses.replace(preset("fast", "embedded"), new_splats=600)
+SETTINGS = dataclasses.replace(FAST, new_splats=600)
 
 
 @pytest.fixture(scope="module")

@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from gscomplete.completion.losses import fit_loss, preservation_loss, random_background
-from gscomplete.fitting.randomness import generator_for
 from gscomplete.render import Render
+from gscomplete.util.randomness import generator_for
 
 BACKGROUND = torch.tensor([0.2, 0.5, 0.9])
 VIEWS, SIDE = 2, 5

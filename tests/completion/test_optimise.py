@@ -33,7 +33,7 @@ def completion(settings, prior=None):
 def finish(job):
     while not job.finished:
         job.step()
-    return job.new_splats()
+    return job.new_splats
 
 
 @pytest.mark.parametrize("base", [DISTILL, RECONSTRUCT], ids=["distill", "reconstruct"])
@@ -115,7 +115,7 @@ def test_nan_from_the_prior_stops_before_the_parameters():
     with pytest.raises(NonFiniteError, match="step 7: the prior's loss"):
         finish(job)
     assert job.step_number == 7
-    for name, value in job.new_splats().fields():
+    for name, value in job.new_splats.fields():
         assert torch.isfinite(value).all(), name
 
 
@@ -201,7 +201,7 @@ def test_rates_a_hundred_times_too_large_end_finite(base):
         )
         assert edits or report.new_splats == counts[-1], "a count changed between edits"
         counts.append(report.new_splats)
-    for name, value in job.new_splats().fields():
+    for name, value in job.new_splats.fields():
         assert torch.isfinite(value).all(), name
 
 

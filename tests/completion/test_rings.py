@@ -29,7 +29,7 @@ def test_a_memory_is_restored_as_it_was():
     memory, again = RingMemory(3), RingMemory(3)
     for step in (1, 2):
         memory.add(ring(step))
-    again.restore(memory.state())
+    again.restore(memory.tensors)
     assert len(again) == 2
     for k in range(2):
         assert again[k].step == memory[k].step

@@ -5,13 +5,13 @@ import dataclasses
 import pytest
 
 from gscomplete.completion import schedules
-from gscomplete.completion.presets import PAPER, preset
+from gscomplete.completion.presets import PAPER, RECONSTRUCT
 from gscomplete.completion.settings import CompletionSettings, TimestepStage
 from gscomplete.errors import UserError
 
 
 def test_paper_preset_is_the_paper():
-    settings = preset("paper", "embedded")
+    settings = PAPER
     assert settings.steps == 6000
     assert settings.new_splats == 5000
     assert settings.warmup_steps == 50
@@ -43,7 +43,7 @@ def test_preservation_joins_every_other_step_after_the_warm_up():
 
 
 def test_rounds_cover_the_run():
-    settings = preset("reconstruct", "embedded")
+    settings = RECONSTRUCT
     starts = [s for s in range(settings.steps) if schedules.is_round_start(settings, s)]
     assert starts[0] == 0
     assert len(starts) == settings.rounds
@@ -75,7 +75,7 @@ def test_settings_out_of_range_are_named(name, value):
 
 @pytest.mark.parametrize(("steps", "rounds"), [(15, 8), (100, 8), (31, 16), (7, 16), (240, 8)])
 def test_there_are_as_many_rounds_as_asked_for(steps, rounds):
-    settings = dataclasses.replace(preset("reconstruct", "embedded"), steps=steps, rounds=rounds)
+    settings = dataclasses.replace(RECONSTRUCT, steps=steps, rounds=rounds)
     starts = [s for s in range(steps) if schedules.is_round_start(settings, s)]
     assert starts[0] == 0
     assert len(starts) == min(steps, rounds)

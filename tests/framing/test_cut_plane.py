@@ -29,3 +29,30 @@ def test_closed_surfaces_level_cuts_and_scans_have_no_upright_plane():
 def test_too_few_points_have_none():
     assert find_cut(np.zeros((4, 3))) is None
     assert find_cut(np.zeros((100, 3))) is None
+
+
+def test_a_cut_through_the_middle_is_one_of_symmetry_and_shows_what_was_cut_away():
+    normal = np.array([np.cos(0.6), np.sin(0.6), 0.0])
+    kept = 1e3 * BALL[BALL @ normal < 0] + [5.0, 3.0, 1e3]
+    found = find_cut(kept)
+    assert found is not None
+    assert found.is_symmetric
+    assert abs(found.offset - np.array([5.0, 3.0, 1e3]) @ normal) < 10.0
+    both = np.concatenate([kept, found.mirrored(kept)])
+    np.testing.assert_allclose(both.mean(axis=0), [5.0, 3.0, 1e3], atol=12.0)
+
+
+@pytest.mark.parametrize("offset", [-0.15, 0.15])
+def test_a_cut_beside_the_middle_is_not_one_of_symmetry(offset):
+    found = find_cut(BALL[BALL[:, 0] < offset])
+    assert found is not None
+    assert not found.is_symmetric
+
+
+def test_half_a_sheet_ends_in_a_plane_but_is_not_mirrored():
+    rng = np.random.default_rng(0)
+    sheet = np.stack([rng.random(4000), rng.random(4000), 0.0 * rng.random(4000)], axis=1)
+    upright = sheet[:, [0, 2, 1]]
+    for points in (upright, upright[upright[:, 0] < 0.5]):
+        found = find_cut(points)
+        assert found is None or not found.is_symmetric

@@ -13,8 +13,9 @@ import torch
 
 from gscomplete.errors import UserError
 from gscomplete.render import RenderSettings, cuda, reference, render
+from gscomplete.render.dispatch import choose_render_device
 from gscomplete.splats import Splats
-from gscomplete.util.device import choose_device, choose_render_device
+from gscomplete.util.device import choose_device
 from gscomplete.views import Cameras, orbit_cameras
 
 

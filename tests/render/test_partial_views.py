@@ -66,7 +66,7 @@ def test_coarse_steps_are_taken_at_half_the_size():
     for job in jobs:
         while not job.finished:
             job.step()
-    coarse, full = (job.new_splats() for job in jobs)
+    coarse, full = (job.new_splats for job in jobs)
     assert not torch.equal(coarse.means, full.means)
     assert torch.isfinite(coarse.means).all()
 

@@ -52,10 +52,10 @@ from gscomplete.completion.preserve.report import (
 )
 from gscomplete.completion.settings import HardPreservationSettings
 from gscomplete.evaluate.metrics import MID_GREY
-from gscomplete.fitting.randomness import generator_for
 from gscomplete.render import PreparedFrozen, Render, prepare_frozen, render
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.filters import thinned
+from gscomplete.util.randomness import generator_for
 from gscomplete.views import Cameras, ViewDistribution, join_cameras
 
 _FIRST_CHECK_VIEW = 10_000

@@ -58,6 +58,7 @@ class HardPreservationReport:
     """Sweeps of fading and removing."""
     seconds: float
 
+    @property
     def summary(self) -> str:
         """Describe what was done in one line."""
         before, after = self.before, self.after

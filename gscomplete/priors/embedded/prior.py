@@ -15,13 +15,14 @@ from __future__ import annotations
 import contextlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 import torch
 from torch import Tensor
 
 from gscomplete.errors import UserError
-from gscomplete.framing.exposure import is_closed
+from gscomplete.framing.cut_plane import find_cut
+from gscomplete.framing.extent import is_closed
 from gscomplete.priors.base import Conditioning, FirstGuess, FourViews, Guidance, PriorViews
 from gscomplete.priors.embedded.diffusion import (
     NUM_TIMESTEPS,
@@ -41,7 +42,7 @@ from gscomplete.shape.assemble import (
     mirror_note,
     mirror_plane_of,
 )
-from gscomplete.shape.mirror_plane import ChosenMirror, Mirror
+from gscomplete.shape.mirror_plane import ChosenMirror, Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter
 from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.predict import predict
@@ -59,6 +60,10 @@ TEXT_ONLY_GUIDANCE = Guidance(text_scale=3.0, input_scale=1.0, rescale=0.5)
 _COMPLETE_NOTE = (
     "P's surface is closed: it is taken for complete, and nothing is added "
     "(--mirror none completes it all the same)"
+)
+_SQUARE_CUT_NOTE = (
+    "P ends at a plane that its surface meets squarely: it is mirrored through it "
+    "(--alternatives 4 draws other planes)"
 )
 
 
@@ -89,6 +94,14 @@ class EmbeddedPrior:
 
     name = "embedded"
     sees_input = True
+    presets: ClassVar[dict[str, str]] = {
+        "default": "guess",
+        "fast": "small guess",
+        "reconstruct": "reconstruct",
+        "distill": "distill",
+        "paper": "paper",
+    }
+    """Which settings of ``completion.presets`` a preset stands for with this prior."""
     num_timesteps = NUM_TIMESTEPS
     identity: EmbeddedIdentity | None = None
     """None = made from networks in memory."""
@@ -157,9 +170,16 @@ class EmbeddedPrior:
         if self._shape is None:
             return None
         assert isinstance(conditioning, EmbeddedConditioning)
-        if mirror == "guess" and is_closed(partial.means.double().numpy()):
-            nothing = partial.with_sh_degree(0).select(torch.arange(0))
-            return FirstGuess(nothing, (_COMPLETE_NOTE,))
+        notes: tuple[str, ...] = ()
+        if mirror == "guess":
+            points = partial.means.double().numpy()
+            cut = find_cut(points)
+            if is_closed(points, cut):
+                nothing = partial.with_sh_degree(0).select(torch.arange(0))
+                return FirstGuess(nothing, (_COMPLETE_NOTE,))
+            if cut is not None and cut.is_symmetric and abs(cut.offset) <= 1:
+                mirror = MirrorPlane(cut.azimuth_deg, cut.offset)
+                notes += (_SQUARE_CUT_NOTE,)
         prediction = predict(
             self._shape,
             partial,
@@ -170,7 +190,7 @@ class EmbeddedPrior:
         )
         settings = AssembleSettings(count=count)
         whole = assemble_splats(prediction, partial, settings, generator)
-        return FirstGuess(whole.splats, (mirror_note(prediction, whole.mirrored),))
+        return FirstGuess(whole.splats, (*notes, mirror_note(prediction, whole.mirrored)))
 
     def likely_mirrors(
         self, partial: Splats, distribution: ViewDistribution, conditioning: Conditioning

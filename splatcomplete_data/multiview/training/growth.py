@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from gscomplete.fitting.randomness import generator_for
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.rotations import rotation_matrices
+from gscomplete.util.randomness import generator_for
 from splatcomplete_data.multiview.training.parameters import GaussianParameters
 from splatcomplete_data.multiview.training.settings import GrowthSettings
 

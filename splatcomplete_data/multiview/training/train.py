@@ -18,10 +18,10 @@ import torch
 from torch import Tensor
 
 from gscomplete.errors import UserError
-from gscomplete.fitting.randomness import generator_for
 from gscomplete.render import render
 from gscomplete.render.settings import RenderSettings
 from gscomplete.splats import Splats
+from gscomplete.util.randomness import generator_for
 from gscomplete.views import Cameras
 from splatcomplete_data.multiview.photos.images import View
 from splatcomplete_data.multiview.training.growth import GradientStatistics, GrowthReport, grow

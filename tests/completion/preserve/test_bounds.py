@@ -94,7 +94,7 @@ def test_what_shows_through_a_thin_input_is_covered_rather_than_faded():
     assert bare.report.untouched < backed.report.untouched
     count = int(backed.kept.sum())
     assert len(backed.splats) == count + backed.report.added
-    assert f"{backed.report.added:,} added" in backed.report.summary()
+    assert f"{backed.report.added:,} added" in backed.report.summary
     # The copies stand behind P, where V looks from +x.
     assert float(backed.splats.means[count:, 0].max()) < 0.2
 
@@ -118,7 +118,7 @@ def test_every_splat_is_accounted_for_and_p_is_not_touched():
     ]
     assert int(torch.stack(rows).all(0).sum()) == report.untouched > 0
     for reason, count in report.dropped.items():
-        assert f"{count:,} removed ({reason.replace('_', ' ')})" in report.summary()
+        assert f"{count:,} removed ({reason.replace('_', ' ')})" in report.summary
 
 
 def test_within_the_bounds_nothing_is_changed():

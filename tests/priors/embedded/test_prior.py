@@ -180,6 +180,19 @@ def test_the_shape_network_runs_in_the_precision_of_the_cpu(monkeypatch):
     assert not prior._shape_bfloat16
 
 
+def test_a_part_that_ends_squarely_at_a_plane_is_mirrored_through_it():
+    prior = load_prior("embedded")
+    views, conditioning = ViewDistribution(180.0, 10.0), prior.condition("a ball")
+    part = half(sphere(4000))
+    guess = prior.first_guess(part, views, conditioning, generator(), 2000)
+    assert "squarely" in guess.notes[0]
+    mirrored = part.means * torch.tensor([-1.0, 1.0, 1.0])
+    nearest = torch.cdist(mirrored[::20], guess.splats.means).amin(dim=1)
+    assert float(nearest.quantile(0.9)) < 0.03
+    asked = prior.first_guess(part, views, conditioning, generator(), 2000, "none")
+    assert not any("squarely" in note for note in asked.notes)
+
+
 def test_nothing_is_added_to_a_closed_surface_unless_asked():
     prior = load_prior("embedded")
     views, conditioning = ViewDistribution(0.0, 10.0), prior.condition("a ball")

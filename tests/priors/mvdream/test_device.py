@@ -88,7 +88,7 @@ def test_steps_of_both_modes_keep_to_the_device(weights, monkeypatch):
             stored = {n: torch.zeros(t.shape, dtype=t.dtype) for n, t in job.state().items()}
             job.restore(stored)  # as read from a checkpoint, on the CPU
             job.step()
-            assert {value.device for _, value in job.new_splats().fields()} == {gpu}
+            assert {value.device for _, value in job.new_splats.fields()} == {gpu}
         assert {p.device.type for p in vae.decoder.parameters()} == {"cpu"}, "and waits again"
 
 

@@ -48,14 +48,15 @@ def make(tmp_path_factory):
     return lambda: steps_of(partial, prior, conditioning, ViewDistribution(0.0, 10.0), SETTINGS)
 
 
-def test_the_default_preset_of_this_prior_is_the_paper():
-    assert preset("default", "mvdream") == PAPER == preset("paper", "mvdream")
+def test_the_default_preset_of_this_prior_is_the_paper(make):
+    prior = make()._prior
+    assert preset("default", prior) == PAPER == preset("paper", prior)
 
 
 def test_200_steps_are_finite_move_only_new_splats_and_resume_exactly(make):
     job = make()
     before = {name: value.clone() for name, value in job.partial.fields()}
-    start = job.new_splats()
+    start = job.new_splats
     state, reports = {}, []
     while not job.finished:
         if job.step_number == STOP:
@@ -68,7 +69,7 @@ def test_200_steps_are_finite_move_only_new_splats_and_resume_exactly(make):
         assert torch.equal(value, before[name]), name
         assert not value.requires_grad
         assert value.grad is None
-    end = job.new_splats()
+    end = job.new_splats
     assert all(torch.isfinite(value).all() for _, value in end.fields())
     assert len(end) > len(start), "subdivided"
     resumed = make()
@@ -76,7 +77,7 @@ def test_200_steps_are_finite_move_only_new_splats_and_resume_exactly(make):
     for report in reports[STOP:]:
         again = resumed.step()
         assert again.guidance_loss == report.guidance_loss
-    for (name, a), (_, b) in zip(end.fields(), resumed.new_splats().fields(), strict=True):
+    for (name, a), (_, b) in zip(end.fields(), resumed.new_splats.fields(), strict=True):
         assert torch.equal(a, b), name
 
 

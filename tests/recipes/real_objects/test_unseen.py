@@ -12,7 +12,7 @@ from tests.shape.shapes import sphere
 def test_parts_of_every_kind_keep_a_part():
     ball = sphere()
     kept = {}
-    for kind in ("scan", "arc", "half", "box", "complete"):
+    for kind in ("scan", "arc", "half", "box", "complete", "middle"):
         part = part_of(ball, kind, np.random.default_rng(1))
         again = part_of(ball, kind, np.random.default_rng(1))
         assert torch.equal(part.means, again.means)
@@ -21,6 +21,7 @@ def test_parts_of_every_kind_keep_a_part():
     # A view of a ball shows less than half of it, an arc more; the box takes 40 % away.
     assert 0.25 < kept["scan"] < 0.5 < kept["arc"] < 0.9
     assert 0.2 < kept["half"] < 0.8
+    assert kept["middle"] == pytest.approx(0.5, abs=0.02)
     assert kept["box"] == pytest.approx(0.6, abs=0.02)
 
 

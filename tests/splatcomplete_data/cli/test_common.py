@@ -6,8 +6,8 @@ import shlex
 import pytest
 import tyro
 
-from gscomplete.cli.complete import given_to
 from gscomplete.cli.program import Command
+from gscomplete.cli.request import given_to
 from gscomplete.splats import write_splats
 from splatcomplete_data import cli
 from tests.splatcomplete_data.balls import BALL

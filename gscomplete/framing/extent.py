@@ -1,4 +1,4 @@
-"""Whether P's surface is closed: how much of it can be seen from both of its sides.
+"""How far the complete object reaches beyond P: not at all where P's surface is closed.
 
 The inside of a closed surface cannot be seen from anywhere. A scan's back, and the inside behind a
 cut, can: there both sides of a surface element are exposed.
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gscomplete.framing.cut_plane import find_cut
+from gscomplete.framing.cut_plane import CutPlane
 
 FloatArray = NDArray[np.float64]
 
@@ -39,12 +39,48 @@ _REACH_SPACINGS = 1.6
 _PX_PER_SPACING = 2.0
 
 
-def is_closed(points: FloatArray) -> bool:  # [N, 3] z up
+def is_closed(
+    points: FloatArray,  # [N, 3] z up
+    cut: CutPlane | None,
+) -> bool:
     """Say whether P's surface is closed as far as it can be seen from the sides and from above.
 
     Half a cup of two walls shows neither wall's inside: what ends in a plane is not closed.
+
+    Args:
+        points: P.
+        cut: what ``find_cut`` finds of them.
     """
-    return share_exposed_twice(points) < CLOSED_BELOW and find_cut(points) is None
+    return cut is None and share_exposed_twice(points) < CLOSED_BELOW
+
+
+def extended_box(
+    points: FloatArray,  # [N, 3]
+    toward_deg: float,
+) -> tuple[FloatArray, float, str]:
+    """Grow the box of P towards its open side to where the complete object probably ends.
+
+    Along the open direction the complete object is taken to be as deep as it is wide, but at most
+    twice as deep as P: a cut or a scan that keeps less than half is rare. The size is that of the
+    box of P and its reflection through the new centre. Returns the centre [3], the size, and the
+    reason in words.
+    """
+    angle = math.radians(toward_deg)
+    along = np.array([math.cos(angle), math.sin(angle), 0.0])
+    across = np.array([-along[1], along[0], 0.0])
+    depths, widths = points @ along, points @ across
+    depth, width = float(np.ptp(depths)), float(np.ptp(widths))
+    extra = max(min(width, 2.0 * depth) - depth, 0.0)
+    if extra <= 0.1 * depth:
+        low, high = points.min(axis=0), points.max(axis=0)
+        reason = "P is open but as deep as it is wide: centre and size are the box's"
+        return (low + high) / 2, float((high - low).max()), reason
+    center = (depths.min() + depths.max() + extra) / 2 * along
+    center = center + (widths.min() + widths.max()) / 2 * across
+    center[2] = (points[:, 2].min() + points[:, 2].max()) / 2
+    size = 2.0 * float(np.abs(points - center).max())
+    share = 100.0 * extra / depth
+    return center, size, f"the box grows by {share:.0f} % to the open side"
 
 
 def share_exposed_twice(points: FloatArray) -> float:  # [N, 3] z up

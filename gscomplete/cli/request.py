@@ -1,0 +1,322 @@
+"""What a completion is asked for: by options, by the object folder, or not at all.
+
+Conventions
+-----------
+* An option overrides the object folder; what neither says is a default, or guessed from P.
+* Of the folder's frame, centre and size are taken only where they are known without the truth.
+* ``sources`` says which came from where, and goes into ``run.json``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+
+from gscomplete.cli.complete import CompleteOptions, HowToComplete
+from gscomplete.completion.pipeline import Request
+from gscomplete.completion.presets import preset
+from gscomplete.completion.run_folder import RunRequest
+from gscomplete.completion.settings import (
+    CompletionSettings,
+    HardPreservationSettings,
+    SeamColorSettings,
+)
+from gscomplete.errors import UserError
+from gscomplete.folders import OBJECT_FILE, ObjectFolder, object_folder_of
+from gscomplete.framing.decide import FramingRequest
+from gscomplete.priors.base import Prior, ShapePrior
+from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
+from gscomplete.util.parse import parse_numbers, parse_view
+from gscomplete.views import UpAxis
+from gscomplete.views.distribution import AZIMUTH_RANGE_DEG, ELEVATION_RANGE_DEG
+
+DEFAULT_UP: UpAxis = "Z"
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """The options that an object folder may stand in for; None = not given."""
+
+    path: Path
+    """A splat file, an object folder, or a file that such a folder records."""
+    prompt: str | None = None
+    up: UpAxis | None = None
+    view_deg: tuple[float, float] | None = None
+    range_deg: float | None = None
+    center_file: tuple[float, float, float] | None = None
+    size_file: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """What a completion starts from; None = to be guessed."""
+
+    partial: Path
+    prompt: str
+    up: UpAxis
+    view_deg: tuple[float, float] | None
+    azimuth_range_deg: float
+    elevation_range_deg: float
+    center_file: tuple[float, float, float] | None
+    size_file: float | None
+    object_folder: Path | None
+    sources: dict[str, str]
+    """For prompt, up, input_view, V, center and size: the option, object.json, default or guess."""
+    notes: tuple[str, ...]
+    """What of the object folder was set aside."""
+
+
+def request_of(options: CompleteOptions, prior: Prior) -> RunRequest:
+    """Turn command-line options into a request.
+
+    Raises:
+        UserError: an option has the wrong form.
+    """
+    given = given_to(options)
+    if options.new_only is not None:
+        _check_new_only(options.new_only)
+    settings = settings_of(options, prior)
+    framing = FramingRequest(
+        given.up,
+        given.view_deg,
+        given.azimuth_range_deg,
+        given.center_file,
+        given.size_file,
+        elevation_range_deg=given.elevation_range_deg,
+    )
+    completion = Request(given.prompt, settings, framing, options.negative_prompt)
+    name = given.partial.stem if given.object_folder is None else given.object_folder.resolve().name
+    return RunRequest(
+        given.partial,
+        options.out or Path(f"{name}_completed"),
+        completion,
+        options.resume,
+        options.alternatives,
+        given.object_folder,
+        given.sources,
+        given.notes,
+        options.new_only,
+    )
+
+
+def settings_of(options: HowToComplete, prior: Prior) -> CompletionSettings:
+    """Turn the options that say how to complete into the method's settings.
+
+    Raises:
+        UserError: an option has the wrong form.
+    """
+    settings = dataclasses.replace(
+        preset(options.preset, prior, text_only=options.text_only), seed=options.seed
+    )
+    if options.steps is not None:
+        settings = _stretched(settings, options.steps)
+    if options.checkpoint_every is not None:
+        settings = dataclasses.replace(settings, checkpoint_every=options.checkpoint_every)
+    bounds = parse_numbers(options.preserve, 2, "--preserve", "COLOR,DEPTH")
+    if bounds is not None:
+        if min(bounds) <= 0:
+            raise UserError(f"--preserve: expected positive bounds, found {options.preserve!r}")
+        hard = HardPreservationSettings(color_bound=bounds[0], depth_bound=bounds[1])
+        settings = dataclasses.replace(settings, hard_preservation=hard)
+    if options.match_seam:
+        settings = dataclasses.replace(settings, seam_colors=SeamColorSettings())
+    if options.mirror != "guess":
+        settings = dataclasses.replace(settings, mirror=_mirror(options.mirror))
+        _require_guess("--mirror", options, settings, prior)
+    if not 0 <= options.alternatives <= 8:
+        raise UserError(f"--alternatives: expected 0 to 8, found {options.alternatives}")
+    if options.alternatives:
+        _require_guess("--alternatives", options, settings, prior)
+    return settings
+
+
+def _check_new_only(path: Path) -> None:
+    """Check before the run that the new splats can be written on their own.
+
+    Raises:
+        UserError: it is no name of a PLY file, it exists, or its folder does not.
+    """
+    if path.suffix.lower() != ".ply":
+        raise UserError(f"--new-only: expected the name of a .ply file, found {str(path)!r}")
+    if path.exists():
+        raise UserError(f"--new-only: {path}: it exists; choose another name")
+    if not path.parent.is_dir():
+        raise UserError(f"--new-only: {path}: expected a folder that exists, found none")
+
+
+def given_to(options: CompleteOptions) -> Given:
+    """Join the options with what the object folder says."""
+    center = parse_numbers(options.center, 3, "--center", "X,Y,Z")
+    return take_given(
+        Options(
+            options.partial,
+            options.prompt,
+            options.up,
+            parse_view(options.view),
+            options.range,
+            None if center is None else (center[0], center[1], center[2]),
+            options.size,
+        )
+    )
+
+
+def _require_guess(
+    name: str, options: HowToComplete, settings: CompletionSettings, prior: Prior
+) -> None:
+    """Refuse an option about guesses where there is none.
+
+    Raises:
+        UserError: the run starts without a guess of the complete object.
+    """
+    if settings.start != "guess" or not isinstance(prior, ShapePrior):
+        raise UserError(
+            f"{name}: preset {options.preset} with prior {prior.name} starts without a guess "
+            "of the complete object; --preset default, fast or reconstruct of the embedded prior "
+            "have one"
+        )
+
+
+def _mirror(text: str) -> Mirror:
+    """Parse a plane of symmetry.
+
+    Raises:
+        UserError: it has the wrong form.
+    """
+    if text == "none":
+        return "none"
+    numbers = parse_numbers(text, 2, "--mirror", "guess, none or AZIMUTH,OFFSET")
+    assert numbers is not None
+    return MirrorPlane(*numbers)
+
+
+def _stretched(settings: CompletionSettings, steps: int) -> CompletionSettings:
+    """Return the settings for another number of steps, with what is counted in steps in proportion.
+
+    Presets without steps have nothing to stretch.
+    """
+    if settings.steps == 0 or steps <= 0:
+        return dataclasses.replace(settings, steps=steps)
+    share = steps / settings.steps
+    every = max(1, round(share * settings.densify.every))
+    return dataclasses.replace(
+        settings,
+        steps=steps,
+        warmup_steps=round(share * settings.warmup_steps),
+        densify=dataclasses.replace(settings.densify, every=every),
+    )
+
+
+def take_given(options: Options) -> Given:
+    """Join options and object folder.
+
+    Raises:
+        UserError: the path is a folder without a part, the prompt is missing, or an option is
+            wrong.
+    """
+    found = object_folder_of(options.path)
+    if found is None and options.path.is_dir():
+        raise UserError(
+            f"{options.path}: expected a splat file or an object folder with {OBJECT_FILE}, found "
+            "another folder"
+        )
+    if found is not None and found.partial.name not in found.files:
+        raise UserError(f"{found.folder}: expected a {found.partial.name}, found none recorded")
+    sources: dict[str, str] = {}
+    notes: list[str] = []
+    if found is not None and options.path.suffix == ".ply" and options.path != found.partial:
+        notes.append(f"{options.path}: what is completed is its object's part, {found.partial}")
+    up = _up(options, found, sources)
+    view = options.view_deg
+    if view is not None:
+        sources["input_view"] = "--view"
+    elif found is None:
+        sources["input_view"] = "guess"
+    elif found.frame.up != up:
+        sources["input_view"] = "guess"
+        notes.append(
+            f"{found.folder / OBJECT_FILE}: its input view is for up axis {found.frame.up}, not "
+            f"{up}: another one is guessed (--view gives one)"
+        )
+    else:
+        view = found.views.azimuth_deg, found.views.elevation_deg
+        sources["input_view"] = OBJECT_FILE
+    center, size = _box(options, found, sources)
+    return Given(
+        options.path if found is None else found.partial,
+        _prompt(options, found, sources),
+        up,
+        view,
+        _range(options, found, sources),
+        ELEVATION_RANGE_DEG if found is None else found.views.elevation_range_deg,
+        center,
+        size,
+        None if found is None else found.folder,
+        sources,
+        tuple(notes),
+    )
+
+
+def _prompt(options: Options, found: ObjectFolder | None, sources: dict[str, str]) -> str:
+    """Return the prompt.
+
+    Raises:
+        UserError: there is none, or it is empty.
+    """
+    if options.prompt is not None:
+        if not options.prompt.strip():
+            raise UserError("--prompt: expected what the complete object is, found an empty text")
+        sources["prompt"] = "--prompt"
+        return options.prompt
+    if found is None:
+        raise UserError(
+            f'--prompt: expected what the complete object is, such as "a red mug", found none; '
+            f"{options.path} belongs to no object folder that says it"
+        )
+    sources["prompt"] = OBJECT_FILE
+    return found.prompt
+
+
+def _up(options: Options, found: ObjectFolder | None, sources: dict[str, str]) -> UpAxis:
+    """Return the up axis."""
+    if options.up is not None:
+        sources["up"] = "--up"
+        return options.up
+    sources["up"] = "default" if found is None else OBJECT_FILE
+    return DEFAULT_UP if found is None else found.frame.up
+
+
+def _range(options: Options, found: ObjectFolder | None, sources: dict[str, str]) -> float:
+    """Return V's range of azimuths.
+
+    Raises:
+        UserError: it is out of range.
+    """
+    if options.range_deg is not None:
+        if not 0 <= options.range_deg <= 180:
+            raise UserError(f"--range: expected 0 to 180 degrees, found {options.range_deg:g}")
+        sources["V"] = "--range"
+        return options.range_deg
+    sources["V"] = "default" if found is None else OBJECT_FILE
+    return AZIMUTH_RANGE_DEG if found is None else found.views.azimuth_range_deg
+
+
+def _box(
+    options: Options, found: ObjectFolder | None, sources: dict[str, str]
+) -> tuple[tuple[float, float, float] | None, float | None]:
+    """Return centre and size of the complete object where they are known.
+
+    Raises:
+        UserError: an option has the wrong form.
+    """
+    if options.size_file is not None and not 0 < options.size_file < float("inf"):
+        raise UserError(f"--size: expected a positive length, found {options.size_file:g}")
+    known = None if found is None else found.known_frame
+    sources["center"] = sources["size"] = "guess" if known is None else OBJECT_FILE
+    center = None if known is None else known.center_file
+    size = None if known is None else known.size_file
+    if options.center_file is not None:
+        center, sources["center"] = options.center_file, "--center"
+    if options.size_file is not None:
+        size, sources["size"] = options.size_file, "--size"
+    return center, size
