@@ -37,9 +37,9 @@ from gscomplete.splats import (
     write_splats,
 )
 from gscomplete.splats.ply import SplatFile, splat_element
-from gscomplete.splats.ply_header import Element
-from gscomplete.splats.ply_layout import find_layout
-from gscomplete.splats.ply_records import LOG_SCALE_LIMIT, LOGIT_LIMIT
+from gscomplete.splats.ply_files.header import Element
+from gscomplete.splats.ply_files.layout import find_layout
+from gscomplete.splats.ply_files.records import LOG_SCALE_LIMIT, LOGIT_LIMIT
 from gscomplete.util.atomic import atomic_path
 from splatcomplete_data.glb_splats import read_glb_splats, write_glb_splats
 from splatcomplete_data.optional import import_optional

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from torch import Tensor
 
+from gscomplete.shape.evidence import Evidence
 from gscomplete.shape.mirror_plane import MirrorPlane
-from gscomplete.shape.mirrored import mirror_image, select_consistent
 from gscomplete.shape.predict import Prediction
 from gscomplete.shape.surface import (
     SurfaceSettings,
@@ -22,8 +23,8 @@ from gscomplete.shape.surface import (
     median_spacing,
     surface_splats,
 )
-from gscomplete.shape.symmetry import SymmetryMap, plane_of
-from gscomplete.shape.voxels import CELL_SIDE, grown, surface_cells
+from gscomplete.shape.symmetry import SymmetryMap, mirror_image, plane_of
+from gscomplete.shape.voxels import CELL_SIDE, grown, sample_volume, surface_cells
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.filters import thinned
 from gscomplete.splats.rotations import rotation_matrices
@@ -35,6 +36,10 @@ _MOST_MIRRORED = 60_000
 """Splats of P, chosen at random where it has more."""
 _MOST_LOOKED_AT = 20_000
 """Splats of P that tell where P is."""
+_LEAST_COPY_LOGIT = -2.0
+"""Copies in cells that the network finds emptier than this are left out ..."""
+_MOST_COPY_IN_FRONT = 0.5
+"""... and those that more than this share of the views sees to be in front of P."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,3 +174,14 @@ def _new_copies(
     anchor = thinned(partial, _MOST_LOOKED_AT, generator)
     is_new = is_missing(copies.means, normals, anchor.means, SurfaceSettings())
     return thinned(copies.select(is_new), limit, generator)
+
+
+def select_consistent(
+    copies: Splats,
+    occupancy: Tensor,  # [1, C, C, C] logits of the network's answer
+    evidence: Evidence,
+) -> Splats:
+    """Return the copies that neither the network nor the views contradict."""
+    logit = sample_volume(occupancy, copies.means)[:, 0]
+    in_front = torch.from_numpy(evidence.classify(copies.means.numpy())[:, 0])
+    return copies.select((logit > _LEAST_COPY_LOGIT) & (in_front <= _MOST_COPY_IN_FRONT))

@@ -13,13 +13,17 @@ Conventions
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 
 from gscomplete.shape.voxels import FloatArray
+from gscomplete.splats import Splats
+from gscomplete.splats.transform import multiply_quaternions, quaternion_from_rotation
 
 COPIES = 3
 SOURCES = 1 + COPIES
@@ -94,3 +98,28 @@ def mirror(angle: float, offset: float, score: float) -> SymmetryMap:
     matrix = np.eye(3) - 2 * np.outer(normal, normal)
     shift = 2 * offset * normal
     return SymmetryMap(matrix.astype(np.float32), shift.astype(np.float32), score)
+
+
+def mirror_image(splats: Splats, symmetry: SymmetryMap) -> Splats:
+    """Return the image of splats under a map.
+
+    An ellipsoid is symmetric about its centre, so its mirror image is a turn of it: by the map's
+    matrix, or by its negative where that mirrors. Colours are base colours: what shines stays where
+    it is.
+
+    Args:
+        splats: N splats in the object frame.
+        symmetry: the map.
+
+    Returns:
+        N splats in the object frame, SH degree 0.
+    """
+    matrix = torch.from_numpy(symmetry.matrix).double()
+    turn = matrix if float(torch.linalg.det(matrix)) > 0 else -matrix
+    quaternion = quaternion_from_rotation(turn).to(splats.quaternions)
+    plain = splats.with_sh_degree(0)
+    return dataclasses.replace(
+        plain,
+        means=torch.from_numpy(symmetry.apply(splats.means.numpy())),
+        quaternions=multiply_quaternions(quaternion, plain.quaternions),
+    )

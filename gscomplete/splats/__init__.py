@@ -3,7 +3,7 @@
 from gscomplete.splats.compressed_ply import read_compressed_ply
 from gscomplete.splats.filters import usable_rows
 from gscomplete.splats.ply import SplatFile, append_splats, load_splats, read_splats, write_splats
-from gscomplete.splats.ply_header import PlyError
+from gscomplete.splats.ply_files.header import PlyError
 from gscomplete.splats.record import SH_C0, Splats, colors_to_sh, concatenate
 from gscomplete.splats.transform import Similarity, transform_splats
 

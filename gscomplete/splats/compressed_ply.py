@@ -20,8 +20,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from gscomplete.splats.ply_header import Element, PlyError, PlyHeader, read_header
-from gscomplete.splats.ply_payload import read_payload
+from gscomplete.splats.ply_files.header import Element, PlyError, PlyHeader, read_header
+from gscomplete.splats.ply_files.payload import read_payload
 from gscomplete.splats.record import SH_C0, Splats
 
 CHUNK_ROWS = 256

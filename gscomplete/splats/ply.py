@@ -3,7 +3,7 @@
 Conventions
 -----------
 * ``read_splats`` takes binary little- or big-endian and ASCII files with the properties of the
-  original 3DGS in any order and of any scalar type (``ply_layout``); everything else in a file
+  original 3DGS in any order and of any scalar type (``layout``); everything else in a file
   (comments, foreign properties, other elements) is tolerated and kept.
 * ``load_splats`` reads the same files but keeps none of their bytes.
 * ``write_splats`` writes the layout of the original 3DGS: little-endian float32, with the unused
@@ -22,9 +22,9 @@ from pathlib import Path
 import torch
 
 from gscomplete.errors import UserError
-from gscomplete.splats.ply_header import Element, PlyError, PlyHeader, Property, read_header
-from gscomplete.splats.ply_layout import REQUIRED, SplatLayout, find_layout
-from gscomplete.splats.ply_payload import (
+from gscomplete.splats.ply_files.header import Element, PlyError, PlyHeader, Property, read_header
+from gscomplete.splats.ply_files.layout import REQUIRED, SplatLayout, find_layout
+from gscomplete.splats.ply_files.payload import (
     BlockSink,
     Payload,
     format_rows,
@@ -32,7 +32,7 @@ from gscomplete.splats.ply_payload import (
     read_payload,
     write_rows,
 )
-from gscomplete.splats.ply_records import Decoder, Encoder
+from gscomplete.splats.ply_files.records import Decoder, Encoder
 from gscomplete.splats.record import Splats
 from gscomplete.util.atomic import atomic_path
 

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gscomplete.splats.filters import MAX_COEFFICIENT, MAX_MAGNITUDE
-from gscomplete.splats.ply_header import Element, PlyHeader
-from gscomplete.splats.ply_layout import SplatLayout
-from gscomplete.splats.ply_payload import payload_warnings, stream_records
-from gscomplete.splats.ply_records import value_table
+from gscomplete.splats.ply_files.header import Element, PlyHeader
+from gscomplete.splats.ply_files.layout import SplatLayout
+from gscomplete.splats.ply_files.payload import payload_warnings, stream_records
+from gscomplete.splats.ply_files.records import value_table
 
 _BLOCK_ROWS = 8192
 _SH_SAMPLE_ROWS = 20_000

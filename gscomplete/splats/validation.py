@@ -22,8 +22,8 @@ import numpy as np
 
 from gscomplete.splats.filters import FAR_FACTOR, far_positions, middle_and_extent
 from gscomplete.splats.ply import splat_element
-from gscomplete.splats.ply_header import Element, PlyError, PlyHeader, read_header
-from gscomplete.splats.ply_layout import SplatLayout, find_layout
+from gscomplete.splats.ply_files.header import Element, PlyError, PlyHeader, read_header
+from gscomplete.splats.ply_files.layout import SplatLayout, find_layout
 from gscomplete.splats.row_statistics import RowStatistics, gather_statistics
 
 Severity = Literal["error", "warning", "info"]

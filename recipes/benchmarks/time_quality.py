@@ -37,8 +37,8 @@ from gscomplete.splats.transform import transform_splats
 from gscomplete.util.atomic import atomic_path
 from gscomplete.views import ViewDistribution
 from recipes.entry_point import start
-from recipes.train_embedded_prior.dataset import HELD_OUT_SEED_OFFSET
-from recipes.train_embedded_prior.source import procedural_source
+from recipes.train_embedded_prior.data.dataset import HELD_OUT_SEED_OFFSET
+from recipes.train_embedded_prior.data.source import procedural_source
 
 _SEED = HELD_OUT_SEED_OFFSET + 776
 

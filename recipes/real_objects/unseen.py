@@ -48,7 +48,12 @@ from recipes.real_objects.compare import (
 )
 from recipes.real_objects.load import RealObject
 from recipes.results import Results
-from recipes.train_embedded_prior.mesh_pack import PackEntry, PackMesh, read_manifest, read_mesh
+from recipes.train_embedded_prior.data.mesh_pack import (
+    PackEntry,
+    PackMesh,
+    read_manifest,
+    read_mesh,
+)
 from recipes.train_embedded_prior.procedural.quads import turn_about
 from splatcomplete_data.cuts.geometry import by_box, by_plane, by_visibility, splat_points
 from splatcomplete_data.mesh.discs import ColoredTriangles, sample_triangles, triangles_to_discs

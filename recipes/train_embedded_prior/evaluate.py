@@ -41,8 +41,8 @@ from gscomplete.priors.embedded.text import NO_TEXT_TOKEN
 from gscomplete.priors.embedded.weights import load_weights
 from gscomplete.util.atomic import atomic_path
 from recipes.train_embedded_prior.config import DataConfig
-from recipes.train_embedded_prior.dataset import HELD_OUT_SEED_OFFSET, Batch, decode_sets
-from recipes.train_embedded_prior.shards import ShardSpec
+from recipes.train_embedded_prior.data.dataset import HELD_OUT_SEED_OFFSET, Batch, decode_sets
+from recipes.train_embedded_prior.data.shards import ShardSpec
 
 _LOG = logging.getLogger(__name__)
 
@@ -195,7 +195,7 @@ def main() -> int:
     """Run from the command line."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     options = tyro.cli(EvaluateConfig, description=__doc__)
-    from recipes.train_embedded_prior.source import procedural_source
+    from recipes.train_embedded_prior.data.source import procedural_source
 
     try:
         model, _, config = load_weights(options.weights)

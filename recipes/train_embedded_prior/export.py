@@ -42,11 +42,11 @@ from gscomplete.shape.network import ShapeCompleter, ShapeModelConfig
 from gscomplete.shape.voxels import CELL_SIDE, CELLS
 from gscomplete.util.jsonio import from_json, read_json
 from recipes.train_embedded_prior.config import ShapeTrainConfig, TrainConfig
+from recipes.train_embedded_prior.data.mesh_source import MixedSource
+from recipes.train_embedded_prior.data.source import procedural_source
 from recipes.train_embedded_prior.evaluate import held_out_sets, measure_losses
-from recipes.train_embedded_prior.mesh_source import MixedSource
 from recipes.train_embedded_prior.procedural.objects import make_object
 from recipes.train_embedded_prior.shape_task import ShapeTask
-from recipes.train_embedded_prior.source import procedural_source
 from recipes.train_embedded_prior.state import RUN, RunRecord, TrainState
 from recipes.train_embedded_prior.views_task import ViewsTask
 

@@ -47,13 +47,13 @@ from gscomplete.shape.symmetry_features import plane_places
 from gscomplete.shape.symmetry_proposals import JUDGED
 from gscomplete.util.atomic import atomic_path
 from gscomplete.util.jsonio import to_json, write_json
+from recipes.train_embedded_prior.data.shape_dataset import unpack_cells
 from recipes.train_embedded_prior.plane_sets import (
     BEST_PLANES,
     FILE_OBJECTS,
     PlaneSets,
     plane_sets,
 )
-from recipes.train_embedded_prior.shape_dataset import unpack_cells
 
 _LOG = logging.getLogger(__name__)
 _CHECKPOINT = "judge_checkpoint.safetensors"

@@ -30,7 +30,7 @@ from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.symmetry_features import FEATURES, plane_features
 from gscomplete.shape.voxels import FloatArray
 from recipes.entry_point import start
-from recipes.train_embedded_prior.copies import Truth
+from recipes.train_embedded_prior.data.copies import Truth
 from recipes.train_embedded_prior.plane_sets import posed_object
 
 _LOG = logging.getLogger(__name__)

@@ -31,9 +31,9 @@ from gscomplete.shape.symmetry_proposals import JUDGED, distinct_planes
 from gscomplete.shape.voxels import FloatArray
 from gscomplete.util.atomic import atomic_path
 from recipes.train_embedded_prior.config import ShapeDataConfig
-from recipes.train_embedded_prior.copies import Truth
-from recipes.train_embedded_prior.shape_dataset import PosedObject, ShapeSetMaker, pack_cells
-from recipes.train_embedded_prior.source import procedural_source
+from recipes.train_embedded_prior.data.copies import Truth
+from recipes.train_embedded_prior.data.shape_dataset import PosedObject, ShapeSetMaker, pack_cells
+from recipes.train_embedded_prior.data.source import procedural_source
 
 FILE_OBJECTS = 200
 BEST_PLANES = 4

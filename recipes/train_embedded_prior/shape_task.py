@@ -28,14 +28,14 @@ from gscomplete.shape.symmetry import SOURCES
 from gscomplete.shape.voxels import COARSE_CELLS, grown
 from gscomplete.util.atomic import atomic_path
 from recipes.train_embedded_prior.config import ShapeTrainConfig
-from recipes.train_embedded_prior.dataset import HELD_OUT_SEED_OFFSET, Source
-from recipes.train_embedded_prior.evaluate import autocast
-from recipes.train_embedded_prior.shape_dataset import (
+from recipes.train_embedded_prior.data.dataset import HELD_OUT_SEED_OFFSET, Source
+from recipes.train_embedded_prior.data.shape_dataset import (
     ShapeBatch,
     ShapeSpec,
     decode_sets,
     turn_batch,
 )
+from recipes.train_embedded_prior.evaluate import autocast
 
 _SURFACE_WEIGHT = 4.0
 _THIN_WEIGHT = 4.0

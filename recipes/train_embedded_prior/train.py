@@ -33,11 +33,11 @@ from torch import Tensor, nn
 
 from gscomplete.errors import UserError
 from recipes.train_embedded_prior.config import RunConfig, ShapeTrainConfig, TrainConfig
-from recipes.train_embedded_prior.dataset import Source
+from recipes.train_embedded_prior.data.dataset import Source
+from recipes.train_embedded_prior.data.replicas import GradientExchange, Signals
+from recipes.train_embedded_prior.data.shards import SetSpec, ShardReader
 from recipes.train_embedded_prior.evaluate import autocast
-from recipes.train_embedded_prior.replicas import GradientExchange, Signals
 from recipes.train_embedded_prior.shape_task import ShapeTask
-from recipes.train_embedded_prior.shards import SetSpec, ShardReader
 from recipes.train_embedded_prior.state import TrainState, open_run
 from recipes.train_embedded_prior.views_task import ViewsTask
 
@@ -268,8 +268,8 @@ def training_source(config: TrainConfig | ShapeTrainConfig) -> tuple[Source, tup
     Raises:
         UserError: the pack of meshes has no manifest.
     """
-    from recipes.train_embedded_prior.mesh_source import MixedSource
-    from recipes.train_embedded_prior.source import (
+    from recipes.train_embedded_prior.data.mesh_source import MixedSource
+    from recipes.train_embedded_prior.data.source import (
         frequent_words,
         procedural_source,
         procedural_words,

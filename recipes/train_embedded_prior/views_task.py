@@ -20,13 +20,13 @@ from gscomplete.priors.embedded.diffusion import NUM_TIMESTEPS, add_noise, loss_
 from gscomplete.priors.embedded.model import IMAGE_CHANNELS, VIEWS, FourViewDenoiser
 from gscomplete.priors.embedded.text import NO_TEXT_TOKEN
 from recipes.train_embedded_prior.config import TrainConfig
-from recipes.train_embedded_prior.dataset import Batch, Source, decode_sets
+from recipes.train_embedded_prior.data.dataset import Batch, Source, decode_sets
+from recipes.train_embedded_prior.data.shards import ShardSpec
 from recipes.train_embedded_prior.evaluate import (
     held_out_sets,
     measure_losses,
     save_sample_sheet,
 )
-from recipes.train_embedded_prior.shards import ShardSpec
 
 
 @dataclass(frozen=True, slots=True)

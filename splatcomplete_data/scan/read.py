@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from gscomplete.errors import UserError
-from gscomplete.splats.ply_header import Element, PlyError, PlyHeader, read_header
-from gscomplete.splats.ply_payload import parse_records, read_payload
+from gscomplete.splats.ply_files.header import Element, PlyError, PlyHeader, read_header
+from gscomplete.splats.ply_files.payload import parse_records, read_payload
 from gscomplete.views import UpAxis
 from splatcomplete_data.mesh.files.up_axis import UP_SAYING_SUFFIXES, up_of_mesh_file
 from splatcomplete_data.scan.cloud import NO_COLOR, PointCloud, grey_colors, unit_colors

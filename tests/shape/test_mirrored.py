@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gscomplete.render import render
-from gscomplete.shape.mirrored import mirror_image, select_consistent
+from gscomplete.shape.assemble import select_consistent
 from gscomplete.shape.partial_voxels import voxelize_partial
-from gscomplete.shape.symmetry import mirror, with_composition
+from gscomplete.shape.symmetry import mirror, mirror_image, with_composition
 from gscomplete.shape.voxels import CELLS
 from gscomplete.splats import Splats
 from gscomplete.splats.rotations import rotation_matrices

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from gscomplete.splats import Splats
-from gscomplete.splats.ply_header import SCALAR_CODES
+from gscomplete.splats.ply_files.header import SCALAR_CODES
 
 FORMATS = ("ascii", "binary_little_endian", "binary_big_endian")
 

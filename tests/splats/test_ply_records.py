@@ -8,15 +8,18 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gscomplete.splats import Splats, load_splats, ply_records, ply_threads, read_splats
+from gscomplete.splats import Splats, load_splats, read_splats
 from gscomplete.splats.ply import write_splats
-from gscomplete.splats.ply_header import Element, PlyError, Property
-from gscomplete.splats.ply_layout import SplatLayout, find_layout
-from gscomplete.splats.ply_records import Decoder, Encoder
-from gscomplete.splats.ply_threads import blocks, for_each_block
+from gscomplete.splats.ply_files.header import Element, PlyError, Property
+from gscomplete.splats.ply_files.layout import SplatLayout, find_layout
+from gscomplete.splats.ply_files.records import Decoder, Encoder
+from gscomplete.splats.ply_files.threads import blocks, for_each_block
 from tests.splats.ply_files import make_splats
 
 ODD = np.array([0.0, -0.0, np.nan, np.inf, -np.inf, 1e38, -1e38, 1e-40, 88.0, -104.0], np.float32)
+
+FEW_ROWS = "gscomplete.splats.ply_files.records.FEW_ROWS"
+BLOCK_BYTES = "gscomplete.splats.ply_files.threads.BLOCK_BYTES"
 
 
 def make_layout(rest: int, seed: int, foreign: int = 2) -> tuple[SplatLayout, np.dtype]:
@@ -60,7 +63,7 @@ def test_compiled_decoding_gives_the_bits_of_numpy(rest, seed, data):
     table[hit] = rng.choice(ODD, int(hit.sum()))
     records = table.view(dtype)[:, 0]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ply_records, "FEW_ROWS", -1)
+        patch.setattr(FEW_ROWS, -1)
         compiled = decode(records, layout)
     plain = decode(records, layout)
     for (name, fast), (_, slow) in zip(compiled.fields(), plain.fields(), strict=True):
@@ -71,7 +74,7 @@ def test_compiled_decoding_gives_the_bits_of_numpy(rest, seed, data):
 
 
 def test_compiled_decoding_against_float64(monkeypatch):
-    monkeypatch.setattr(ply_records, "FEW_ROWS", -1)
+    monkeypatch.setattr(FEW_ROWS, -1)
     layout, dtype = make_layout(45, 3)
     table = np.random.default_rng(1).normal(size=(40, len(dtype.names))).astype(np.float32)
     splats = decode(table.view(dtype)[:, 0], layout)
@@ -97,7 +100,7 @@ def test_compiled_encoding_gives_the_bytes_of_numpy(rest, seed, data):
     splats = random_splats(500, degree, seed)
     plain = Encoder.of_splats(splats, layout, dtype)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ply_records, "FEW_ROWS", -1)
+        patch.setattr(FEW_ROWS, -1)
         compiled = Encoder.of_splats(splats, layout, dtype)
     assert compiled.compiled
     assert not plain.compiled
@@ -141,7 +144,7 @@ def test_a_bad_value_in_a_large_set_leaves_the_old_file(tmp_path):
 def test_every_row_is_visited_once_and_the_first_failure_is_raised(count, row_size, threads):
     visits = np.zeros(count, np.int64)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ply_threads, "BLOCK_BYTES", 10_000)
+        patch.setattr(BLOCK_BYTES, 10_000)
         patch.setattr("numba.config.NUMBA_NUM_THREADS", threads)
 
         def visit(rows: slice) -> None:

@@ -15,30 +15,32 @@ from dataclasses import dataclass
 import numpy as np
 
 from gscomplete.splats.record import Splats
-from recipes.train_embedded_prior.procedural import (
-    families_abstract,
-    families_buildings,
-    families_cooking,
-    families_craft,
-    families_creatures,
-    families_figures,
-    families_furniture,
-    families_household,
-    families_kitchen,
-    families_nature,
-    families_play,
-    families_prizes,
-    families_storage,
-    families_things,
-    families_vehicles,
-    families_wear,
-)
 from recipes.train_embedded_prior.procedural.assembly import Assembly, Description
 from recipes.train_embedded_prior.procedural.captions import caption
+from recipes.train_embedded_prior.procedural.home import (
+    cooking,
+    craft,
+    furniture,
+    household,
+    kitchen,
+    storage,
+    wear,
+)
 from recipes.train_embedded_prior.procedural.materials import bake, paint, sample_light
 from recipes.train_embedded_prior.procedural.quads import FloatArray, turn_about
 from recipes.train_embedded_prior.procedural.sampling import SurfaceSamples, sample_quads
 from recipes.train_embedded_prior.procedural.warps import draw_warp, warped
+from recipes.train_embedded_prior.procedural.world import (
+    abstract,
+    buildings,
+    creatures,
+    figures,
+    nature,
+    play,
+    prizes,
+    things,
+    vehicles,
+)
 from splatcomplete_data.mesh.discs import DiscSettings, discs_at
 
 Family = Callable[[Assembly], Description]
@@ -79,23 +81,23 @@ def _named(*groups: tuple[Family, ...]) -> dict[str, Family]:
 
 
 CONCRETE = _named(
-    families_kitchen.FAMILIES,
-    families_cooking.FAMILIES,
-    families_furniture.FAMILIES,
-    families_storage.FAMILIES,
-    families_household.FAMILIES,
-    families_things.FAMILIES,
-    families_buildings.FAMILIES,
-    families_vehicles.FAMILIES,
-    families_craft.FAMILIES,
-    families_nature.FAMILIES,
-    families_creatures.FAMILIES,
-    families_figures.FAMILIES,
-    families_play.FAMILIES,
-    families_prizes.FAMILIES,
-    families_wear.FAMILIES,
+    kitchen.FAMILIES,
+    cooking.FAMILIES,
+    furniture.FAMILIES,
+    storage.FAMILIES,
+    household.FAMILIES,
+    things.FAMILIES,
+    buildings.FAMILIES,
+    vehicles.FAMILIES,
+    craft.FAMILIES,
+    nature.FAMILIES,
+    creatures.FAMILIES,
+    figures.FAMILIES,
+    play.FAMILIES,
+    prizes.FAMILIES,
+    wear.FAMILIES,
 )
-ABSTRACT = _named(families_abstract.FAMILIES)
+ABSTRACT = _named(abstract.FAMILIES)
 FAMILIES = {**CONCRETE, **ABSTRACT}
 
 

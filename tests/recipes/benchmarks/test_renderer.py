@@ -12,10 +12,11 @@ from PIL import Image
 
 from gscomplete.errors import UserError
 from gscomplete.render import RenderSettings, render
-from recipes.benchmarks import renderer, renderer_accuracy, renderer_peers, renderer_work
 from recipes.benchmarks.charts import Chart, draw_charts
 from recipes.benchmarks.clocks import clock_reader
-from recipes.benchmarks.machine_limits import MachineLimits, measure_limits
+from recipes.benchmarks.renderer import __main__ as speed
+from recipes.benchmarks.renderer import accuracy, peers, work
+from recipes.benchmarks.renderer.machine_limits import MachineLimits, measure_limits
 from recipes.benchmarks.scenes import bench_camera, cloud, surface_discs
 
 PEER = """
@@ -44,19 +45,19 @@ def threads():
 
 
 def test_exponents_of_power_laws_are_found():
-    overall, last = renderer.exponents([(n, 3.0 * n**1.5) for n in (10, 100, 1000)])
+    overall, last = speed.exponents([(n, 3.0 * n**1.5) for n in (10, 100, 1000)])
     assert overall == pytest.approx(1.5)
     assert last == pytest.approx(1.5)
-    overall, last = renderer.exponents([(n, 50.0 + n) for n in (1, 10, 100, 10_000, 100_000)])
+    overall, last = speed.exponents([(n, 50.0 + n) for n in (1, 10, 100, 10_000, 100_000)])
     assert overall < 0.8 < last <= 1.0
 
 
 def test_speed_run_leaves_numbers_and_plot(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    options = renderer.Options(
+    options = speed.Options(
         counts=(50, 200), sizes=(16, 40), degrees=(0, 3), splats=200, size_px=40, repeats=3,
         threads=(1,), clock="cpu", out=tmp_path,
     )  # fmt: skip
-    renderer.main(options)
+    speed.main(options)
     content = json.loads((tmp_path / "renderer.json").read_text())
     assert content["bit_identical_over_threads"] is True
     rows = content["sweeps"]["splats"]
@@ -71,9 +72,9 @@ def test_speed_run_leaves_numbers_and_plot(tmp_path: Path, capsys: pytest.Captur
 def test_more_threads_than_there_are_is_refused():
     many = numba.config.NUMBA_NUM_THREADS + 1
     with pytest.raises(UserError, match="--threads"):
-        renderer.main(renderer.Options(threads=(many,)))
+        speed.main(speed.Options(threads=(many,)))
     with pytest.raises(UserError, match="--threads"):
-        renderer_peers.main(renderer_peers.Options(threads=many))
+        peers.main(peers.Options(threads=many))
 
 
 def test_stages_cover_the_pass_and_count_what_is_drawn():
@@ -81,17 +82,17 @@ def test_stages_cover_the_pass_and_count_what_is_drawn():
     limits = MachineLimits(1, copy_gb_s=10.0, gflop_s=100.0)
     splats = surface_discs(None, 300)
     camera = bench_camera(32)
-    stages = {s.name: s for s in renderer_work.measure_stages(splats, camera, limits, 3)}
+    stages = {s.name: s for s in work.measure_stages(splats, camera, limits, 3)}
     drawn, back = stages["composite"], stages["composite_backward"]
     assert drawn.gflop
     assert back.gflop
     assert back.gflop / drawn.gflop == pytest.approx(64 / 38)
-    pixels = drawn.gflop * 1e9 / renderer_work.FORWARD_OPERATIONS
+    pixels = drawn.gflop * 1e9 / work.FORWARD_OPERATIONS
     assert len(splats) < pixels < len(splats) * 32 * 32
     assert drawn.arithmetic_share == pytest.approx(drawn.gflop / (drawn.ms * 1e-3) / 100.0)
     assert drawn.megabytes
     assert drawn.memory_share == pytest.approx(drawn.megabytes / drawn.ms / 10.0)
-    assert renderer_work.OTHER in stages
+    assert work.OTHER in stages
     assert {"project", "project_backward", "depth_order"} <= stages.keys()
     # the recorder is gone: the same picture, by the compiled kernels
     assert render(splats, camera, backend="cpu").alpha.max() > 0.9
@@ -114,51 +115,49 @@ def test_limits_are_positive_and_restore_threads():
 def test_errors_fall_with_the_cut_off_and_defaults_keep_bounds(splats):
     torch.manual_seed(0)
     settings = [RenderSettings(), RenderSettings(alpha_min=1e-5, transmittance_min=0.0)]
-    default, finest = renderer_accuracy.measure_errors(splats, bench_camera(24), settings)
+    default, finest = accuracy.measure_errors(splats, bench_camera(24), settings)
     assert default[0].color_max < 1e-4
-    assert default[0].worst_gradient < renderer_accuracy.GRADIENT
+    assert default[0].worst_gradient < accuracy.GRADIENT
     assert default[1].color_max > 1e-3  # what the definition leaves out shows
     assert finest[1].color_max < 1e-3
     assert finest[1].worst_gradient < default[1].worst_gradient
     rows = [
-        renderer_accuracy.Row("s", s.alpha_min, s.transmittance_min, True, ms, ms, *errors)
+        accuracy.Row("s", s.alpha_min, s.transmittance_min, True, ms, ms, *errors)
         for s, ms, errors in zip(settings, (1.0, 2.0), (default, finest), strict=True)
     ]
-    assert all(renderer_accuracy.on_front(row, rows) for row in rows)
-    assert renderer_accuracy.failures(rows) == []
-    slow = renderer_accuracy.Row("s", 1e-3, 0.0, True, 3.0, 3.0, *default)
-    assert not renderer_accuracy.on_front(slow, [*rows[1:], slow])
+    assert all(accuracy.on_front(row, rows) for row in rows)
+    assert accuracy.failures(rows) == []
+    slow = accuracy.Row("s", 1e-3, 0.0, True, 3.0, 3.0, *default)
+    assert not accuracy.on_front(slow, [*rows[1:], slow])
 
 
 def test_missed_bounds_are_named():
-    bad = renderer_accuracy.Errors(1.0, 1e-9, {"means": float("nan"), "sh": 0.5})
+    bad = accuracy.Errors(1.0, 1e-9, {"means": float("nan"), "sh": 0.5})
     default = RenderSettings()
     cut = default.alpha_min, default.transmittance_min
-    missed = renderer_accuracy.failures(
-        [renderer_accuracy.Row("s", *cut, True, 1.0, 1.0, bad, bad)]
-    )
+    missed = accuracy.failures([accuracy.Row("s", *cut, True, 1.0, 1.0, bad, bad)])
     assert [m.split(" ")[1] for m in missed] == ["mean", "gradient", "gradient"]
 
 
 def test_accuracy_run_leaves_numbers_and_plot(tmp_path: Path):
-    options = renderer_accuracy.Options(
+    options = accuracy.Options(
         scenes=("cloud",), splats=60, size_px=16, sh_degree=0, time_splats=100, time_size_px=16,
         transmittance_min=(0.0, 1e-5), repeats=1, threads=1, clock="cpu", out=tmp_path,
     )  # fmt: skip
-    renderer_accuracy.main(options)
-    content = json.loads((tmp_path / "renderer_accuracy.json").read_text())
+    accuracy.main(options)
+    content = json.loads((tmp_path / "accuracy.json").read_text())
     assert len(content["rows"]) == 9
     assert any(row["pareto"] for row in content["rows"])
     assert content["default_misses"] == []
-    assert (tmp_path / "renderer_accuracy.png").stat().st_size > 1000
+    assert (tmp_path / "accuracy.png").stat().st_size > 1000
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.5])
 def test_a_peer_is_timed_and_compared(tmp_path: Path, scale: float):
     (tmp_path / "peer.py").write_text(PEER.format(scale=scale))
-    peer = renderer_peers.load_peer(tmp_path / "peer.py")
+    peer = peers.load_peer(tmp_path / "peer.py")
     torch.manual_seed(0)
-    rows = renderer_peers.compare([peer], cloud(80), bench_camera(24), 3)
+    rows = peers.compare([peer], cloud(80), bench_camera(24), 3)
     found, ours = rows["twin of ours"], rows["ours"]
     assert ours["ratio"] == ours["fastest_ratio"] == 1.0
     assert found["ratio"] == pytest.approx(found["total_ms"] / ours["total_ms"])
@@ -170,19 +169,19 @@ def test_a_peer_is_timed_and_compared(tmp_path: Path, scale: float):
 
 def test_a_file_that_is_no_peer_is_refused(tmp_path: Path):
     with pytest.raises(UserError, match="found none"):
-        renderer_peers.load_peer(tmp_path / "absent.py")
+        peers.load_peer(tmp_path / "absent.py")
     (tmp_path / "half.py").write_text("NAME = 'half'\n")
     with pytest.raises(UserError, match=r"missing \['project', 'composite'\]"):
-        renderer_peers.load_peer(tmp_path / "half.py")
+        peers.load_peer(tmp_path / "half.py")
     (tmp_path / "text.txt").write_text("")
     with pytest.raises(UserError, match="Python file"):
-        renderer_peers.load_peer(tmp_path / "text.txt")
+        peers.load_peer(tmp_path / "text.txt")
 
 
 def test_peers_run_writes_json(tmp_path: Path):
     (tmp_path / "peer.py").write_text(PEER.format(scale=1.0))
-    renderer_peers.main(
-        renderer_peers.Options(
+    peers.main(
+        peers.Options(
             peer=(tmp_path / "peer.py",),
             splats=(40,),
             sizes=(16,),

@@ -10,7 +10,7 @@ import torch
 from gscomplete.shape.network import ShapeModelConfig
 from gscomplete.splats.record import Splats, colors_to_sh
 from recipes.train_embedded_prior.config import DataConfig, ShapeTrainConfig, TrainConfig
-from recipes.train_embedded_prior.dataset import TrainingObject
+from recipes.train_embedded_prior.data.dataset import TrainingObject
 from tests.priors.embedded.tiny import TINY
 
 WORDS = ("ball", "blue", "red")

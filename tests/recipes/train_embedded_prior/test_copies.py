@@ -3,7 +3,7 @@ import pytest
 
 from gscomplete.shape.symmetry_features import ANGLES, OFFSETS
 from gscomplete.shape.voxels import CELLS
-from recipes.train_embedded_prior.copies import Truth, cells_away
+from recipes.train_embedded_prior.data.copies import Truth, cells_away
 from tests.shape.shapes import half, mirrors, sphere
 
 MIDDLE = OFFSETS.index(0.0)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from gscomplete.errors import UserError
-from recipes.train_embedded_prior.mesh_pack import read_manifest, read_mesh
+from recipes.train_embedded_prior.data.mesh_pack import read_manifest, read_mesh
 from tests.recipes.train_embedded_prior.packs import write_pack
 
 

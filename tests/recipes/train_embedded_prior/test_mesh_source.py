@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from recipes.train_embedded_prior.dataset import HELD_OUT_SEED_OFFSET
-from recipes.train_embedded_prior.mesh_source import MixedSource
-from recipes.train_embedded_prior.source import frequent_words
-from recipes.train_embedded_prior.user_parts import user_part
+from recipes.train_embedded_prior.data.dataset import HELD_OUT_SEED_OFFSET
+from recipes.train_embedded_prior.data.mesh_source import MixedSource
+from recipes.train_embedded_prior.data.source import frequent_words
+from recipes.train_embedded_prior.data.user_parts import user_part
 from tests.recipes.train_embedded_prior.packs import write_pack
 
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from gscomplete.shape.voxels import CELLS
-from recipes.train_embedded_prior.shape_dataset import (
+from recipes.train_embedded_prior.data.shape_dataset import (
     decode_sets,
     pack_cells,
     turn_batch,

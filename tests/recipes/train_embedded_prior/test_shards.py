@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from gscomplete.errors import UserError
-from recipes.train_embedded_prior.shards import ShardReader, ShardSpec
+from recipes.train_embedded_prior.data.shards import ShardReader, ShardSpec
 from tests.recipes.train_embedded_prior.stub import DATA, WORDS, stub_source
 
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from gscomplete.shape.voxels import CELL_SIDE, CELLS, splat_arrays
-from recipes.train_embedded_prior.solids import fill_inside, fill_shell, solid_cells
+from recipes.train_embedded_prior.data.solids import fill_inside, fill_shell, solid_cells
 from tests.shape.shapes import sphere
 
 

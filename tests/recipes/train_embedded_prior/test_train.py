@@ -9,7 +9,7 @@ import torch
 
 from gscomplete.errors import UserError
 from gscomplete.priors.embedded.diffusion import NUM_TIMESTEPS
-from recipes.train_embedded_prior.replicas import GradientExchange, Signals
+from recipes.train_embedded_prior.data.replicas import GradientExchange, Signals
 from recipes.train_embedded_prior.state import open_run
 from recipes.train_embedded_prior.train import learning_rate
 from recipes.train_embedded_prior.train import train as train_task

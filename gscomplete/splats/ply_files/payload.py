@@ -21,8 +21,8 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from gscomplete.splats.ply_header import Element, PlyError, PlyHeader
-from gscomplete.splats.ply_threads import WRITE_BYTES, Scratch, for_each_block
+from gscomplete.splats.ply_files.header import Element, PlyError, PlyHeader
+from gscomplete.splats.ply_files.threads import WRITE_BYTES, Scratch, for_each_block
 
 BlockSink = Callable[[slice, NDArray[np.void]], None]
 """Takes rows and their records."""

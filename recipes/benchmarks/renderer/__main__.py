@@ -3,9 +3,9 @@
 Draws the surface of a mesh (a torus knot when none is given) as oriented discs, forward and
 backward through the whole differentiable render, over the number of splats, image size, degree of
 the spherical harmonics and threads; one is varied at a time, from a middle point. Prints medians,
-fits how cost grows, and compares every kernel with what the machine can do (``renderer_work``).
-``--out DIR`` leaves ``renderer.json`` and ``renderer.png`` there. Errors: ``renderer_accuracy``;
-other renderers: ``renderer_peers``.
+fits how cost grows, and compares every kernel with what the machine can do (``work``).
+``--out DIR`` leaves ``renderer.json`` and ``renderer.png`` there. Errors: ``accuracy``;
+other renderers: ``peers``.
 
 Conventions
 -----------
@@ -38,8 +38,8 @@ from gscomplete.util.atomic import atomic_path
 from gscomplete.views import Cameras
 from recipes.benchmarks.charts import Chart, draw_charts
 from recipes.benchmarks.clocks import Clock, clock_reader
-from recipes.benchmarks.machine_limits import MachineLimits, measure_limits
-from recipes.benchmarks.renderer_work import Stage, measure_stages
+from recipes.benchmarks.renderer.machine_limits import MachineLimits, measure_limits
+from recipes.benchmarks.renderer.work import Stage, measure_stages
 from recipes.benchmarks.scenes import bench_camera, surface_discs, trainable_copy
 from recipes.entry_point import start
 

@@ -31,7 +31,7 @@ from gscomplete.priors.embedded.text import Tokenizer
 from gscomplete.util.atomic import atomic_path
 from gscomplete.util.jsonio import dumps
 from recipes.train_embedded_prior.config import DataConfig
-from recipes.train_embedded_prior.dataset import SetMaker, Source
+from recipes.train_embedded_prior.data.dataset import SetMaker, Source
 
 _LOG = logging.getLogger(__name__)
 _POLL_S = 0.05

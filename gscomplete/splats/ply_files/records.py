@@ -3,10 +3,10 @@
 Conventions
 -----------
 * In a record opacities are logits and scales natural logarithms; in ``Splats`` they are not.
-* Records are moved in blocks that fit the processor's cache (``ply_threads``): a column of a large
+* Records are moved in blocks that fit the processor's cache (``threads``): a column of a large
   record table costs as much memory traffic as the whole table. Arrays are allocated once.
 * Records of float32 values only, which is what files hold but for rare ones, go through compiled
-  loops (``ply_kernels``) when there are enough of them to be worth loading those; all others
+  loops (``kernels``) when there are enough of them to be worth loading those; all others
   through numpy. Both give the same bits.
 """
 
@@ -19,8 +19,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from gscomplete.splats.ply_layout import SplatLayout
-from gscomplete.splats.ply_threads import Scratch, blocks
+from gscomplete.splats.ply_files.layout import SplatLayout
+from gscomplete.splats.ply_files.threads import Scratch, blocks
 from gscomplete.splats.record import Splats
 
 FloatArray = NDArray[np.float32]
@@ -83,7 +83,7 @@ class Decoder:
     def _fill_compiled(
         self, rows: slice, records: NDArray[np.void], places: NDArray[np.uint64]
     ) -> None:
-        from gscomplete.splats.ply_kernels import split_table
+        from gscomplete.splats.ply_files.kernels import split_table
 
         table = records.view(np.float32).reshape(len(records), -1)
         scales, opacities = self.scales[rows], self.opacities[rows]
@@ -102,7 +102,7 @@ class Decoder:
 
 
 def _places(layout: SplatLayout, sh_values: int) -> NDArray[np.uint64]:
-    """Columns in the order that ``ply_kernels`` expects."""
+    """Columns in the order that ``kernels`` expects."""
     places = [*layout.means, *layout.scales, layout.opacity, *layout.quaternion]
     return np.array([*places, *layout.sh[:sh_values]], np.uint64)
 
@@ -117,7 +117,7 @@ class Encoder:
 
     layout: SplatLayout
     dtype: np.dtype  # Element.row_dtype
-    places: NDArray[np.uint64]  # columns in the order that ``ply_kernels`` expects
+    places: NDArray[np.uint64]  # columns in the order that ``kernels`` expects
     compiled: bool
     arrays: dict[str, NDArray]  # the fields of Splats
     scratch: Scratch
@@ -176,7 +176,7 @@ class Encoder:
             records[f"p{place}"] = table[:, column]
 
     def _fill_compiled(self, values: dict[str, NDArray], records: NDArray[np.void]) -> None:
-        from gscomplete.splats.ply_kernels import join_table
+        from gscomplete.splats.ply_files.kernels import join_table
 
         logs, logits = _logarithms(values)
         sh = values["sh"].reshape(len(logits), -1)

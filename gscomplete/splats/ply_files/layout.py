@@ -13,7 +13,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from gscomplete.splats.ply_header import Element, PlyError
+from gscomplete.splats.ply_files.header import Element, PlyError
 
 REQUIRED = (
     *("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"),

@@ -6,7 +6,7 @@ Conventions
 * ``places`` are the columns of the values in a record: mean (3), scale (3), opacity, quaternion
   (4), then the SH values in the order of ``Splats.sh``.
 * Exponentials and logarithms are left to numpy, which has them as vector instructions. Nothing
-  here reorders arithmetic: results are those of ``ply_layout``'s numpy path, bit for bit.
+  here reorders arithmetic: results are those of ``layout``'s numpy path, bit for bit.
 """
 
 from __future__ import annotations

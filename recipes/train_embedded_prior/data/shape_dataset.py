@@ -41,9 +41,9 @@ from gscomplete.splats.transform import transform_splats
 from gscomplete.util.jsonio import dumps
 from gscomplete.views import ObjectFrame, ViewDistribution
 from recipes.train_embedded_prior.config import ShapeDataConfig
-from recipes.train_embedded_prior.copies import Truth
-from recipes.train_embedded_prior.dataset import Source
-from recipes.train_embedded_prior.solids import solid_cells
+from recipes.train_embedded_prior.data.copies import Truth
+from recipes.train_embedded_prior.data.dataset import Source
+from recipes.train_embedded_prior.data.solids import solid_cells
 
 _QUICK_FRAMING = FramingSettings(azimuths=12, elevations_deg=(15.0,), size_px=32, max_splats=3000)
 """The guess of runs at an eighth of its cost."""

@@ -35,7 +35,7 @@ from gscomplete.render.cpu import composite as compositing
 from gscomplete.render.cpu.layout import P_HALF_H, P_V
 from gscomplete.splats import Splats
 from gscomplete.views import Cameras
-from recipes.benchmarks.machine_limits import MachineLimits
+from recipes.benchmarks.renderer.machine_limits import MachineLimits
 from recipes.benchmarks.scenes import trainable_copy
 
 FORWARD_OPERATIONS = 38

@@ -12,7 +12,7 @@ from recipes.train_embedded_prior.procedural.assembly import (
     Description,
 )
 from recipes.train_embedded_prior.procedural.captions import detail
-from recipes.train_embedded_prior.procedural.families_kitchen import side_label
+from recipes.train_embedded_prior.procedural.home.kitchen import side_label
 from recipes.train_embedded_prior.procedural.primitives import cylinder, disc, ellipsoid
 from recipes.train_embedded_prior.procedural.sweeps import (
     arc,

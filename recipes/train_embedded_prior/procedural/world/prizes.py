@@ -11,7 +11,6 @@ from recipes.train_embedded_prior.procedural.assembly import (
     Description,
 )
 from recipes.train_embedded_prior.procedural.captions import detail
-from recipes.train_embedded_prior.procedural.families_play import UPRIGHT
 from recipes.train_embedded_prior.procedural.primitives import box, cylinder, disc, ellipsoid, prism
 from recipes.train_embedded_prior.procedural.quads import turn_about
 from recipes.train_embedded_prior.procedural.sweeps import (
@@ -23,6 +22,7 @@ from recipes.train_embedded_prior.procedural.sweeps import (
     torus,
     tube,
 )
+from recipes.train_embedded_prior.procedural.world.play import UPRIGHT
 
 
 def trophy(a: Assembly) -> Description:

@@ -10,10 +10,10 @@ from recipes.train_embedded_prior.procedural.assembly import (
     Description,
 )
 from recipes.train_embedded_prior.procedural.captions import detail
-from recipes.train_embedded_prior.procedural.families_creatures import SKIN, ball, eyes
 from recipes.train_embedded_prior.procedural.primitives import box, cylinder, ellipsoid
 from recipes.train_embedded_prior.procedural.quads import turn_about
 from recipes.train_embedded_prior.procedural.sweeps import revolve, rod, smooth_profile, tube
+from recipes.train_embedded_prior.procedural.world.creatures import SKIN, ball, eyes
 
 
 def person(a: Assembly) -> Description:

@@ -10,7 +10,7 @@ from recipes.train_embedded_prior.procedural.assembly import (
     Description,
 )
 from recipes.train_embedded_prior.procedural.captions import detail
-from recipes.train_embedded_prior.procedural.families_furniture import cushion, drawers, four_legs
+from recipes.train_embedded_prior.procedural.home.furniture import cushion, drawers, four_legs
 from recipes.train_embedded_prior.procedural.materials import Mark
 from recipes.train_embedded_prior.procedural.primitives import box, ellipsoid, prism, tray
 from recipes.train_embedded_prior.procedural.sweeps import torus

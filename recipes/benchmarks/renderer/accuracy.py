@@ -1,4 +1,4 @@
-"""Error of the CPU renderer against time: ``python -m recipes.benchmarks.renderer_accuracy``.
+"""Error of the CPU renderer against time: ``python -m recipes.benchmarks.renderer.accuracy``.
 
 For every cut-off (``alpha_min``, which also sets how far a splat reaches; ``transmittance_min``;
 tile lists by pixel boxes instead of ellipses), errors of the picture and of the gradients of every

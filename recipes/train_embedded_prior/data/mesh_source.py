@@ -17,15 +17,20 @@ from pathlib import Path
 import numpy as np
 
 from gscomplete.splats import Splats
-from recipes.train_embedded_prior.dataset import HELD_OUT_SEED_OFFSET, TrainingObject
-from recipes.train_embedded_prior.mesh_pack import PackEntry, PackMesh, read_manifest, read_mesh
+from recipes.train_embedded_prior.data.dataset import HELD_OUT_SEED_OFFSET, TrainingObject
+from recipes.train_embedded_prior.data.mesh_pack import (
+    PackEntry,
+    PackMesh,
+    read_manifest,
+    read_mesh,
+)
+from recipes.train_embedded_prior.data.source import procedural_source
+from recipes.train_embedded_prior.data.user_parts import user_part
 from recipes.train_embedded_prior.procedural.materials import bake, sample_light
 from recipes.train_embedded_prior.procedural.objects import into_unit_box
 from recipes.train_embedded_prior.procedural.quads import FloatArray, turn_about
 from recipes.train_embedded_prior.procedural.sampling import SurfaceSamples
 from recipes.train_embedded_prior.procedural.warps import draw_warp, warped
-from recipes.train_embedded_prior.source import procedural_source
-from recipes.train_embedded_prior.user_parts import user_part
 from splatcomplete_data.mesh.discs import DiscSettings, discs_at, sample_triangles
 from splatcomplete_data.mesh.discs import triangle_areas_and_normals as areas_and_normals
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from recipes.train_embedded_prior.procedural.assembly import Assembly, Description
 from recipes.train_embedded_prior.procedural.captions import detail
-from recipes.train_embedded_prior.procedural.families_household import FACE_X
+from recipes.train_embedded_prior.procedural.home.household import FACE_X
 from recipes.train_embedded_prior.procedural.materials import Mark
 from recipes.train_embedded_prior.procedural.primitives import box, cylinder, disc, ellipsoid, prism
 from recipes.train_embedded_prior.procedural.quads import turn_about

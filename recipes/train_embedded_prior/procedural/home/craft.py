@@ -9,16 +9,16 @@ from recipes.train_embedded_prior.procedural.assembly import (
     Description,
 )
 from recipes.train_embedded_prior.procedural.captions import detail
-from recipes.train_embedded_prior.procedural.families_vehicles import (
+from recipes.train_embedded_prior.procedural.primitives import box, cylinder, ellipsoid, prism
+from recipes.train_embedded_prior.procedural.quads import join, turn_about
+from recipes.train_embedded_prior.procedural.sweeps import loft, revolve, rod, smooth_profile, torus
+from recipes.train_embedded_prior.procedural.world.vehicles import (
     PAINTS,
     SIDEWAYS,
     ring_of,
     wheels,
     wing,
 )
-from recipes.train_embedded_prior.procedural.primitives import box, cylinder, ellipsoid, prism
-from recipes.train_embedded_prior.procedural.quads import join, turn_about
-from recipes.train_embedded_prior.procedural.sweeps import loft, revolve, rod, smooth_profile, torus
 
 
 def plane(a: Assembly) -> Description:

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 from gscomplete.priors.embedded.text import build_words
 from gscomplete.splats import Splats
-from recipes.train_embedded_prior.dataset import TrainingObject
+from recipes.train_embedded_prior.data.dataset import TrainingObject
 from recipes.train_embedded_prior.procedural.captions import vocabulary
 from recipes.train_embedded_prior.procedural.objects import FAMILIES, make_object
 from splatcomplete_data.cuts.random_cuts import random_partial, slight_partial

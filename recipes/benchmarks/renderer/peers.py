@@ -1,4 +1,4 @@
-"""Time other renderers beside ours: ``python -m recipes.benchmarks.renderer_peers --peer FILE.py``.
+"""Time other renderers beside ours: ``python -m recipes.benchmarks.renderer.peers --peer FILE.py``.
 
 A peer is a Python file outside this repository, written by whoever has that renderer installed:
 

@@ -1,0 +1,1 @@
+"""Speed and errors of the CPU renderer, beside the machine's limits and other renderers."""

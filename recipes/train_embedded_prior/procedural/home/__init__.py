@@ -1,0 +1,1 @@
+"""Families of objects that are used or worn at home."""

@@ -1,0 +1,1 @@
+"""Families of what is found elsewhere: creatures, nature, buildings, vehicles, toys, shapes."""
