@@ -19,7 +19,7 @@ from gscomplete.errors import UserError
 from gscomplete.splats import write_splats
 from gscomplete.util.atomic import atomic_path
 from recipes.real_objects.unseen import PartKind, chosen_entries, complete_object, part_of
-from recipes.train_embedded_prior.mesh_pack import read_mesh
+from recipes.train_embedded_prior.data.mesh_pack import read_mesh
 
 _KINDS = tuple(kind for kind in get_args(PartKind) if kind != "complete")
 

@@ -47,7 +47,7 @@ from gscomplete.splats.filters import usable_rows
 from gscomplete.util.atomic import atomic_path
 from gscomplete.util.device import choose_device
 from gscomplete.views import ViewDistribution, four_view_orbit
-from recipes.benchmarks.scenes import surface_discs
+from recipes.benchmarks.renderer.scenes import surface_discs
 from recipes.entry_point import start
 
 REDUCED = MVDreamConfig(

@@ -39,8 +39,8 @@ from gscomplete.views import Cameras
 from recipes.benchmarks.charts import Chart, draw_charts
 from recipes.benchmarks.clocks import Clock, clock_reader
 from recipes.benchmarks.renderer.machine_limits import MachineLimits, measure_limits
+from recipes.benchmarks.renderer.scenes import bench_camera, surface_discs, trainable_copy
 from recipes.benchmarks.renderer.work import Stage, measure_stages
-from recipes.benchmarks.scenes import bench_camera, surface_discs, trainable_copy
 from recipes.entry_point import start
 
 Sweep = Literal["splats", "size_px", "sh_degree"]
