@@ -1,6 +1,6 @@
 """Which mirror images of P the shape network is given: those consistent with its own answers.
 
-Planes are proposed by what P looks like through them. The network knows more of objects: shown
+Planes are proposed by P's appearance through them. The network knows more of objects: given
 a copy, it fills the copy's cells or leaves them empty. So it is asked once per likely plane, and by
 its answer the plane is scored by the share of new surface that the copy covers, less half the share
 of the copy that is new and left empty. On 45 cuts of 15 real objects that no benchmark uses, planes
