@@ -100,6 +100,10 @@ def preservation(
         cameras: views of V, or the input view c alone.
         background: colour in [0, 1] behind both.
 
+    Returns:
+        E_color (squared colour difference) and E_depth (squared object sizes), of the paper's
+        section "Metrics": means over P's mask and the views.
+
     Raises:
         UserError: P is not visible from any of the views.
     """
@@ -125,6 +129,9 @@ def against_truth(
         truth: T in the object frame.
         cameras: views all round the object, to see what P leaves open.
         background: colour in [0, 1] behind all three.
+
+    Returns:
+        Silhouette IoU in [0, 1], PSNR in dB, distances in object sizes.
 
     Raises:
         UserError: neither O nor T is visible from any of the views.

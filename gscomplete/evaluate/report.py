@@ -93,6 +93,9 @@ def evaluate(
         truth: the complete object in the object frame, if known.
         settings: knobs; None = defaults.
 
+    Returns:
+        E_color and E_depth from c and over V, HaarPSI, and what the truth tells where it is known.
+
     Raises:
         UserError: P is not visible from c.
     """
@@ -134,7 +137,15 @@ def truth_pictures_of_renders(completed: Render, partial: Render, truth: Render)
 
 
 def report_table(report: EvaluationReport, title: str = "Evaluation") -> Table:
-    """Lay a report out for the terminal."""
+    """Lay a report out for the terminal.
+
+    Args:
+        report: what :func:`evaluate` returned.
+        title: line above the table.
+
+    Returns:
+        A table of ``rich``, a line for each metric.
+    """
     table = Table(title=title)
     table.add_column("metric")
     table.add_column("input view c", justify="right")

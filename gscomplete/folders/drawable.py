@@ -31,6 +31,12 @@ class Drawable:
 def drawable_of(path: Path) -> Drawable:
     """Return what a path means.
 
+    Args:
+        path: a splat file, a run folder or an object folder.
+
+    Returns:
+        The splat file, and frame and V where they are recorded.
+
     Raises:
         UserError: it is a folder of another kind, or its record cannot be read.
     """
@@ -53,6 +59,12 @@ def drawable_of(path: Path) -> Drawable:
 
 def splat_files_of(path: Path) -> list[Path]:
     """List the splat files of a folder, in the order of their names; a file is its own list.
+
+    Args:
+        path: a folder or a splat file.
+
+    Returns:
+        At least one path.
 
     Raises:
         UserError: the folder holds none.

@@ -91,6 +91,14 @@ def align_splats(
 ) -> Alignment:
     """Align splats of a complete object with those of a part of it.
 
+    Args:
+        result: splats of the complete object, in a frame of its own.
+        partial: P, file frame.
+        settings: knobs; None = defaults.
+
+    Returns:
+        The similarity from the result's frame to P's, and its confidence.
+
     Raises:
         UserError: either has too few solid splats.
     """
@@ -125,6 +133,9 @@ def align_points(
         settings: knobs; None = defaults.
         colors: of ``result``; None = shape alone decides.
         target_colors: of ``target``.
+
+    Returns:
+        The similarity from the object's frame to the part's, and its confidence.
 
     Raises:
         UserError: there are too few points, or they have no extent.
