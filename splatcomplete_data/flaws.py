@@ -62,13 +62,13 @@ def corrupt(
         return kept
     strength = rng.random(6) ** 2
     points = splat_points(kept)
-    whole = np.ones(len(points), np.bool_)
+    outside = np.ones(len(points), np.bool_)
     for _ in range(int(rng.integers(chosen.most_holes + 1))):
         middle = points[int(rng.integers(len(points)))]
         radius = rng.uniform(*chosen.hole_radius)
-        whole &= np.square(points - middle).sum(axis=1) > radius * radius
-    if whole.mean() > 0.5:
-        kept = kept.select(torch.from_numpy(whole).to(mask.device))
+        outside &= np.square(points - middle).sum(axis=1) > radius * radius
+    if outside.mean() > 0.5:
+        kept = kept.select(torch.from_numpy(outside).to(mask.device))
     shape = (len(kept), 3)
 
     def noise(deviation: float, size: tuple[int, ...] = shape) -> Tensor:

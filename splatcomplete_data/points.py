@@ -136,7 +136,7 @@ def points_to_splats(
     if sigma is None:
         sigma = sigma_of(points, chosen)
     if not 0 < sigma < float("inf"):
-        raise UserError(f"--size: expected a positive standard deviation, found {sigma:g}")
+        raise UserError(f"--splat-size: expected a positive standard deviation, found {sigma:g}")
     count = len(points)
     quaternions = torch.zeros(count, 4)
     quaternions[:, 0] = 1.0

@@ -57,14 +57,14 @@ class FramingSettings:
     dense_neighbours: float = 8.0
     """With at least this many splats around the median one, a splat all alone is a floater."""
     max_floater_fraction: float = 0.02
-    """If more than this share of the splats looks like floaters, all are taken as object."""
+    """If more than this share of the splats counts as floaters, all are taken as object."""
     min_openness: float = 0.25
     """How one-sided the view scores must be for P to count as open, in [0, 1]."""
 
 
 @dataclass(frozen=True, slots=True)
 class FramingGuess:
-    """Where the complete object is believed to be."""
+    """Where the complete object is estimated to be."""
 
     center: tuple[float, float, float]
     """Centre of the complete object, in the z-up axes of the splats given."""
@@ -84,7 +84,7 @@ class FramingGuess:
 
 @dataclass(frozen=True, slots=True)
 class ViewScores:
-    """How P looks from E elevations times A azimuths."""
+    """P's appearance from E elevations times A azimuths."""
 
     azimuths_deg: FloatArray  # [A]
     elevations_deg: FloatArray  # [E]
@@ -142,7 +142,9 @@ def guess_framing(
     low, high = (corner.double().numpy() for corner in kept.bounds())
     size = float((high - low).max())
     if not size > 0:
-        raise UserError("framing: all splats are at one place; give --center, --size and --view")
+        raise UserError(
+            "framing: all splats are at one place; give --center, --object-size and --view"
+        )
     scores = score_views(_centered(kept, (low + high) / 2, size), chosen)
     row, column = np.unravel_index(int(np.argmax(scores.score)), scores.score.shape)
     azimuth, elevation = float(scores.azimuths_deg[column]), float(scores.elevations_deg[row])

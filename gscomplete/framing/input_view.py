@@ -73,8 +73,8 @@ def refine_input_view(
     chosen = settings or InputViewSettings()
     generator = torch.Generator().manual_seed(0)
     partial = thinned(partial.with_sh_degree(0), chosen.max_splats, generator)
-    whole = concatenate([partial, new.with_sh_degree(0)])
-    before = hidden_share(partial, whole, guessed, chosen)
+    completed = concatenate([partial, new.with_sh_degree(0)])
+    before = hidden_share(partial, completed, guessed, chosen)
     if before <= chosen.most_hidden:
         return guessed, ""
     scores = score_partial(partial)
@@ -86,7 +86,7 @@ def refine_input_view(
         if shares[row, column] <= best_score:  # no later one can score more than its share
             break
         views = _looking_from(guessed, scores, row, column)
-        hidden = hidden_share(partial, whole, views, chosen)
+        hidden = hidden_share(partial, completed, views, chosen)
         score = float(shares[row, column]) * (1.0 - hidden) ** 2
         if score > best_score:
             best, least, best_score = views, hidden, score
@@ -100,12 +100,12 @@ def refine_input_view(
 
 
 def hidden_share(
-    partial: Splats, whole: Splats, views: ViewDistribution, settings: InputViewSettings
+    partial: Splats, completed: Splats, views: ViewDistribution, settings: InputViewSettings
 ) -> float:
     """Return the share of P's pixels that the complete object hides from about c; 0 without P."""
     cameras = views.sides(settings.size_px)
     with torch.no_grad():
-        alone, together = render(partial, cameras), render(whole, cameras)
+        alone, together = render(partial, cameras), render(completed, cameras)
     shown = alone.alpha > 0.5
     hidden = shown & (together.depth < alone.depth - settings.depth_tolerance)
     return float(hidden.sum()) / max(float(shown.sum()), 1.0)

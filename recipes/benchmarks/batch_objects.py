@@ -19,7 +19,7 @@ from gscomplete.errors import UserError
 from gscomplete.splats import write_splats
 from gscomplete.util.atomic import atomic_path
 from recipes.real_objects.unseen import PartKind, chosen_entries, complete_object, part_of
-from recipes.train_embedded_prior.mesh_pack import read_mesh
+from recipes.train_embedded_prior.data.mesh_pack import read_mesh
 
 _KINDS = tuple(kind for kind in get_args(PartKind) if kind != "complete")
 
@@ -54,8 +54,9 @@ def make_objects(out: Path, dataset: Path | None, meshes: Path | None, count: in
         if not path.exists():
             assert meshes is not None
             random = np.random.default_rng((number, 0))
-            complete = complete_object(read_mesh(meshes, entry), entry, random)
-            write_splats(path, part_of(complete, kind, random))
+            turn_deg = float(random.uniform(0, 360))
+            complete = complete_object(read_mesh(meshes, entry), entry, turn_deg)
+            write_splats(path, part_of(complete, kind, random, turn_deg))
         rows.append({"id": name, "partial": str(path.absolute()), "prompt": entry.caption})
     manifest = out / "objects.jsonl"
     with atomic_path(manifest) as temporary:

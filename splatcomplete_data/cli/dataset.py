@@ -1,4 +1,4 @@
-"""``splatcomplete-data build | validate | stats | list``: whole datasets."""
+"""``splatcomplete-data build | validate | stats | list``: datasets."""
 
 from __future__ import annotations
 
@@ -189,8 +189,8 @@ def run_list(options: ListOptions) -> int:
         return 0
     width = max(len(row.id) for row in rows)
     for row in rows:
-        whole = f" of {row.complete:,}" if row.complete else ""
-        count = f"{row.partial:,}{whole}"
+        of_complete = f" of {row.complete:,}" if row.complete else ""
+        count = f"{row.partial:,}{of_complete}"
         say(options, f"{row.subset:10} {row.id:{width}} {count:>20}  {row.prompt}")
     say(options, *found.notes)
     return 0

@@ -55,7 +55,7 @@ class PlaneSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SupportPlane:
-    """A plane, and what speaks for and against removing it."""
+    """A plane, and the evidence for and against removing it."""
 
     plane: FloatArray  # [4] normal to the upper side, offset
     inside: BoolArray  # [N] points of the cloud within its thickness

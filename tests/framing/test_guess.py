@@ -87,9 +87,9 @@ def test_degenerate_inputs_are_user_errors() -> None:
     with pytest.raises(UserError, match="finite position"):
         guess_framing(nowhere)
     point = dataclasses.replace(part, means=torch.ones(5, 3))
-    with pytest.raises(UserError, match="--size"):
+    with pytest.raises(UserError, match="--object-size"):
         guess_framing(point)
-    with pytest.raises(UserError, match="--size"):
+    with pytest.raises(UserError, match="--object-size"):
         guess_framing(part.select(torch.arange(1)))
 
 

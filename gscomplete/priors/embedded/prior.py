@@ -190,8 +190,8 @@ class EmbeddedPrior:
             mirror_plane=mirror,
         )
         settings = AssembleSettings(count=count)
-        whole = assemble_splats(prediction, partial, settings, generator)
-        return FirstGuess(whole.splats, (*notes, mirror_note(prediction, whole.mirrored)))
+        assembled = assemble_splats(prediction, partial, settings, generator)
+        return FirstGuess(assembled.splats, (*notes, mirror_note(prediction, assembled.mirrored)))
 
     def likely_mirrors(
         self, partial: Splats, distribution: ViewDistribution, conditioning: Conditioning
