@@ -171,9 +171,9 @@ class EmbeddedPrior:
             return None
         assert isinstance(conditioning, EmbeddedConditioning)
         notes: tuple[str, ...] = ()
+        points = partial.means.double().numpy()
+        cut = find_cut(points)
         if mirror == "guess":
-            points = partial.means.double().numpy()
-            cut = find_cut(points)
             if is_closed(points, cut):
                 nothing = partial.with_sh_degree(0).select(torch.arange(0))
                 return FirstGuess(nothing, (_COMPLETE_NOTE,))
@@ -185,6 +185,7 @@ class EmbeddedPrior:
             partial,
             distribution,
             conditioning.tokens,
+            ends_in_plane=cut is not None,
             bfloat16=self._shape_bfloat16,
             mirror_plane=mirror,
         )
@@ -201,7 +202,11 @@ class EmbeddedPrior:
         assert isinstance(conditioning, EmbeddedConditioning)
         voxels = voxelize_partial(partial, distribution)
         asked = score_planes(
-            self._shape, voxels, conditioning.tokens, bfloat16=self._shape_bfloat16
+            self._shape,
+            voxels,
+            conditioning.tokens,
+            ends_in_plane=find_cut(partial.means.double().numpy()) is not None,
+            bfloat16=self._shape_bfloat16,
         )
         return (*(mirror_plane_of(plane) for plane in asked.distinct(voxels.positions)), "none")
 

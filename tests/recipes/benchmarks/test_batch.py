@@ -4,8 +4,8 @@ import pytest
 
 from gscomplete.batch.ledger import Ledger, Row
 from gscomplete.errors import UserError
-from recipes.benchmarks.batch import Options, _row, _twice
-from recipes.benchmarks.batch_objects import make_objects
+from recipes.benchmarks.batch.__main__ import Options, _row, _twice
+from recipes.benchmarks.batch.objects import make_objects
 
 
 def test_objects_of_a_dataset_come_first(tmp_path):

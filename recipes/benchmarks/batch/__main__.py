@@ -33,7 +33,7 @@ from typing import Any, Literal
 from gscomplete.batch.ledger import read_ledger
 from gscomplete.errors import UserError
 from gscomplete.util.digests import sha256_of
-from recipes.benchmarks.batch_objects import make_objects
+from recipes.benchmarks.batch.objects import make_objects
 from recipes.entry_point import start
 from recipes.results import Results
 

@@ -1,6 +1,6 @@
 """Planning of large batches, second runs over finished ones, and what many objects would take.
 
-``python -m recipes.benchmarks.batch_scale`` measures the first two on this machine. ``--runs``, a
+``python -m recipes.benchmarks.batch.scale`` measures the first two on this machine. ``--runs``, a
 folder of finished results, has it also say what ``--objects`` of their kind would take: seconds of
 a core from the ledger, bytes from the folders, what is lost to workers that die by a simulation.
 
