@@ -122,6 +122,9 @@ def crop(splats: Splats, boxes: Sequence[str]) -> Splats:
         boxes: as ``--box`` takes them: ``[keep:|remove:]CX,CY,CZ,HX,HY,HZ[,QW,QX,QY,QZ]``, file
             coordinates and half sides.
 
+    Returns:
+        The splats that are left, file frame, as they were.
+
     Raises:
         UserError: a box has another form, or nothing is left.
     """
@@ -140,6 +143,9 @@ def cut(splats: Splats, cuts: Sequence[str], *, up: UpAxis = "Z") -> Splats:
         cuts: as ``--cut`` takes them, in its object frame: ``plane:AZIMUTH[,OFFSET]``,
             ``box:X0,Y0,Z0,X1,Y1,Z1``, ``scan:AZ/EL,...``.
         up: axis of the file that points up.
+
+    Returns:
+        The part, file frame: those of the splats that every cut keeps.
 
     Raises:
         UserError: a cut has another form, or keeps nothing or everything.

@@ -53,6 +53,6 @@ def require_touching(
         for point in (means.amin(dim=0), means.amax(dim=0), center)
     )
     raise UserError(
-        f"--center, --size-whole: expected a box that holds some of the part, which spans {low} to "
-        f"{high}; found the box of side {frame.size_file:.9g} around {middle}"
+        f"--center, --object-size: expected a box that holds some of the part, which spans {low} "
+        f"to {high}; found the box of side {frame.size_file:.9g} around {middle}"
     )

@@ -6,7 +6,7 @@ Conventions
   xyzw), SCALE (linear standard deviations), OPACITY (0 to 1) and SH_DEGREE_l_COEF_n (harmonics, in
   the order and with the sign of 3DGS); ``kernel`` is ``ellipse``, ``colorSpace`` must be the
   gamma-encoded one. Written values are float32: nothing is lost.
-* Functions here speak of the GLB's own axes: right-handed, y up.
+* Functions here use the GLB's own axes: right-handed, y up.
 * Nodes may move, turn and scale evenly; what they hold is brought to the scene's axes.
 * Compressed, sparse and external data are refused.
 """

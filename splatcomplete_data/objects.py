@@ -6,7 +6,7 @@ Conventions
   ``complete.ply`` where the truth is known, and ``preview.png``.
 * All splats are in one frame, the file frame, in the source's own units and axes.
   ``file_from_source`` says how it came from the source's frame: null where it is the source's.
-* ``frame`` is the object frame of the *whole* object within the file frame; ``views`` holds the
+* ``frame`` is the object frame of the complete object within the file frame; ``views`` holds the
   input view c and the ranges of V, in degrees in that object frame.
 * ``object.json`` is the same bytes for the same input, options and version: no times, no paths
   of this machine other than those the user gave.
@@ -75,7 +75,7 @@ class StepRecord:
     reasons: dict[str, int] = field(default_factory=dict)
     """How many were removed for which reason."""
     note: str = ""
-    """Anything else worth knowing, such as a chosen threshold."""
+    """Anything else notable, such as a chosen threshold."""
 
     def summary(self) -> str:
         """One line for people."""
@@ -210,7 +210,7 @@ def write_object(
             ``complete`` must be given.
         complete: the complete object, in the same frame; None = not known.
         overwrite: replace an object folder that exists.
-        preview: picture for ``preview.png``; None = drawn here, part above whole from six views.
+        preview: picture for ``preview.png``; None = drawn here from six views, part above complete.
         partial_file: a splat PLY with exactly the part, copied instead of writing ``partial``
             anew (for crops that pass records on byte for byte).
         extra_pictures: more pictures to store, by file name ending in ``.png``.
@@ -223,13 +223,13 @@ def write_object(
             and is not an object folder to be replaced.
     """
     if partial is None and complete is None:
-        raise UserError(f"{folder}: expected a part or a whole, found neither")
+        raise UserError(f"{folder}: expected a part or a complete object, found neither")
     for name, splats in ((PARTIAL_FILE, partial), (COMPLETE_FILE, complete)):
         if splats is not None and len(splats) == 0:
             raise UserError(f"{folder}: {name}: no splats are left to write")
-    shown = partial if partial is not None else complete
-    assert shown is not None
-    counts = {"sh_degree": shown.sh_degree}
+    drawn = partial if partial is not None else complete
+    assert drawn is not None
+    counts = {"sh_degree": drawn.sh_degree}
     comments = (f"splatcomplete-data {record.tool_version}", f"object {record.id}")
     place = atomic_folder(folder, marker=RECORD_FILE, spare=(BOXES_FILE,), overwrite=overwrite)
     with place as temporary:
@@ -304,7 +304,7 @@ def file_record(path: Path) -> FileRecord:
 def draw_preview(
     record: ObjectRecord, partial: Splats | None, complete: Splats | None, size_px: int = 192
 ) -> Image.Image:
-    """Draw part above whole from six views, the input view c first."""
+    """Draw part above complete object from six views, the input view c first."""
     from gscomplete.evaluate.pictures import contact_sheet, render_images
     from gscomplete.splats import transform_splats, usable_rows
 

@@ -3,7 +3,7 @@
 Conventions
 -----------
 * Masks are uint8 [H, W]: 255 shows the object, or counts; 0 does not.
-* A mask file speaks through its alpha channel where that says something (somewhere it is not
+* A mask file is taken from its alpha channel where that varies (somewhere it is not
   opaque; editors add an opaque one), else through the brightest of its channels.
 * The largest number tells what white is: of a mask that holds nothing above 1 it is 1, of one up
   to 255 it is 255, beyond that 65535.
@@ -78,7 +78,7 @@ def read_mask(path: Path) -> NDArray[np.uint8]:  # [H, W]
 
 
 def _mask_values(image: Image.Image) -> NDArray[Any]:  # [H, W]
-    """Return the numbers that a mask file speaks through."""
+    """Return the numbers of a mask file that hold the mask."""
     if image.mode in _WIDE_MODES:
         return np.nan_to_num(np.asarray(image))
     if "A" in image.getbands() or "transparency" in image.info:

@@ -1,6 +1,8 @@
 """The public names of both packages: light to import, and doing what their commands do."""
 
 import doctest
+import importlib
+import inspect
 import subprocess
 import sys
 from pathlib import Path
@@ -93,3 +95,23 @@ def test_a_photo_and_its_depth_become_splats(tmp_path):
     splats = data.depth_to_splats(tmp_path / "photo.png", tmp_path / "depth.npy", fov_deg=60.0)
     assert len(splats) == 16 * 12
     assert torch.allclose(splats.means[:, 2], torch.tensor(2.0))
+
+
+ROOMS = (
+    "gscomplete",
+    "splatcomplete_data",
+    *(f"gscomplete.{room}" for room in ("splats", "views", "render", "priors", "folders")),
+    "gscomplete.evaluate",
+    "gscomplete.evaluate.align",
+)
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_public_functions_say_what_they_take_and_return(room):
+    module = importlib.import_module(room)
+    for name in module.__all__:
+        function = getattr(module, name)
+        if inspect.isfunction(function):
+            text, signature = inspect.getdoc(function) or "", inspect.signature(function)
+            assert "Args:" in text or not signature.parameters, name
+            assert "Returns:" in text or signature.return_annotation == "None", name

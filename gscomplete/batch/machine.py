@@ -26,7 +26,7 @@ class WorkerPlan:
     threads: int
     """Of each worker."""
     memory_bytes: int
-    """That must be free before a worker starts, and that a worker on the CPU may take at most."""
+    """That must be free before a worker starts, and that one on the CPU may take; 0 = no bound."""
     gpus: tuple[str, ...] = ()
     """One for each worker in turn; none = the CPU."""
 

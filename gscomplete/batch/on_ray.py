@@ -11,6 +11,9 @@ from __future__ import annotations
 
 import importlib
 import os
+import signal
+import socket
+import threading
 from collections.abc import Callable, Generator, Iterable
 from typing import Any, TypeVar
 
@@ -25,6 +28,7 @@ _TICK_S = 0.2
 _AHEAD = 2
 """Tasks given to Ray for each that the cluster can do at a time: few enough to wait in its memory,
 enough that no worker waits for the next."""
+_SECONDS_TO_ANSWER = 10.0
 _PASSED_ON = ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT")
 """Environment variables that workers get as they are here."""
 
@@ -100,11 +104,13 @@ def _connect(plan: WorkerPlan, address: str) -> Any:
         raise UserError(
             f'--ray: needs an optional dependency: pip install "gscomplete[ray]" ({error})'
         ) from error
+    _require_reachable(address)
     variables = plan.environment()
     variables.pop("CUDA_VISIBLE_DEVICES", None)  # Ray's own affair
     variables |= {name: os.environ[name] for name in _PASSED_ON if name in os.environ}
     runtime = {"env_vars": variables}
     common = {"runtime_env": runtime, "log_to_driver": False, "logging_level": "error"}
+    before = signal.getsignal(signal.SIGTERM)
     try:
         if address == "local":
             ray.init(
@@ -118,7 +124,24 @@ def _connect(plan: WorkerPlan, address: str) -> Any:
     except (ConnectionError, ValueError, RuntimeError) as error:
         reason = str(error).strip().split("\n")[0]
         raise UserError(f"--ray {address}: cannot connect to a cluster ({reason})") from error
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, before)  # Ray's own ends the process without a word
     return ray
+
+
+def _require_reachable(address: str) -> None:
+    """Require that something listens at HOST:PORT; Ray itself waits many minutes for it.
+
+    Raises:
+        UserError: nothing does.
+    """
+    host, colon, port = address.removeprefix("ray://").rpartition(":")
+    if not (colon and port.isdigit()):
+        return
+    try:
+        socket.create_connection((host, int(port)), timeout=_SECONDS_TO_ANSWER).close()
+    except (OSError, OverflowError) as error:
+        raise UserError(f"--ray {address}: cannot connect to a cluster ({error})") from error
 
 
 def _do(function: Callable[[T], R], task: T, memory_bytes: int) -> R:

@@ -20,6 +20,7 @@ import tempfile
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Generator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,8 @@ STATE_FOLDER = ".batch"
 LEDGER_FILE = "ledger.jsonl"
 BATCH_FILE = "batch.json"
 _SCHEMA = "gscomplete.batch"
+_LOOKS = 32
+"""Objects in a store that are looked at at a time."""
 _COPY_LEDGER_S = 60.0
 """Time between copies of the ledger to a store."""
 
@@ -129,11 +132,13 @@ def open_batch(
     rows = read_ledger(state / LEDGER_FILE)
     listed = storage.list_folder(runs)
     results = set() if listed is None else listed[1]
-    to_do = [
-        item
-        for item in items
-        if item.id not in results or not _is_finished(rows.get(item.id), item, identity)
-    ]
+    with ThreadPoolExecutor(_LOOKS) as pool:  # a store answers each look in some milliseconds
+        far = any(storage.is_url(item.source) for item in items)
+        finished = (pool.map if far else map)(
+            lambda item: item.id in results and _is_finished(rows.get(item.id), item, identity),
+            items,
+        )
+        to_do = [item for item, yes in zip(items, finished, strict=True) if not yes]
     return Batch(tuple(items), identity, runs, state, rows, tuple(to_do), lock)
 
 

@@ -191,10 +191,11 @@ def _upload(work: Path, folder: str, marker: str) -> None:
             system.rm_file(f"{inner}/{marker}")
         system.rm(inner, recursive=True)
     files = sorted(path for path in work.rglob("*") if path.is_file())
-    for path in sorted(files, key=lambda path: path == work / marker):
-        name = path.relative_to(work).as_posix()
-        system.makedirs(f"{inner}/{name}".rpartition("/")[0], exist_ok=True)
-        system.put_file(str(path), f"{inner}/{name}")
+    names = [path.relative_to(work).as_posix() for path in files]
+    for inner_folder in sorted({f"{inner}/{name}".rpartition("/")[0] for name in names}):
+        system.makedirs(inner_folder, exist_ok=True)
+    for name in sorted(names, key=lambda name: name == marker):
+        system.put_file(str(work / name), f"{inner}/{name}")
 
 
 def _require_leftover(folder: str, system: Any, inner: str, work: Path) -> None:

@@ -8,6 +8,7 @@ Conventions
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import sys
@@ -98,7 +99,8 @@ def run(options: BatchOptions) -> int:
         options,
         f"{len(items):,} objects" + (f", {before:,} of them finished before" if before else ""),
     )
-    summary = _with_progress(options, batch, address)
+    with contextlib.redirect_stdout(sys.stderr if options.json else sys.stdout):
+        summary = _with_progress(options, batch, address)  # Ray prints what it likes
     _report(options, batch, summary)
     return 1 if summary.failed else 0
 

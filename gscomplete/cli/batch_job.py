@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 from gscomplete.batch.manifest import FieldKind, Item
 from gscomplete.batch.work import SetupError
 from gscomplete.cli.complete import CompleteOptions, HowToComplete
-from gscomplete.cli.request import request_of, settings_of
 from gscomplete.errors import UserError
 from gscomplete.priors.latent.settings import LatentPriorSettings
 from gscomplete.util import jsonio
@@ -37,11 +36,13 @@ ITEM_FIELDS: dict[str, FieldKind] = {
     "view": str,
     "range": float,
     "center": str,
-    "size": float,
+    "object_size": float,
     "mirror": str,
     "seed": int,
 }
 """Options that a manifest may give to a single object."""
+_NAMES = {"object_size": "size"}
+"""Of fields that are called otherwise in Python."""
 _DECIDES_NOTHING = ("device", "checkpoint_every")
 
 
@@ -55,6 +56,7 @@ class CompleteJob:
         """Complete an object; see ``gscomplete.batch.work.Job``."""
         import torch
 
+        from gscomplete.cli.request import request_of, settings_of
         from gscomplete.completion.run_folder import execute, prepare
 
         try:
@@ -68,7 +70,8 @@ class CompleteJob:
             field.name: getattr(self.options, field.name)
             for field in dataclasses.fields(HowToComplete)
         }
-        options = CompleteOptions(**(shared | item.options), partial=source, out=out, resume=resume)
+        own = {_NAMES.get(name, name): value for name, value in item.options.items()}
+        options = CompleteOptions(**(shared | own), partial=source, out=out, resume=resume)
         try:
             job = prepare(request_of(options, prior), prior, device)
             content = execute(job, lambda report: None)

@@ -38,7 +38,7 @@ class HowToComplete:
     center: str | None = None
     """Centre of the COMPLETE object as X,Y,Z in file coordinates; None = as object.json says where
     it was given to that by hand, else guessed from P."""
-    size: float | None = None
+    size: Annotated[float | None, tyro.conf.arg(name="object-size")] = None
     """Largest side of the COMPLETE object in file units; None = as for --center."""
     prior: str = "embedded"
     """embedded, mvdream, or the path of weights: MVDream's file or folder, a folder of any

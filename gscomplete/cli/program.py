@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import tyro
 
 from gscomplete.cli.guard import let_threads_sleep, print_version, run_guarded
+from gscomplete.util.parse import with_new_names
 
 let_threads_sleep()  # the commands load PyTorch, and with it the OpenMP runtime
 from gscomplete.cli import batch, complete, evaluate, render, report, validate, view, weights
@@ -48,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Command,
         prog="gscomplete",
         description="Complete partial 3D objects made of Gaussian splats.",
-        args=arguments,
+        args=with_new_names(arguments, {"--size": "--object-size"}),
     )
     return run_guarded(
         "gscomplete",

@@ -39,9 +39,9 @@ class RenderOptions:
     up: Literal["X", "Y", "Z", "-X", "-Y", "-Z"] | None = None
     """Axis of the file that points up; None = as its run or object folder says, else Z."""
     center: str | None = None
-    """Centre of the object frame as X,Y,Z in file coordinates, with --size; None = as the run or
-    object folder says, else the middle of the splats, floaters apart."""
-    size: float | None = None
+    """Centre of the object frame as X,Y,Z in file coordinates, with --object-size; None = as the
+    run or object folder says, else the middle of the splats, floaters apart."""
+    size: Annotated[float | None, tyro.conf.arg(name="object-size")] = None
     """Side of the object frame in file units, with --center; None = as the folder says, else the
     splats' largest side, floaters apart. Pictures show 1.6 times as much."""
     size_px: int = 512
@@ -76,17 +76,17 @@ def run(options: RenderOptions) -> int:
         raise UserError("--views: expected at least one AZIMUTH,ELEVATION, found none")
     background = parse_numbers(options.background, 3, "--background", "R,G,B") or [1.0, 1.0, 1.0]
     angles = [parse_view(view, "--views") for view in options.views]
-    from gscomplete.folders import shown_by
+    from gscomplete.folders import drawable_of
 
-    shown = shown_by(options.file)
-    up = options.up or (shown.frame.up if shown.frame is not None else "Z")
+    drawable = drawable_of(options.file)
+    up = options.up or (drawable.frame.up if drawable.frame is not None else "Z")
     given = _given_frame(options, up)
-    if given is None and shown.frame is not None and shown.frame.up == up:
-        given = shown.frame
-    splats = read_splats(shown.file).splats
+    if given is None and drawable.frame is not None and drawable.frame.up == up:
+        given = drawable.frame
+    splats = read_splats(drawable.file).splats
     usable, left_out = usable_rows(splats)
     if not bool(usable.any()):
-        raise UserError(f"{shown.file}: expected splats that can be drawn, found none")
+        raise UserError(f"{drawable.file}: expected splats that can be drawn, found none")
     for reason, count in left_out.items():
         print(f"{count:,} splats not drawn: {reason.replace('_', ' ')}", file=sys.stderr)
     splats = splats.select(usable)
@@ -134,11 +134,11 @@ def _given_frame(options: RenderOptions, up: UpAxis) -> ObjectFrame | None:
 
     center = parse_numbers(options.center, 3, "--center", "X,Y,Z")
     if options.size is not None and not 0 < options.size < float("inf"):
-        raise UserError(f"--size: expected a positive length, found {options.size:g}")
+        raise UserError(f"--object-size: expected a positive length, found {options.size:g}")
     if center is None and options.size is None:
         return None
     if center is None or options.size is None:
-        raise UserError("--center, --size: expected both or none, found one")
+        raise UserError("--center, --object-size: expected both or none, found one")
     return ObjectFrame(up, (center[0], center[1], center[2]), options.size)
 
 

@@ -310,7 +310,7 @@ def _box(
         UserError: an option has the wrong form.
     """
     if options.size_file is not None and not 0 < options.size_file < float("inf"):
-        raise UserError(f"--size: expected a positive length, found {options.size_file:g}")
+        raise UserError(f"--object-size: expected a positive length, found {options.size_file:g}")
     known = None if found is None else found.known_frame
     sources["center"] = sources["size"] = "guess" if known is None else OBJECT_FILE
     center = None if known is None else known.center_file
@@ -318,5 +318,5 @@ def _box(
     if options.center_file is not None:
         center, sources["center"] = options.center_file, "--center"
     if options.size_file is not None:
-        size, sources["size"] = options.size_file, "--size"
+        size, sources["size"] = options.size_file, "--object-size"
     return center, size

@@ -48,6 +48,11 @@ _LEAST_SHARE = 0.01
 
 FloatArray = NDArray[np.float64]
 
+_ANCHORS = 64
+"""Most splats at the seam that decide about one new splat."""
+_LEAST_OPACITY = 0.1
+"""Fainter splats take no part."""
+
 
 @dataclass(frozen=True, slots=True)
 class SeamColorReport:
@@ -81,8 +86,8 @@ def match_seam_colors(
         partial: P, object frame.
         settings: knobs.
     """
-    drawn = partial.select(partial.opacities >= settings.least_opacity)
-    shown = torch.nonzero(new.opacities >= settings.least_opacity)[:, 0]
+    drawn = partial.select(partial.opacities >= _LEAST_OPACITY)
+    shown = torch.nonzero(new.opacities >= _LEAST_OPACITY)[:, 0]
     if len(drawn) == 0 or len(shown) == 0:
         return new, SeamColorReport(0, 0, 0.0, 0.0)
     places = new.means.detach().double().cpu().numpy()
@@ -134,7 +139,7 @@ def _spread(
 ) -> FloatArray:  # [N, 3]
     """Smooth differences at the seam along it, and let them fade with the distance from it."""
     tree = cKDTree(anchors)
-    nearest = list(range(1, min(settings.anchors, len(anchors)) + 1))
+    nearest = list(range(1, min(_ANCHORS, len(anchors)) + 1))
     distance, index = tree.query(points, k=nearest)
     # Relative to the nearest anchor, so that weights far from the seam do not vanish all at once.
     beyond = distance**2 - distance[:, :1] ** 2
@@ -142,7 +147,7 @@ def _spread(
     weight /= weight.sum(axis=1, keepdims=True)
     fading = np.exp(-0.5 * (distance[:, 0] / settings.fade) ** 2)
     fading[fading < _LEAST_SHARE] = 0.0
-    return settings.strength * fading[:, None] * (weight[:, :, None] * gap[index]).sum(axis=1)
+    return fading[:, None] * (weight[:, :, None] * gap[index]).sum(axis=1)
 
 
 def oklab_from_srgb(colors: Tensor) -> Tensor:  # [N, 3] in [0, 1] -> [N, 3], float64

@@ -1,4 +1,4 @@
-"""How sure a mean over objects is."""
+"""Confidence interval of a mean over objects."""
 
 from __future__ import annotations
 

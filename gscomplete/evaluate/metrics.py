@@ -14,7 +14,7 @@ Conventions
   other reading, mean((M_c * difference)^2) over all pixels and channels: the value of L_p.
 * Depth is the expected camera-space z. Where O shows nothing in front of P's mask, its depth is
   undefined and the error counts as one object size.
-* ``silhouette_iou`` compares whole silhouettes, P's part included, view by view: the input alone
+* ``silhouette_iou`` compares complete silhouettes, P's part included, view by view: the input alone
   does not score 0, and a view from which P shows everything scores high for any completion.
 * The hidden region of a view is where P shows nothing (alpha below 1/2) but O or T does (alpha at
   least 1/2): there, and only there, the completion had to be invented.
@@ -45,7 +45,7 @@ NOTHING_ALPHA = 1.0 / 255.0
 
 @dataclass(frozen=True, slots=True)
 class PreservationErrors:
-    """How far a completion changes what P looks like from the given views."""
+    """How far a completion changes P's appearance from the given views."""
 
     color: float
     """E_color: masked mean squared error of the colours in [0, 1]."""
@@ -66,7 +66,7 @@ class TruthErrors:
     """How far a completion's invented part is from the true object."""
 
     silhouette_iou: float
-    """Intersection over union of the whole silhouettes, mean over the views."""
+    """Intersection over union of the complete silhouettes, mean over the views."""
     silhouette_missed: float
     """Share of the joined silhouettes that only T covers, mean over the views."""
     silhouette_excess: float
@@ -101,6 +101,10 @@ def preservation(
         cameras: views of V, or the input view c alone.
         background: colour in [0, 1] behind both.
 
+    Returns:
+        E_color (squared colour difference) and E_depth (squared object sizes), of the paper's
+        section "Metrics": means over P's mask and the views.
+
     Raises:
         UserError: P is not visible from any of the views.
     """
@@ -126,6 +130,9 @@ def against_truth(
         truth: T in the object frame.
         cameras: views all round the object, to see what P leaves open.
         background: colour in [0, 1] behind all three.
+
+    Returns:
+        Silhouette IoU in [0, 1], PSNR in dB, distances in object sizes.
 
     Raises:
         UserError: neither O nor T is visible from any of the views.

@@ -34,6 +34,8 @@ _MOST_TITLE_PX = 480
 """A title may make a sheet so wide, not wider."""
 _LONGEST_TITLE = 400
 """Letters of a title that are looked at."""
+_FRAME_MS = 80
+"""Time for which a picture is shown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +46,6 @@ class TurntableSettings:
     """Pictures in one full turn."""
     size_px: int = 256
     """Side of a picture."""
-    frame_ms: int = 80
-    """Time for which a picture is shown."""
     quality: int = 80
     """WebP quality, 1 to 100; other formats ignore it."""
 
@@ -53,7 +53,16 @@ class TurntableSettings:
 def render_images(
     splats: Splats, cameras: Cameras, background: tuple[float, float, float] = LIGHT_GREY
 ) -> list[Image.Image]:
-    """Render splats from every camera as pictures."""
+    """Render splats from every camera as pictures.
+
+    Args:
+        splats: N splats in the cameras' world frame.
+        cameras: V cameras.
+        background: colour in [0, 1].
+
+    Returns:
+        V pictures, 8 bits a channel.
+    """
     with torch.no_grad():
         color = render(splats, cameras, splats.means.new_tensor(background)).color
     return [to_image(view) for view in color]
@@ -81,6 +90,9 @@ def contact_sheet(
         row_labels: one per row, or none at all.
         column_labels: one per column, or none at all.
         title: one line above everything.
+
+    Returns:
+        One picture, white behind and between.
 
     Raises:
         ValueError: there is no picture, or the number of labels fits neither.
@@ -128,7 +140,18 @@ def preview_sheet(
     size_px: int = 256,
     title: str = "",
 ) -> Image.Image:
-    """Show input and completion from the same six views, the input view c first."""
+    """Show input and completion from the same six views, the input view c first.
+
+    Args:
+        partial: P in the object frame.
+        completed: O in the object frame.
+        views: V with the input view c.
+        size_px: side of each of the twelve pictures.
+        title: line above all, such as the prompt.
+
+    Returns:
+        Two rows of six pictures: input above completion.
+    """
     cameras = views.preview_cameras(size_px)
     offsets = [f"c + {60 * index}" if index else "c (input view)" for index in range(6)]
     return contact_sheet(
@@ -141,6 +164,10 @@ def preview_sheet(
 
 def save_image(image: Image.Image, path: Path) -> None:
     """Write a picture in the format of its suffix, replacing ``path`` in one step.
+
+    Args:
+        image: the picture.
+        path: where to, such as ``preview.png``.
 
     Raises:
         UserError: the suffix names no picture format, or the folder cannot be written.
@@ -173,7 +200,7 @@ def save_turntable(
             temporary,
             save_all=True,
             append_images=frames[1:],
-            duration=chosen.frame_ms,
+            duration=_FRAME_MS,
             loop=0,
             quality=chosen.quality,
         )

@@ -46,7 +46,7 @@ class EvaluationSettings:
 
 @dataclass(frozen=True, slots=True)
 class TruthPictures:
-    """How much a completion looks like the true object from all round."""
+    """How similar a completion and the true object appear from all round."""
 
     hidden_ssim: float | None
     """Mean SSIM over the hidden region; None if it is empty."""
@@ -63,7 +63,7 @@ class EvaluationReport:
     all_views: PreservationErrors
     """E_color and E_depth over the view distribution V."""
     haarpsi: float
-    """Mean HaarPSI of O to P over V, weighted by M_c; 1 = P looks the same."""
+    """Mean HaarPSI of O to P over V, weighted by M_c; 1 = P's appearance is unchanged."""
     lpips: float | Unavailable
     """E_LPIPS from the input view c."""
     clip: float | Unavailable
@@ -92,6 +92,9 @@ def evaluate(
         views: V with the input view c.
         truth: the complete object in the object frame, if known.
         settings: knobs; None = defaults.
+
+    Returns:
+        E_color and E_depth from c and over V, HaarPSI, and what the truth tells where it is known.
 
     Raises:
         UserError: P is not visible from c.
@@ -134,7 +137,15 @@ def truth_pictures_of_renders(completed: Render, partial: Render, truth: Render)
 
 
 def report_table(report: EvaluationReport, title: str = "Evaluation") -> Table:
-    """Lay a report out for the terminal."""
+    """Lay a report out for the terminal.
+
+    Args:
+        report: what :func:`evaluate` returned.
+        title: line above the table.
+
+    Returns:
+        A table of ``rich``, a line for each metric.
+    """
     table = Table(title=title)
     table.add_column("metric")
     table.add_column("input view c", justify="right")

@@ -1,5 +1,6 @@
 """Reading what folders say: object folders (a part and what is known of it) and run folders."""
 
+from gscomplete.folders.drawable import Drawable, drawable_of, splat_files_of
 from gscomplete.folders.object_folder import (
     COMPLETE_FILE,
     OBJECT_FILE,
@@ -9,7 +10,6 @@ from gscomplete.folders.object_folder import (
     read_object_folder,
 )
 from gscomplete.folders.run_folder import OUTPUT_FILE, RUN_FILE, RunFolder, read_run_folder
-from gscomplete.folders.shown import Shown, shown_by, splat_files_of
 
 __all__ = [
     "COMPLETE_FILE",
@@ -17,12 +17,12 @@ __all__ = [
     "OUTPUT_FILE",
     "PARTIAL_FILE",
     "RUN_FILE",
+    "Drawable",
     "ObjectFolder",
     "RunFolder",
-    "Shown",
+    "drawable_of",
     "object_folder_of",
     "read_object_folder",
     "read_run_folder",
-    "shown_by",
     "splat_files_of",
 ]

@@ -69,6 +69,12 @@ class ObjectFolder:
 def read_object_folder(folder: Path) -> ObjectFolder:
     """Read ``object.json`` of a folder.
 
+    Args:
+        folder: an object folder.
+
+    Returns:
+        What ``object.json`` says; files are named, not opened.
+
     Raises:
         UserError: it is missing, of another schema, or lacks what is read here.
     """
@@ -104,6 +110,12 @@ def object_folder_of(path: Path) -> ObjectFolder | None:
     """Return the object folder that a path means: the folder itself, or any file that it records.
 
     Files that happen to lie beside an ``object.json`` without being recorded in it mean themselves.
+
+    Args:
+        path: a folder or a file.
+
+    Returns:
+        What the folder's ``object.json`` says; None = the path means none.
 
     Raises:
         UserError: the path means an object folder whose ``object.json`` cannot be read.

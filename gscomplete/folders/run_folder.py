@@ -67,6 +67,12 @@ class RunFolder:
 def read_run_folder(folder: Path) -> RunFolder:
     """Read ``run.json`` of a folder.
 
+    Args:
+        folder: a run folder.
+
+    Returns:
+        What ``run.json`` says; files are named, not opened.
+
     Raises:
         UserError: it is missing or no record of a run.
     """

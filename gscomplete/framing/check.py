@@ -56,19 +56,19 @@ def check_given_frame(partial: Splats, frame: ObjectFrame, name: str) -> tuple[s
     share = side / size
     sides = (
         f"P's largest side is {side:.4g}, {100 * share:.2g} % of the complete object's {size:.4g} "
-        "(--size)"
+        "(--object-size)"
     )
     if share < _LEAST_SHARE:
         raise UserError(
-            f"{name}: --size: expected at most {side / _LEAST_SHARE:.4g} (file units), found "
-            f"{size:.4g}; {sides}"
+            f"{name}: --object-size: expected at most {side / _LEAST_SHARE:.4g} (file units), "
+            f"found {size:.4g}; {sides}"
         )
     low, high = _middle_box(partial)
     center = np.array(frame.center_file)
     beyond = float(np.maximum(center - low, high - center).max()) / size - 0.5
     if bool((low > center + size / 2).any() or (high < center - size / 2).any()):
         raise UserError(
-            f"{name}: --center, --size: expected a frame that P lies in; P reaches from "
+            f"{name}: --center, --object-size: expected a frame that P lies in; P reaches from "
             f"{_point(low)} to {_point(high)}, the frame from {_point(center - size / 2)} to "
             f"{_point(center + size / 2)} (file units)"
         )
@@ -76,7 +76,7 @@ def check_given_frame(partial: Splats, frame: ObjectFrame, name: str) -> tuple[s
     if beyond > 0.5:
         notes.append(
             f"P reaches {beyond * size:.4g} beyond the frame of size {size:.4g}: is it that of the "
-            "whole?"
+            "complete object?"
         )
     return tuple(notes)
 

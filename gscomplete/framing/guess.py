@@ -38,6 +38,17 @@ from gscomplete.views.distribution import FOV_DEG, RADIUS
 
 FloatArray = NDArray[np.float64]
 
+_SURFACE_TOLERANCE = 0.03
+"""A splat this far behind the surface seen still counts as visible (in sides of P's box)."""
+_FLOATER_DENSITY = 0.03
+"""A splat with less than this share of the median density around it is a floater."""
+_DENSE_NEIGHBOURS = 8.0
+"""With at least this many splats around the median one, a splat all alone is a floater."""
+_MAX_FLOATER_FRACTION = 0.02
+"""If more than this share of the splats counts as floaters, all are taken as object."""
+_MIN_OPENNESS = 0.25
+"""How one-sided the view scores must be for P to count as open, in [0, 1]."""
+
 
 @dataclass(frozen=True, slots=True)
 class FramingSettings:
@@ -51,21 +62,11 @@ class FramingSettings:
     """Side of the renders that views are judged by."""
     max_splats: int = 20_000
     """Splats drawn for that; of larger objects, an even choice with widths grown to match."""
-    surface_tolerance: float = 0.03
-    """A splat this far behind the surface seen still counts as visible (in sides of P's box)."""
-    floater_density: float = 0.03
-    """A splat with less than this share of the median density around it is a floater."""
-    dense_neighbours: float = 8.0
-    """With at least this many splats around the median one, a splat all alone is a floater."""
-    max_floater_fraction: float = 0.02
-    """If more than this share of the splats looks like floaters, all are taken as object."""
-    min_openness: float = 0.25
-    """How one-sided the view scores must be for P to count as open, in [0, 1]."""
 
 
 @dataclass(frozen=True, slots=True)
 class FramingGuess:
-    """Where the complete object is believed to be."""
+    """Where the complete object is estimated to be."""
 
     center: tuple[float, float, float]
     """Centre of the complete object, in the z-up axes of the splats given."""
@@ -85,7 +86,7 @@ class FramingGuess:
 
 @dataclass(frozen=True, slots=True)
 class ViewScores:
-    """How P looks from E elevations times A azimuths."""
+    """P's appearance from E elevations times A azimuths."""
 
     azimuths_deg: FloatArray  # [A]
     elevations_deg: FloatArray  # [E]
@@ -139,11 +140,13 @@ def guess_framing(
         UserError: P has no finite splat, or all are at one place.
     """
     chosen = settings or FramingSettings()
-    kept, notes = object_splats(partial, chosen)
+    kept, notes = object_splats(partial)
     low, high = (corner.double().numpy() for corner in kept.bounds())
     size = float((high - low).max())
     if not size > 0:
-        raise UserError("framing: all splats are at one place; give --center, --size and --view")
+        raise UserError(
+            "framing: all splats are at one place; give --center, --object-size and --view"
+        )
     scores = score_views(_centered(kept, (low + high) / 2, size), chosen)
     row, column = np.unravel_index(int(np.argmax(scores.score)), scores.score.shape)
     azimuth, elevation = float(scores.azimuths_deg[column]), float(scores.elevations_deg[row])
@@ -162,7 +165,7 @@ def guess_framing(
         both = np.concatenate([points, cut.mirrored(points)])
         center, size = (both.min(axis=0) + both.max(axis=0)) / 2, float(np.ptp(both, axis=0).max())
         reason = "P ends squarely at a plane: centre and size are of P and its mirror image"
-    elif strength < chosen.min_openness:
+    elif strength < _MIN_OPENNESS:
         center, reason = (low + high) / 2, "no side is clearly open: centre and size are the box's"
     else:
         center, grown, reason = extended_box(points, toward)
@@ -179,12 +182,12 @@ def score_partial(partial: Splats, settings: FramingSettings | None = None) -> V
         UserError: P has no finite splat.
     """
     chosen = settings or FramingSettings()
-    kept, _ = object_splats(partial, chosen)
+    kept, _ = object_splats(partial)
     low, high = (corner.double().numpy() for corner in kept.bounds())
     return score_views(_centered(kept, (low + high) / 2, float((high - low).max())), chosen)
 
 
-def object_splats(partial: Splats, settings: FramingSettings) -> tuple[Splats, list[str]]:
+def object_splats(partial: Splats) -> tuple[Splats, list[str]]:
     """Return the finite splats of P without floaters, and what was left out.
 
     A floater has next to no other splats in the 27 grid cells around it (cells of 1/24 of the box
@@ -204,10 +207,10 @@ def object_splats(partial: Splats, settings: FramingSettings) -> tuple[Splats, l
         reasons.append(f"{len(partial) - len(kept)} invisible or non-finite splats ignored")
     density = _local_density(kept.means.double().numpy())
     median = float(np.median(density))
-    is_dense = median >= settings.dense_neighbours
-    floating = density < max(settings.floater_density * median, 2.0 if is_dense else 0.0)
+    is_dense = median >= _DENSE_NEIGHBOURS
+    floating = density < max(_FLOATER_DENSITY * median, 2.0 if is_dense else 0.0)
     count = int(floating.sum())
-    if 0 < count <= settings.max_floater_fraction * len(kept):
+    if 0 < count <= _MAX_FLOATER_FRACTION * len(kept):
         reasons.append(f"{count} floating splats ignored")
         kept = kept.select(torch.from_numpy(~floating))
     return kept, reasons
@@ -233,7 +236,7 @@ def score_views(centered: Splats, settings: FramingSettings) -> ViewScores:
             fov_deg=FOV_DEG,
             size_px=settings.size_px,
         )
-        rows.append(_score_ring(drawn, cameras, settings.surface_tolerance))
+        rows.append(_score_ring(drawn, cameras, _SURFACE_TOLERANCE))
     area, facing, visible = (np.stack(column) for column in zip(*rows, strict=True))
     elevations = np.array(settings.elevations_deg)
     return ViewScores(azimuths.numpy(), elevations, area, facing, visible)

@@ -26,6 +26,13 @@ from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.filters import thinned
 from gscomplete.views import ViewDistribution
 
+_MOST_HIDDEN = 0.1
+"""A view from which the complete object hides no more than this share of P's pixels stays,
+..."""
+_LEAST_HIDDEN = 0.05
+"""... and so it does if the best other one (by score and hidden share) hides more than this:
+then it is rather the guess of the complete object that is wrong."""
+
 
 @dataclass(frozen=True, slots=True)
 class InputViewSettings:
@@ -37,12 +44,6 @@ class InputViewSettings:
     Guessing the complete object anew from the new view is worse, by .03.
     """
 
-    most_hidden: float = 0.1
-    """A view from which the complete object hides no more than this share of P's pixels stays,
-    ..."""
-    least_hidden: float = 0.05
-    """... and so it does if the best other one (by score and hidden share) hides more than this:
-    then it is rather the guess of the complete object that is wrong."""
     least_score: float = 0.5
     """Views that show P worse than this share of the best one's score are not asked."""
     depth_tolerance: float = 0.03
@@ -73,9 +74,9 @@ def refine_input_view(
     chosen = settings or InputViewSettings()
     generator = torch.Generator().manual_seed(0)
     partial = thinned(partial.with_sh_degree(0), chosen.max_splats, generator)
-    whole = concatenate([partial, new.with_sh_degree(0)])
-    before = hidden_share(partial, whole, guessed, chosen)
-    if before <= chosen.most_hidden:
+    completed = concatenate([partial, new.with_sh_degree(0)])
+    before = hidden_share(partial, completed, guessed, chosen)
+    if before <= _MOST_HIDDEN:
         return guessed, ""
     scores = score_partial(partial)
     shares = scores.score / max(float(scores.score.max()), 1e-12)
@@ -86,11 +87,11 @@ def refine_input_view(
         if shares[row, column] <= best_score:  # no later one can score more than its share
             break
         views = _looking_from(guessed, scores, row, column)
-        hidden = hidden_share(partial, whole, views, chosen)
+        hidden = hidden_share(partial, completed, views, chosen)
         score = float(shares[row, column]) * (1.0 - hidden) ** 2
         if score > best_score:
             best, least, best_score = views, hidden, score
-    if least >= chosen.least_hidden:
+    if least >= _LEAST_HIDDEN:
         return guessed, ""
     return best, (
         f"input view {best.azimuth_deg:g},{best.elevation_deg:g} after all: from "
@@ -100,12 +101,12 @@ def refine_input_view(
 
 
 def hidden_share(
-    partial: Splats, whole: Splats, views: ViewDistribution, settings: InputViewSettings
+    partial: Splats, completed: Splats, views: ViewDistribution, settings: InputViewSettings
 ) -> float:
     """Return the share of P's pixels that the complete object hides from about c; 0 without P."""
     cameras = views.sides(settings.size_px)
     with torch.no_grad():
-        alone, together = render(partial, cameras), render(whole, cameras)
+        alone, together = render(partial, cameras), render(completed, cameras)
     shown = alone.alpha > 0.5
     hidden = shown & (together.depth < alone.depth - settings.depth_tolerance)
     return float(hidden.sum()) / max(float(shown.sum()), 1.0)

@@ -56,6 +56,9 @@ def load_prior(
         device: where it runs.
         settings: knobs of latent diffusion priors; None = their defaults.
 
+    Returns:
+        The prior, on the device.
+
     Raises:
         UserError: there is no such prior, or its weights are missing or damaged.
     """

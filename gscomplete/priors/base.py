@@ -123,7 +123,7 @@ class Prior(Protocol):
 
     @property
     def views(self) -> PriorViews:
-        """Framing that renders shown to the prior must have."""
+        """Framing that the prior's input renders must have."""
         ...
 
     @property
@@ -141,7 +141,7 @@ class Prior(Protocol):
         ...
 
     def condition(self, prompt: str, negative_prompt: str | None = None) -> Conditioning:
-        """Encode a prompt once for a whole run.
+        """Encode a prompt once for all steps of a run.
 
         Args:
             prompt: free text; empty means no text.

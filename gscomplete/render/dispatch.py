@@ -74,6 +74,9 @@ def prepare_frozen(
         settings: constants of the image formation; None = the defaults.
         backend: which implementation draws; only the CPU's renders gain.
 
+    Returns:
+        What ``render(..., frozen=...)`` takes for these views.
+
     Raises:
         UserError: the backend is not available on this machine.
     """

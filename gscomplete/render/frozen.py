@@ -94,6 +94,12 @@ class PreparedFrozen:
 def join_prepared(parts: Sequence[PreparedFrozen]) -> PreparedFrozen:
     """Join views of one frozen set, in order; nothing is copied.
 
+    Args:
+        parts: prepared values, at least one.
+
+    Returns:
+        One value for all their views.
+
     Raises:
         ValueError: ``parts`` is empty, or of different splats, settings or image sizes.
     """

@@ -1,8 +1,8 @@
 """What a plane's copy of P scores by the truth, from P on both sides of the plane.
 
-The ranker (``coarse_scorer``) reads 21 numbers per plane and can afford all 1,332 planes. The judge
-looks at the voxels themselves, folded about the plane, for the few planes that the ranker likes,
-and corrects its opinion. It was trained on procedural objects whose truth is known
+``coarse_scorer`` reads 21 numbers per plane and can afford all 1,332 planes. This scorer takes
+the voxels themselves, folded about the plane, for the few planes that the coarse one prefers, and
+corrects its scores. It was trained on procedural objects whose truth is known
 (``recipes/train_embedded_prior``).
 
 Conventions
@@ -101,7 +101,7 @@ class FineSymmetryScorer(nn.Module):
         volumes: FoldedVolumes,
         features: Tensor,  # [K, F] of ``symmetry_features``
         ranked: Tensor,  # [K] the ranker's logits
-    ) -> tuple[Tensor, Tensor]:  # [K] logits of being the best, [K] worths
+    ) -> tuple[Tensor, Tensor]:  # [K] logits of being the best, [K] scores
         """Judge planes."""
         x = torch.cat([self.stem(volumes.fine), self.evidence(volumes.coarse)], dim=1)
         for level, block in enumerate(self.blocks):

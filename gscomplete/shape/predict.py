@@ -44,6 +44,7 @@ def predict(
     distribution: ViewDistribution,
     tokens: Tensor,  # [L]
     *,
+    ends_in_plane: bool,
     bfloat16: bool = False,
     mirror_plane: Mirror = "guess",
 ) -> Prediction:
@@ -54,11 +55,19 @@ def predict(
         partial: P in the object frame.
         distribution: V.
         tokens: the prompt.
+        ends_in_plane: whether P was cut along a plane (``framing.cut_plane``).
         bfloat16: precision of the network.
         mirror_plane: which plane of symmetry to show first.
     """
     voxels = voxelize_partial(partial, distribution)
-    choice = choose_symmetries(model, voxels, tokens, bfloat16=bfloat16, mirror_plane=mirror_plane)
+    choice = choose_symmetries(
+        model,
+        voxels,
+        tokens,
+        ends_in_plane=ends_in_plane,
+        bfloat16=bfloat16,
+        mirror_plane=mirror_plane,
+    )
     seen = voxels.with_copies(choice.symmetries)
     output = predict_occupancy(model, seen, tokens, bfloat16=bfloat16)
     return Prediction(voxels, seen, output, choice.symmetry_score)

@@ -1,13 +1,12 @@
 """Which mirror images of P the shape network is given: those consistent with its own answers.
 
-Planes are proposed by what P looks like through them. The network knows more of objects: shown
-a copy, it fills the copy's cells or leaves them empty. So it is asked once per likely plane, and by
-its answer the plane is scored by the share of new surface that the copy covers, less half the share
-of the copy that is new and left empty. On 45 cuts of 15 real objects that no benchmark uses, planes
-chosen so scored .49 by the truth; those that are proposed first .40, the best of eight
-.61. Showing none where the answer to no copy at all contradicts the best was tried: tuned on those
-cuts it gained .006 there; on 45 others of the same objects it lost .002, on these turned .017, on
-174 more .007 (on 300 procedural objects, which the network knows better, it gained .0015).
+Planes are proposed by P's appearance through them. The network knows more of objects, so it is
+asked once per likely plane and once without any. Then:
+
+* A part that ends in a plane lacks what lies beyond: a plane is scored by the share of new surface
+  that its copy covers, less half the share of the copy that is new and left empty.
+* Of other parts the answer that the network is surest of is taken, with a copy or without: a copy
+  in the wrong place, such as a second head, leaves it in doubt.
 
 Conventions
 -----------
@@ -34,6 +33,8 @@ from gscomplete.shape.symmetry_proposals import candidate_planes
 from gscomplete.shape.voxels import FloatArray, grown, surface_cells
 
 CANDIDATES = 8
+_POSSIBLE = 0.1
+"""Cells with at least this probability count for how sure an answer is."""
 _BELIEF_WEIGHT = 0.15
 """Of the logarithm of the belief in a plane, beside the score by the network's answer."""
 _FILLED = 0.35
@@ -58,6 +59,8 @@ class ScoredPlanes:
     planes: tuple[SymmetryMap, ...]
     symmetry_scores: tuple[float, ...]
     """Of each by the answer to it."""
+    none_is_surest: bool
+    """Whether the network is surer of its answer to no mirror image than of those to all others."""
 
     def distinct(self, points: FloatArray) -> tuple[SymmetryMap, ...]:  # points [N, 3] of P
         """Return the planes that show something else than those before them."""
@@ -73,6 +76,7 @@ def choose_symmetries(
     voxels: PartialVoxels,
     tokens: Tensor,  # [L]
     *,
+    ends_in_plane: bool,
     bfloat16: bool = False,
     mirror_plane: Mirror = "guess",
 ) -> Choice:
@@ -82,6 +86,7 @@ def choose_symmetries(
         model: in evaluation mode, on the CPU.
         voxels: P.
         tokens: the prompt.
+        ends_in_plane: whether P was cut along a plane (``framing.cut_plane``).
         bfloat16: precision of the network.
         mirror_plane: which one to show first.
     """
@@ -92,7 +97,9 @@ def choose_symmetries(
         angle = math.radians(mirror_plane.azimuth_deg)
         given = mirror(angle, mirror_plane.offset, planes[0].score)
         return Choice(voxels.input_symmetries([given, *planes], 0), 1.0)
-    asked = score_planes(model, voxels, tokens, bfloat16=bfloat16)
+    asked = score_planes(model, voxels, tokens, ends_in_plane=ends_in_plane, bfloat16=bfloat16)
+    if asked.none_is_surest:
+        return Choice(no_symmetries(), 0.0)
     return Choice(voxels.input_symmetries(asked.planes, 0), asked.symmetry_scores[0])
 
 
@@ -102,11 +109,14 @@ def score_planes(
     voxels: PartialVoxels,
     tokens: Tensor,  # [L]
     *,
+    ends_in_plane: bool,
     bfloat16: bool = False,
 ) -> ScoredPlanes:
     """Ask the network about every likely plane; arguments as of :func:`choose_symmetries`."""
     planes = candidate_planes(voxels, CANDIDATES, bfloat16=bfloat16)
     asked = [_inputs_with_first(voxels, planes, k) for k in range(len(planes))]
+    if not ends_in_plane:
+        asked.append(voxels.with_copies(no_symmetries()))
     volumes = torch.from_numpy(np.stack([a.volumes for a in asked]))
     with cpu_precision(bfloat16=bfloat16):
         answer = model(
@@ -115,12 +125,30 @@ def score_planes(
             torch.from_numpy(np.stack([a.scores for a in asked])),
             tokens.expand(len(asked), -1),
         )
-    filled, copies = answer.occupancy.float().sigmoid(), volumes[:, 1, 0]
-    answered = symmetry_scores_of_answers(filled, copies, volumes[0, 0, 0])
-    belief = torch.tensor([plane.score for plane in planes])
-    best = (answered + _BELIEF_WEIGHT * (belief + 1e-4).log()).argsort(descending=True, stable=True)
-    order = best.tolist()
-    return ScoredPlanes(tuple(planes[k] for k in order), tuple(float(answered[k]) for k in order))
+    filled = answer.occupancy.float().sigmoid()
+    count = len(planes)
+    scores = symmetry_scores_of_answers(filled[:count], volumes[:count, 1, 0], volumes[0, 0, 0])
+    sure = sureness(filled)
+    if ends_in_plane:
+        belief = torch.tensor([plane.score for plane in planes])
+        rank = scores + _BELIEF_WEIGHT * (belief + 1e-4).log()
+    else:
+        rank = sure[:count]
+    order = rank.argsort(descending=True, stable=True).tolist()
+    return ScoredPlanes(
+        tuple(planes[k] for k in order),
+        tuple(float(scores[k]) for k in order),
+        not ends_in_plane and bool(sure[count] > sure[:count].max()),
+    )
+
+
+def sureness(
+    filled: Tensor,  # [K, C, C, C] probabilities of the network's answers
+) -> Tensor:  # [K] in [0, 1]
+    """Return how far answers are from one half, on average over the cells that may be filled."""
+    possible = filled > _POSSIBLE
+    far = (2 * filled - 1).abs() * possible
+    return far.sum(dim=(1, 2, 3)) / possible.sum(dim=(1, 2, 3)).clamp_min(1)
 
 
 def symmetry_scores_of_answers(

@@ -36,6 +36,12 @@ _COLOR_RANGE = tuple(f"{end}_{channel}" for end in ("min", "max") for channel in
 def read_compressed_ply(path: str | Path) -> Splats:
     """Read a SuperSplat ``.compressed.ply`` as activated float32 splats in the file frame.
 
+    Args:
+        path: the file.
+
+    Returns:
+        N splats; positions and scales are as coarse as the file's 11 and 10 bits.
+
     Raises:
         PlyError: the file is not such a file, or it is truncated.
     """

@@ -30,6 +30,9 @@ FAR_FACTOR = 10.0
 def usable_rows(splats: Splats) -> tuple[Tensor, dict[str, int]]:  # [N] bool
     """Mark the splats whose values are finite, representable when squared, and within their range.
 
+    Args:
+        splats: N splats in any frame.
+
     Returns:
         The mask [N], and the number of rows dropped for each reason: ``non_finite_mean``,
         ``non_finite_quaternion``, ``non_finite_scale``, ``non_finite_opacity``, ``non_finite_sh``,

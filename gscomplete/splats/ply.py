@@ -67,6 +67,12 @@ def read_splats(path: str | Path) -> SplatFile:
 
     Rows with NaN or infinite values are read as they are; ``filters.usable_rows`` finds them.
 
+    Args:
+        path: a splat PLY in the layout of the original 3DGS.
+
+    Returns:
+        The splats (activated values, file frame), and what writing the file again needs.
+
     Raises:
         PlyError: (a ``UserError``) the file is missing, something else than splats, malformed or
             truncated; the message names the file, the field, what was expected and found.
@@ -89,6 +95,12 @@ def read_splats(path: str | Path) -> SplatFile:
 
 def load_splats(path: str | Path) -> Splats:
     """Read only the splats of a PLY file: half the memory and time of ``read_splats``.
+
+    Args:
+        path: a splat PLY in the layout of the original 3DGS.
+
+    Returns:
+        The splats: activated values, file frame.
 
     Raises:
         PlyError: as ``read_splats``.

@@ -118,6 +118,12 @@ class Splats:
 def concatenate(parts: Sequence[Splats]) -> Splats:
     """Join splat sets in order; the result has the highest SH degree among them.
 
+    Args:
+        parts: at least one set of splats, all in one frame.
+
+    Returns:
+        All rows; harmonics of lower degree are filled up with zeros.
+
     Raises:
         ValueError: ``parts`` is empty.
     """
@@ -130,5 +136,12 @@ def concatenate(parts: Sequence[Splats]) -> Splats:
 
 
 def colors_to_sh(colors: Tensor) -> Tensor:  # [N, 3] -> [N, 1, 3]
-    """Turn colours into degree-0 spherical-harmonic coefficients."""
+    """Turn colours into degree-0 spherical-harmonic coefficients.
+
+    Args:
+        colors: [N, 3] red, green, blue in [0, 1].
+
+    Returns:
+        [N, 1, 3] coefficients of the constant band: (colour - 0.5) / 0.2821 (Kerbl et al. 2023).
+    """
     return ((colors - 0.5) / SH_C0)[:, None, :]

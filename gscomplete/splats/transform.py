@@ -139,6 +139,13 @@ def transform_splats(splats: Splats, similarity: Similarity) -> Splats:
     """Move splats to another frame: means, quaternions, scales and harmonics.
 
     Opacities stay. Views of the result from transformed cameras equal views of the original.
+
+    Args:
+        splats: N splats in one frame.
+        similarity: that frame to the other.
+
+    Returns:
+        N splats in the other frame, row by row.
     """
     turn = quaternion_from_rotation(similarity.rotation).to(splats.quaternions)
     return Splats(

@@ -3,7 +3,7 @@
 Conventions
 -----------
 * Severities: ``error`` - the file is not splats or cannot be used as they are, the verdict is no;
-  ``warning`` - usable, but probably not what was meant; ``info`` - worth knowing, normal.
+  ``warning`` - usable, but probably not what was meant; ``info`` - notable, normal.
 * Counts are rows unless a finding says otherwise.
 * Statistics are taken on the values as the file holds them: logits, logarithms, raw quaternions.
 * The file is read in blocks: apart from positions, largest scale and a hash per row, memory does
@@ -217,12 +217,12 @@ def _linear_findings(rows: RowStatistics, limits: ValidationLimits) -> list[Find
     found = []
     spread = rows.opacity.high - rows.opacity.low
     if rows.opacity.low >= 0 and rows.opacity.high <= 1 and spread > limits.linear_hint:
-        sure: Severity = "error" if spread > limits.linear_spread else "warning"
+        severity: Severity = "error" if spread > limits.linear_spread else "warning"
         message = (
             f"opacities look linear, expected logits: all in [{rows.opacity.low:.3g}, "
             f"{rows.opacity.high:.3g}]"
         )
-        found.append(Finding("linear_opacity", sure, count, message))
+        found.append(Finding("linear_opacity", severity, count, message))
     extent = float(np.ptp(np.quantile(rows.means, (0.05, 0.95), axis=0), axis=0).max())
     typical = float(np.median(rows.largest_scales))
     large = limits.large_scale * extent

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Mapping, Sequence
+
 from gscomplete.errors import UserError
 
 
@@ -39,3 +42,21 @@ def parse_numbers(text: str | None, count: int, option: str, form: str) -> list[
     if len(values) != count or not all(abs(value) < float("inf") for value in values):
         raise UserError(f"{option}: expected {form}, {count} finite numbers, found {text!r}")
     return values
+
+
+def with_new_names(arguments: Sequence[str], renamed: Mapping[str, str]) -> list[str]:
+    """Replace old names of options by their new ones, with a note on standard error.
+
+    Args:
+        arguments: words of a command line.
+        renamed: the new name of every old one, both with their dashes.
+    """
+    result = []
+    for word in arguments:
+        option, equals, value = word.partition("=")
+        if option in renamed:
+            sys.stderr.write(
+                f"note: {option} is now called {renamed[option]}; the next version drops {option}\n"
+            )
+        result.append(renamed.get(option, option) + equals + value)
+    return result

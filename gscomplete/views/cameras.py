@@ -98,6 +98,12 @@ class Cameras:
 def join_cameras(parts: Sequence[Cameras]) -> Cameras:
     """Join camera batches of one image size.
 
+    Args:
+        parts: batches, at least one.
+
+    Returns:
+        Their cameras, in order.
+
     Raises:
         ValueError: ``parts`` is empty or image sizes differ.
     """
@@ -114,12 +120,28 @@ def join_cameras(parts: Sequence[Cameras]) -> Cameras:
 
 
 def focal_from_fov(fov_deg: float, size_px: int) -> float:
-    """Focal length in pixels of a field of view that spans ``size_px`` pixels."""
+    """Focal length in pixels of a field of view that spans ``size_px`` pixels.
+
+    Args:
+        fov_deg: full angle in degrees.
+        size_px: width or height of the picture.
+
+    Returns:
+        The focal length in pixels.
+    """
     return 0.5 * size_px / math.tan(math.radians(fov_deg) / 2)
 
 
 def radius_to_fit(extent: float, fov_deg: float) -> float:
-    """Distance at which a length ``extent`` through the target just spans the field of view."""
+    """Distance at which a length ``extent`` through the target just spans the field of view.
+
+    Args:
+        extent: length across the view, world units.
+        fov_deg: full angle in degrees.
+
+    Returns:
+        The distance from camera to target, world units.
+    """
     return 0.5 * extent / math.tan(math.radians(fov_deg) / 2)
 
 
@@ -136,6 +158,17 @@ def orbit_cameras(
 
     At elevations of +/-90 degrees the image's up direction is the limit of approaching the pole
     along the given azimuth, so no view is undefined. Computed in float64, returned in float32.
+
+    Args:
+        azimuths_deg: 0 looks from +x, 90 from +y.
+        elevations_deg: positive looks down.
+        radius: distance from the target, world units.
+        fov_deg: vertical field of view.
+        size_px: width and height.
+        target: where all look; None = the origin.
+
+    Returns:
+        V cameras with OpenCV axes.
     """
     azimuth = torch.deg2rad(azimuths_deg.to(torch.float64))
     elevation = torch.deg2rad(elevations_deg.to(torch.float64))
@@ -160,7 +193,18 @@ def orbit_cameras(
 def four_view_orbit(
     azimuth_deg: float, elevation_deg: float, *, radius: float, fov_deg: float, size_px: int
 ) -> Cameras:
-    """Four cameras at one elevation, 90 degrees apart (paper, Equation 2: r_mv)."""
+    """Four cameras at one elevation, 90 degrees apart (paper, Equation 2: r_mv).
+
+    Args:
+        azimuth_deg: of the first camera; 0 looks from +x, 90 from +y.
+        elevation_deg: of all four; positive looks down.
+        radius: distance from the origin, world units.
+        fov_deg: vertical field of view.
+        size_px: width and height.
+
+    Returns:
+        4 cameras, azimuth increasing by 90 degrees.
+    """
     azimuths = azimuth_deg + 90.0 * torch.arange(4, dtype=torch.float64)
     elevations = torch.full((4,), float(elevation_deg), dtype=torch.float64)
     return orbit_cameras(azimuths, elevations, radius=radius, fov_deg=fov_deg, size_px=size_px)

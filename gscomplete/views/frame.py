@@ -50,6 +50,12 @@ _OBJECT_ROWS: dict[str, tuple[tuple[float, float, float], ...]] = {
 def up_rotation(up: UpAxis) -> Tensor:  # [3, 3]
     """Return the proper rotation (float64) that takes file axes to z-up axes.
 
+    Args:
+        up: axis of the file that points up.
+
+    Returns:
+        [3, 3] with determinant 1; a column vector of the file times this is z up.
+
     Raises:
         ValueError: ``up`` is not one of the six axes.
     """
@@ -59,7 +65,14 @@ def up_rotation(up: UpAxis) -> Tensor:  # [3, 3]
 
 
 def axis_direction(up: UpAxis) -> tuple[float, float, float]:
-    """Return the unit vector, in file axes, of the axis that points up."""
+    """Return the unit vector, in file axes, of the axis that points up.
+
+    Args:
+        up: axis of the file that points up, such as ``-Y``.
+
+    Returns:
+        x, y, z, of which one is 1 or -1.
+    """
     x, y, z = up_rotation(up)[2].tolist()
     return (x, y, z)
 

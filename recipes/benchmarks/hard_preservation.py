@@ -89,12 +89,12 @@ def remainder(partial: Splats, truth: Splats) -> Splats:
 
 def measure(framed: FramedObject, partial: Splats, new: Splats, cameras: Cameras) -> dict[str, Any]:
     """Return errors over unseen views of V, and the hidden region's against the truth."""
-    whole = concatenate([partial, new])
-    kept = preservation(whole, partial, cameras)
+    together = concatenate([partial, new])
+    kept = preservation(together, partial, cameras)
     row: dict[str, Any] = {"e_color": kept.color, "e_depth": kept.depth, "new_splats": len(new)}
     if framed.truth is not None:
         truth = framed.truth.with_sh_degree(0)
-        found = against_truth(whole, partial, truth, framed.views.ring(8, 256))
+        found = against_truth(together, partial, truth, framed.views.ring(8, 256))
         row |= {
             "hidden_iou": found.hidden_iou,
             "hidden_psnr_db": found.hidden_color_psnr_db,

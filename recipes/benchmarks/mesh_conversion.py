@@ -234,8 +234,10 @@ def _truth(options: Options, path: str, frame: ObjectFrame, cameras: Cameras) ->
         with np.load(cached) as stored:
             color = stored["color"].astype(np.float32) / 65535
             return Truth(color, stored["coverage"].astype(np.float32) / 255)
-    whole = load_mesh(options.data / path, max_texture_px=16_384, allow_outside=options.data)
-    truth = cast_mesh(whole, frame, cameras, options.ray_samples)
+    mesh_as_given = load_mesh(
+        options.data / path, max_texture_px=16_384, allow_outside=options.data
+    )
+    truth = cast_mesh(mesh_as_given, frame, cameras, options.ray_samples)
     if cached is not None:
         cached.parent.mkdir(parents=True, exist_ok=True)
         with atomic_path(cached) as temporary:

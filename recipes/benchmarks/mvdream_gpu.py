@@ -47,7 +47,7 @@ from gscomplete.splats.filters import usable_rows
 from gscomplete.util.atomic import atomic_path
 from gscomplete.util.device import choose_device
 from gscomplete.views import ViewDistribution, four_view_orbit
-from recipes.benchmarks.scenes import surface_discs
+from recipes.benchmarks.renderer.scenes import surface_discs
 from recipes.entry_point import start
 
 REDUCED = MVDreamConfig(
@@ -170,8 +170,8 @@ def random_conditioning(options: Options, device: torch.device) -> LatentConditi
 
 def half_knot(count: int) -> Splats:
     """Return the half of a torus knot that faces +x, as P."""
-    whole = surface_discs(None, 2 * count)
-    return whole.select(whole.means[:, 0].argsort(descending=True)[:count])
+    together = surface_discs(None, 2 * count)
+    return together.select(together.means[:, 0].argsort(descending=True)[:count])
 
 
 def completion_job(
@@ -198,9 +198,9 @@ def plain_step(job: Optimisation, prior: LatentPrior) -> None:
     loss = prior.distill(FourViews.from_render(drawn, ring), 490.0, job._conditioning, g)
     angles = job.views.sample(0, job.step_number, 1)
     camera = job.views.cameras(angles, size_px)
-    whole, alone = render(concatenate([partial, splats]), camera), render(partial, camera)
-    black = torch.zeros(3, device=whole.color.device)
-    loss = loss.to(black.device) + 2.0 * preservation_loss(whole, alone, black, masked=True)
+    together, alone = render(concatenate([partial, splats]), camera), render(partial, camera)
+    black = torch.zeros(3, device=together.color.device)
+    loss = loss.to(black.device) + 2.0 * preservation_loss(together, alone, black, masked=True)
     loss.backward()
     job.parameters.step(0.0)
     job.step_number += 1

@@ -104,11 +104,11 @@ def held_out(index: int, prior: Prior) -> HeldOutObject:
     )
 
 
-def measure(held: HeldOutObject, whole: Splats, views: ViewDistribution) -> dict[str, float]:
+def measure(held: HeldOutObject, together: Splats, views: ViewDistribution) -> dict[str, float]:
     """Compare with the truth, and with P from V."""
-    found = against_truth(whole, held.partial, held.truth, held.views.ring(8, 128))
+    found = against_truth(together, held.partial, held.truth, held.views.ring(8, 128))
     cameras = views.cameras(views.measured(8), 64)
-    kept = preservation(whole, held.partial, cameras)
+    kept = preservation(together, held.partial, cameras)
     return {
         "silhouette_iou": found.silhouette_iou,
         "hidden_iou": found.hidden_iou,
@@ -138,20 +138,20 @@ def main(options: Options) -> None:
         rows, pictures = [], []
         for held in track(objects, name, console=Console(file=sys.stderr)):
             found = complete(held.part, held.caption, prior=prior, settings=chosen[name])
-            whole = found.in_object_frame
-            rows.append(measure(held, whole, found.views) | {"seconds": found.seconds})
+            together = found.in_object_frame
+            rows.append(measure(held, together, found.views) | {"seconds": found.seconds})
             cameras = held.views.preview_cameras(96)[[0, 1, 3, 4]]
             pictures.append(
                 [
                     image
-                    for splats in (held.partial, whole, held.truth)
+                    for splats in (held.partial, together, held.truth)
                     for image in render_images(splats, cameras)
                 ]
             )
         results[name] = means(rows)
         sys.stdout.write(f"{name:16}" + _line(results[name]) + "\n")
         labels = [held.caption[:24] for held in objects]
-        sheet = contact_sheet(pictures, row_labels=labels, title=f"{name}: input, whole, truth")
+        sheet = contact_sheet(pictures, row_labels=labels, title=f"{name}: input, together, truth")
         save_image(sheet, options.out / f"{name.replace(' ', '_')}.png")
     with atomic_path(options.out / "time_quality.json") as temporary:
         temporary.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")

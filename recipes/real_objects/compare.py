@@ -208,8 +208,8 @@ def measure(framed: FramedObject, outcome: Outcome) -> dict[str, Any]:
     """Return the numbers of one completion; silhouettes are seen from the same views for all."""
     partial = framed.partial.with_sh_degree(0)
     views = outcome.views
-    whole = concatenate([partial, outcome.splats])
-    kept = preservation(whole, partial, views.cameras(views.measured(16), 128))
+    together = concatenate([partial, outcome.splats])
+    kept = preservation(together, partial, views.cameras(views.measured(16), 128))
     row: dict[str, Any] = {
         "seconds": outcome.seconds,
         "new_splats": len(outcome.splats),
@@ -219,7 +219,7 @@ def measure(framed: FramedObject, outcome: Outcome) -> dict[str, Any]:
     }
     if framed.truth is not None:
         truth = framed.truth.with_sh_degree(0)
-        row |= jsonio.to_json(against_truth(whole, partial, truth, framed.views.ring(8, 256)))
+        row |= jsonio.to_json(against_truth(together, partial, truth, framed.views.ring(8, 256)))
     return row
 
 
@@ -252,10 +252,10 @@ def _picture_row(framed: FramedObject, completed: Path) -> list[Image.Image]:
     """Draw input, completion and truth (or the completion from elsewhere) from four sides."""
     cameras = framed.views.preview_cameras(144)[[0, 1, 3, 5]]
     partial = framed.partial.with_sh_degree(0)
-    whole = partial
+    together = partial
     if completed.exists():
-        whole = concatenate([partial, read_splats(completed).splats])
-    row = [*render_images(partial, cameras), *render_images(whole, cameras)]
+        together = concatenate([partial, read_splats(completed).splats])
+    row = [*render_images(partial, cameras), *render_images(together, cameras)]
     return row if framed.truth is None else [*row, *render_images(framed.truth, cameras)]
 
 

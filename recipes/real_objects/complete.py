@@ -123,8 +123,8 @@ def measure(item: RealObject, folder: Path) -> dict[str, Any]:
         "e_depth_v": metrics["all_views"]["depth"],
     }
     if item.complete is not None:
-        partial, whole, truth, views = _in_object_frame(item, folder, content)
-        row["truth"] = jsonio.to_json(against_truth(whole, partial, truth, views.ring(8, 256)))
+        partial, together, truth, views = _in_object_frame(item, folder, content)
+        row["truth"] = jsonio.to_json(against_truth(together, partial, truth, views.ring(8, 256)))
     return row
 
 
@@ -147,12 +147,12 @@ def _in_object_frame(
 def sheet_rows(item: RealObject, folder: Path) -> list[list[Image.Image]]:
     """Draw input, completion and truth from the same four views."""
     content = json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))
-    partial, whole, truth, views = _in_object_frame(item, folder, content)
+    partial, together, truth, views = _in_object_frame(item, folder, content)
     cameras = views.preview_cameras(144)[[0, 1, 3, 5]]
     return [
         [
             *render_images(partial, cameras),
-            *render_images(whole, cameras),
+            *render_images(together, cameras),
             *render_images(truth, cameras),
         ]
     ]

@@ -19,7 +19,7 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class SheetOptions:
-    """Draw real objects, each as whole and part from two views."""
+    """Draw real objects, each complete and as part from two views."""
 
     data: Path = Path("../shared/data")
     """Folder with MANIFEST.tsv."""
@@ -34,7 +34,7 @@ class SheetOptions:
 
 
 def object_row(item: RealObject, size_px: int) -> list[Image.Image]:
-    """Draw whole and part of one object from azimuths 30 and 210."""
+    """Draw the complete and the partial splats of one object from azimuths 30 and 210."""
     frame: ObjectFrame = item.true_frame or ObjectFrame.about(item.partial, item.up)
     pictures = []
     for splats in (item.complete, item.partial):

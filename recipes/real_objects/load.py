@@ -124,19 +124,19 @@ def cut_object(complete: Splats, entry: Entry) -> PartialCut:
         UserError: the entry has no cut.
     """
     frame = ObjectFrame.about(complete, entry.up)
-    whole = transform_splats(complete, frame.object_from_file)
+    level = transform_splats(complete, frame.object_from_file)
     cut = entry.cut
     if isinstance(cut, PlaneCut):
         angle = np.deg2rad(cut.toward_deg)
-        return by_plane(whole, (-np.cos(angle), -np.sin(angle), 0.0), -cut.offset)
+        return by_plane(level, (-np.cos(angle), -np.sin(angle), 0.0), -cut.offset)
     if isinstance(cut, BoxCut):
-        return crop(whole, cut.low, cut.high)
+        return crop(level, cut.low, cut.high)
     if isinstance(cut, ScanCut):
         azimuths, elevation = np.deg2rad(cut.from_deg), np.deg2rad(cut.elevation_deg)
-        level = SCAN_DISTANCE * np.cos(elevation)
+        outward = SCAN_DISTANCE * np.cos(elevation)
         height = np.full_like(azimuths, SCAN_DISTANCE * np.sin(elevation))
-        eyes = np.stack([level * np.cos(azimuths), level * np.sin(azimuths), height], axis=1)
-        return by_visibility(whole, eyes)
+        eyes = np.stack([outward * np.cos(azimuths), outward * np.sin(azimuths), height], axis=1)
+        return by_visibility(level, eyes)
     raise UserError(f"real object {entry.name}: expected a cut, found none")
 
 

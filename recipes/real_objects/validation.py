@@ -172,12 +172,12 @@ def views_settled(framed: FramedObject, outcome: Outcome) -> dict[str, Any]:
     """Tell what became of the input view, and how much of P the truth hides from it."""
     assert framed.truth is not None
     partial = framed.partial.with_sh_degree(0)
-    whole = concatenate([partial, framed.truth.with_sh_degree(0)])
+    together = concatenate([partial, framed.truth.with_sh_degree(0)])
     knobs = InputViewSettings()
     return {
         "view_gave_way": outcome.views != framed.views,
-        "truth_hides_from_guessed_view": hidden_share(partial, whole, framed.views, knobs),
-        "truth_hides_from_view": hidden_share(partial, whole, outcome.views, knobs),
+        "truth_hides_from_guessed_view": hidden_share(partial, together, framed.views, knobs),
+        "truth_hides_from_view": hidden_share(partial, together, outcome.views, knobs),
     }
 
 

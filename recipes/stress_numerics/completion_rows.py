@@ -1,4 +1,4 @@
-"""Rows about whole runs: poisoned priors, rates far too large, odd inputs, far-off coordinates."""
+"""Rows about runs: poisoned priors, rates far too large, odd inputs, far-off coordinates."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ def _settings(base: CompletionSettings) -> CompletionSettings:
 
 def _half() -> Splats:
     """Return the half of the ball that is turned to azimuth 0."""
-    whole = ball()
-    return whole.select(whole.means[:, 0] > 0)
+    complete = ball()
+    return complete.select(complete.means[:, 0] > 0)
 
 
 def _request(
@@ -232,4 +232,4 @@ COMPLETION_ROWS = (
     Row("odd inputs", "P with needles, dust, 1e17 away, opacity 0 and 1; transparent", _odd_inputs),
     Row("far-off P", "the command line on P of size 4000, and 1e6 away", _far_away),
 )
-"""Rows about whole runs."""
+"""Rows about runs."""

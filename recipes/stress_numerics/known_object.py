@@ -1,4 +1,4 @@
-"""A prior that knows the answer, and can be told to fail: a test object for whole runs."""
+"""A prior that knows the answer, and can be told to fail: a test object for runs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class NoPrompt:
 
 
 class KnownObject:
-    """Denoises every view to a render of a known whole object."""
+    """Denoises every view to a render of a known complete object."""
 
     name = "known object"
     sees_input = False

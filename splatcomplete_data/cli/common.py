@@ -69,7 +69,7 @@ class ObjectOptions:
     center: str | None = None
     """Centre of the COMPLETE object as X,Y,Z in the source's coordinates, those of --box, also
     where an offset or --level moves the splats; None = known or guessed."""
-    size_whole: float | None = None
+    object_size: float | None = None
     """Largest side of the COMPLETE object in the source's units; None = known or guessed."""
     id: str | None = None
     """Name within a dataset; None = the folder's name."""
@@ -91,7 +91,7 @@ class ObjectDraft:
     subset: Subset
     source_file: Path
     partial: Splats | None
-    """The part, file frame; None = only the whole was asked for."""
+    """The part, file frame; None = only the complete object was asked for."""
     complete: Splats | None
     default_up: UpAxis
     steps: tuple[StepRecord, ...] = ()
@@ -156,7 +156,7 @@ def complete_command(folder: Path, record: ObjectRecord) -> str | None:
     frame: tuple[str, ...] = ()
     if record.subset in ("singleview", "lidar") and record.frame_origin != "truth":
         center = ",".join(f"{value:.6g}" for value in record.frame.center_file)
-        frame = (f"--center={center}", f"--size={record.frame.size_file:.6g}")
+        frame = (f"--center={center}", f"--object-size={record.frame.size_file:.6g}")
     out = ("--out", f"{folder}_completed")
     return shlex.join(("gscomplete", "complete", str(folder), *frame, *out))
 
@@ -173,8 +173,8 @@ def store_object(options: ObjectOptions, made: ObjectDraft) -> ObjectRecord:
     from splatcomplete_data.objects import ObjectRecord, SourceRecord, write_object
 
     folder = options.out or default_folder(made.source_file)
-    shown = made.partial if made.partial is not None else made.complete
-    if shown is None or len(shown) == 0:
+    drawn = made.partial if made.partial is not None else made.complete
+    if drawn is None or len(drawn) == 0:
         raise UserError(f"{made.source_file}: no splats are left to write")
     request = dataclasses.replace(
         framing_request(options, made.default_up),
@@ -185,9 +185,9 @@ def store_object(options: ObjectOptions, made: ObjectDraft) -> ObjectRecord:
     given_in = turn if made.is_center_of_source else None
     if given_in is not None:
         request = moved_center(request, given_in)
-    decided = decide_framing(shown, request, made.complete)
+    decided = decide_framing(drawn, request, made.complete)
     if request.center_file is not None or request.size_file is not None:
-        require_touching(decided.frame, shown, given_in)
+        require_touching(decided.frame, drawn, given_in)
     is_file = made.source_file.is_file()
     try:
         record = ObjectRecord(
@@ -236,14 +236,14 @@ def framing_request(options: ObjectOptions, default_up: UpAxis) -> FramingReques
     center = parse_numbers(options.center, 3, "--center", "X,Y,Z")
     if not 0 <= options.range <= 180:
         raise UserError(f"--range: expected 0 to 180 degrees, found {options.range:g}")
-    if options.size_whole is not None and not 0 < options.size_whole < float("inf"):
-        raise UserError(f"--size-whole: expected a positive length, found {options.size_whole:g}")
+    if options.object_size is not None and not 0 < options.object_size < float("inf"):
+        raise UserError(f"--object-size: expected a positive length, found {options.object_size:g}")
     return FramingRequest(
         up=default_up if options.up == "auto" else options.up,
         view_deg=view,
         azimuth_range_deg=options.range,
         center_file=None if center is None else (center[0], center[1], center[2]),
-        size_file=options.size_whole,
+        size_file=options.object_size,
     )
 
 

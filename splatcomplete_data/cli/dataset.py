@@ -1,10 +1,9 @@
-"""``splatcomplete-data build | validate | stats | list``: whole datasets."""
+"""``splatcomplete-data build | validate | stats | list``: datasets."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-import os
 import statistics
 import sys
 from collections import Counter
@@ -36,8 +35,9 @@ class BuildOptions:
     """Folder that the recipe's paths are relative to."""
     out: Path = Path("dataset")
     """Dataset folder."""
-    workers: int | None = None
-    """Objects made at a time; None = one per processor, at most 8."""
+    jobs: Annotated[int | None, tyro.conf.arg(aliases=("--workers",))] = None
+    """Objects made at a time, each in a process of its own that stays for the next; None = one per
+    core, at most 8."""
     only: tuple[str, ...] = ()
     """Ids of objects to build; none = all."""
     allow_outside: Path | None = None
@@ -92,11 +92,12 @@ class ListOptions:
 
 def run_build(options: BuildOptions) -> int:
     """Build the dataset; return the exit code."""
+    from gscomplete.batch.machine import usable_cores
     from splatcomplete_data.dataset.build import build
     from splatcomplete_data.dataset.recipe import read_recipe
 
     recipe = read_recipe(options.recipe)
-    workers = min(os.cpu_count() or 1, 8) if options.workers is None else options.workers
+    workers = min(usable_cores(), 8) if options.jobs is None else options.jobs
     with progress("objects") as report:
 
         def show(outcome: Outcome, done: int, total: int) -> None:
@@ -188,8 +189,8 @@ def run_list(options: ListOptions) -> int:
         return 0
     width = max(len(row.id) for row in rows)
     for row in rows:
-        whole = f" of {row.complete:,}" if row.complete else ""
-        count = f"{row.partial:,}{whole}"
+        of_complete = f" of {row.complete:,}" if row.complete else ""
+        count = f"{row.partial:,}{of_complete}"
         say(options, f"{row.subset:10} {row.id:{width}} {count:>20}  {row.prompt}")
     say(options, *found.notes)
     return 0

@@ -1,4 +1,4 @@
-"""``splatcomplete-data mesh``: a mesh file to splats, whole and part."""
+"""``splatcomplete-data mesh``: a mesh file to splats, complete and part."""
 
 from __future__ import annotations
 

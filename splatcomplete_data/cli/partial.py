@@ -73,10 +73,10 @@ def make(options: PartialOptions) -> tuple[PartialOptions, ObjectDraft]:
 
     cuts = [parse_cut(text) for text in options.cut]
     boxes = tuple(parse_box(text) for text in options.box)
-    whole = _read_whole(options.file)
+    source = _read_complete(options.file)
     subset, default_up = options.subset, SPLAT_FILE_UP
     details: dict[str, str] = {}
-    notes, record = whole.notes, whole.record
+    notes, record = source.notes, source.record
     if record is not None:
         subset, default_up = record.subset, record.frame.up
         options = dataclasses.replace(
@@ -88,7 +88,7 @@ def make(options: PartialOptions) -> tuple[PartialOptions, ObjectDraft]:
         details = {"complete_from": record.id, "source": record.source.file}
     elif options.up == "auto":
         notes = (*notes, UP_ASSUMED)
-    complete, dropped = _drawable(whole.splats, options.file)
+    complete, dropped = _drawable(source.splats, options.file)
     request = framing_request(options, default_up)
     frame = ObjectFrame.about(complete, request.up)
     if options.seen_from_views > 0:
@@ -111,7 +111,7 @@ def make(options: PartialOptions) -> tuple[PartialOptions, ObjectDraft]:
         (*dropped, *steps),
         notes,
         boxes=boxes,
-        file_from_source=whole.file_from_source,
+        file_from_source=source.file_from_source,
         camera_position_file=_scanner(cuts, frame),
         details=details,
     )
@@ -143,7 +143,7 @@ def _scanner(cuts: Sequence[Cut], frame: ObjectFrame) -> tuple[float, float, flo
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Whole:
+class _CompleteObject:
     """A complete object, as read."""
 
     splats: Splats
@@ -153,11 +153,11 @@ class _Whole:
     file_from_source: Similarity | None = None
 
 
-def _read_whole(path: Path) -> _Whole:
-    """Read a splat file, alone or of an object folder, or an object folder's whole.
+def _read_complete(path: Path) -> _CompleteObject:
+    """Read a splat file, alone or of an object folder, or an object folder's complete object.
 
     Raises:
-        UserError: it cannot be read, or the folder has no whole.
+        UserError: it cannot be read, or the folder has no complete object.
     """
     from gscomplete.splats import Similarity
     from splatcomplete_data.formats import read_any_splats
@@ -172,10 +172,12 @@ def _read_whole(path: Path) -> _Whole:
     else:
         found, known = read_any_splats(path), record_of_file(path)
         if known is None:
-            return _Whole(found.splats, None, found.notes, found.file_from_source)
+            return _CompleteObject(found.splats, None, found.notes, found.file_from_source)
         splats, record, notes = found.splats, known, found.notes
     turn = record.file_from_source
-    return _Whole(splats, record, notes, None if turn is None else Similarity.from_json(turn))
+    return _CompleteObject(
+        splats, record, notes, None if turn is None else Similarity.from_json(turn)
+    )
 
 
 def _drawable(splats: Splats, source: Path) -> tuple[Splats, tuple[StepRecord, ...]]:

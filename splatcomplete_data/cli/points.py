@@ -47,7 +47,7 @@ class PointOptions(ObjectOptions):
     """Thin to at most this many evenly spread points; None = keep all."""
     spacing: float | None = None
     """Thin to one point per cube of this side; None = keep all."""
-    size: str = "auto"
+    splat_size: str = "auto"
     """Standard deviation of the splats in the source's units; auto = --sigma point spacings."""
     sigma: float = 0.6
     """Standard deviation over the point spacing; below 0.5 surfaces seen aslant show holes."""
@@ -67,7 +67,11 @@ def part_settings(options: PointOptions) -> PartSettings:
     seed = parse_numbers(options.seed_point, 3, "--seed-point", "X,Y,Z")
     if options.level and options.up not in ("auto", "Z"):
         raise UserError(f"--level, --up: levelled points have z up, found --up {options.up}")
-    size = None if options.size == "auto" else parse_numbers(options.size, 1, "--size", "SIGMA")
+    size = (
+        None
+        if options.splat_size == "auto"
+        else parse_numbers(options.splat_size, 1, "--splat-size", "SIGMA")
+    )
     if not 0 < options.sigma < 100:
         raise UserError(f"--sigma: expected a positive number, found {options.sigma:g}")
     for name, value in (("planes", options.planes or 0), ("clusters", options.clusters)):
@@ -156,7 +160,7 @@ def made_from_points(
         enter("drawing what was removed", 0.6)
         pictures["removed.png"] = removed_sheet(part, up, view, f"{source.name}: what was removed")
     far = () if part.offset is None else (offset_note(part.offset),)
-    size = f"splat size {part.sigma:.4g} source units ({options.size})"
+    size = f"splat size {part.sigma:.4g} source units ({options.splat_size})"
     return ObjectDraft(
         subset,
         source,

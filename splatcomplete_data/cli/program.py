@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import tyro
 
 from gscomplete.cli.guard import let_threads_sleep, print_version, run_guarded
+from gscomplete.util.parse import with_new_names
 
 let_threads_sleep()  # the commands load PyTorch, and with it the OpenMP runtime
 from splatcomplete_data.cli import convert, crop, dataset, depth, images, mesh, partial, scan
@@ -31,6 +32,9 @@ _RUNNERS: dict[type, Callable[[Any], int]] = {
     partial.PartialOptions: partial.run,
     scan.ScanOptions: scan.run,
 }
+
+_RENAMED = {"--size-whole": "--object-size", "--size": "--splat-size"}
+"""Old names of options, which are understood for one version."""
 
 _LISTS = ("--box", "--cut", "--only")
 
@@ -54,6 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     if arguments == ["--version"]:
         return print_version("splatcomplete-data")
+    arguments = with_new_names(arguments, _RENAMED)
     try:
         options = tyro.cli(
             Command,

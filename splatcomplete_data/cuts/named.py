@@ -48,10 +48,10 @@ class PlaneCut:
     offset: float = 0.0
     """Signed distance of the plane from the centre, in object sizes."""
 
-    def apply(self, whole: Splats) -> PartialCut:
+    def apply(self, complete: Splats) -> PartialCut:
         """Return what is kept of splats in the object frame."""
         angle = math.radians(self.toward_deg)
-        return by_plane(whole, (-math.cos(angle), -math.sin(angle), 0.0), -self.offset)
+        return by_plane(complete, (-math.cos(angle), -math.sin(angle), 0.0), -self.offset)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,9 +63,9 @@ class BoxCut:
     high: tuple[float, float, float]
     """Upper corner in the object frame."""
 
-    def apply(self, whole: Splats) -> PartialCut:
+    def apply(self, complete: Splats) -> PartialCut:
         """Return what is kept of splats in the object frame."""
-        return crop(whole, self.low, self.high)
+        return crop(complete, self.low, self.high)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,19 +75,19 @@ class ScanCut:
     directions_deg: tuple[tuple[float, float], ...]
     """Azimuth and elevation of every viewpoint."""
 
-    def apply(self, whole: Splats) -> PartialCut:
+    def apply(self, complete: Splats) -> PartialCut:
         """Return what is kept of splats in the object frame."""
         azimuths, elevations = np.deg2rad(np.array(self.directions_deg, np.float64)).T
         level = np.cos(elevations)
         eyes = np.stack([level * np.cos(azimuths), level * np.sin(azimuths), np.sin(elevations)], 1)
         # a pixel no finer than the splats, else far ones show between near ones; and a slack of
         # what a slanted surface spans within two pixels
-        typical = float(whole.scales.amax(dim=1).median())
+        typical = float(complete.scales.amax(dim=1).median())
         grid_px = int(np.clip(SCAN_WIDTH / max(2.0 * typical, 1e-9), 40, MAX_SCAN_GRID_PX))
         slack = 2.5 * SCAN_WIDTH / grid_px
-        reach = float(np.quantile(whole.means.double().norm(dim=1).numpy(), _OBJECT_SHARE))
+        reach = float(np.quantile(complete.means.double().norm(dim=1).numpy(), _OBJECT_SHARE))
         return by_visibility(
-            whole,
+            complete,
             SCAN_DISTANCE * eyes,
             grid_px=grid_px,
             tolerance=slack,
@@ -143,11 +143,11 @@ def apply_cuts(
     Raises:
         UserError: the cuts keep nothing, or everything.
     """
-    whole = transform_splats(complete, frame.object_from_file)
-    mask = torch.ones(len(whole), dtype=torch.bool)
+    level = transform_splats(complete, frame.object_from_file)
+    mask = torch.ones(len(level), dtype=torch.bool)
     steps = []
     for cut in cuts:
-        result = cut.apply(whole)
+        result = cut.apply(level)
         before = int(mask.sum())
         mask = mask & result.mask
         after = int(mask.sum())
@@ -159,10 +159,10 @@ def apply_cuts(
         after = int(mask.sum())
         steps.append(StepRecord("boxes", before, after, {"outside_boxes": before - after}))
     kept = int(mask.sum())
-    if kept in (0, len(whole)):
+    if kept in (0, len(level)):
         what = "nothing" if kept == 0 else "everything"
         raise UserError(
-            f"{source}: cut: expected to keep a part of {len(whole)} splats, kept {what}"
+            f"{source}: cut: expected to keep a part of {len(level)} splats, kept {what}"
         )
     return complete.select(mask), tuple(steps)
 

@@ -19,23 +19,22 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import hashlib
 import importlib
 import io
 import json
 import logging
 import os
-import threading
 import traceback
 from collections.abc import Callable
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing import active_children, get_context, parent_process
 from pathlib import Path
 from typing import Any, Literal
 
 from gscomplete import __version__
+from gscomplete.batch.local_workers import run_local
+from gscomplete.batch.machine import WorkerPlan, usable_cores
 from gscomplete.errors import UserError
 from gscomplete.util import jsonio
 from gscomplete.util.digests import sha256_of
@@ -104,7 +103,7 @@ def build(
     if unknown:
         raise UserError(f"--only: the recipe has no object {unknown[0]!r}")
     if workers < 1:
-        raise UserError(f"--workers: expected 1 or more, found {workers}")
+        raise UserError(f"--jobs: expected 1 or more, found {workers}")
     data, out = data.resolve(), out.resolve()
     reach = data if allow_outside is None else allow_outside.resolve()
     for entry in (*recipe.captures, *recipe.objects):
@@ -236,51 +235,22 @@ def _run_all(
             settle(Outcome(entry.id, "up to date"))
         else:
             waiting.append(entry)
-    alone = False
-    while waiting:
-        # after a worker died, entries go one at a time, so that only the guilty one fails
-        batch = waiting[:1] if alone else waiting
-        waiting = waiting[len(batch) :]
-        count = min(workers, len(batch))
-        share = str(max(1, (os.cpu_count() or 1) // count))
-        os.environ.update(OMP_NUM_THREADS=share, NUMBA_NUM_THREADS=share)
-        with ProcessPoolExecutor(count, get_context("spawn"), _enter, (str(data),)) as pool:
-            futures: dict[Future[Outcome], Entry] = {
-                pool.submit(_make, entry, str(out), reach): entry for entry in batch
-            }
-            try:
-                for future in as_completed(futures):
-                    try:
-                        settle(future.result())
-                    except BrokenProcessPool:
-                        entry = futures[future]
-                        if alone:
-                            settle(Outcome(entry.id, "failed", "its process died (memory?)"))
-                        else:
-                            waiting.append(entry)
-            except KeyboardInterrupt:
-                pool.shutdown(wait=False, cancel_futures=True)
-                for worker in active_children():  # a signal to end reaches this process alone
-                    worker.terminate()
-                raise
-        alone = alone or bool(waiting)
+    count = max(1, min(workers, len(waiting)))
+    plan = WorkerPlan(count, max(1, usable_cores() // count), memory_bytes=0)
+    make = functools.partial(_make, out_text=str(out), reach=reach)
+    enter = functools.partial(_enter, str(data))
+    with contextlib.closing(run_local(make, waiting, plan, enter=enter, retries=1)) as ended:
+        for done in ended:
+            died = Outcome(done.task.id, "failed", "its process died, twice (memory?)")
+            settle(done.result or died)
     return outcomes
 
 
 def _enter(data: str) -> None:
-    """Prepare a worker: stand in the data folder, and end when the build is killed."""
+    """Prepare a worker: stand in the data folder."""
     os.chdir(data)
     allow_large_pictures()
-    threading.Thread(target=_end_with_parent, daemon=True).start()
     logging.getLogger().setLevel(logging.ERROR)
-
-
-def _end_with_parent() -> None:
-    """End this process after its parent: nothing else writes while a next build goes on."""
-    parent = parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
 
 
 def _make(entry: Entry, out_text: str, reach: Path | None = None) -> Outcome:

@@ -37,6 +37,8 @@ OBJECT_COMMANDS = {
     "scan": "ScanOptions",
 }
 CAPTURE_COMMANDS = {"images": "ImagesOptions"}
+_RENAMED = {"size": "splat_size", "size_whole": "object_size"}
+"""Old names of options, which are understood for one version."""
 _RESERVED = ("out", "json", "overwrite", "resume", "propose", "allow_outside")
 
 
@@ -67,7 +69,8 @@ class Entry:
         for field in dataclasses.fields(cls):
             if field.default is not dataclasses.MISSING:
                 values[field.name] = jsonio.to_json(field.default)
-        for name, value in self.values.items():
+        for word, value in self.values.items():
+            name = _RENAMED.get(word, word)
             is_capture = isinstance(value, str) and value.startswith(CAPTURE_PREFIX)
             values[name] = (
                 str(captures / value.removeprefix(CAPTURE_PREFIX)) if is_capture else value

@@ -63,7 +63,7 @@ def box_sheet(
     """Show boxes drawn over all splats, above what they keep, from every camera."""
     settings = RenderSettings(near=near)
     background = torch.tensor(LIGHT_GREY)
-    whole, parts = [], []
+    scene_row, parts = [], []
     for camera in cameras:
         camera = camera.to(dtype=torch.float32)
         with torch.no_grad():
@@ -74,6 +74,6 @@ def box_sheet(
         picture, part = to_image(pair[0]), to_image(pair[1])
         for box in boxes:
             draw_box(picture, box, camera, near)
-        whole.append(picture)
+        scene_row.append(picture)
         parts.append(part)
-    return contact_sheet([whole, parts], row_labels=["boxes", "kept"])
+    return contact_sheet([scene_row, parts], row_labels=["boxes", "kept"])

@@ -177,7 +177,7 @@ def test_what_the_input_view_does_not_show_is_refused_before_the_run(tmp_path):
     cases = (
         (hidden, (), "input view"),
         (seen, ("--center", "9,9,9"), "expected a frame that P lies in"),
-        (seen, ("--size", "1000"), "--size: expected at most"),
+        (seen, ("--object-size", "1000"), "--object-size: expected at most"),
     )
     for path, more, message in cases:
         result = complete(path, tmp_path / "out", *more)
@@ -205,7 +205,7 @@ def test_an_object_folder_says_what_options_leave_open(tmp_path):
     assert set(given["sources"].values()) == {"object.json"}
     assert set(given["sources"]) == {"prompt", "up", "input_view", "V", "center", "size"}
 
-    more = ("--prompt", "a jug", "--range", "20", "--up", "Z", "--size", "1.5")
+    more = ("--prompt", "a jug", "--range", "20", "--up", "Z", "--object-size", "1.5")
     other = gscomplete("complete", folder / "preview.png", "--out", tmp_path / "b", *quick, *more)
     assert other.returncode == 0, other.stderr
     content = json.loads(other.stdout)
@@ -213,7 +213,7 @@ def test_an_object_folder_says_what_options_leave_open(tmp_path):
     assert content["identity"]["views"]["azimuth_range_deg"] == 20.0
     assert content["input"]["sources"] == {
         "prompt": "--prompt", "up": "--up", "input_view": "guess", "V": "--range",
-        "center": "object.json", "size": "--size",
+        "center": "object.json", "size": "--object-size",
     }  # fmt: skip
     assert "its input view is for up axis Y, not Z" in other.stderr
 
@@ -234,8 +234,10 @@ def test_single_splat_needs_a_frame_and_then_completes(tmp_path):
     write_splats(path, shell(1))
     alone = complete(path, tmp_path / "a")
     assert alone.returncode == 2
-    assert "--center, --size and --view" in alone.stderr
-    framed = complete(path, tmp_path / "b", "--center", "0,0,0", "--size", "1", "--view", "0,10")
+    assert "--center, --object-size and --view" in alone.stderr
+    framed = complete(
+        path, tmp_path / "b", "--center", "0,0,0", "--object-size", "1", "--view", "0,10"
+    )
     assert framed.returncode == 0, framed.stderr
 
 
@@ -245,7 +247,7 @@ def test_single_splat_needs_a_frame_and_then_completes(tmp_path):
         (("--prior", "nonsense"), "nonsense"),
         (("--view", "north"), "--view"),
         (("--view", "2000000,0"), "--view"),
-        (("--size", "-1"), "--size"),
+        (("--object-size", "-1"), "--object-size"),
         (("--device", "tpu9"), "--device"),
         (("--steps", "-1"), "steps"),
         (("--out", "/proc/forbidden/x"), "cannot create"),

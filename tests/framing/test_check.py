@@ -31,11 +31,15 @@ def test_frames_that_may_be_the_wholes_are_taken(up, center, size, found):
 @pytest.mark.parametrize(
     ("center", "size", "message"),
     [
-        ((0.0, 0.0, 0.0), 1000.0, r"p\.ply: --size: expected at most 100 .*found 1000.*0\.1 %"),
+        (
+            (0.0, 0.0, 0.0),
+            1000.0,
+            r"p\.ply: --object-size: expected at most 100 .*found 1000.*0\.1 %",
+        ),
         (
             (0.0, 2.0, 0.0),
             1.0,
-            r"p\.ply: --center, --size: expected a frame.*from -0\.5,1\.5,-0\.5",
+            r"p\.ply: --center, --object-size: expected a frame.*from -0\.5,1\.5,-0\.5",
         ),
         ((-900.0, 0.0, 0.0), 90.0, "expected a frame that P lies in"),
     ],

@@ -55,7 +55,7 @@ def test_the_page_holds_pictures_splats_numbers_and_notes(page):
     assert card["sources"] == {"prompt": "object.json"}
     assert card["timings"]["optimise_s"] == 2.0
     assert 0 <= card["values"]["e_color_v"] < 0.1
-    assert len(unpacked(**{"count": card["splats"]["count"], "text": card["splats"]["data"]})
+    assert len(unpacked(count=card["splats"]["count"], text=card["splats"]["data"])
                ["means"]) == 1500  # fmt: skip
     kind, picture = card["picture"].split(",")
     assert kind == "data:image/webp;base64"

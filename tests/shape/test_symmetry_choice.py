@@ -12,6 +12,7 @@ from gscomplete.shape.symmetry_choice import (
     ScoredPlanes,
     choose_symmetries,
     score_planes,
+    sureness,
     symmetry_scores_of_answers,
 )
 from gscomplete.shape.symmetry_proposals import candidate_planes
@@ -66,7 +67,7 @@ def test_an_answer_that_adds_next_to_nothing_does_not_win():
 def test_the_copies_that_answers_bear_out_are_shown():
     tokens = torch.zeros(4, dtype=torch.long)
     planes = candidate_planes(LOOK, CANDIDATES)
-    choice = choose_symmetries(Believer(), LOOK, tokens)
+    choice = choose_symmetries(Believer(), LOOK, tokens, ends_in_plane=True)
     chosen = choice.symmetries
     assert 0.9 < choice.symmetry_score <= 1
     assert len(chosen) == SOURCES - 1
@@ -75,14 +76,14 @@ def test_the_copies_that_answers_bear_out_are_shown():
     assert among == [True, True, False]
     farthest = chosen[0].apply(LOOK.positions)[:, 0].min()
     assert farthest < -0.36
-    again = choose_symmetries(Believer(), LOOK, tokens).symmetries
+    again = choose_symmetries(Believer(), LOOK, tokens, ends_in_plane=True).symmetries
     assert [c.score for c in chosen] == [c.score for c in again]
 
 
 def test_all_likely_planes_are_asked_about_and_the_best_is_the_one_shown():
     tokens = torch.zeros(4, dtype=torch.long)
-    asked = score_planes(Believer(), LOOK, tokens)
-    shown = choose_symmetries(Believer(), LOOK, tokens)
+    asked = score_planes(Believer(), LOOK, tokens, ends_in_plane=True)
+    shown = choose_symmetries(Believer(), LOOK, tokens, ends_in_plane=True)
     planes = candidate_planes(LOOK, CANDIDATES)
     assert {p.shift.tobytes() for p in asked.planes} == {p.shift.tobytes() for p in planes}
     assert asked.planes[0] is not asked.planes[1]
@@ -90,19 +91,72 @@ def test_all_likely_planes_are_asked_about_and_the_best_is_the_one_shown():
     assert asked.symmetry_scores[0] == shown.symmetry_score
     unlike = asked.distinct(LOOK.positions)
     assert unlike[0] is asked.planes[0]
-    twice = ScoredPlanes(asked.planes[:1] * 2 + asked.planes, (0.0,) * (len(asked.planes) + 2))
+    twice = ScoredPlanes(
+        asked.planes[:1] * 2 + asked.planes, (0.0,) * (len(asked.planes) + 2), False
+    )
     assert twice.distinct(LOOK.positions) == unlike
     assert not any(a.is_like(b, LOOK.positions) for k, a in enumerate(unlike) for b in unlike[:k])
 
 
 def test_users_may_choose_the_plane_or_none():
     tokens = torch.zeros(4, dtype=torch.long)
-    none = choose_symmetries(Believer(), LOOK, tokens, mirror_plane="none")
+    none = choose_symmetries(Believer(), LOOK, tokens, ends_in_plane=True, mirror_plane="none")
     assert none.symmetry_score == 0
     assert all(symmetry.score == 0 for symmetry in none.symmetries)
-    given = choose_symmetries(Believer(), LOOK, tokens, mirror_plane=MirrorPlane(30.0, 0.1))
+    given = choose_symmetries(
+        Believer(), LOOK, tokens, ends_in_plane=True, mirror_plane=MirrorPlane(30.0, 0.1)
+    )
     angle, offset = plane_of(given.symmetries[0])
     assert math.degrees(angle) == pytest.approx(30.0, abs=1e-4)
     assert offset == pytest.approx(0.1, abs=1e-6)
     assert given.symmetry_score == 1
     assert given.symmetries[0].score > 0
+
+
+class Doubter(torch.nn.Module):
+    """Fills P, and all copies it is given with a probability of one half."""
+
+    def forward(self, volumes, evidence, scores, tokens):
+        partial = volumes[:, 0, 0] > 0
+        copies = (volumes[:, 1:, 0] > 0).any(dim=1) & ~partial
+        n = COARSE_CELLS
+        nothing = torch.zeros(len(volumes), SOURCES + 1, n, n, n)
+        occupancy = torch.where(partial, 8.0, torch.where(copies, 0.0, -8.0))
+        return ShapeOutput(occupancy, nothing[:, :3], nothing)
+
+
+def test_answers_are_as_sure_as_they_are_far_from_one_half():
+    filled = torch.zeros(3, 4, 4, 4)
+    filled[0, 0] = 1.0
+    filled[1, 0] = 0.75
+    sure = sureness(filled).tolist()
+    assert sure == [1.0, 0.5, 0.0]
+    filled[0, 1] = 0.05  # as good as empty
+    assert sureness(filled).tolist() == sure
+
+
+def test_no_copy_is_shown_where_every_copy_leaves_the_network_in_doubt():
+    tokens = torch.zeros(4, dtype=torch.long)
+    assert score_planes(Doubter(), LOOK, tokens, ends_in_plane=False).none_is_surest
+    open_part = choose_symmetries(Doubter(), LOOK, tokens, ends_in_plane=False)
+    assert open_part.symmetry_score == 0
+    assert all(symmetry.score == 0 for symmetry in open_part.symmetries)
+    # What lies beyond a cut is missing, however sure the network is of P.
+    cut_part = choose_symmetries(Doubter(), LOOK, tokens, ends_in_plane=True)
+    assert cut_part.symmetries[0].score > 0
+
+
+def test_of_parts_that_end_in_no_plane_the_surest_answer_wins():
+    class Surest(Doubter):
+        def forward(self, volumes, evidence, scores, tokens):
+            out = super().forward(volumes, evidence, scores, tokens)
+            far = (volumes[:, 1, 0] > 0)[:, : CELLS // 4].any(dim=(1, 2, 3))
+            sure = torch.where(
+                far[:, None, None, None], 2 * out.occupancy + 4.0, 0.5 * out.occupancy
+            )
+            return ShapeOutput(sure, out.colors, out.sources)
+
+    tokens = torch.zeros(4, dtype=torch.long)
+    asked = score_planes(Surest(), LOOK, tokens, ends_in_plane=False)
+    assert not asked.none_is_surest
+    assert asked.planes[0].apply(LOOK.positions)[:, 0].min() < -0.36

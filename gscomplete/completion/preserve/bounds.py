@@ -75,6 +75,10 @@ _CLEARED_SHARE = 0.9
 """As the last resort, splats that make up this share of all contributions are removed at once."""
 _FADE_SWEEPS = 24
 """Most fadings before the last resort."""
+_BACKING_DISTANCE = 0.01
+"""How far behind P's surface the copies are, in object sizes."""
+_ACTIVE_SHARE = 0.99
+"""Splats that make up this share of the errors take part in a round."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,13 +199,13 @@ class _Work:
         away = camera.camera_from_world[0, 2, :3].to(copies.means)
         copies = dataclasses.replace(
             copies.with_sh_degree(splats.sh_degree),
-            means=copies.means + settings.backing_distance * away,
+            means=copies.means + _BACKING_DISTANCE * away,
         )
         faint = dataclasses.replace(copies, opacities=torch.full_like(copies.opacities, _FAINT))
         prepared = prepare_frozen(self._partial, self._round_views(0, settings.fit_px))
         watched = tuple(self.above(found))
         gain = -self._contributions(concatenate([splats, faint]), prepared, watched)[len(splats) :]
-        helpful = largest_share(gain.clamp_min(0.0), settings.active_share)
+        helpful = largest_share(gain.clamp_min(0.0), _ACTIVE_SHARE)
         joined = concatenate([splats, copies.select(helpful)])
         errors = self.check(joined)
         better = sum(self.above(errors, 0.0).values()) < sum(self.above(found, 0.0).values())
@@ -214,7 +218,7 @@ class _Work:
         prepared = prepare_frozen(self._partial, cameras)
         watched = tuple(self.above(found, _WATCHED_SHARE))
         contributions = self._contributions(splats, prepared, watched)
-        active = largest_share(contributions.abs(), settings.active_share)
+        active = largest_share(contributions.abs(), _ACTIVE_SHARE)
         if not bool(active.any()):
             return splats
         everything = cameras if self._outside is None else join_cameras([cameras, self._outside])

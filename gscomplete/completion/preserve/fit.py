@@ -31,6 +31,12 @@ _OUTSIDE_VIEWS = 8
 """Views from outside V whose pictures are kept."""
 _OUTSIDE_RISE_DEG = 25.0
 """Every other view from outside V looks from this much higher."""
+_VIEWS_PER_STEP = 2
+"""Views of V, and as many from outside V, of one step."""
+_OPACITY_RATE = 0.3
+"""Adam's step size for logits of opacities."""
+_MEANS_RATE = 3e-3
+"""Adam's step size for positions, in object sizes."""
 
 
 def masked_errors(
@@ -126,8 +132,8 @@ def fit_round(
     log_scales = largest.clone().requires_grad_()
     adam = torch.optim.Adam(
         [
-            {"params": [logits], "lr": settings.opacity_rate},
-            {"params": [means], "lr": settings.means_rate},
+            {"params": [logits], "lr": _OPACITY_RATE},
+            {"params": [means], "lr": _MEANS_RATE},
             {"params": [log_scales], "lr": settings.scales_rate},
         ],
         eps=1e-15,
@@ -137,7 +143,7 @@ def fit_round(
         moving = dataclasses.replace(
             splats, means=means, scales=log_scales.exp(), opacities=fixed_sigmoid(logits)
         )
-        inside, outside = problem.draw(generator, settings.views_per_step)
+        inside, outside = problem.draw(generator, _VIEWS_PER_STEP)
         picked = torch.cat([inside, outside])
         frozen = join_prepared([problem.frozen[view] for view in picked.tolist()])
         drawn = render(moving, frozen.cameras, frozen=frozen)

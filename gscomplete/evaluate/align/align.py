@@ -68,7 +68,7 @@ class AlignmentSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """Where the result lies in P's frame, and how sure that is."""
+    """Where the result lies in P's frame, and with which confidence."""
 
     target_from_result: Similarity
     residual: float
@@ -90,6 +90,14 @@ def align_splats(
     result: Splats, partial: Splats, settings: AlignmentSettings | None = None
 ) -> Alignment:
     """Align splats of a complete object with those of a part of it.
+
+    Args:
+        result: splats of the complete object, in a frame of its own.
+        partial: P, file frame.
+        settings: knobs; None = defaults.
+
+    Returns:
+        The similarity from the result's frame to P's, and its confidence.
 
     Raises:
         UserError: either has too few solid splats.
@@ -126,17 +134,20 @@ def align_points(
         colors: of ``result``; None = shape alone decides.
         target_colors: of ``target``.
 
+    Returns:
+        The similarity from the object's frame to the part's, and its confidence.
+
     Raises:
         UserError: there are too few points, or they have no extent.
     """
     chosen = settings or AlignmentSettings()
     rng = np.random.default_rng([chosen.seed, 0x616C])
-    whole_rows = evenly_spread(result, _DENSE, rng)
+    complete_rows = evenly_spread(result, _DENSE, rng)
     part_rows = evenly_spread(target, _DENSE, rng)
-    whole, whole_center, whole_size = _normalised(result[whole_rows])
+    complete, complete_center, complete_size = _normalised(result[complete_rows])
     part, part_center, part_size = _normalised(target[part_rows])
-    candidates = _searched(part, whole, chosen, rng)
-    surfaces = surface_of(part), surface_of(whole)
+    candidates = _searched(part, complete, chosen, rng)
+    surfaces = surface_of(part), surface_of(complete)
     some = [s.subset(rng.permutation(len(s.points))[:1400]) for s in surfaces]
     found = [refine(c, some[0], some[1], chosen.covered, 8) for c in candidates]
     found.sort(key=lambda candidate: candidate.cost)
@@ -145,7 +156,9 @@ def align_points(
     if colors is not None and target_colors is not None:
         best = min(
             (c for c in found if c.cost <= _AS_GOOD * found[0].cost),
-            key=lambda c: _color_error(c, surfaces, colors[whole_rows], target_colors[part_rows]),
+            key=lambda c: _color_error(
+                c, surfaces, colors[complete_rows], target_colors[part_rows]
+            ),
         )
     others = [candidate.cost for candidate in found if candidate is not best]
     runner_up = min(others) / max(best.cost, 1e-30) if others else None
@@ -154,25 +167,25 @@ def align_points(
     distance = np.sort(surfaces[1].tree.query(last.apply(part))[0])
     kept = distance[: max(1, int(0.9 * len(distance)))]
     residual = float(np.sqrt((kept**2).mean())) / (last.scale * diameter(part))
-    # whole = scale R part + t in normalised coordinates, each (x - center) / size
-    scale = part_size / (last.scale * whole_size)
+    # complete = scale R part + t in normalised coordinates, each (x - center) / size
+    scale = part_size / (last.scale * complete_size)
     rotation = last.rotation.T
     shift = (
         part_center
         - part_size / last.scale * rotation @ last.translation
-        - scale * rotation @ whole_center
+        - scale * rotation @ complete_center
     )
     similarity = Similarity(scale, torch.from_numpy(rotation.copy()), torch.from_numpy(shift))
     return Alignment(similarity, residual, runner_up)
 
 
-def covered_share(at: Candidate, part: Surface, whole: Surface) -> float:
-    """Return the share of the whole's points that P shows, a tenth less to be on the safe side.
+def covered_share(at: Candidate, part: Surface, complete: Surface) -> float:
+    """Return the share of the complete cloud's points that P covers, a tenth less for safety.
 
-    Shown is what lies within three typical distances of P's points to the whole.
+    Covered is what lies within three typical distances of P's points to the complete cloud.
     """
-    there, _ = whole.tree.query(at.apply(part.points))
-    back, _ = part.tree.query(at.undo(whole.points))
+    there, _ = complete.tree.query(at.apply(part.points))
+    back, _ = part.tree.query(at.undo(complete.points))
     near = float((at.scale * back < 3.0 * np.median(there) + 1e-9).mean())
     return float(np.clip(0.9 * near, 0.1, 1.0))
 
@@ -229,19 +242,19 @@ def _normalised(points: FloatArray) -> tuple[FloatArray, FloatArray, float]:
 
 
 def _searched(
-    part: FloatArray, whole: FloatArray, settings: AlignmentSettings, rng: np.random.Generator
+    part: FloatArray, complete: FloatArray, settings: AlignmentSettings, rng: np.random.Generator
 ) -> list[Candidate]:
     """Return the best candidates of the first two stages."""
-    ratio = diameter(whole) / diameter(part)
+    ratio = diameter(complete) / diameter(part)
     reach = (_SCALE_RANGE[0] * ratio, _SCALE_RANGE[1] * ratio)
-    grids = nearest_grid(part), nearest_grid(whole)
-    few = [cloud[evenly_spread(cloud, _SPARSE, rng)] for cloud in (part, whole)]
-    more = [cloud[evenly_spread(cloud, _MIDDLE, rng)] for cloud in (part, whole)]
+    grids = nearest_grid(part), nearest_grid(complete)
+    few = [cloud[evenly_spread(cloud, _SPARSE, rng)] for cloud in (part, complete)]
+    more = [cloud[evenly_spread(cloud, _MIDDLE, rng)] for cloud in (part, complete)]
     rotations = np.repeat(even_rotations(settings.rotations), _STARTS, axis=0)
     number = np.arange(len(rotations))
     scales = ratio * np.linspace(_SCALES[0], _SCALES[1], _STARTS)[number % _STARTS]
-    _, axes = np.linalg.eigh(np.cov(whole.T))
-    beside = _ASIDE * np.ptp(whole @ axes, axis=0)[:, None] * axes.T
+    _, axes = np.linalg.eigh(np.cov(complete.T))
+    beside = _ASIDE * np.ptp(complete @ axes, axis=0)[:, None] * axes.T
     places = few[1].mean(axis=0) + np.concatenate([np.zeros((1, 3)), beside, -beside])
     shifts = places[number * 5 % len(places)] - scales[:, None] * (rotations @ few[0].mean(axis=0))
     costs = improve(
@@ -282,12 +295,12 @@ def _are_apart(a: Candidate, b: Candidate) -> bool:
 def _color_error(
     at: Candidate,
     surfaces: tuple[Surface, Surface],
-    colors: FloatArray,  # [n, 3] of the whole's points
+    colors: FloatArray,  # [n, 3] of the complete cloud's points
     target_colors: FloatArray,  # [m, 3] of the part's
 ) -> float:
     """Return how far the colours of nearest points differ, up to a common brightness."""
-    part, whole = surfaces
-    _, row = cKDTree(whole.points).query(at.apply(part.points))
+    part, complete = surfaces
+    _, row = cKDTree(complete.points).query(at.apply(part.points))
     theirs = colors[row]
     gain = float((theirs * target_colors).sum() / max(float((theirs**2).sum()), 1e-12))
     return float(((gain * theirs - target_colors) ** 2).mean())

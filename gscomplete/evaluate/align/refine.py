@@ -2,8 +2,8 @@
 
 Conventions
 -----------
-* Candidates and costs as in ``search``: part to whole, in the whole's normalised frame.
-* Residuals are taken along the whole's normals, so that flat surface slides freely over itself
+* Candidates and costs as in ``search``: part to complete cloud, in the latter's normalised frame.
+* Residuals are taken along that cloud's normals, so that flat surface slides freely over itself
   whatever the sampling; a small share of point-to-point keeps spheres and planes from drifting.
 """
 
@@ -27,7 +27,7 @@ _NEIGHBOURS = 10
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """A similarity from part to whole, and how well they meet."""
+    """A similarity from part to complete cloud, and how well they meet."""
 
     scale: float
     rotation: FloatArray  # [3, 3]
@@ -35,11 +35,11 @@ class Candidate:
     cost: float = np.inf
 
     def apply(self, points: FloatArray) -> FloatArray:  # [n, 3]
-        """Take points of the part to the whole."""
+        """Take points of the part to the complete cloud."""
         return self.scale * points @ self.rotation.T + self.translation
 
     def undo(self, points: FloatArray) -> FloatArray:  # [n, 3]
-        """Take points of the whole to the part."""
+        """Take points of the complete cloud to the part."""
         return (points - self.translation) @ self.rotation / self.scale
 
 
@@ -66,12 +66,12 @@ def surface_of(points: FloatArray) -> Surface:  # [n, 3]
 
 
 def refine(
-    start: Candidate, part: Surface, whole: Surface, covered: float, iterations: int
+    start: Candidate, part: Surface, complete: Surface, covered: float, iterations: int
 ) -> Candidate:
     """Take ICP steps from a candidate; return the best one met."""
     current, best = start, start
     for step in range(iterations + 1):
-        pairs = _Pairs(current, part, whole, covered)
+        pairs = _Pairs(current, part, complete, covered)
         if step == 0 or pairs.cost < best.cost:
             best = Candidate(current.scale, current.rotation, current.translation, pairs.cost)
         elif pairs.cost > 1.5 * best.cost:
@@ -84,18 +84,18 @@ def refine(
 class _Pairs:
     """Nearest points of both directions, the farthest left out."""
 
-    def __init__(self, at: Candidate, part: Surface, whole: Surface, covered: float) -> None:
+    def __init__(self, at: Candidate, part: Surface, complete: Surface, covered: float) -> None:
         moved = at.apply(part.points)
-        there, row = whole.tree.query(moved)
-        back, column = part.tree.query(at.undo(whole.points))
+        there, row = complete.tree.query(moved)
+        back, column = part.tree.query(at.undo(complete.points))
         back = back * at.scale
         kept = np.argsort(there)[: max(4, int(KEPT * len(there)))]
         seen = np.argsort(back)[: max(4, int(covered * len(back)))]
         self.cost = float((there[kept] ** 2).mean() + (back[seen] ** 2).mean())
         self.source = np.concatenate([moved[kept], moved[column[seen]]])
         target_rows = np.concatenate([row[kept], seen])
-        self.target = whole.points[target_rows]
-        self.normals = whole.normals[target_rows]
+        self.target = complete.points[target_rows]
+        self.normals = complete.normals[target_rows]
         weights = np.repeat([1.0 / len(kept), 1.0 / len(seen)], [len(kept), len(seen)])
         distance = np.concatenate([there[kept], back[seen]])
         spread = 3.0 * float(np.median(distance)) + 1e-9

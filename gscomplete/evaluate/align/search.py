@@ -1,13 +1,13 @@
-"""Coarse alignment of a whole to a part: every rotation, several scales, each improved by ICP.
+"""Coarse alignment of a complete cloud to a part: all rotations, several scales, then ICP.
 
 Conventions
 -----------
-* Two clouds in their own normalised frames (``nearest_grid``): ``part`` and ``whole``. A candidate
-  maps part to whole: ``x -> scale * rotation @ x + translation``.
-* Pairs of both directions count: of the part's points to the whole the nearest 90 %, and of the
-  whole's points to the part the nearest ``covered`` share, which is how much of the whole a part is
-  taken to show. The second kind keeps a part from shrinking into a spot of the whole, where
-  everything is near.
+* Two clouds in their own normalised frames (``nearest_grid``): ``part`` and ``complete``. A
+  candidate maps the first to the second: ``x -> scale * rotation @ x + translation``.
+* Pairs of both directions count: of the part's points to the complete cloud the nearest 90 %, and
+  of the complete cloud's to the part the nearest ``covered`` share, which is how much of it a part
+  is taken to hold. The second kind keeps a part from shrinking into a spot of the complete cloud,
+  where everything is near.
 * Scales are those of Horn's symmetric form, the ratio of the two spreads: with one-sided least
   squares, wrong pairs shrink.
 """
@@ -40,9 +40,9 @@ def even_rotations(count: int) -> FloatArray:  # [count, 3, 3]
 
 def improve(
     part: FloatArray,  # [n, 3]
-    whole: FloatArray,  # [m, 3]
+    complete: FloatArray,  # [m, 3]
     part_grid: NearestGrid,
-    whole_grid: NearestGrid,
+    complete_grid: NearestGrid,
     rotations: FloatArray,  # [S, 3, 3]
     scales: FloatArray,  # [S]
     translations: FloatArray,  # [S, 3]
@@ -53,13 +53,13 @@ def improve(
 ) -> FloatArray:  # [S]
     """Take ICP steps from every candidate, in place; return the costs afterwards.
 
-    A cost is the mean squared distance of the pairs, of the part's points plus of the whole's, in
-    units of the whole's frame.
+    A cost is the mean squared distance of the pairs, of both clouds' points, in units of the
+    complete cloud's frame.
     """
     costs = np.empty(len(scales))
     _improve(
-        np.ascontiguousarray(part), np.ascontiguousarray(whole),
-        part_grid.index, part_grid.points, whole_grid.index, whole_grid.points,
+        np.ascontiguousarray(part), np.ascontiguousarray(complete),
+        part_grid.index, part_grid.points, complete_grid.index, complete_grid.points,
         rotations, scales, translations, costs, covered, iterations, *scale_range,
     )  # fmt: skip
     return costs
@@ -76,9 +76,9 @@ def _look_up(index, x, y, z):
 
 
 @numba.njit(cache=True, nogil=True)
-def _pair(part, whole, pi, pp, wi, wp, rotation, scale, shift, source, target, squared):
-    """Pair both clouds: rows of ``source`` (part's frame) and ``target`` (whole's frame)."""
-    n, m = len(part), len(whole)
+def _pair(part, complete, pi, pp, wi, wp, rotation, scale, shift, source, target, squared):
+    """Pair both clouds: rows of ``source`` (part's frame) and ``target`` (the other's)."""
+    n, m = len(part), len(complete)
     for a in range(n):
         x = rotation @ part[a] * scale + shift
         row = _look_up(wi, x[0], x[1], x[2])
@@ -89,22 +89,22 @@ def _pair(part, whole, pi, pp, wi, wp, rotation, scale, shift, source, target, s
             d += (x[c] - wp[row, c]) ** 2
         squared[a] = d
     for b in range(m):
-        x = rotation.T @ (whole[b] - shift) / scale
+        x = rotation.T @ (complete[b] - shift) / scale
         row = _look_up(pi, x[0], x[1], x[2])
         d = 0.0
         for c in range(3):
             source[n + b, c] = pp[row, c]
-            target[n + b, c] = whole[b, c]
+            target[n + b, c] = complete[b, c]
             d += (x[c] - pp[row, c]) ** 2
         squared[n + b] = d * scale * scale
 
 
 @numba.njit(cache=True, nogil=True)
 def _improve(
-    part, whole, pi, pp, wi, wp, rotations, scales, shifts, costs, covered, iterations, low, high
+    part, complete, pi, pp, wi, wp, rotations, scales, shifts, costs, covered, iterations, low, high
 ):
     """Take steps from every start: pair, trim, solve for a similarity by Horn's form."""
-    n, m = len(part), len(whole)
+    n, m = len(part), len(complete)
     source, target = np.empty((n + m, 3)), np.empty((n + m, 3))
     squared, weight = np.empty(n + m), np.empty(n + m)
     n_kept, m_kept = max(4, int(KEPT * n)), max(4, int(covered * m))
@@ -112,7 +112,7 @@ def _improve(
         rotation, scale = rotations[start].copy(), scales[start]
         shift = shifts[start].copy()
         for step in range(iterations + 1):
-            _pair(part, whole, pi, pp, wi, wp, rotation, scale, shift, source, target, squared)
+            _pair(part, complete, pi, pp, wi, wp, rotation, scale, shift, source, target, squared)
             far_n = np.partition(squared[:n], n_kept - 1)[n_kept - 1]
             far_m = np.partition(squared[n:], m_kept - 1)[m_kept - 1]
             cost, total = 0.0, 0.0

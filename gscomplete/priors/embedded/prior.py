@@ -172,9 +172,9 @@ class EmbeddedPrior:
             return None
         assert isinstance(conditioning, EmbeddedConditioning)
         notes: tuple[str, ...] = ()
+        points = partial.means.double().numpy()
+        cut = find_cut(points)
         if mirror == "guess":
-            points = partial.means.double().numpy()
-            cut = find_cut(points)
             if is_closed(points, cut):
                 nothing = partial.with_sh_degree(0).select(torch.arange(0))
                 return FirstGuess(nothing, (_COMPLETE_NOTE,))
@@ -186,12 +186,13 @@ class EmbeddedPrior:
             partial,
             distribution,
             conditioning.tokens,
+            ends_in_plane=cut is not None,
             bfloat16=self._shape_bfloat16,
             mirror_plane=mirror,
         )
         settings = AssembleSettings(count=count)
-        whole = assemble_splats(prediction, partial, settings, generator)
-        return FirstGuess(whole.splats, (*notes, mirror_note(prediction, whole.mirrored)))
+        assembled = assemble_splats(prediction, partial, settings, generator)
+        return FirstGuess(assembled.splats, (*notes, mirror_note(prediction, assembled.mirrored)))
 
     def likely_mirrors(
         self, partial: Splats, distribution: ViewDistribution, conditioning: Conditioning
@@ -202,7 +203,11 @@ class EmbeddedPrior:
         assert isinstance(conditioning, EmbeddedConditioning)
         voxels = voxelize_partial(partial, distribution)
         asked = score_planes(
-            self._shape, voxels, conditioning.tokens, bfloat16=self._shape_bfloat16
+            self._shape,
+            voxels,
+            conditioning.tokens,
+            ends_in_plane=find_cut(partial.means.double().numpy()) is not None,
+            bfloat16=self._shape_bfloat16,
         )
         return (*(mirror_plane_of(plane) for plane in asked.distinct(voxels.positions)), "none")
 

@@ -101,7 +101,7 @@ class LatentPrior:
             denoiser: predicts noise.
             codec: pixels to latents.
             encoder: prompts to embeddings.
-            views: framing that renders shown to the prior must have.
+            views: framing that the prior's input renders must have.
             settings: knobs.
             plan: what is traded for memory.
             guidance: the default.

@@ -74,7 +74,7 @@ class LatentPriorSettings:
     """Pull the contrast of guided images back towards the conditional one's, 0 to 1, against
     oversaturation and floaters (``x0`` only); None = 0.5."""
     background: Background = "black_or_white"
-    """What the renders shown to the prior stand on."""
+    """Background of the prior's input renders."""
     front_azimuth_deg: float = 0.0
     """Azimuth in the object frame that MVDream is told is the front (its +x)."""
     sample_posterior: bool = True

@@ -161,7 +161,7 @@ def _open_original(path: Path) -> Weights:
         )
     schedule = [name for name in keys.SCHEDULE_VECTORS if name in file.shapes]
     if schedule:  # all twelve or none: they are computed here, and only checked against the file
-        expected.update({name: (1000,) for name in keys.SCHEDULE_VECTORS})
+        expected.update(dict.fromkeys(keys.SCHEDULE_VECTORS, (1000,)))
     check_tensors(path, file.shapes, expected, what="MVDream (sd-v2.1-base-4view)")
     if schedule:
         _check_schedule(file)

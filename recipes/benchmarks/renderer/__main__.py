@@ -1,7 +1,7 @@
 """How fast the CPU renderer is: ``python -m recipes.benchmarks.renderer [--mesh FILE]``.
 
 Draws the surface of a mesh (a torus knot when none is given) as oriented discs, forward and
-backward through the whole differentiable render, over the number of splats, image size, degree of
+backward through the differentiable render, over the number of splats, image size, degree of
 the spherical harmonics and threads; one is varied at a time, from a middle point. Prints medians,
 fits how cost grows, and compares every kernel with what the machine can do (``work``).
 ``--out DIR`` leaves ``renderer.json`` and ``renderer.png`` there. Errors: ``accuracy``;
@@ -39,8 +39,8 @@ from gscomplete.views import Cameras
 from recipes.benchmarks.charts import Chart, draw_charts
 from recipes.benchmarks.clocks import Clock, clock_reader
 from recipes.benchmarks.renderer.machine_limits import MachineLimits, measure_limits
+from recipes.benchmarks.renderer.scenes import bench_camera, surface_discs, trainable_copy
 from recipes.benchmarks.renderer.work import Stage, measure_stages
-from recipes.benchmarks.scenes import bench_camera, surface_discs, trainable_copy
 from recipes.entry_point import start
 
 Sweep = Literal["splats", "size_px", "sh_degree"]

@@ -42,7 +42,7 @@ from gscomplete.util.atomic import atomic_path
 from gscomplete.views import Cameras
 from recipes.benchmarks.charts import Chart, draw_charts
 from recipes.benchmarks.clocks import Clock, clock_reader
-from recipes.benchmarks.scenes import bench_camera, cloud, surface_discs, trainable_copy
+from recipes.benchmarks.renderer.scenes import bench_camera, cloud, surface_discs, trainable_copy
 from recipes.entry_point import start
 
 COLOR_MAX, COLOR_MEAN, GRADIENT = 1 / 255, 1e-4, 1e-3

@@ -44,7 +44,7 @@ from gscomplete.splats import Splats
 from gscomplete.util.atomic import atomic_path
 from gscomplete.views import Cameras
 from recipes.benchmarks.clocks import Clock, clock_reader
-from recipes.benchmarks.scenes import bench_camera, surface_discs, trainable_copy
+from recipes.benchmarks.renderer.scenes import bench_camera, surface_discs, trainable_copy
 from recipes.entry_point import start
 
 

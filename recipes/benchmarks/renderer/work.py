@@ -36,7 +36,7 @@ from gscomplete.render.cpu.layout import P_HALF_H, P_V
 from gscomplete.splats import Splats
 from gscomplete.views import Cameras
 from recipes.benchmarks.renderer.machine_limits import MachineLimits
-from recipes.benchmarks.scenes import trainable_copy
+from recipes.benchmarks.renderer.scenes import trainable_copy
 
 FORWARD_OPERATIONS = 38
 """In the inner loop of ``composite``: offset 2, whitening 4, exponent 4, exp 17, alpha and weight

@@ -28,7 +28,7 @@ from splatcomplete_data.scan import PointCloud
 INITIAL_OPACITY = 0.1
 NEIGHBOURS = 3
 _FEWEST_POINTS = 50
-"""Clouds smaller than this are not worth starting from."""
+"""Clouds smaller than this are too small to start from."""
 _OBJECT_BOX, _SCENE_BOX = 0.6, 1.5
 """Half the box of random points, in mean camera distances, with object masks and without."""
 _FAR_CAMERAS = 3.0

@@ -31,7 +31,7 @@ from splatcomplete_data.multiview.training.settings import TrainingSettings
 from splatcomplete_data.multiview.training.ssim import Reference, ssim_map
 
 CHECK_EVERY = 100
-"""Steps between two looks for values that are not finite, besides the one before every save."""
+"""Steps between two checks for values that are not finite, besides the one before every save."""
 _DIVISIONS_PER_RUN = 18
 """At least this many intervals of division fit into a run, of which the schedule uses about ten:
 with the interval of long runs, short ones would hardly divide."""
@@ -218,7 +218,7 @@ class Training:
         return (self._halves if small else self._targets)[int(order[place])]
 
     def _background(self, target: Target, number: int) -> Tensor | None:  # [3]
-        """Return a random colour where the photo has a mask: only nothing looks right on all."""
+        """Return a random colour where the photo has a mask: only transparency fits all of them."""
         if target.alpha is None:
             return None
         generator = generator_for(self.settings.seed, number, "background")

@@ -17,7 +17,7 @@ from recipes.benchmarks.clocks import clock_reader
 from recipes.benchmarks.renderer import __main__ as speed
 from recipes.benchmarks.renderer import accuracy, peers, work
 from recipes.benchmarks.renderer.machine_limits import MachineLimits, measure_limits
-from recipes.benchmarks.scenes import bench_camera, cloud, surface_discs
+from recipes.benchmarks.renderer.scenes import bench_camera, cloud, surface_discs
 
 PEER = """
 from gscomplete.render import render

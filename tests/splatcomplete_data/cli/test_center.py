@@ -38,7 +38,7 @@ def made(folder: Path, command: str, place: np.ndarray, *more: str) -> int:
 )
 def test_the_center_moves_with_the_splats(tmp_path, command, more):
     center = FAR + np.array([0.5, 0.4, 0.3])
-    words = ["--center", ",".join(map(str, center)), "--size-whole", "1.5"]
+    words = ["--center", ",".join(map(str, center)), "--object-size", "1.5"]
     assert made(tmp_path, command, FAR, *words, *more) == 0
     record = json.loads((tmp_path / "out/object.json").read_text())
     moved = Similarity.from_json(record["file_from_source"])
@@ -59,10 +59,10 @@ def test_without_an_offset_the_center_is_taken_as_it_is(tmp_path):
 @pytest.mark.parametrize("place", [np.zeros(3), FAR])
 def test_a_box_far_from_the_part_is_refused(tmp_path, capsys, command, place):
     center = place + np.array([3.0, 0.5, 0.5])
-    words = [f"--center={','.join(map(str, center))}", "--size-whole", "0.9"]
+    words = [f"--center={','.join(map(str, center))}", "--object-size", "0.9"]
     assert made(tmp_path, command, place, *words) == 2
     told = capsys.readouterr().err
-    assert "--center, --size-whole: expected a box that holds some of the part" in told
+    assert "--center, --object-size: expected a box that holds some of the part" in told
     triples = [text.split(",") for text in re.findall(r"[-\d.e+]+,[-\d.e+]+,[-\d.e+]+", told)]
     high, found = np.array(triples[1:], np.float64)
     np.testing.assert_allclose(found, center)
@@ -72,5 +72,5 @@ def test_a_box_far_from_the_part_is_refused(tmp_path, capsys, command, place):
 
 
 def test_a_part_on_the_face_of_the_box_touches_it(tmp_path):
-    words = ["--box", "0,0,0,0.01,9,9", "--center=-0.5,0.5,0.5", "--size-whole", "1"]
+    words = ["--box", "0,0,0,0.01,9,9", "--center=-0.5,0.5,0.5", "--object-size", "1"]
     assert made(tmp_path, "scan", np.zeros(3), *words) == 0

@@ -54,7 +54,8 @@ def test_levelled_points_have_z_up_and_no_other_axis(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("more", "named"), [(["--sigma", "inf"], "--sigma"), (["--size-whole", "nan"], "--size-whole")]
+    ("more", "named"),
+    [(["--sigma", "inf"], "--sigma"), (["--object-size", "nan"], "--object-size")],
 )
 def test_numbers_that_are_not_finite_are_named_before_the_work(tmp_path, capsys, more, named):
     np.savetxt(tmp_path / "a.xyz", np.random.default_rng(0).uniform(0, 1, (500, 3)))

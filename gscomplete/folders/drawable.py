@@ -18,7 +18,7 @@ from gscomplete.views import ObjectFrame, ViewDistribution
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class Drawable:
     """A splat file, with what its folder says."""
 
     file: Path
@@ -28,8 +28,14 @@ class Shown:
     """Input view c and V in that frame."""
 
 
-def shown_by(path: Path) -> Shown:
+def drawable_of(path: Path) -> Drawable:
     """Return what a path means.
+
+    Args:
+        path: a splat file, a run folder or an object folder.
+
+    Returns:
+        The splat file, and frame and V where they are recorded.
 
     Raises:
         UserError: it is a folder of another kind, or its record cannot be read.
@@ -38,21 +44,27 @@ def shown_by(path: Path) -> Shown:
     means_run = path.is_dir() or path.name in (OUTPUT_FILE, RUN_FILE)
     if means_run and (folder / RUN_FILE).is_file():
         run = read_run_folder(folder)
-        return Shown(run.output, run.frame, run.views)
+        return Drawable(run.output, run.frame, run.views)
     found = object_folder_of(path)
     if found is not None:
         is_splats = path.suffix == ".ply"
-        return Shown(path if is_splats else found.partial, found.frame, found.views)
+        return Drawable(path if is_splats else found.partial, found.frame, found.views)
     if path.is_dir():
         raise UserError(
             f"{path}: expected a splat file, a run folder ({RUN_FILE}) or an object folder "
             f"({OBJECT_FILE}), found another folder"
         )
-    return Shown(path)
+    return Drawable(path)
 
 
 def splat_files_of(path: Path) -> list[Path]:
     """List the splat files of a folder, in the order of their names; a file is its own list.
+
+    Args:
+        path: a folder or a splat file.
+
+    Returns:
+        At least one path.
 
     Raises:
         UserError: the folder holds none.

@@ -1,0 +1,1 @@
+"""Batches: bytes, kills, throughput, and what many objects take."""
