@@ -17,6 +17,17 @@ from torch import Tensor
 from gscomplete.splats.record import SH_C0, Splats, concatenate
 from splatcomplete_data.cuts.geometry import splat_points
 
+_POSITION_NOISE = 0.006
+"""Largest standard deviation of positions, object frame."""
+_COLOR_NOISE = 0.06
+"""Largest standard deviation of colours, sRGB."""
+_COLOR_SHIFT = 0.06
+"""Largest shift of all colours together, sRGB."""
+_SIZE_NOISE = 0.3
+"""Largest standard deviation of log scales."""
+_HOLE_RADIUS = (0.03, 0.12)
+"""Radius of dropped patches, object frame."""
+
 
 @dataclass(frozen=True, slots=True)
 class FlawSettings:
@@ -24,18 +35,8 @@ class FlawSettings:
 
     clean_share: float = 0.35
     """Share of partials left as they are."""
-    position_noise: float = 0.006
-    """Largest standard deviation of positions, object frame."""
-    color_noise: float = 0.06
-    """Largest standard deviation of colours, sRGB."""
-    color_shift: float = 0.06
-    """Largest shift of all colours together, sRGB."""
-    size_noise: float = 0.3
-    """Largest standard deviation of log scales."""
     most_holes: int = 4
     """Most round patches dropped."""
-    hole_radius: tuple[float, float] = (0.03, 0.12)
-    """Radius of dropped patches, object frame."""
     flying_share: float = 0.01
     """Largest share of flying splats added."""
 
@@ -65,7 +66,7 @@ def corrupt(
     outside = np.ones(len(points), np.bool_)
     for _ in range(int(rng.integers(chosen.most_holes + 1))):
         middle = points[int(rng.integers(len(points)))]
-        radius = rng.uniform(*chosen.hole_radius)
+        radius = rng.uniform(*_HOLE_RADIUS)
         outside &= np.square(points - middle).sum(axis=1) > radius * radius
     if outside.mean() > 0.5:
         kept = kept.select(torch.from_numpy(outside).to(mask.device))
@@ -77,10 +78,10 @@ def corrupt(
 
     sh = kept.sh.clone()
     shift = torch.from_numpy(rng.uniform(-1, 1, 3).astype(np.float32)).to(sh)
-    sh[:, 0] += shift * float(strength[0] * chosen.color_shift / SH_C0)
-    sh[:, 0] += noise(strength[1] * chosen.color_noise / SH_C0)
-    sizes = kept.scales * noise(strength[2] * chosen.size_noise, (len(kept), 1)).exp()
-    means = kept.means + noise(strength[3] * chosen.position_noise)
+    sh[:, 0] += shift * float(strength[0] * _COLOR_SHIFT / SH_C0)
+    sh[:, 0] += noise(strength[1] * _COLOR_NOISE / SH_C0)
+    sizes = kept.scales * noise(strength[2] * _SIZE_NOISE, (len(kept), 1)).exp()
+    means = kept.means + noise(strength[3] * _POSITION_NOISE)
     flawed = dataclasses.replace(kept, means=means, scales=sizes, sh=sh)
     flying = int(strength[4] * chosen.flying_share * len(kept))
     if flying == 0:

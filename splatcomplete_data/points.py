@@ -25,6 +25,8 @@ from gscomplete.splats import Similarity, Splats, colors_to_sh
 
 Offset = tuple[float, float, float]
 """What is taken from coordinates before they become float32, in whole units of the file."""
+_MAX_POINTS_FOR_SPACING = 20_000
+"""Spacing is measured at this many evenly chosen points of a larger cloud."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +37,6 @@ class PointSplatSettings:
     """Standard deviation over spacing; below about 0.5 surfaces show holes."""
     opacity: float = 0.95
     """Opacity of every splat, in [0, 1]."""
-    max_points_for_spacing: int = 20_000
-    """Spacing is measured at this many evenly chosen points of a larger cloud."""
 
 
 def median_spacing(
@@ -69,7 +69,7 @@ def sigma_of(
     Raises:
         UserError: there are fewer than two distinct points.
     """
-    return settings.sigma_per_spacing * median_spacing(points, settings.max_points_for_spacing)
+    return settings.sigma_per_spacing * median_spacing(points, _MAX_POINTS_FOR_SPACING)
 
 
 def offset_for_float32(

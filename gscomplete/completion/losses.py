@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from gscomplete.render import Render
+from gscomplete.util.same_bits import fixed_sum
 
 
 def over(color: Tensor, alpha: Tensor, background: Tensor) -> Tensor:  # [..., 3], [...], [3]
@@ -36,7 +37,7 @@ def preservation_loss(
     )
     if masked:
         difference = difference * partial.alpha[..., None]
-    return difference.square().sum() / completed.alpha.shape[0]
+    return fixed_sum(difference.square()) / completed.alpha.shape[0]
 
 
 def fit_loss(
@@ -54,7 +55,7 @@ def fit_loss(
         target_color, target_alpha, background
     )
     alpha = render.alpha - target_alpha
-    return 0.5 * (color.square().sum() + alpha.square().sum()) / render.alpha.shape[0]
+    return 0.5 * (fixed_sum(color.square()) + fixed_sum(alpha.square())) / render.alpha.shape[0]
 
 
 def random_background(generator: torch.Generator) -> Tensor:  # [3]

@@ -25,6 +25,7 @@ from torch import Tensor
 
 from gscomplete.completion.settings import SeamColorSettings
 from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.util.same_bits import fixed_power
 
 _LMS_FROM_LINEAR = torch.tensor(
     [
@@ -46,6 +47,11 @@ _LEAST_SHARE = 0.01
 """Splats get no correction where less than this share of one is left."""
 
 FloatArray = NDArray[np.float64]
+
+_ANCHORS = 64
+"""Most splats at the seam that decide about one new splat."""
+_LEAST_OPACITY = 0.1
+"""Fainter splats take no part."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,8 +86,8 @@ def match_seam_colors(
         partial: P, object frame.
         settings: knobs.
     """
-    drawn = partial.select(partial.opacities >= settings.least_opacity)
-    shown = torch.nonzero(new.opacities >= settings.least_opacity)[:, 0]
+    drawn = partial.select(partial.opacities >= _LEAST_OPACITY)
+    shown = torch.nonzero(new.opacities >= _LEAST_OPACITY)[:, 0]
     if len(drawn) == 0 or len(shown) == 0:
         return new, SeamColorReport(0, 0, 0.0, 0.0)
     places = new.means.detach().double().cpu().numpy()
@@ -133,7 +139,7 @@ def _spread(
 ) -> FloatArray:  # [N, 3]
     """Smooth differences at the seam along it, and let them fade with the distance from it."""
     tree = cKDTree(anchors)
-    nearest = list(range(1, min(settings.anchors, len(anchors)) + 1))
+    nearest = list(range(1, min(_ANCHORS, len(anchors)) + 1))
     distance, index = tree.query(points, k=nearest)
     # Relative to the nearest anchor, so that weights far from the seam do not vanish all at once.
     beyond = distance**2 - distance[:, :1] ** 2
@@ -141,22 +147,22 @@ def _spread(
     weight /= weight.sum(axis=1, keepdims=True)
     fading = np.exp(-0.5 * (distance[:, 0] / settings.fade) ** 2)
     fading[fading < _LEAST_SHARE] = 0.0
-    return settings.strength * fading[:, None] * (weight[:, :, None] * gap[index]).sum(axis=1)
+    return fading[:, None] * (weight[:, :, None] * gap[index]).sum(axis=1)
 
 
 def oklab_from_srgb(colors: Tensor) -> Tensor:  # [N, 3] in [0, 1] -> [N, 3], float64
     """Turn sRGB colours into Oklab."""
     srgb = colors.double()
     linear = torch.where(
-        srgb <= 0.04045, srgb / 12.92, ((srgb.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4
+        srgb <= 0.04045, srgb / 12.92, fixed_power((srgb.clamp_min(0.04045) + 0.055) / 1.055, 2.4)
     )
     lms = linear @ _LMS_FROM_LINEAR.T
-    return (lms.sign() * lms.abs() ** (1.0 / 3.0)) @ _LAB_FROM_ROOTS.T
+    return (lms.sign() * fixed_power(lms.abs(), 1.0 / 3.0)) @ _LAB_FROM_ROOTS.T
 
 
 def srgb_from_oklab(lab: Tensor) -> Tensor:  # [N, 3] -> [N, 3], float64; may leave [0, 1]
     """Turn Oklab colours into sRGB."""
     roots = lab.double() @ torch.linalg.inv(_LAB_FROM_ROOTS).T
     linear = (roots**3) @ torch.linalg.inv(_LMS_FROM_LINEAR).T
-    curved = 1.055 * linear.clamp_min(0.0031308) ** (1.0 / 2.4) - 0.055
+    curved = 1.055 * fixed_power(linear.clamp_min(0.0031308), 1.0 / 2.4) - 0.055
     return torch.where(linear <= 0.0031308, 12.92 * linear, curved)

@@ -76,8 +76,6 @@ class HardPreservationSettings:
     """Side of the check views: that of the evaluation, since errors grow with the resolution."""
     max_backing: int = 30_000
     """Most copies of P's splats tried behind its thin places; 0 = none."""
-    backing_distance: float = 0.01
-    """How far behind P's surface the copies are, in object sizes."""
     rounds: int = 10
     """Most rounds of refitting; what is left then is faded out."""
     fit_views: int = 10
@@ -88,19 +86,11 @@ class HardPreservationSettings:
     """Optimiser steps of one round."""
     halvings: int = 3
     """How often it is tried to take back half of what the last round did; 0 = never."""
-    views_per_step: int = 2
-    """Views of V, and as many from outside V, of one step."""
-    active_share: float = 0.99
-    """Splats that make up this share of the errors take part in a round."""
     keep_weight: float = 1.0
     """Weight of what changes in the pictures from outside V and beside P; more keeps the
     completion better and takes more rounds."""
     prune_opacity: float = 0.01
     """Splats faded below this opacity are removed."""
-    opacity_rate: float = 0.3
-    """Adam's step size for logits of opacities."""
-    means_rate: float = 3e-3
-    """Adam's step size for positions, in object sizes."""
     scales_rate: float = 0.02
     """Adam's step size for logarithms of scales; no scale grows."""
 
@@ -113,15 +103,14 @@ class HardPreservationSettings:
         for name in ("color_bound", "depth_bound"):
             if not 0 < getattr(self, name) < float("inf"):
                 raise UserError(f"{name}: expected a positive number, found {getattr(self, name)}")
-        for name in ("margin", "active_share"):
-            if not 0 < getattr(self, name) <= 1:
-                raise UserError(f"{name}: expected more than 0, at most 1, {getattr(self, name)}")
+        if not 0 < self.margin <= 1:
+            raise UserError(f"margin: expected more than 0, at most 1, found {self.margin}")
         if not 0 <= self.mask_from < 1:
             raise UserError(f"mask_from: expected 0 to less than 1, found {self.mask_from}")
-        for name in ("check_views", "fit_views", "steps", "views_per_step"):
+        for name in ("check_views", "fit_views", "steps"):
             if getattr(self, name) < 1:
                 raise UserError(f"{name}: expected at least 1, found {getattr(self, name)}")
-        for name in ("max_backing", "backing_distance", "rounds"):
+        for name in ("max_backing", "rounds"):
             if not getattr(self, name) >= 0:
                 raise UserError(f"{name}: expected at least 0, found {getattr(self, name)}")
 
@@ -136,14 +125,8 @@ class SeamColorSettings:
     """Differences are smoothed along the seam over about this length."""
     fade: float = 0.1
     """The correction falls to 61 % at this distance from the seam, and to 14 % at twice that."""
-    strength: float = 1.0
-    """Share of the difference that is taken away at the seam."""
     neighbours: int = 16
     """Colours are means over this many splats: patterns are to stay."""
-    anchors: int = 64
-    """Most splats at the seam that decide about one new splat."""
-    least_opacity: float = 0.1
-    """Fainter splats are not looked at."""
 
     def __post_init__(self) -> None:
         """Check ranges.
@@ -154,12 +137,8 @@ class SeamColorSettings:
         for name in ("reach", "smoothness", "fade"):
             if not 0 < getattr(self, name) < float("inf"):
                 raise UserError(f"{name}: expected a positive number, found {getattr(self, name)}")
-        for name in ("neighbours", "anchors"):
-            if getattr(self, name) < 1:
-                raise UserError(f"{name}: expected at least 1, found {getattr(self, name)}")
-        for name in ("strength", "least_opacity"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise UserError(f"{name}: expected 0 to 1, found {getattr(self, name)}")
+        if self.neighbours < 1:
+            raise UserError(f"neighbours: expected at least 1, found {self.neighbours}")
 
 
 @dataclass(frozen=True, slots=True)

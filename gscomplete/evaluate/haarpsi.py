@@ -15,6 +15,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from gscomplete.util.same_bits import fixed_sigmoid
+
 _C = 30.0
 _ALPHA = 4.2
 _YIQ = ((0.299, 0.587, 0.114), (0.5959, -0.2746, -0.3213), (0.2115, -0.5227, 0.3112))
@@ -44,7 +46,7 @@ def haarpsi(ours: Tensor, theirs: Tensor, mask: Tensor | None = None) -> Tensor:
     if mask is not None:
         weights = weights * _halved(mask.double()[:, None])
     total = weights.sum(dim=(1, 2, 3))
-    mean = (torch.sigmoid(_ALPHA * local) * weights).sum(dim=(1, 2, 3)) / total.clamp_min(1e-12)
+    mean = (fixed_sigmoid(_ALPHA * local) * weights).sum(dim=(1, 2, 3)) / total.clamp_min(1e-12)
     score = (torch.logit(mean.clamp(0.5, 1 - 1e-12)) / _ALPHA) ** 2
     return torch.where(total > 1e-9, score, torch.ones_like(score))
 

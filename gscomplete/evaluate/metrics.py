@@ -32,6 +32,7 @@ from torch import Tensor
 from gscomplete.errors import UserError
 from gscomplete.render import Render, render
 from gscomplete.splats import Splats
+from gscomplete.util.same_bits import fixed_mean, fixed_sum
 from gscomplete.views import Cameras
 
 MID_GREY = (0.5, 0.5, 0.5)
@@ -149,7 +150,7 @@ def preservation_of_renders(completed: Render, partial: Render) -> PreservationE
         UserError: P's mask is empty in every view.
     """
     mask = partial.alpha.double()  # [V, H, W]
-    total = float(mask.sum())
+    total = float(fixed_sum(mask))
     if total <= 0.0:
         raise UserError(
             "preservation: the partial input is not visible from any of the views; check the "
@@ -162,9 +163,9 @@ def preservation_of_renders(completed: Render, partial: Render) -> PreservationE
     depth = torch.where(partial.alpha < NOTHING_ALPHA, torch.zeros_like(depth), depth)
     per_view = (mask * color).sum(dim=(1, 2)) / mask.sum(dim=(1, 2)).clamp_min(1e-12)
     return PreservationErrors(
-        color=float((mask * color).sum()) / total,
-        color_image_mean=float((mask.square() * color).mean()),
-        depth=float((mask * depth).sum()) / total,
+        color=float(fixed_sum(mask * color)) / total,
+        color_image_mean=float(fixed_mean(mask.square() * color)),
+        depth=float(fixed_sum(mask * depth)) / total,
         mask_fraction=total / mask.numel(),
         views=len(mask),
         color_per_view=tuple(per_view.tolist()),
@@ -212,5 +213,5 @@ def _ratio(part: int, whole: int) -> float:
 
 def _psnr_db(squared: Tensor, where: Tensor) -> float:  # [V, H, W], bool [V, H, W]
     """Peak signal-to-noise ratio of colours in [0, 1] over a region, at most 100 dB."""
-    mean = max(float(squared[where].mean()), 1e-10)
+    mean = max(float(fixed_mean(squared[where])), 1e-10)
     return -10.0 * math.log10(mean)

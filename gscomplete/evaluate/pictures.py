@@ -34,6 +34,8 @@ _MOST_TITLE_PX = 480
 """A title may make a sheet so wide, not wider."""
 _LONGEST_TITLE = 400
 """Letters of a title that are looked at."""
+_FRAME_MS = 80
+"""Time for which a picture is shown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +46,6 @@ class TurntableSettings:
     """Pictures in one full turn."""
     size_px: int = 256
     """Side of a picture."""
-    frame_ms: int = 80
-    """Time for which a picture is shown."""
     quality: int = 80
     """WebP quality, 1 to 100; other formats ignore it."""
 
@@ -200,7 +200,7 @@ def save_turntable(
             temporary,
             save_all=True,
             append_images=frames[1:],
-            duration=chosen.frame_ms,
+            duration=_FRAME_MS,
             loop=0,
             quality=chosen.quality,
         )

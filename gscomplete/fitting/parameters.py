@@ -24,6 +24,7 @@ from gscomplete.fitting.row_adam import (
 )
 from gscomplete.fitting.settings import LearningRates
 from gscomplete.splats import SH_C0, Splats
+from gscomplete.util.same_bits import fixed_sigmoid
 
 NAMES = ("means", "quaternions", "log_scales", "opacity_logits", "sh")
 ADAM_EPS = 1e-15
@@ -69,7 +70,7 @@ class SplatParameters:
             value["means"],
             torch.nn.functional.normalize(value["quaternions"], dim=1),
             value["log_scales"].exp(),
-            torch.sigmoid(value["opacity_logits"]),
+            fixed_sigmoid(value["opacity_logits"]),
             value["sh"],
         )
 

@@ -32,10 +32,22 @@ from gscomplete.framing.extent import extended_box, is_closed
 from gscomplete.render import render
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.rotations import rotation_matrices
+from gscomplete.util.same_bits import fixed_sum
 from gscomplete.views import Cameras, orbit_cameras
 from gscomplete.views.distribution import FOV_DEG, RADIUS
 
 FloatArray = NDArray[np.float64]
+
+_SURFACE_TOLERANCE = 0.03
+"""A splat this far behind the surface seen still counts as visible (in sides of P's box)."""
+_FLOATER_DENSITY = 0.03
+"""A splat with less than this share of the median density around it is a floater."""
+_DENSE_NEIGHBOURS = 8.0
+"""With at least this many splats around the median one, a splat all alone is a floater."""
+_MAX_FLOATER_FRACTION = 0.02
+"""If more than this share of the splats counts as floaters, all are taken as object."""
+_MIN_OPENNESS = 0.25
+"""How one-sided the view scores must be for P to count as open, in [0, 1]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,16 +62,6 @@ class FramingSettings:
     """Side of the renders that views are judged by."""
     max_splats: int = 20_000
     """Splats drawn for that; of larger objects, an even choice with widths grown to match."""
-    surface_tolerance: float = 0.03
-    """A splat this far behind the surface seen still counts as visible (in sides of P's box)."""
-    floater_density: float = 0.03
-    """A splat with less than this share of the median density around it is a floater."""
-    dense_neighbours: float = 8.0
-    """With at least this many splats around the median one, a splat all alone is a floater."""
-    max_floater_fraction: float = 0.02
-    """If more than this share of the splats counts as floaters, all are taken as object."""
-    min_openness: float = 0.25
-    """How one-sided the view scores must be for P to count as open, in [0, 1]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +140,7 @@ def guess_framing(
         UserError: P has no finite splat, or all are at one place.
     """
     chosen = settings or FramingSettings()
-    kept, notes = object_splats(partial, chosen)
+    kept, notes = object_splats(partial)
     low, high = (corner.double().numpy() for corner in kept.bounds())
     size = float((high - low).max())
     if not size > 0:
@@ -163,7 +165,7 @@ def guess_framing(
         both = np.concatenate([points, cut.mirrored(points)])
         center, size = (both.min(axis=0) + both.max(axis=0)) / 2, float(np.ptp(both, axis=0).max())
         reason = "P ends squarely at a plane: centre and size are of P and its mirror image"
-    elif strength < chosen.min_openness:
+    elif strength < _MIN_OPENNESS:
         center, reason = (low + high) / 2, "no side is clearly open: centre and size are the box's"
     else:
         center, grown, reason = extended_box(points, toward)
@@ -180,12 +182,12 @@ def score_partial(partial: Splats, settings: FramingSettings | None = None) -> V
         UserError: P has no finite splat.
     """
     chosen = settings or FramingSettings()
-    kept, _ = object_splats(partial, chosen)
+    kept, _ = object_splats(partial)
     low, high = (corner.double().numpy() for corner in kept.bounds())
     return score_views(_centered(kept, (low + high) / 2, float((high - low).max())), chosen)
 
 
-def object_splats(partial: Splats, settings: FramingSettings) -> tuple[Splats, list[str]]:
+def object_splats(partial: Splats) -> tuple[Splats, list[str]]:
     """Return the finite splats of P without floaters, and what was left out.
 
     A floater has next to no other splats in the 27 grid cells around it (cells of 1/24 of the box
@@ -205,10 +207,10 @@ def object_splats(partial: Splats, settings: FramingSettings) -> tuple[Splats, l
         reasons.append(f"{len(partial) - len(kept)} invisible or non-finite splats ignored")
     density = _local_density(kept.means.double().numpy())
     median = float(np.median(density))
-    is_dense = median >= settings.dense_neighbours
-    floating = density < max(settings.floater_density * median, 2.0 if is_dense else 0.0)
+    is_dense = median >= _DENSE_NEIGHBOURS
+    floating = density < max(_FLOATER_DENSITY * median, 2.0 if is_dense else 0.0)
     count = int(floating.sum())
-    if 0 < count <= settings.max_floater_fraction * len(kept):
+    if 0 < count <= _MAX_FLOATER_FRACTION * len(kept):
         reasons.append(f"{count} floating splats ignored")
         kept = kept.select(torch.from_numpy(~floating))
     return kept, reasons
@@ -234,7 +236,7 @@ def score_views(centered: Splats, settings: FramingSettings) -> ViewScores:
             fov_deg=FOV_DEG,
             size_px=settings.size_px,
         )
-        rows.append(_score_ring(drawn, cameras, settings.surface_tolerance))
+        rows.append(_score_ring(drawn, cameras, _SURFACE_TOLERANCE))
     area, facing, visible = (np.stack(column) for column in zip(*rows, strict=True))
     elevations = np.array(settings.elevations_deg)
     return ViewScores(azimuths.numpy(), elevations, area, facing, visible)
@@ -243,7 +245,7 @@ def score_views(centered: Splats, settings: FramingSettings) -> ViewScores:
 def outward_normals(splats: Splats) -> Tensor:  # [N, 3] unit
     """Return each splat's normal, signed to point away from the opacity-weighted centroid."""
     weights = splats.opacities[:, None]
-    centroid = (weights * splats.means).sum(dim=0) / weights.sum().clamp_min(1e-12)
+    centroid = (weights * splats.means).sum(dim=0) / fixed_sum(weights).clamp_min(1e-12)
     outward = torch.nn.functional.normalize(splats.means - centroid, dim=1)
     ordered = splats.scales.sort(dim=1).values
     is_flat = ordered[:, 0] < 0.5 * ordered[:, 1]

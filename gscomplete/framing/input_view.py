@@ -26,6 +26,13 @@ from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.filters import thinned
 from gscomplete.views import ViewDistribution
 
+_MOST_HIDDEN = 0.1
+"""A view from which the complete object hides no more than this share of P's pixels stays,
+..."""
+_LEAST_HIDDEN = 0.05
+"""... and so it does if the best other one (by score and hidden share) hides more than this:
+then it is rather the guess of the complete object that is wrong."""
+
 
 @dataclass(frozen=True, slots=True)
 class InputViewSettings:
@@ -37,12 +44,6 @@ class InputViewSettings:
     Guessing the complete object anew from the new view is worse, by .03.
     """
 
-    most_hidden: float = 0.1
-    """A view from which the complete object hides no more than this share of P's pixels stays,
-    ..."""
-    least_hidden: float = 0.05
-    """... and so it does if the best other one (by score and hidden share) hides more than this:
-    then it is rather the guess of the complete object that is wrong."""
     least_score: float = 0.5
     """Views that show P worse than this share of the best one's score are not asked."""
     depth_tolerance: float = 0.03
@@ -75,7 +76,7 @@ def refine_input_view(
     partial = thinned(partial.with_sh_degree(0), chosen.max_splats, generator)
     completed = concatenate([partial, new.with_sh_degree(0)])
     before = hidden_share(partial, completed, guessed, chosen)
-    if before <= chosen.most_hidden:
+    if before <= _MOST_HIDDEN:
         return guessed, ""
     scores = score_partial(partial)
     shares = scores.score / max(float(scores.score.max()), 1e-12)
@@ -90,7 +91,7 @@ def refine_input_view(
         score = float(shares[row, column]) * (1.0 - hidden) ** 2
         if score > best_score:
             best, least, best_score = views, hidden, score
-    if least >= chosen.least_hidden:
+    if least >= _LEAST_HIDDEN:
         return guessed, ""
     return best, (
         f"input view {best.azimuth_deg:g},{best.elevation_deg:g} after all: from "

@@ -1,4 +1,4 @@
-"""The guess of the complete object: P mirrored where believed, the network's surface elsewhere.
+"""The guess of the complete object: P mirrored where consistent, the network's surface elsewhere.
 
 Conventions
 -----------
@@ -49,23 +49,23 @@ class AssembleSettings:
     count: int = 20_000
     """Most new splats."""
     min_symmetry_score: float = 0.75
-    """Worth of the first mirror image, by the network's answer, from which on its splats are used;
+    """Score of the first mirror image, by the network's output, from which on its splats are used;
     below it the network's surface is all there is."""
     occupancy_threshold_beside: float = 0.0
     """Cells of the network's surface beside mirrored splats count as filled from this logit on."""
     occupancy_threshold_low: float = -1.0
-    """Without mirrored splats: from this logit on where much is missing; the network is never sure
-    of thin walls there, and some excess is accepted for them ..."""
+    """Without mirrored splats: from this logit on where much is missing; the network is never
+    confident of thin walls there, and some excess is accepted for them ..."""
     occupancy_threshold_high: float = 0.25
     """... and from this one on where little is missing, so that what is complete stays as it is. On
     135 parts of 15 real objects that no benchmark uses, IoU is .009 above that of -1 everywhere:
     .023 on those that lack little, .001 on the others."""
     threshold_symmetry_scores: tuple[float, float] = (0.1, 0.3)
     """Little is missing where no mirror image of P scores more than the first: none adds anything
-    that the network believes in. From the second on that says nothing ..."""
+    that the network predicts. From the second on that says nothing ..."""
     threshold_missing_shares: tuple[float, float] = (0.2, 0.3)
     """... or where no more of the surface than the first share lies beyond P's cells and those
-    beside them (were more counted as P's, scattered splats would seem to be a whole surface); from
+    beside them (were more counted as P's, scattered splats would pass for a surface); from
     the second on that says nothing. Between them levels are interpolated; the higher one counts."""
     mirrored_share: float = 0.7
     """Most of the new splats that are mirrored ones."""

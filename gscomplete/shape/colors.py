@@ -3,7 +3,7 @@
 Where mirrored splats are used as they are, gaps beside them take the nearest colours instead.
 
 The network also has a colour of its own to mix in, which training needs (without it, colours that
-P does not show would push the pointing astray); mixed into a picture it looks like dirt beside P's
+P does not show would push the pointing astray); mixed into a picture it appears as dirt beside P's
 colours, and so does a mean of two patterns. So new splats take the colour of one source.
 
 Conventions
@@ -44,9 +44,9 @@ class ColorSettings:
     neighbours: int = 8
     """A colour is a mean over this many splats of a source: scans are noisy."""
     max_splats: int = 40_000
-    """Most splats of P looked at."""
+    """Most splats of P searched."""
     outward: float = 2.0 * CELL_SIDE
-    """So far outside new splats the nearest colours are looked for: icing, not the dough under
+    """So far outside new splats the nearest colours are searched: icing, not the dough under
     it."""
     height_weight: float = 3.0
     """How much farther away a splat counts for being higher or lower than for being beside: rims,
@@ -73,7 +73,7 @@ def source_colors(
         inputs: what the network saw.
         partial: P in the object frame.
         points: where the new splats are.
-        generator: chooses the splats of P looked at, if there are too many.
+        generator: chooses the splats of P searched, if there are too many.
         settings: knobs; None = defaults.
     """
     chosen = settings or ColorSettings()
@@ -92,7 +92,7 @@ def source_colors(
 
 
 def nearest_colors(
-    shown: Splats,
+    colored: Splats,
     points: Tensor,  # [N, 3]
     normals: Tensor,  # [N, 3] outward
     generator: torch.Generator,
@@ -101,15 +101,15 @@ def nearest_colors(
     """Return the colours of what lies about ``points``, outer layers before inner ones.
 
     Args:
-        shown: splats to take colours from, object frame.
+        colored: splats to take colours from, object frame.
         points: where the new splats are.
         normals: of the surface there.
-        generator: chooses the splats looked at, if there are too many.
+        generator: chooses the splats searched, if there are too many.
         settings: knobs; None = defaults.
     """
     chosen = settings or ColorSettings()
     outside = points + chosen.outward * normals
-    return _Known(shown, generator, chosen).near(outside.numpy())[0]
+    return _Known(colored, generator, chosen).near(outside.numpy())[0]
 
 
 class _Known:

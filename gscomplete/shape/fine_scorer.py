@@ -1,8 +1,8 @@
 """What a plane's copy of P scores by the truth, from P on both sides of the plane.
 
-The ranker (``coarse_scorer``) reads 21 numbers per plane and can afford all 1,332 planes. The judge
-looks at the voxels themselves, folded about the plane, for the few planes that the ranker likes,
-and corrects its opinion. It was trained on procedural objects whose truth is known
+``coarse_scorer`` reads 21 numbers per plane and can afford all 1,332 planes. This scorer takes
+the voxels themselves, folded about the plane, for the few planes that the coarse one prefers, and
+corrects its scores. It was trained on procedural objects whose truth is known
 (``recipes/train_embedded_prior``).
 
 Conventions
@@ -36,6 +36,7 @@ from gscomplete.shape.network import PACKAGED_WEIGHTS
 from gscomplete.shape.symmetry_features import FEATURES
 from gscomplete.shape.voxels import CELL_SIDE, HALF_SIDE, FloatArray
 from gscomplete.util.atomic import atomic_path
+from gscomplete.util.same_bits import GroupNorm
 
 FINE_SCORER_FILE = "plane_judge.safetensors"
 STEP = 0.04
@@ -60,9 +61,9 @@ class JudgeBlock(nn.Module):
 
     def __init__(self, width: int) -> None:
         super().__init__()
-        self.norm_in = nn.GroupNorm(_GROUPS, width)
+        self.norm_in = GroupNorm(_GROUPS, width)
         self.conv_in = nn.Conv3d(width, width, 3, padding=1)
-        self.norm_out = nn.GroupNorm(_GROUPS, width)
+        self.norm_out = GroupNorm(_GROUPS, width)
         self.conv_out = nn.Conv3d(width, width, 3, padding=1)
         nn.init.zeros_(self.conv_out.weight)
 
@@ -87,7 +88,7 @@ class FineSymmetryScorer(nn.Module):
         self.shrink = nn.ModuleList(
             nn.Conv3d(w[i], w[i + 1], 3, stride=2, padding=1) for i in range(2)
         )
-        self.norm = nn.GroupNorm(_GROUPS, w[2])
+        self.norm = GroupNorm(_GROUPS, w[2])
         self.register_buffer("center", torch.zeros(len(FEATURES)))
         self.register_buffer("spread", torch.ones(len(FEATURES)))
         answer = nn.Linear(_HIDDEN, 2)
@@ -100,7 +101,7 @@ class FineSymmetryScorer(nn.Module):
         volumes: FoldedVolumes,
         features: Tensor,  # [K, F] of ``symmetry_features``
         ranked: Tensor,  # [K] the ranker's logits
-    ) -> tuple[Tensor, Tensor]:  # [K] logits of being the best, [K] worths
+    ) -> tuple[Tensor, Tensor]:  # [K] logits of being the best, [K] scores
         """Judge planes."""
         x = torch.cat([self.stem(volumes.fine), self.evidence(volumes.coarse)], dim=1)
         for level, block in enumerate(self.blocks):

@@ -23,6 +23,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from gscomplete.shape.symmetry import COPIES, SOURCES
+from gscomplete.util.same_bits import GroupNorm
 
 PACKAGED_WEIGHTS = Path(__file__).resolve().parents[1] / "priors/embedded/weights"
 """Where the weights of the shape networks lie: beside those of the embedded prior."""
@@ -56,9 +57,9 @@ class ResidualBlock(nn.Module):
 
     def __init__(self, width: int, config: ShapeModelConfig) -> None:
         super().__init__()
-        self.norm_in = nn.GroupNorm(config.groups, width)
+        self.norm_in = GroupNorm(config.groups, width)
         self.conv_in = nn.Conv3d(width, width, 3, padding=1)
-        self.norm_out = nn.GroupNorm(config.groups, width)
+        self.norm_out = GroupNorm(config.groups, width)
         self.conv_out = nn.Conv3d(width, width, 3, padding=1)
         self.modulation = nn.Linear(config.embedding, 2 * width)
         nn.init.zeros_(self.conv_out.weight)
@@ -126,7 +127,7 @@ class ShapeCompleter(nn.Module):
         self.shrink = nn.ModuleList(nn.Conv3d(w[i], w[i + 1], 2, stride=2) for i in range(2))
         self.grow = nn.ModuleList(nn.Conv3d(w[i + 1], w[i], 1) for i in range(2))
         self.attend = GlobalAttention(w[2], coarse_cells // 4)
-        self.norm = nn.GroupNorm(config.groups, w[0])
+        self.norm = GroupNorm(config.groups, w[0])
         self.head = nn.Conv3d(w[0], _FOLD**3 + 3 + SOURCES + 1 + SOURCES, 3, padding=1)
         nn.init.zeros_(self.head.weight)
         along = torch.linspace(-1, 1, coarse_cells)

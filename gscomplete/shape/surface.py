@@ -1,4 +1,4 @@
-"""Splats on the surface that the shape network believes in.
+"""Splats on the surface that the shape network predicts.
 
 Conventions
 -----------
@@ -100,8 +100,8 @@ def surface_splats(
     if mirrored is None:
         colors = source_colors(output, inputs, partial, points, generator)
     else:
-        shown = concatenate([partial.with_sh_degree(0), mirrored])
-        colors = nearest_colors(shown, points, normals, generator)
+        colored = concatenate([partial.with_sh_degree(0), mirrored])
+        colors = nearest_colors(colored, points, normals, generator)
     scales = torch.full((len(points), 3), _OVERLAP * spacing)
     scales[:, 2] *= _FLATNESS
     return Splats(

@@ -1,6 +1,6 @@
 """Which mirror images of P the shape network is given: those consistent with its own answers.
 
-Planes are proposed by what P looks like through them. The network knows more of objects, so it is
+Planes are proposed by P's appearance through them. The network knows more of objects, so it is
 asked once per likely plane and once without any. Then:
 
 * A part that ends in a plane lacks what lies beyond: a plane is scored by the share of new surface

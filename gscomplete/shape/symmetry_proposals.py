@@ -40,7 +40,7 @@ from gscomplete.shape.symmetry_features import (
 from gscomplete.shape.voxels import CELL_SIDE, FloatArray
 
 JUDGED = 48
-"""Planes that the judge looks at: on 45 cuts of 15 real objects the best of them scores .68 by
+"""Planes that the fine scorer ranks: on 45 cuts of 15 real objects the best of them scores .68 by
 the truth, the best of 8 .63, the best of all planes .72."""
 APART_DEG = 11.0
 APART_OFFSET = 0.05
@@ -90,7 +90,7 @@ def distinct_planes(
 def candidate_planes(
     voxels: PartialVoxels, count: int, *, bfloat16: bool = False
 ) -> list[SymmetryMap]:
-    """Return mirror images through the planes that are believed in most, the best first.
+    """Return mirror images through the planes of highest score, the best first.
 
     Args:
         voxels: P.

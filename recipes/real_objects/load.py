@@ -133,9 +133,9 @@ def cut_object(complete: Splats, entry: Entry) -> PartialCut:
         return crop(level, cut.low, cut.high)
     if isinstance(cut, ScanCut):
         azimuths, elevation = np.deg2rad(cut.from_deg), np.deg2rad(cut.elevation_deg)
-        level = SCAN_DISTANCE * np.cos(elevation)
+        outward = SCAN_DISTANCE * np.cos(elevation)
         height = np.full_like(azimuths, SCAN_DISTANCE * np.sin(elevation))
-        eyes = np.stack([level * np.cos(azimuths), level * np.sin(azimuths), height], axis=1)
+        eyes = np.stack([outward * np.cos(azimuths), outward * np.sin(azimuths), height], axis=1)
         return by_visibility(level, eyes)
     raise UserError(f"real object {entry.name}: expected a cut, found none")
 

@@ -26,6 +26,15 @@ from splatcomplete_data.cuts.geometry import (
     splat_points,
 )
 
+_SCAN_ELEVATION_DEG = (-10.0, 45.0)
+"""Elevations of the scanner's views."""
+_SLIGHT_VIEW_JITTER_DEG = 25.0
+"""Largest difference of a view's azimuth from an even spread."""
+_SLIGHT_VIEW_ELEVATION_DEG = (-10.0, 45.0)
+"""Elevations of views."""
+_SLIGHT_BOX_SIZE = (0.15, 0.35)
+"""Edges of boxes, object frame."""
+
 
 @dataclass(frozen=True, slots=True)
 class CutSettings:
@@ -37,8 +46,6 @@ class CutSettings:
     """A cut that keeps less is replaced by a plane cut."""
     most_share: float = 0.92
     """A cut that keeps more is replaced by a plane cut."""
-    scan_elevation_deg: tuple[float, float] = (-10.0, 45.0)
-    """Elevations of the scanner's views."""
     weights: tuple[float, float, float, float, float] = (0.42, 0.18, 0.25, 0.08, 0.07)
     """Shares of plane, box, visibility, plane+box and plane+visibility."""
 
@@ -51,14 +58,8 @@ class SlightCutSettings:
     """Shares of nothing cut, views from all round, a plane, and a box taken out."""
     views: tuple[int, int] = (3, 6)
     """Least and most views from all round."""
-    view_jitter_deg: float = 25.0
-    """Largest difference of a view's azimuth from an even spread."""
-    view_elevation_deg: tuple[float, float] = (-10.0, 45.0)
-    """Elevations of views."""
     plane_share: tuple[float, float] = (0.85, 0.98)
     """Share of splats that planes keep."""
-    box_size: tuple[float, float] = (0.15, 0.35)
-    """Edges of boxes, object frame."""
     fewest_share: float = 0.35
     """Of a cut that keeps less, everything is kept instead. Of doubled walls, half is out of
     sight."""
@@ -159,11 +160,11 @@ def random_partial(
     elif kind == 1:
         cuts = [_random_box(splats, rng)]
     elif kind == 2:
-        cuts = [_random_scan(splats, rng, chosen.scan_elevation_deg)]
+        cuts = [_random_scan(splats, rng, _SCAN_ELEVATION_DEG)]
     elif kind == 3:
         cuts = [_random_plane(splats, rng, 0.5 + 0.5 * share), _random_box(splats, rng)]
     else:
-        scan = _random_scan(splats, rng, chosen.scan_elevation_deg)
+        scan = _random_scan(splats, rng, _SCAN_ELEVATION_DEG)
         cuts = [_random_plane(splats, rng, 0.5 + 0.5 * share), scan]
     mask = torch.stack([cut.mask for cut in cuts]).all(dim=0)
     kept = float(mask.float().mean())
@@ -197,14 +198,14 @@ def slight_partial(
     found: PartialCut | None = None
     if kind == 1:
         count = int(rng.integers(chosen.views[0], chosen.views[1] + 1))
-        jitter = np.radians(rng.uniform(-1, 1, count) * chosen.view_jitter_deg)
+        jitter = np.radians(rng.uniform(-1, 1, count) * _SLIGHT_VIEW_JITTER_DEG)
         azimuth = rng.uniform(0, 2 * math.pi) + np.arange(count) * (2 * math.pi / count) + jitter
-        found = _scan_from(splats, rng, azimuth, chosen.view_elevation_deg)
+        found = _scan_from(splats, rng, azimuth, _SLIGHT_VIEW_ELEVATION_DEG)
     elif kind == 2:
         found = _random_plane(splats, rng, float(rng.uniform(*chosen.plane_share)))
     elif kind == 3:
         anchor = splat_points(splats)[int(rng.integers(len(splats)))]
-        found = by_box(splats, anchor, rng.uniform(*chosen.box_size, 3), keep="outside")
+        found = by_box(splats, anchor, rng.uniform(*_SLIGHT_BOX_SIZE, 3), keep="outside")
     if found is None or found.kept < chosen.fewest_share * len(splats):
         return PartialCut(torch.ones_like(splats.opacities, dtype=torch.bool), "nothing")
     return found

@@ -31,40 +31,34 @@ _LEVEL_DEG = 12.0
 """Tables and beds are level to this angle, as far as the up direction is known."""
 _FEWEST = 20
 """Fewer splats are nothing to enclose."""
-
-
-@dataclass(frozen=True, slots=True)
-class ProposalSettings:
-    """Knobs of the proposal; lengths in radii of the ball looked at."""
-
-    min_opacity: float = 0.2
-    """Fainter splats do not count."""
-    ball: float = 1.3
-    """Radius within which the cluster is looked for."""
-    plane_ball: float = 1.4
-    """Radius within which planes are looked for."""
-    plane_samples: int = 1500
-    """RANSAC's tries for every plane."""
-    plane_slack: float = 0.03
-    """Half thickness of a plane."""
-    plane_reach: float = 0.06
-    """A plane's upper side is looked for up to this height: walls have reliefs, beds wrinkles."""
-    plane_share: float = 0.12
-    """Least share of the weight that a plane holds."""
-    level_share: float = 0.07
-    """The same for a level plane."""
-    front_share: float = 0.6
-    """Least share of the other weight that lies before a plane that bears the object."""
-    cells: int = 40
-    """Cells of the clustering grid along the ball's diameter."""
-    cell_share: float = 0.02
-    """Cells lighter than this share of the 99th percentile of cells are empty."""
-    quantile: float = 0.004
-    """Share of the cluster left out at either end of every axis."""
-    margin: float = 0.03
-    """Added to the half extents."""
-    seed: int = 0
-    """Of RANSAC."""
+_MIN_OPACITY = 0.2
+"""Fainter splats do not count."""
+_BALL = 1.3
+"""Radius within which the cluster is looked for."""
+_PLANE_BALL = 1.4
+"""Radius within which planes are looked for."""
+_PLANE_SAMPLES = 1500
+"""RANSAC's tries for every plane."""
+_PLANE_SLACK = 0.03
+"""Half thickness of a plane."""
+_PLANE_REACH = 0.06
+"""A plane's upper side is looked for up to this height: walls have reliefs, beds wrinkles."""
+_PLANE_SHARE = 0.12
+"""Least share of the weight that a plane holds."""
+_LEVEL_SHARE = 0.07
+"""The same for a level plane."""
+_FRONT_SHARE = 0.6
+"""Least share of the other weight that lies before a plane that bears the object."""
+_CELL_SHARE = 0.02
+"""Cells lighter than this share of the 99th percentile of cells are empty."""
+_QUANTILE = 0.004
+"""Share of the cluster left out at either end of every axis."""
+_MARGIN = 0.03
+"""Added to the half extents."""
+_CELLS = 40
+"""Cells of the clustering grid along the ball's diameter."""
+_SEED = 0
+"""Of RANSAC."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,14 +141,13 @@ def focus_of_splats(splats: Splats, up: FloatArray) -> Focus:
     return Focus(center, max(float(np.quantile(distance, 0.6)), 1e-9), up)
 
 
-def propose_box(splats: Splats, focus: Focus, settings: ProposalSettings | None = None) -> Proposal:
+def propose_box(splats: Splats, focus: Focus) -> Proposal:
     """Propose a box around the central cluster.
 
     Raises:
         UserError: there is nothing to be seen where the cameras look.
     """
-    settings = settings or ProposalSettings()
-    points, weight = _solid(splats, settings.min_opacity)
+    points, weight = _solid(splats, _MIN_OPACITY)
     near = np.linalg.norm(points - focus.center, axis=1) <= 2.5 * focus.radius
     if near.sum() < _FEWEST:
         raise UserError(
@@ -162,21 +155,21 @@ def propose_box(splats: Splats, focus: Focus, settings: ProposalSettings | None 
             f"{focus.radius:.4g} of {focus.center.round(4).tolist()}; give the box as numbers"
         )
     local = (points[near] - focus.center) / focus.radius
-    ball = np.linalg.norm(local, axis=1) <= settings.plane_ball
-    planes = _supporting_planes(local[ball], weight[near][ball], focus, settings)
+    ball = np.linalg.norm(local, axis=1) <= _PLANE_BALL
+    planes = _supporting_planes(local[ball], weight[near][ball], focus)
     weight = weight[near] * focus.attention(points[near])
     free = np.all([plane.before(local) for plane in planes], axis=0) if planes else weight >= 0
     middle = np.zeros(3)
     for _ in range(3):  # what the cameras look at may lie well before the plane behind it
-        inside = free & (np.linalg.norm(local - middle, axis=1) <= settings.ball)
+        inside = free & (np.linalg.norm(local - middle, axis=1) <= _BALL)
         if inside.sum() < _FEWEST:
             raise UserError("--box auto: found nothing beside a plane; give the box as numbers")
         if planes:
             middle = np.average(local[inside], axis=0, weights=weight[inside])
-    cluster = _central_cluster(local[inside] - middle, weight[inside], settings)
+    cluster = _central_cluster(local[inside] - middle, weight[inside])
     members = local[inside][cluster]
     axis = planes[0].normal if planes else focus.up / np.linalg.norm(focus.up)
-    box = _fit(members, axis, planes, settings)
+    box = _fit(members, axis, planes)
     center = focus.center + focus.radius * np.array(box.center)
     half = focus.radius * np.array(box.half_extents)
     notes = [
@@ -219,32 +212,30 @@ def _weighted_median(points: FloatArray, weight: FloatArray) -> FloatArray:  # [
     return result
 
 
-def _supporting_planes(
-    local: FloatArray, weight: FloatArray, focus: Focus, settings: ProposalSettings
-) -> list[Plane]:
+def _supporting_planes(local: FloatArray, weight: FloatArray, focus: Focus) -> list[Plane]:
     """Find planes that bear the object: first a level one, for things stand on something."""
     planes: list[Plane] = []
-    rng = np.random.default_rng(settings.seed)
+    rng = np.random.default_rng(_SEED)
     free = np.ones(len(local), np.bool_)
     total = float(weight.sum())
     for upright in (focus.up / np.linalg.norm(focus.up), None):
         if free.sum() < _FEWEST:
             break
-        found = _heaviest_plane(local[free], weight[free], upright, settings, rng)
+        found = _heaviest_plane(local[free], weight[free], upright, rng)
         if found is None:
             continue
         normal, offset, held = found
         height = local @ normal - offset
-        before = float(weight[height > settings.plane_slack].sum())
-        behind = float(weight[height < -settings.plane_slack].sum())
-        if held < (settings.plane_share if upright is None else settings.level_share) * total:
+        before = float(weight[height > _PLANE_SLACK].sum())
+        behind = float(weight[height < -_PLANE_SLACK].sum())
+        if held < (_PLANE_SHARE if upright is None else _LEVEL_SHARE) * total:
             continue
         if upright is None and _is_turned(normal, before, behind, focus):
             normal, offset, height, before, behind = -normal, -offset, -height, behind, before
-        if before < settings.front_share * (before + behind) or before <= 0:
+        if before < _FRONT_SHARE * (before + behind) or before <= 0:
             continue
-        layer = free & (height > -settings.plane_slack)
-        plane = Plane(normal, offset + _upper_side(height[layer], weight[layer], settings))
+        layer = free & (height > -_PLANE_SLACK)
+        plane = Plane(normal, offset + _upper_side(height[layer], weight[layer]))
         planes.append(plane)
         free &= plane.before(local)
     return planes
@@ -256,22 +247,21 @@ def _is_turned(normal: FloatArray, before: float, behind: float, focus: Focus) -
     return before < behind if toward is None else float(normal @ toward) < 0
 
 
-def _upper_side(height: FloatArray, weight: FloatArray, settings: ProposalSettings) -> float:
+def _upper_side(height: FloatArray, weight: FloatArray) -> float:
     """Return the height at which the weight above a plane falls to a fifth of its own."""
-    step = settings.plane_slack / 2
-    edges = np.arange(0.0, settings.plane_reach + step, step)
+    step = _PLANE_SLACK / 2
+    edges = np.arange(0.0, _PLANE_REACH + step, step)
     layers, _ = np.histogram(height, edges, weights=weight)
     peak = 0.5 * float(weight[np.abs(height) <= step].sum())
     thin = np.flatnonzero(layers[1:] < 0.2 * peak) + 1
-    top = float(edges[thin[0]]) if len(thin) else settings.plane_reach
-    return max(top, settings.plane_slack)
+    top = float(edges[thin[0]]) if len(thin) else _PLANE_REACH
+    return max(top, _PLANE_SLACK)
 
 
 def _heaviest_plane(
     points: FloatArray,
     weight: FloatArray,
     upright: FloatArray | None,  # [3]
-    settings: ProposalSettings,
     rng: np.random.Generator,
 ) -> tuple[FloatArray, float, float] | None:
     """Return normal, offset and weight of the plane that holds most, None without any.
@@ -279,7 +269,7 @@ def _heaviest_plane(
     With ``upright`` only planes that are nearly level count, their normals upwards.
     """
     chance = weight / weight.sum()
-    picks = points[rng.choice(len(points), (settings.plane_samples, 3), p=chance)]
+    picks = points[rng.choice(len(points), (_PLANE_SAMPLES, 3), p=chance)]
     normals = np.cross(picks[:, 1] - picks[:, 0], picks[:, 2] - picks[:, 0])
     length = np.linalg.norm(normals, axis=1)
     usable = length > 1e-3
@@ -292,29 +282,27 @@ def _heaviest_plane(
     normals, picks = normals[usable], picks[usable]
     offsets = (normals * picks[:, 0]).sum(axis=1)
     sample = rng.choice(len(points), min(len(points), 4000), p=chance)
-    close = np.abs(points[sample] @ normals.T - offsets) <= settings.plane_slack
+    close = np.abs(points[sample] @ normals.T - offsets) <= _PLANE_SLACK
     best = int(close.sum(axis=0).argmax())
     normal, offset = normals[best], float(offsets[best])
     for _ in range(3):  # refine by least squares over what the plane holds
-        held = np.abs(points @ normal - offset) <= settings.plane_slack
+        held = np.abs(points @ normal - offset) <= _PLANE_SLACK
         middle = np.average(points[held], axis=0, weights=weight[held])
         spread = (points[held] - middle) * np.sqrt(weight[held])[:, None]
         refined = np.linalg.svd(spread, full_matrices=False)[2][2]
         normal = refined if refined @ normal > 0 else -refined
         offset = float(normal @ middle)
-    held = np.abs(points @ normal - offset) <= settings.plane_slack
+    held = np.abs(points @ normal - offset) <= _PLANE_SLACK
     return normal, offset, float(weight[held].sum())
 
 
-def _central_cluster(
-    local: FloatArray, weight: FloatArray, settings: ProposalSettings
-) -> NDArray[np.bool_]:
+def _central_cluster(local: FloatArray, weight: FloatArray) -> NDArray[np.bool_]:
     """Mark the connected cells that weigh most, the nearer to the centre the more."""
-    cells = settings.cells
-    index = np.clip(((local / settings.ball + 1) * (0.5 * cells)).astype(np.int64), 0, cells - 1)
+    cells = _CELLS
+    index = np.clip(((local / _BALL + 1) * (0.5 * cells)).astype(np.int64), 0, cells - 1)
     grid = np.zeros((cells, cells, cells))
     np.add.at(grid, tuple(index.T), weight)
-    full = grid >= settings.cell_share * np.quantile(grid[grid > 0], 0.99)
+    full = grid >= _CELL_SHARE * np.quantile(grid[grid > 0], 0.99)
     labels, count = ndimage.label(full, structure=np.ones((3, 3, 3)))
     own = labels[tuple(index.T)]
     pull = weight * np.exp(-4.0 * np.square(local).sum(axis=1))
@@ -328,14 +316,13 @@ def _fit(
     members: FloatArray,
     axis: FloatArray,
     planes: list[Plane],
-    settings: ProposalSettings,
 ) -> CropBox:
     """Fit a box along ``axis``, turned about it to the smallest base, down to the plane."""
     helper = np.eye(3)[int(np.abs(axis).argmin())]
     first = helper - (helper @ axis) * axis
     first /= np.linalg.norm(first)
     second = np.cross(axis, first)
-    low_q, high_q = settings.quantile, 1.0 - settings.quantile
+    low_q, high_q = _QUANTILE, 1.0 - _QUANTILE
     best: tuple[float, FloatArray] | None = None
     for angle in np.deg2rad(np.arange(0.0, 90.0, 3.0)):
         u = np.cos(angle) * first + np.sin(angle) * second
@@ -347,10 +334,10 @@ def _fit(
     assert best is not None
     turn = best[1]
     low, high = np.quantile(members @ turn, [low_q, high_q], axis=0)
-    low, high = low - settings.margin, high + settings.margin
+    low, high = low - _MARGIN, high + _MARGIN
     if planes:
         low[2] = planes[0].top
-        high[2] = max(high[2], low[2] + settings.margin)
+        high[2] = max(high[2], low[2] + _MARGIN)
     half = np.maximum((high - low) / 2, 1e-6)
     center = turn @ ((low + high) / 2)
     w, x, y, z = _quaternion(turn)

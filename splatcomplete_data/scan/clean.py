@@ -39,6 +39,8 @@ DOUBTFUL_SHARE = 0.5
 
 _VICINITY = 0.5
 """How far about the boxes neighbours are looked for, in diagonals of what the boxes keep."""
+_OUTLIER_NEIGHBOURS = 16
+"""Neighbours whose mean distance is judged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +53,6 @@ class CleanSettings:
     """How they are found."""
     outlier_ratio: float | None = 2.5
     """Standard deviations from which a point is an outlier; None = keep all."""
-    outlier_neighbours: int = 16
-    """Neighbours whose mean distance is judged."""
     clusters: int = 1
     """Clusters to keep, largest first; 0 = do not cluster."""
     cluster_radius: float = 5.0
@@ -126,7 +126,7 @@ def clean(
         other = _neighbours(cloud, inside, planes, spacing, eye, up)
         log.apply("neighbours", ~other[log.keep], "most of these objects lies outside the boxes")
     if chosen.outlier_ratio is not None:
-        kept = not_outliers(points[log.keep], chosen.outlier_neighbours, chosen.outlier_ratio)
+        kept = not_outliers(points[log.keep], _OUTLIER_NEIGHBOURS, chosen.outlier_ratio)
         log.apply("outliers", kept, f"beyond {chosen.outlier_ratio:g} standard deviations")
     if chosen.seed_point is not None:
         seed = np.asarray(chosen.seed_point, np.float64)

@@ -28,6 +28,10 @@ from scipy.spatial import cKDTree
 BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+_FOLD_DEG = 15.0
+"""Concave angle between two patches at which their contact's score is 0."""
+_COLOR_WEIGHT = 1.0
+"""What a difference of two patches' colours beyond 0.15 takes from a contact's score."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,12 +46,8 @@ class SegmentSettings:
         (4.0, 13.5),
     )
     """Sides of cubes and patches of every vote, in spacings."""
-    fold_deg: float = 15.0
-    """Concave angle between two patches at which their contact's score is 0."""
     least_score: float = -0.3
     """Patches whose contact has a lower score stay apart."""
-    color_weight: float = 1.0
-    """What a difference of two patches' colours beyond 0.15 takes from a contact's score."""
 
 
 _NORMAL_REACH = 2.5
@@ -291,9 +291,9 @@ def _join(
     along = middle[j] - middle[i]
     angle = np.degrees(np.arccos(np.clip((normal[i] * normal[j]).sum(axis=1), -1, 1)))
     is_concave = ((normal[j] - normal[i]) * along).sum(axis=1) < 0
-    score = np.where(is_concave, 1.0 - angle / settings.fold_deg, 1.0)
+    score = np.where(is_concave, 1.0 - angle / _FOLD_DEG, 1.0)
     unlike = np.linalg.norm(hue[i] - hue[j], axis=1) - _LIKE_COLORS
-    score -= settings.color_weight * np.maximum(unlike, 0.0)
+    score -= _COLOR_WEIGHT * np.maximum(unlike, 0.0)
     return _agglomerate(
         number, contacts, np.clip(score, _LEAST_SCORE, 1.0), lengths, settings.least_score
     )

@@ -37,6 +37,8 @@ _LEAST_SHARE_OVER = 0.38
 and desks of twelve scenes, 30 % and less on the faces of what stands there."""
 _EXTENT_CELLS = 24
 """Cells along the longer side of a plane's extent."""
+_TRIALS = 400
+"""RANSAC trials per plane."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +49,6 @@ class PlaneSettings:
     """Largest half thickness; planes with less noise get 3.2 standard deviations."""
     share: float = 0.12
     """Least share of the points that no plane holds yet."""
-    trials: int = 400
-    """RANSAC trials per plane."""
     seed: int = 0
     """Seed of RANSAC."""
 
@@ -150,7 +150,7 @@ def find_plane(
         return None
     rng = np.random.default_rng((settings.seed, number))
     sample = points[rng.choice(len(points), min(len(points), _SEARCH_POINTS), replace=False)]
-    corners = sample[rng.integers(len(sample), size=(settings.trials, 3))]
+    corners = sample[rng.integers(len(sample), size=(_TRIALS, 3))]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1)
     usable = lengths > 1e-12

@@ -59,15 +59,13 @@ def test_floaters_are_ignored_and_counted(distance: float) -> None:
     some = part.select(torch.arange(8))
     generator = torch.Generator().manual_seed(1)
     away = torch.nn.functional.normalize(torch.randn(8, 3, generator=generator)) * (distance + 1)
-    kept, reasons = object_splats(
-        concatenate([part, dataclasses.replace(some, means=away)]), FramingSettings()
-    )
+    kept, reasons = object_splats(concatenate([part, dataclasses.replace(some, means=away)]))
     assert len(kept) == len(part)
     assert reasons == ["8 floating splats ignored"]
 
 
 def test_a_sparse_object_is_not_taken_for_floaters() -> None:
-    kept, reasons = object_splats(cylinder(40), FramingSettings())
+    kept, reasons = object_splats(cylinder(40))
     assert len(kept) == 40
     assert reasons == []
 
@@ -76,7 +74,7 @@ def test_non_finite_splats_are_ignored_and_counted() -> None:
     part = half_cylinder(0.0)
     means = part.means.clone()
     means[:3] = torch.tensor([[np.nan, 0, 0], [np.inf, 0, 0], [0, 0, -np.inf]])
-    kept, reasons = object_splats(dataclasses.replace(part, means=means), FramingSettings())
+    kept, reasons = object_splats(dataclasses.replace(part, means=means))
     assert len(kept) == len(part) - 3
     assert reasons == ["3 invisible or non-finite splats ignored"]
 

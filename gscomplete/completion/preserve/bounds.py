@@ -56,6 +56,7 @@ from gscomplete.render import PreparedFrozen, Render, prepare_frozen, render
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.filters import thinned
 from gscomplete.util.randomness import generator_for
+from gscomplete.util.same_bits import fixed_sum
 from gscomplete.views import Cameras, ViewDistribution, join_cameras
 
 _FIRST_CHECK_VIEW = 10_000
@@ -74,6 +75,10 @@ _CLEARED_SHARE = 0.9
 """As the last resort, splats that make up this share of all contributions are removed at once."""
 _FADE_SWEEPS = 24
 """Most fadings before the last resort."""
+_BACKING_DISTANCE = 0.01
+"""How far behind P's surface the copies are, in object sizes."""
+_ACTIVE_SHARE = 0.99
+"""Splats that make up this share of the errors take part in a round."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,13 +199,13 @@ class _Work:
         away = camera.camera_from_world[0, 2, :3].to(copies.means)
         copies = dataclasses.replace(
             copies.with_sh_degree(splats.sh_degree),
-            means=copies.means + settings.backing_distance * away,
+            means=copies.means + _BACKING_DISTANCE * away,
         )
         faint = dataclasses.replace(copies, opacities=torch.full_like(copies.opacities, _FAINT))
         prepared = prepare_frozen(self._partial, self._round_views(0, settings.fit_px))
         watched = tuple(self.above(found))
         gain = -self._contributions(concatenate([splats, faint]), prepared, watched)[len(splats) :]
-        helpful = largest_share(gain.clamp_min(0.0), settings.active_share)
+        helpful = largest_share(gain.clamp_min(0.0), _ACTIVE_SHARE)
         joined = concatenate([splats, copies.select(helpful)])
         errors = self.check(joined)
         better = sum(self.above(errors, 0.0).values()) < sum(self.above(found, 0.0).values())
@@ -213,7 +218,7 @@ class _Work:
         prepared = prepare_frozen(self._partial, cameras)
         watched = tuple(self.above(found, _WATCHED_SHARE))
         contributions = self._contributions(splats, prepared, watched)
-        active = largest_share(contributions.abs(), settings.active_share)
+        active = largest_share(contributions.abs(), _ACTIVE_SHARE)
         if not bool(active.any()):
             return splats
         everything = cameras if self._outside is None else join_cameras([cameras, self._outside])
@@ -305,7 +310,7 @@ def largest_share(amounts: Tensor, share: float) -> Tensor:  # [N] >= 0 -> [N] b
     order = torch.argsort(amounts, descending=True, stable=True)
     before = amounts[order].double().cumsum(0) - amounts[order].double()
     marked = torch.zeros_like(amounts, dtype=torch.bool)
-    marked[order] = (before < share * amounts.double().sum()) & (amounts[order] > 0)
+    marked[order] = (before < share * fixed_sum(amounts.double())) & (amounts[order] > 0)
     return marked
 
 

@@ -23,6 +23,7 @@ from gscomplete.completion.settings import HardPreservationSettings
 from gscomplete.evaluate.metrics import NOTHING_ALPHA
 from gscomplete.render import PreparedFrozen, Render, join_prepared, render
 from gscomplete.splats import Splats
+from gscomplete.util.same_bits import fixed_mean, fixed_sigmoid, fixed_sum
 from gscomplete.views import Cameras, ViewDistribution
 from gscomplete.views.distribution import MAX_ELEVATION_DEG
 
@@ -30,6 +31,12 @@ _OUTSIDE_VIEWS = 8
 """Views from outside V whose pictures are kept."""
 _OUTSIDE_RISE_DEG = 25.0
 """Every other view from outside V looks from this much higher."""
+_VIEWS_PER_STEP = 2
+"""Views of V, and as many from outside V, of one step."""
+_OPACITY_RATE = 0.3
+"""Adam's step size for logits of opacities."""
+_MEANS_RATE = 3e-3
+"""Adam's step size for positions, in object sizes."""
 
 
 def masked_errors(
@@ -40,12 +47,12 @@ def masked_errors(
     O contains P here, so it shows something wherever P does. Pixels where P's alpha is below
     ``mask_from`` add nothing to the errors.
     """
-    total = partial.alpha.sum().clamp_min(1e-12)
+    total = fixed_sum(partial.alpha).clamp_min(1e-12)
     mask = torch.where(partial.alpha >= mask_from, partial.alpha, 0.0)
     color = (completed.color - partial.color).square().mean(dim=-1)
     shown = mask >= NOTHING_ALPHA
     depth = torch.where(shown, completed.depth - partial.depth, 0.0).square()
-    return (mask * color).sum() / total, (mask * depth).sum() / total
+    return fixed_sum(mask * color) / total, fixed_sum(mask * depth) / total
 
 
 def relative_error(
@@ -100,7 +107,7 @@ class RoundProblem:
         open_ = torch.ones_like(change)
         inside = views[views < within]
         open_[: len(inside)] = 1.0 - self.target.alpha[inside]
-        return (open_ * change).mean()
+        return fixed_mean(open_ * change)
 
 
 def fit_round(
@@ -125,8 +132,8 @@ def fit_round(
     log_scales = largest.clone().requires_grad_()
     adam = torch.optim.Adam(
         [
-            {"params": [logits], "lr": settings.opacity_rate},
-            {"params": [means], "lr": settings.means_rate},
+            {"params": [logits], "lr": _OPACITY_RATE},
+            {"params": [means], "lr": _MEANS_RATE},
             {"params": [log_scales], "lr": settings.scales_rate},
         ],
         eps=1e-15,
@@ -134,9 +141,9 @@ def fit_round(
     )
     for _ in range(settings.steps):
         moving = dataclasses.replace(
-            splats, means=means, scales=log_scales.exp(), opacities=torch.sigmoid(logits)
+            splats, means=means, scales=log_scales.exp(), opacities=fixed_sigmoid(logits)
         )
-        inside, outside = problem.draw(generator, settings.views_per_step)
+        inside, outside = problem.draw(generator, _VIEWS_PER_STEP)
         picked = torch.cat([inside, outside])
         frozen = join_prepared([problem.frozen[view] for view in picked.tolist()])
         drawn = render(moving, frozen.cameras, frozen=frozen)
@@ -153,7 +160,7 @@ def fit_round(
         splats,
         means=means.detach(),
         scales=log_scales.detach().exp(),
-        opacities=torch.sigmoid(logits.detach()),
+        opacities=fixed_sigmoid(logits.detach()),
     )
 
 

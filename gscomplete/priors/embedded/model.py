@@ -21,6 +21,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from gscomplete.priors.embedded.rays import RAY_CHANNELS, camera_vector, ring_rays
+from gscomplete.util.same_bits import GroupNorm
 
 IMAGE_CHANNELS = 4
 INPUT_CHANNELS = 5
@@ -90,10 +91,10 @@ class ResidualBlock(nn.Module):
 
     def __init__(self, width: int, embedding: int, groups: int) -> None:
         super().__init__()
-        self.norm_in = nn.GroupNorm(groups, width)
+        self.norm_in = GroupNorm(groups, width)
         self.conv_in = nn.Conv2d(width, width, 3, padding=1)
         self.film = nn.Linear(embedding, 2 * width)
-        self.norm_out = nn.GroupNorm(groups, width)
+        self.norm_out = GroupNorm(groups, width)
         self.conv_out = nn.Conv2d(width, width, 3, padding=1)
         nn.init.zeros_(self.conv_out.weight)
         nn.init.zeros_(self.film.weight)
@@ -225,7 +226,7 @@ class FourViewDenoiser(nn.Module):
             nn.Conv2d(w[i], w[i + 1], _PATCH, stride=_PATCH) for i in range(2)
         )
         self.grow = nn.ModuleList(nn.Conv2d(w[i + 1], w[i], 1) for i in range(2))
-        self.norm = nn.GroupNorm(config.groups, w[0])
+        self.norm = GroupNorm(config.groups, w[0])
         self.head = nn.Conv2d(w[0], IMAGE_CHANNELS * _PATCH**2, 3, padding=1)
         nn.init.zeros_(self.head.weight)
         for module in self.modules():

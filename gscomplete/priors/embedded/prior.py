@@ -48,6 +48,7 @@ from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.predict import predict
 from gscomplete.shape.symmetry_choice import score_planes
 from gscomplete.splats import Splats
+from gscomplete.util.same_bits import fixed_sum
 from gscomplete.views import ViewDistribution
 
 Precision = Literal["auto", "bfloat16", "float32"]
@@ -227,7 +228,7 @@ class EmbeddedPrior:
             at = images.new_tensor(self._checked(timestep))
             noise = self._noise(images, generator)
             target = self._denoise(task, add_noise(images, noise, at), float(at))
-        return 0.5 * (images - target).square().sum() / VIEWS
+        return 0.5 * fixed_sum((images - target).square()) / VIEWS
 
     @torch.no_grad()
     def reconstruct(

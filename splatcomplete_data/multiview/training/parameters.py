@@ -23,6 +23,7 @@ from gscomplete.fitting.row_adam import (
     values_of,
 )
 from gscomplete.splats import Splats
+from gscomplete.util.same_bits import fixed_sigmoid
 from splatcomplete_data.multiview.training.settings import LearningRates
 
 NAMES = ("means", "quaternions", "log_scales", "opacity_logits", "sh_base", "sh_rest")
@@ -53,7 +54,7 @@ class GaussianParameters:
             value["means"],
             torch.nn.functional.normalize(value["quaternions"], dim=1),
             value["log_scales"].exp(),
-            torch.sigmoid(value["opacity_logits"]),
+            fixed_sigmoid(value["opacity_logits"]),
             torch.cat([value["sh_base"], rest], dim=1),
         )
 

@@ -22,6 +22,7 @@ from gscomplete.render import render
 from gscomplete.render.settings import RenderSettings
 from gscomplete.splats import Splats
 from gscomplete.util.randomness import generator_for
+from gscomplete.util.same_bits import fixed_mean, fixed_sum
 from gscomplete.views import Cameras
 from splatcomplete_data.multiview.photos.images import View
 from splatcomplete_data.multiview.training.growth import GradientStatistics, GrowthReport, grow
@@ -111,10 +112,10 @@ def _half(image: Tensor) -> Tensor:  # [H, W, C] -> [H // 2, W // 2, C]
 
 def photo_loss(image: Tensor, photo: Tensor, ssim_weight: float) -> Tensor:  # [H, W, 3] twice
     """Return (1 - w) L1 + w (1 - SSIM) (Kerbl et al. 2023, Equation 7)."""
-    difference = (image - photo).abs().mean()
+    difference = fixed_mean((image - photo).abs())
     if ssim_weight == 0:
         return difference
-    similarity = ssim_map(image, Reference.of(photo)).mean()
+    similarity = fixed_mean(ssim_map(image, Reference.of(photo)))
     return (1 - ssim_weight) * difference + ssim_weight * (1 - similarity)
 
 
@@ -292,6 +293,6 @@ def evaluate_views(
         photo = target.colors if target.alpha is None else target.colors * target.alpha
         squared = (image - photo).square().mean(dim=2, keepdim=True).double()
         weight = torch.ones_like(squared) if target.weight is None else target.weight.double()
-        mean = float((squared * weight).sum() / weight.sum().clamp_min(1))
+        mean = float(fixed_sum(squared * weight) / fixed_sum(weight).clamp_min(1))
         results.append(-10.0 * float(np.log10(max(mean, 1e-10))))
     return results

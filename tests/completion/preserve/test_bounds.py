@@ -205,7 +205,7 @@ def test_the_fewest_amounts_that_are_enough_are_marked(values, share):
 @pytest.mark.parametrize(
     ("field", "value"),
     [("color_bound", 0.0), ("depth_bound", float("inf")), ("margin", 1.5), ("steps", 0),
-     ("rounds", -1), ("active_share", 0.0)],
+     ("rounds", -1)],
 )  # fmt: skip
 def test_settings_out_of_range_are_refused(field, value):
     with pytest.raises(UserError, match=field):

@@ -1,0 +1,73 @@
+"""Operations of PyTorch that round as the threads divide the work, here with one rounding for all.
+
+Conventions
+-----------
+* On the CPU, PyTorch adds up all elements of a large tensor, and the channels-last features of a
+  group norm, in as many parts as there are threads. Sums over some dimensions are safe: one thread
+  adds up each result.
+* Sigmoids and fractional powers of 32,768 elements and more are safe only in one thread: the last
+  elements of every thread's part are rounded in another way than those before them. Exponentials,
+  logarithms and arithmetic are safe.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+_ROW = 4096
+"""Elements that are added up by one thread; PyTorch divides sums of 32,768 and more."""
+
+
+def fixed_sum(values: Tensor) -> Tensor:  # [...] -> []
+    """Return the sum of all elements, with graph."""
+    values = values.reshape(-1)
+    while len(values) > _ROW:
+        missing = -len(values) % _ROW
+        rows = F.pad(values, (0, missing)) if missing else values
+        values = rows.reshape(-1, _ROW).sum(dim=1)
+    return values.sum()
+
+
+def fixed_mean(values: Tensor) -> Tensor:  # [...] -> []
+    """Return the mean of all elements, with graph."""
+    return fixed_sum(values) / values.numel()
+
+
+def fixed_sigmoid(values: Tensor) -> Tensor:  # [...] -> [...]
+    """Return the sigmoid, with graph."""
+    with one_thread(values):
+        return torch.sigmoid(values)
+
+
+def fixed_power(values: Tensor, exponent: float) -> Tensor:  # [...] -> [...]
+    """Return values to a power, with graph."""
+    with one_thread(values):
+        return values**exponent
+
+
+class GroupNorm(nn.GroupNorm):
+    """A group norm that one thread computes on the CPU: a small part of its network's work."""
+
+    def forward(self, input: Tensor) -> Tensor:  # [B, C, ...]
+        """Return the normalised features."""
+        with one_thread(input):
+            return super().forward(input)
+
+
+@contextlib.contextmanager
+def one_thread(values: Tensor) -> Iterator[None]:
+    """Have one thread do what happens in the block, if ``values`` are on the CPU."""
+    before = torch.get_num_threads()
+    if before == 1 or values.device.type != "cpu":
+        yield
+        return
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -1,0 +1,41 @@
+"""The same bytes with any number of threads, in processes that are told it as users tell it."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+SAMPLE = REPOSITORY / "recipes/demo/partial.ply"
+SCRIPT = """
+from gscomplete.cli.guard import let_threads_sleep
+
+let_threads_sleep()
+import dataclasses, hashlib, sys, gscomplete
+from gscomplete.completion.presets import preset
+prior = gscomplete.load_prior("embedded")
+runs = [("default", None), ("distill", 1)]
+for name, steps in runs:
+    settings = preset(name, prior)
+    if steps:
+        settings = dataclasses.replace(settings, steps=steps)
+    result = gscomplete.complete(sys.argv[1], "a red mug", prior=prior, settings=settings)
+    bits = b"".join(value.numpy().tobytes() for _, value in result.new_in_file.fields())
+    print(name, len(result.new), hashlib.sha256(bits).hexdigest())
+"""
+
+
+def test_bytes_do_not_depend_on_the_number_of_threads():
+    lines = {threads: run(threads) for threads in (1, 2, 4)}
+    assert len(lines[1].splitlines()) == 2
+    assert lines[1] == lines[2] == lines[4]
+
+
+def run(threads: int) -> str:
+    count = {"OMP_NUM_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads)}
+    result = subprocess.run(
+        [sys.executable, "-c", SCRIPT, str(SAMPLE)],
+        capture_output=True, text=True, timeout=170, cwd=REPOSITORY, env=os.environ | count,
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    return result.stdout
