@@ -53,7 +53,7 @@ def fixed_power(values: Tensor, exponent: float) -> Tensor:  # [...] -> [...]
 class GroupNorm(nn.GroupNorm):
     """A group norm that one thread computes on the CPU: a small part of its network's work."""
 
-    def forward(self, input: Tensor) -> Tensor:  # noqa: A002 - torch's name; [B, C, ...]
+    def forward(self, input: Tensor) -> Tensor:  # noqa: A002  # [B, C, ...]
         """Return the normalised features."""
         with one_thread(input):
             return super().forward(input)
