@@ -164,7 +164,7 @@ def _value_findings(rows: RowStatistics, limits: ValidationLimits) -> list[Findi
         ("infinite_opacity", "warning", "rows with opacity +Inf, read as fully opaque"),
         ("infinite_scale", "warning", "rows with scale -Inf, read as a size of 0"),
         ("zero_rows", "warning", "rows that are all zeros"),
-        ("zero_quaternions", "warning", "zero quaternions, read as no rotation"),
+        ("zero_quaternions", "error", "zero quaternions: no rotation (read as none)"),
         ("duplicates", "warning", "rows equal to an earlier one but for their higher SH"),
         ("too_large", "warning", "rows with a position, size or colour too large to be drawn"),
         ("unnormalised_quaternions", "info", "quaternions not of length 1, normal in training"),

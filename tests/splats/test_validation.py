@@ -116,7 +116,7 @@ def test_quaternions_zero_rows_and_duplicates(tmp_path):
         column[41] = column[42] = column[40]
     found = named(check(tmp_path, table))
     assert found == {
-        "zero_quaternions": ("warning", 7),
+        "zero_quaternions": ("error", 7),
         "unnormalised_quaternions": ("info", 5),
         "zero_rows": ("warning", 4),
         "duplicates": ("warning", 2),
