@@ -145,11 +145,11 @@ def test_accuracy_run_leaves_numbers_and_plot(tmp_path: Path):
         transmittance_min=(0.0, 1e-5), repeats=1, threads=1, clock="cpu", out=tmp_path,
     )  # fmt: skip
     accuracy.main(options)
-    content = json.loads((tmp_path / "accuracy.json").read_text())
+    content = json.loads((tmp_path / "renderer_accuracy.json").read_text())
     assert len(content["rows"]) == 9
     assert any(row["pareto"] for row in content["rows"])
     assert content["default_misses"] == []
-    assert (tmp_path / "accuracy.png").stat().st_size > 1000
+    assert (tmp_path / "renderer_accuracy.png").stat().st_size > 1000
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.5])
