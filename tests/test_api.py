@@ -5,7 +5,6 @@ import importlib
 import inspect
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 import torch
@@ -14,9 +13,8 @@ import gscomplete
 import splatcomplete_data as data
 from gscomplete.errors import UserError
 from gscomplete.splats import read_splats, write_splats
-from tests.splatcomplete_data.balls import BALL
-
-SAMPLE = Path(__file__).resolve().parents[1] / "recipes/demo/partial.ply"
+from tests.builders.commands import SAMPLE
+from tests.builders.objects import BALL
 
 
 @pytest.mark.parametrize("package", [gscomplete, data])

@@ -18,9 +18,9 @@ from splatcomplete_data.cli.common import ObjectDraft, ObjectOptions, store_obje
 from splatcomplete_data.formats import read_any_splats, write_any_splats
 from splatcomplete_data.objects import StepRecord, read_record
 from splatcomplete_data.points import points_to_splats
-from tests.completion.oracle import ball
+from tests.builders.objects import ball
 
-TRUTH = ball()
+TRUTH = ball(1500)
 PARTIAL = TRUTH.select(TRUTH.means[:, 0] > 0)
 
 
@@ -30,7 +30,7 @@ def test_a_prior_of_ones_own_completes_an_object():
     found = gscomplete.complete(
         PARTIAL,
         "anything",
-        prior="tests.toy_prior:make",
+        prior="tests.builders.toy_prior:make",
         settings=settings,
         view_deg=(0.0, 10.0),
         center_file=(0.0, 0.0, 0.0),
@@ -44,7 +44,7 @@ def test_a_prior_of_ones_own_completes_an_object():
 @pytest.mark.parametrize(
     ("name", "why"),
     [
-        ("tests.toy_prior:none", "found no such"),
+        ("tests.builders.toy_prior:none", "found no such"),
         ("tests.no_such_module:make", "found no such"),
         ("builtins:str", "without name, views"),
     ],

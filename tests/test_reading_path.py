@@ -22,6 +22,7 @@ import gscomplete.completion.run_folder
 import gscomplete.evaluate
 from gscomplete.cli.complete import CompleteOptions, run
 from gscomplete.priors import load_prior
+from tests.builders.commands import SAMPLE
 
 ROOT = Path(gscomplete.__file__).parents[1]
 READ_INSIDE = ("gscomplete.cli", "gscomplete.completion", "gscomplete.framing")
@@ -155,8 +156,7 @@ def followed_functions(tmp_path: Path) -> list[tuple[str, str]]:
             path.append((module, code.co_name))
 
     load_prior("embedded")  # modules that load on the way are no part of it
-    sample = ROOT / "recipes" / "demo" / "partial.ply"
-    options = CompleteOptions(partial=sample, prompt="a toy", out=tmp_path / "run", device="cpu")
+    options = CompleteOptions(partial=SAMPLE, prompt="a toy", out=tmp_path / "run", device="cpu")
     sys.setprofile(listen)
     try:
         run(options)

@@ -9,7 +9,7 @@ from gscomplete.batch import local_workers
 from gscomplete.batch.local_workers import run_local
 from gscomplete.batch.machine import GIB, WorkerPlan
 from gscomplete.errors import UserError
-from tests.batch import toys
+from tests.builders import batch_jobs
 
 
 def workers(count: int, memory_bytes: int = 8 * GIB) -> WorkerPlan:
@@ -17,7 +17,7 @@ def workers(count: int, memory_bytes: int = 8 * GIB) -> WorkerPlan:
 
 
 def test_workers_stay_from_task_to_task_with_their_share_of_threads():
-    done = list(run_local(toys.process_and_threads, range(12), workers(2)))
+    done = list(run_local(batch_jobs.process_and_threads, range(12), workers(2)))
     assert sorted(each.task for each in done) == list(range(12))
     processes = {each.result[0] for each in done}
     assert len(processes) == 2
@@ -28,30 +28,30 @@ def test_workers_stay_from_task_to_task_with_their_share_of_threads():
 
 def test_a_killed_worker_takes_only_its_own_task_with_it(tmp_path):
     tasks = [tmp_path / str(number) for number in range(4)]
-    done = list(run_local(toys.die_unless_noted, tasks, workers(2)))
+    done = list(run_local(batch_jobs.die_unless_noted, tasks, workers(2)))
     assert sorted(each.result for each in done) == ["0", "1", "2", "3"]
     assert {each.attempts for each in done} == {2}
 
 
 def test_a_task_that_kills_every_worker_is_given_up():
-    done = list(run_local(toys.die, [1], workers(1), retries=1))
+    done = list(run_local(batch_jobs.die, [1], workers(1), retries=1))
     assert [(each.task, each.result, each.attempts) for each in done] == [(1, None, 2)]
 
 
 def test_an_error_of_a_task_ends_all():
     with pytest.raises(UserError, match="nothing can be done"):
-        list(run_local(toys.fail, range(100), workers(2)))
+        list(run_local(batch_jobs.fail, range(100), workers(2)))
 
 
 def test_a_worker_takes_no_more_memory_than_it_may():
     with pytest.raises(MemoryError):
-        list(run_local(toys.allocate, [2], workers(1, memory_bytes=GIB)))
+        list(run_local(batch_jobs.allocate, [2], workers(1, memory_bytes=GIB)))
 
 
 def test_no_worker_starts_without_memory(monkeypatch):
     monkeypatch.setattr(local_workers, "available_bytes", lambda: GIB)
     with pytest.raises(UserError, match=r"needs 8.0 GiB .* found 1.0 GiB free"):
-        list(run_local(toys.square, [1], workers(1)))
+        list(run_local(batch_jobs.square, [1], workers(1)))
 
 
 def test_a_batch_that_is_broken_off_lets_tasks_write_checkpoints(tmp_path):
@@ -62,7 +62,9 @@ def test_a_batch_that_is_broken_off_lets_tasks_write_checkpoints(tmp_path):
     tasks = [tmp_path, tmp_path]
     with pytest.raises(KeyboardInterrupt):
         list(
-            run_local(toys.wait_for_a_signal, tasks, workers(2), on_tick=stop_once_both_are_at_work)
+            run_local(
+                batch_jobs.wait_for_a_signal, tasks, workers(2), on_tick=stop_once_both_are_at_work
+            )
         )
     assert (tmp_path / "checkpoint").exists()
     processes = [int(path.name) for path in tmp_path.iterdir() if path.name.isdigit()]

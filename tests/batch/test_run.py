@@ -15,7 +15,7 @@ from gscomplete.batch.manifest import Item
 from gscomplete.batch.run import LEDGER_FILE, Batch, Summary, open_batch, run_batch
 from gscomplete.batch.work import input_signatures, option_key
 from gscomplete.errors import UserError
-from tests.batch.toys import ToyJob, notes_of
+from tests.builders.batch_jobs import ToyJob, notes_of
 
 IDENTITY = {"preset": "fast", "weights": "1"}
 WORKERS = WorkerPlan(2, 1, 8 * GIB)

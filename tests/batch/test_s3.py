@@ -10,7 +10,7 @@ from gscomplete.batch.machine import GIB, WorkerPlan
 from gscomplete.batch.manifest import plan
 from gscomplete.batch.run import LEDGER_FILE, open_batch, run_batch
 from gscomplete.errors import UserError
-from tests.batch.toys import ToyJob, notes_of
+from tests.builders.batch_jobs import ToyJob, notes_of
 
 s3fs = pytest.importorskip("s3fs")
 moto_server = pytest.importorskip("moto.server")

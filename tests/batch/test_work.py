@@ -8,7 +8,7 @@ import pytest
 from gscomplete.batch import storage
 from gscomplete.batch.manifest import Item
 from gscomplete.batch.work import ITEM_FILE, Task, do, input_signatures, option_key
-from tests.batch.toys import ToyJob, notes_of
+from tests.builders.batch_jobs import ToyJob, notes_of
 
 
 @pytest.fixture
@@ -73,7 +73,7 @@ def test_an_unexpected_error_is_a_failure_with_its_traceback(task):
     Path(task.item.source).write_bytes(b"bug")
     row = do(task)
     assert row.error == "internal error: ZeroDivisionError: a bug"
-    assert "toys.py" in Path(row.log).read_text()
+    assert "batch_jobs.py" in Path(row.log).read_text()
     Path(task.item.source).unlink()
     assert "expected a splat file or an object folder" in do(task).error
 

@@ -9,7 +9,7 @@ from gscomplete.batch.manifest import Item
 from gscomplete.cli import main
 from gscomplete.cli.batch_job import CompleteJob, identity_of
 from gscomplete.cli.complete import HowToComplete
-from tests.batch.toys import ToyJob
+from tests.builders.batch_jobs import ToyJob
 
 
 @pytest.fixture

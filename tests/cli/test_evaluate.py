@@ -8,37 +8,21 @@ import torch
 
 from gscomplete.cli.evaluate import EvaluateOptions, named, run
 from gscomplete.errors import UserError
-from gscomplete.splats import Splats, colors_to_sh, concatenate, read_splats, write_splats
+from gscomplete.splats import concatenate, read_splats, write_splats
 from gscomplete.splats.transform import transform_splats
 from gscomplete.views import ObjectFrame, ViewDistribution
-from tests.folders.object_folders import write_object_folder
-from tests.folders.run_folders import write_run_folder
+from tests.builders.folders import write_object_folder, write_run_folder
+from tests.builders.objects import ball, halves
 
 SMALL = {"views": 2, "truth_views": 4, "size_px": 48}
 FRAME = ObjectFrame("Y", (0.5, 1.0, 0.0), 2.0)
-
-
-def ball(count: int = 1500, seed: int = 0) -> Splats:
-    """A ball of radius 1/2 with a colour that changes along x."""
-    g = torch.Generator().manual_seed(seed)
-    normal = torch.nn.functional.normalize(torch.randn(count, 3, generator=g), dim=1)
-    quaternions = torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1)
-    colors = colors_to_sh(0.5 + 0.4 * normal)
-    scales, opacities = torch.full((count, 3), 0.02), torch.full((count,), 0.9)
-    return Splats(normal * 0.5, quaternions, scales, opacities, colors)
-
-
-def halves() -> tuple[Splats, Splats]:
-    whole = ball()
-    front = whole.means[:, 0] > 0
-    return whole.select(front), whole.select(~front)
 
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory) -> Path:
     """Two objects; of the method ``good`` runs of both, of ``other`` a file of one of them."""
     root = tmp_path_factory.mktemp("data")
-    front, back = halves()
+    front, back = halves(ball(1500, 0.5))
     in_file = [transform_splats(s, FRAME.file_from_object) for s in (front, back)]
     for name, subset in (("cup", "mesh"), ("jug", "lidar")):
         folder = write_object_folder(
@@ -100,7 +84,7 @@ def test_a_dataset_is_measured_method_by_method(dataset, capsys, tmp_path):
 
 def test_the_order_of_splats_changes_nothing(dataset, capsys, tmp_path):
     """To the rounding of sums and to depths that differ by less than float32 resolves."""
-    front, back = halves()
+    front, back = halves(ball(1500, 0.5))
     turned = back.select(torch.randperm(len(back), generator=torch.Generator().manual_seed(3)))
     write_run_folder(tmp_path / "turned", dataset / "open/cup", turned)
     _, rows = rows_of(capsys, paths=(dataset / "good/cup", tmp_path / "turned"))

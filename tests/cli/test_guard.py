@@ -5,13 +5,12 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
 from gscomplete.cli.guard import run_guarded
+from tests.builders.commands import SAMPLE
 
-SAMPLE = Path(__file__).resolve().parents[2] / "recipes/demo/partial.ply"
 SPY = """
 import importlib.abc, os, sys
 class Spy(importlib.abc.MetaPathFinder):

@@ -13,9 +13,8 @@ from gscomplete.cli.render import RenderOptions, run
 from gscomplete.errors import UserError
 from gscomplete.splats import read_splats, write_splats
 from gscomplete.views import ObjectFrame
-from tests.folders.object_folders import write_object_folder
-
-SAMPLE = Path(__file__).resolve().parents[2] / "recipes/demo/partial.ply"
+from tests.builders.commands import SAMPLE
+from tests.builders.folders import write_object_folder
 
 
 def pictures(folder: Path) -> dict[str, np.ndarray]:

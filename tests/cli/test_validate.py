@@ -9,8 +9,8 @@ import torch
 from gscomplete.cli.validate import ValidateOptions, run
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, write_splats
-from tests.folders.object_folders import write_object_folder
-from tests.splats.ply_files import make_splats
+from tests.builders.folders import write_object_folder
+from tests.builders.objects import random_splats
 
 
 def write_one(path: Path) -> Path:
@@ -47,7 +47,7 @@ def test_no_file_is_an_error():
 
 
 def test_a_folder_stands_for_its_splat_files(tmp_path, capsys):
-    folder = write_object_folder(tmp_path / "mug", make_splats(3), make_splats(7))
+    folder = write_object_folder(tmp_path / "mug", random_splats(3), random_splats(7))
     assert run(ValidateOptions([folder], json=True)) == 0
     files = json.loads(capsys.readouterr().out)["files"]
     assert [Path(file["path"]).name for file in files] == ["complete.ply", "partial.ply"]

@@ -8,12 +8,12 @@ import pytest
 
 from gscomplete.cli import main
 from gscomplete.splats import write_splats
-from tests.splats.ply_files import make_splats
+from tests.builders.objects import random_splats
 
 
 def test_the_command_serves_until_it_is_interrupted(tmp_path):
     pytest.importorskip("viser")
-    write_splats(tmp_path / "a.ply", make_splats(50))
+    write_splats(tmp_path / "a.ply", random_splats(50))
     command = [sys.executable, "-m", "gscomplete.cli", "view", str(tmp_path), "--port", "18180"]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, text=True, preexec_fn=heed_interrupts

@@ -10,7 +10,7 @@ pytest.importorskip("transformers", reason="the extra gscomplete[mvdream] is not
 
 from gscomplete.cli import main
 from gscomplete.priors.latent.text import CACHE_VARIABLE
-from tests.priors.mvdream.tiny import write_folder, write_original
+from tests.builders.tiny_mvdream import write_folder, write_original
 
 
 @pytest.fixture

@@ -9,9 +9,9 @@ from gscomplete.priors import load_prior
 from gscomplete.shape.mirror_plane import MirrorPlane
 from gscomplete.util.randomness import generator_for
 from gscomplete.views import ViewDistribution
-from tests.shape.shapes import half, sphere
+from tests.builders.objects import ball, half
 
-PARTIAL = half(sphere(2000))
+PARTIAL = half(ball(2000))
 VIEWS = ViewDistribution(0.0, 10.0)
 SETTINGS = dataclasses.replace(FAST, new_splats=600)
 

@@ -17,10 +17,11 @@ from gscomplete.priors import Guidance
 from gscomplete.priors.base import FirstGuess
 from gscomplete.splats import concatenate
 from gscomplete.views import ViewDistribution
-from tests.completion.oracle import GuessingPrior, OraclePrior, ball
-from tests.completion.steps import steps_of
+from tests.builders.objects import ball
+from tests.builders.priors import GuessingPrior, OraclePrior
+from tests.builders.steps import steps_of
 
-TRUTH = ball()
+TRUTH = ball(1500)
 PARTIAL = TRUTH.select(TRUTH.means[:, 0] > 0)
 VIEWS = ViewDistribution(0.0, 10.0)
 QUICK = {"steps": 60, "new_splats": 400, "warmup_steps": 5}

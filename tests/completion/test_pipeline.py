@@ -12,10 +12,10 @@ from gscomplete.errors import UserError
 from gscomplete.framing.decide import FramingRequest
 from gscomplete.priors.base import FirstGuess
 from gscomplete.splats import Similarity, read_splats, transform_splats, write_splats
-from tests.completion.cylinders import half_cylinder
-from tests.completion.oracle import GuessingPrior, OraclePrior, ball
+from tests.builders.objects import ball, half_cylinder
+from tests.builders.priors import GuessingPrior, OraclePrior
 
-TRUTH = ball()
+TRUTH = ball(1500)
 PARTIAL = TRUTH.select(TRUTH.means[:, 0] > 0)
 QUICK = dataclasses.replace(DISTILL, steps=4, new_splats=200, warmup_steps=1)
 KNOWN = {"view_deg": (0.0, 10.0), "center_file": (0.0, 0.0, 0.0), "size_file": 0.8}

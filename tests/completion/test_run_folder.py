@@ -17,7 +17,8 @@ from gscomplete.errors import UserError
 from gscomplete.fitting.step_loop import LOG_FILE
 from gscomplete.framing.decide import FramingRequest
 from gscomplete.splats import write_splats
-from tests.completion.oracle import OraclePrior, ball
+from tests.builders.objects import ball
+from tests.builders.priors import OraclePrior
 
 CHECKPOINT = "checkpoints/latest.safetensors"
 

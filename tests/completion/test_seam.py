@@ -17,6 +17,7 @@ from gscomplete.completion.seam import (
 from gscomplete.completion.settings import SeamColorSettings
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, colors_to_sh, concatenate
+from tests.builders.objects import round_splats
 
 SETTINGS = SeamColorSettings()
 
@@ -27,14 +28,7 @@ def strip(start: float, stop: float, color: torch.Tensor) -> Splats:
         torch.arange(start, stop, 0.01), torch.arange(0.0, 0.1, 0.01), indexing="ij"
     )
     means = torch.stack([x.flatten(), y.flatten(), torch.zeros(x.numel())], dim=1)
-    count = len(means)
-    return Splats(
-        means,
-        torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(count, 1),
-        torch.full((count, 3), 0.01),
-        torch.full((count,), 0.9),
-        colors_to_sh(color.expand(count, 3)),
-    )
+    return round_splats(means, scale=0.01, color=color)
 
 
 PARTIAL = strip(-0.5, 0.0, torch.tensor([0.8, 0.3, 0.2]))

@@ -11,9 +11,10 @@ from gscomplete.errors import UserError
 from gscomplete.fitting.finite import NonFiniteError
 from gscomplete.priors.base import FirstGuess
 from gscomplete.views import ViewDistribution
-from tests.completion.oracle import GuessingPrior, ball
+from tests.builders.objects import ball
+from tests.builders.priors import GuessingPrior
 
-PARTIAL = ball()
+PARTIAL = ball(1500)
 
 
 def start(seed: int = 0, diameter: float = 0.8, **bounds: float):

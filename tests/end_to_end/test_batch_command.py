@@ -7,7 +7,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -15,16 +14,11 @@ import pytest
 import torch
 
 from gscomplete.splats import read_splats, write_splats
+from tests.builders.commands import SAMPLE, run_here, start_alone
 
-REPOSITORY = Path(__file__).resolve().parents[2]
-SAMPLE = REPOSITORY / "recipes/demo/partial.ply"
 HOW = ("--preset", "fast")
 NAMES = ("low", "high")
 THREADS = str(torch.get_num_threads())
-
-
-def command(*arguments: object) -> list[str]:
-    return [sys.executable, "-m", "gscomplete.cli", *map(str, arguments)]
 
 
 @pytest.fixture(scope="module")
@@ -45,8 +39,8 @@ def one_by_one(manifest, tmp_path_factory) -> dict[str, bytes]:
     out = tmp_path_factory.mktemp("one by one")
     for name in NAMES:
         part, run = manifest.with_name(f"{name}.ply"), out / name
-        asked = command("complete", part, "--prompt", "a red mug", "--out", run, *HOW)
-        subprocess.run(asked, check=True, capture_output=True, timeout=170)
+        done = run_here("complete", part, "--prompt", "a red mug", "--out", run, *HOW)
+        assert done.returncode == 0, done.stderr
     return results(out)
 
 
@@ -57,14 +51,7 @@ def results(runs: Path) -> dict[str, bytes]:
 
 
 def start(manifest: Path, out: Path, *more: object) -> subprocess.Popen:
-    asked = command("batch", manifest, "--out", out, *HOW, "--threads", THREADS, "--json", *more)
-    return subprocess.Popen(
-        asked,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"PYTHONPATH": str(REPOSITORY)},
-    )
+    return start_alone("batch", manifest, "--out", out, *HOW, "--threads", THREADS, "--json", *more)
 
 
 def workers_of(batch: subprocess.Popen) -> list[int]:
@@ -106,9 +93,8 @@ def test_killed_batches_lose_nothing_and_do_nothing_twice(manifest, one_by_one, 
     rows = [json.loads(row) for row in (out / ".batch/ledger.jsonl").read_text().splitlines()]
     assert [row["id"] for row in rows if row["status"] == "finished"].count("high") == 1
     assert not any((out / ".batch/work").iterdir())
-    third = start(manifest, out)
-    told, said = third.communicate(timeout=60)
-    assert json.loads(told)["counts"] == {"finished_before": 2}, said
+    third = run_here("batch", manifest, "--out", out, *HOW, "--json")
+    assert json.loads(third.stdout)["counts"] == {"finished_before": 2}, third.stderr
 
 
 def test_a_ray_cluster_gives_the_same_bytes(manifest, one_by_one, tmp_path):

@@ -1,7 +1,6 @@
 """``gscomplete complete --prior PATH`` with a reduced-width MVDream in the published layout."""
 
 import json
-from pathlib import Path
 
 import pytest
 import torch
@@ -12,9 +11,8 @@ pytest.importorskip("transformers", reason="the extra gscomplete[mvdream] is not
 from gscomplete.cli import complete, main
 from gscomplete.priors.latent.text import CACHE_VARIABLE
 from gscomplete.splats import read_splats
-from tests.priors.mvdream.tiny import write_original
-
-SAMPLE = Path(__file__).resolve().parents[2] / "recipes/demo/partial.ply"
+from tests.builders.commands import SAMPLE
+from tests.builders.tiny_mvdream import write_original
 
 
 @pytest.fixture

@@ -10,8 +10,8 @@ from gscomplete.evaluate.align import AlignmentSettings, align_points, align_spl
 from gscomplete.evaluate.align.align import diameter, evenly_spread
 from gscomplete.evaluate.align.nearest import CELLS, REACH, nearest_grid
 from gscomplete.evaluate.align.search import even_rotations
-from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.transform import Similarity, transform_splats
+from tests.builders.objects import round_splats
 
 FEWER = AlignmentSettings(rotations=300)
 
@@ -83,14 +83,8 @@ def test_colours_decide_between_poses_that_the_shape_allows():
     points *= [1.0, 0.6, 0.35]
     colors = np.where(points[:, :1] > 0.2, [[0.8, 0.1, 0.1]], [[0.3, 0.3, 0.3]])
     true = similarity(3)
-    n = len(points)
-    box = Splats(
-        torch.from_numpy(points).float(), torch.tensor([[1.0, 0, 0, 0]]).repeat(n, 1),
-        torch.full((n, 3), 0.01), torch.full((n,), 0.9),
-        colors_to_sh(torch.from_numpy(colors).float()),
-    )  # fmt: skip
-    darker = Splats(box.means, box.quaternions, box.scales, box.opacities,
-                    colors_to_sh(0.6 * torch.from_numpy(colors).float()))  # fmt: skip
+    light = torch.from_numpy(colors).float()
+    box, darker = (round_splats(points, scale=0.01, color=c) for c in (light, 0.6 * light))
     part = box.select(box.means[:, 1] + 0.3 * box.means[:, 2] > -0.1)
     found = align_splats(transform_splats(darker, true), part, FEWER)
     placed = found.target_from_result.compose(true).apply(box.means)

@@ -6,7 +6,8 @@ import torch
 
 from gscomplete.evaluate.bootstrap import bootstrap_interval
 from gscomplete.evaluate.geometry import OWN, hidden_surface_errors
-from gscomplete.splats import Splats, colors_to_sh, concatenate
+from gscomplete.splats import Splats, concatenate
+from tests.builders.objects import round_splats
 
 
 def sheet(x0: float, x1: float, z: float = 0.0, step: float = 0.01, opacity: float = 0.9) -> Splats:
@@ -14,10 +15,7 @@ def sheet(x0: float, x1: float, z: float = 0.0, step: float = 0.01, opacity: flo
     xs = np.arange(round(x0 / step), round(x1 / step)) * step + step / 4
     x, y = np.meshgrid(xs, np.arange(30) * step + step / 4, indexing="ij")
     means = torch.tensor(np.stack([x, y, np.full_like(x, z)], -1).reshape(-1, 3)).float()
-    n = len(means)
-    quaternions = torch.tensor([[1.0, 0, 0, 0]]).repeat(n, 1)
-    grey = colors_to_sh(torch.full((n, 3), 0.5))
-    return Splats(means, quaternions, torch.full((n, 3), 0.01), torch.full((n,), opacity), grey)
+    return round_splats(means, scale=0.01, opacity=opacity)
 
 
 def test_the_truth_itself_is_perfect():

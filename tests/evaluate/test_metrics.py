@@ -12,8 +12,9 @@ from gscomplete.errors import UserError
 from gscomplete.evaluate import PreservationErrors, against_truth, preservation
 from gscomplete.evaluate.metrics import preservation_of_renders, truth_errors_of_renders
 from gscomplete.render import Render
-from gscomplete.splats import Splats, colors_to_sh, concatenate
+from gscomplete.splats import Splats, concatenate
 from gscomplete.views import ViewDistribution
+from tests.builders.objects import ball, round_splats
 
 
 def random_render(seed: int, views: int = 2, size: int = 7) -> Render:
@@ -117,20 +118,20 @@ def test_perfect_and_empty_completions() -> None:
     assert no_region.hidden_color_psnr_db is None
 
 
-def ball(center: tuple[float, float, float], color: tuple[float, float, float]) -> Splats:
-    """A ball of 400 splats of radius 0.2."""
-    generator = torch.Generator().manual_seed(0)
-    offsets = torch.randn(400, 3, generator=generator)
-    means = torch.tensor(center) + 0.2 * offsets / offsets.norm(dim=1, keepdim=True)
-    quaternions = torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(400, 4).clone()
-    sh = colors_to_sh(torch.tensor(color).expand(400, 3))
-    return Splats(means, quaternions, torch.full((400, 3), 0.03), torch.full((400,), 0.9), sh)
+def red_green_blue() -> list[Splats]:
+    """Balls of radius 0.2: in front of c, behind that one, and before it."""
+    places = ((0.2, 0.0, 0.0), (-0.2, 0.0, 0.0), (0.6, 0.0, 0.0))
+    around = ball(400, 0.2).means
+    colors = torch.eye(3)
+    return [
+        round_splats(around + torch.tensor(place), color=color)
+        for place, color in zip(places, colors, strict=True)
+    ]
 
 
 def test_covering_the_input_costs_and_adding_behind_it_does_not() -> None:
-    partial = ball((0.2, 0.0, 0.0), (1.0, 0.0, 0.0))
-    behind = concatenate([partial, ball((-0.2, 0.0, 0.0), (0.0, 1.0, 0.0))])
-    before = concatenate([partial, ball((0.6, 0.0, 0.0), (0.0, 0.0, 1.0))])
+    partial, green, blue = red_green_blue()
+    behind, before = concatenate([partial, green]), concatenate([partial, blue])
     camera = ViewDistribution(0, 0).input_camera(48)
     hidden, covered = (preservation(o, partial, camera) for o in (behind, before))
     assert hidden.color < 2e-3 < 0.1 < covered.color

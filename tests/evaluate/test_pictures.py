@@ -17,16 +17,14 @@ from gscomplete.evaluate import (
     save_turntable,
 )
 from gscomplete.evaluate.pictures import LIGHT_GREY, to_image
-from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution
+from tests.builders.objects import round_splats
 
 
 def red_blob() -> Splats:
-    quaternions = torch.zeros(50, 4)
-    quaternions[:, 0] = 1.0
     means = 0.2 * torch.randn(50, 3, generator=torch.Generator().manual_seed(0))
-    red = torch.tensor([1.0, 0.0, 0.0]).expand(50, 3)
-    return Splats(means, quaternions, torch.full((50, 3), 0.1), torch.ones(50), colors_to_sh(red))
+    return round_splats(means, scale=0.1, opacity=1.0, color=(1.0, 0.0, 0.0))
 
 
 def test_to_image_rounds_and_clamps() -> None:

@@ -20,9 +20,10 @@ from gscomplete.evaluate import (
     report_table,
 )
 from gscomplete.evaluate.perceptual import clip_similarity, lpips_error
-from gscomplete.splats import Splats, colors_to_sh, concatenate
+from gscomplete.splats import Splats, concatenate
 from gscomplete.util import jsonio
 from gscomplete.views import ViewDistribution
+from tests.builders.objects import round_splats
 
 VIEWS = ViewDistribution(0.0, 0.0)
 SETTINGS = EvaluationSettings(views=4, truth_views=4, size_px=32)
@@ -30,11 +31,8 @@ SETTINGS = EvaluationSettings(views=4, truth_views=4, size_px=32)
 
 def blob(x: float) -> Splats:
     generator = torch.Generator().manual_seed(0)
-    quaternions = torch.zeros(80, 4)
-    quaternions[:, 0] = 1.0
     means = 0.1 * torch.randn(80, 3, generator=generator) + torch.tensor([x, 0.0, 0.0])
-    colors = colors_to_sh(torch.rand(80, 3, generator=generator))
-    return Splats(means, quaternions, torch.full((80, 3), 0.05), torch.full((80,), 0.9), colors)
+    return round_splats(means, scale=0.05, color=torch.rand(80, 3, generator=generator))
 
 
 @pytest.fixture(autouse=True)

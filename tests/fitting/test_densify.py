@@ -9,17 +9,11 @@ from gscomplete.fitting.densify import GradientStatistics, prune_mask, subdivide
 from gscomplete.fitting.parameters import Bounds, SplatParameters
 from gscomplete.fitting.settings import DensifySettings, LearningRates
 from gscomplete.splats import Splats
+from tests.builders.objects import random_splats
 
 
 def splats(count: int = 100) -> Splats:
-    g = torch.Generator().manual_seed(0)
-    return Splats(
-        torch.randn(count, 3, generator=g),
-        torch.nn.functional.normalize(torch.randn(count, 4, generator=g), dim=1),
-        torch.full((count, 3), 0.05),
-        torch.rand(count, generator=g),
-        torch.zeros(count, 1, 3),
-    )
+    return dataclasses.replace(random_splats(count), scales=torch.full((count, 3), 0.05))
 
 
 def parameters(count: int = 100) -> SplatParameters:

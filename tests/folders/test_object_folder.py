@@ -7,13 +7,13 @@ import pytest
 from gscomplete.errors import UserError
 from gscomplete.folders import object_folder_of, read_object_folder
 from gscomplete.views import ObjectFrame, ViewDistribution
-from tests.folders.object_folders import write_object_folder
-from tests.splats.ply_files import make_splats
+from tests.builders.folders import write_object_folder
+from tests.builders.objects import random_splats
 
 
 @pytest.fixture
 def folder(tmp_path):
-    return write_object_folder(tmp_path / "mug", make_splats(5), make_splats(9))
+    return write_object_folder(tmp_path / "mug", random_splats(5), random_splats(9))
 
 
 def test_fields_are_those_of_the_record(folder):
@@ -28,7 +28,7 @@ def test_fields_are_those_of_the_record(folder):
 
 @pytest.mark.parametrize("origin", ["truth", "guess"])
 def test_a_frame_of_the_truth_or_of_a_guess_is_not_known(tmp_path, origin):
-    folder = write_object_folder(tmp_path / "cup", make_splats(5), frame_origin=origin)
+    folder = write_object_folder(tmp_path / "cup", random_splats(5), frame_origin=origin)
     found = read_object_folder(folder)
     assert found.known_frame is None
     assert found.complete is None

@@ -7,7 +7,7 @@ import pytest
 from gscomplete.errors import UserError
 from gscomplete.framing.check import check_given_frame
 from gscomplete.views import ObjectFrame
-from tests.completion.cylinders import cylinder
+from tests.builders.objects import cylinder
 
 
 @pytest.mark.parametrize("up", ["Z", "-Y"])

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from gscomplete.framing.cut_plane import find_cut
-from tests.shape.shapes import sphere
+from tests.builders.objects import ball
 
-BALL = sphere().means.double().numpy()
+BALL = ball().means.double().numpy()
 
 
 @pytest.mark.parametrize("azimuth_deg", [0.0, 37.0, 200.0])

@@ -3,38 +3,38 @@ import pytest
 
 from gscomplete.framing.cut_plane import find_cut
 from gscomplete.framing.extent import CLOSED_BELOW, is_closed, share_exposed_twice
-from tests.shape.shapes import half, sphere
+from tests.builders.objects import ball, half
 
 
 def closed(points):
     return is_closed(points, find_cut(points))
 
 
-def ball(count=6000):
-    return sphere(count).means.double().numpy()
+def points_of_ball(count=6000):
+    return ball(count).means.double().numpy()
 
 
 @pytest.mark.parametrize("count", [1500, 6000, 30_000])
 def test_a_closed_surface_is_seen_from_one_side(count):
-    assert share_exposed_twice(ball(count)) < CLOSED_BELOW / 2
-    assert closed(ball(count))
+    assert share_exposed_twice(points_of_ball(count)) < CLOSED_BELOW / 2
+    assert closed(points_of_ball(count))
 
 
 def test_an_open_shell_is_seen_from_both_sides():
-    points = half(sphere()).means.double().numpy()
+    points = half(ball()).means.double().numpy()
     # The inside of half a ball shows but for its rim, which is seen too steeply.
     assert share_exposed_twice(points) > 0.5
     assert not closed(points)
 
 
 def test_a_hole_below_is_not_seen_and_one_above_is():
-    points = ball()
+    points = points_of_ball()
     assert closed(points[points[:, 2] > -0.3])
     assert not closed(points[points[:, 2] < 0.3])
 
 
 def test_half_a_cup_of_two_walls_is_not_closed():
-    directions = ball() / 0.4
+    directions = points_of_ball() / 0.4
     walls = np.concatenate([0.4 * directions, 0.385 * directions])
     below = walls[walls[:, 2] < 0.2]
     assert share_exposed_twice(below[below[:, 0] > 0]) < 0.05
@@ -42,7 +42,7 @@ def test_half_a_cup_of_two_walls_is_not_closed():
 
 
 def test_place_size_and_order_do_not_matter():
-    points = half(sphere()).means.double().numpy()
+    points = half(ball()).means.double().numpy()
     moved = 1e3 * points + [5e3, -2e3, 1e2]
     assert share_exposed_twice(moved) == pytest.approx(share_exposed_twice(points), abs=0.01)
     shuffled = np.random.default_rng(0).permutation(points)

@@ -18,7 +18,7 @@ from gscomplete.framing.guess import (
     score_views,
 )
 from gscomplete.splats import Similarity, concatenate, transform_splats
-from tests.completion.cylinders import angle_between, cylinder, half_cylinder
+from tests.builders.objects import angle_between, cylinder, half_cylinder
 
 
 @pytest.mark.parametrize("azimuth_deg", [0.0, 75.0, 200.0])

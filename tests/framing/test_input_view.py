@@ -7,10 +7,10 @@ import torch
 
 from gscomplete.framing.guess import guess_framing
 from gscomplete.framing.input_view import InputViewSettings, hidden_share, refine_input_view
-from gscomplete.splats import Splats, concatenate, transform_splats
+from gscomplete.splats import concatenate, transform_splats
 from gscomplete.splats.transform import Similarity
 from gscomplete.views import ViewDistribution
-from tests.completion.cylinders import angle_between, cylinder, half_cylinder
+from tests.builders.objects import angle_between, cylinder, half_cylinder, round_splats
 
 PART, REST = half_cylinder(75.0), half_cylinder(255.0)
 WHOLE = concatenate([PART, REST])
@@ -64,14 +64,9 @@ def test_views_that_show_p_badly_are_not_asked() -> None:
 
 @pytest.mark.parametrize("far", [0.02, 0.05])
 def test_a_layer_within_the_tolerance_hides_nothing(far: float) -> None:
-    board = Splats(
-        torch.cartesian_prod(
-            torch.zeros(1), torch.linspace(-0.4, 0.4, 40), torch.linspace(-0.4, 0.4, 40)
-        ),
-        torch.tensor([[1.0, 0.0, 0.0, 0.0]]).expand(1600, 4),
-        torch.full((1600, 3), 0.015),
-        torch.full((1600,), 0.99),
-        torch.zeros(1600, 1, 3),
+    line = torch.linspace(-0.4, 0.4, 40)
+    board = round_splats(
+        torch.cartesian_prod(torch.zeros(1), line, line), scale=0.015, opacity=0.99
     )
     before = dataclasses.replace(board, means=board.means + torch.tensor([far, 0.0, 0.0]))
     share = hidden_share(

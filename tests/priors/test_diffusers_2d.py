@@ -20,7 +20,7 @@ from gscomplete.priors.diffusers_2d import load_diffusers_2d, read_schedule
 from gscomplete.priors.latent.guidance import NoiseSchedule
 from gscomplete.priors.latent.text import CACHE_VARIABLE
 from gscomplete.views import four_view_orbit
-from tests.priors.mvdream.tiny import (
+from tests.builders.tiny_mvdream import (
     TINY,
     original_tensors,
     random_tensors,

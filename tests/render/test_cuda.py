@@ -17,6 +17,7 @@ from gscomplete.render.dispatch import choose_render_device
 from gscomplete.splats import Splats
 from gscomplete.util.device import choose_device
 from gscomplete.views import Cameras, orbit_cameras
+from tests.builders.objects import random_splats
 
 
 def rasterization(
@@ -70,17 +71,6 @@ def gsplat(monkeypatch):
     return module
 
 
-def splats(count: int, seed: int) -> Splats:
-    g = torch.Generator().manual_seed(seed)
-    return Splats(
-        torch.randn(count, 3, generator=g) * 0.3,
-        torch.nn.functional.normalize(torch.randn(count, 4, generator=g), dim=1),
-        torch.rand(count, 3, generator=g) * 0.1 + 0.02,
-        torch.rand(count, generator=g) * 0.8 + 0.1,
-        torch.randn(count, 4, 3, generator=g) * 0.3,
-    )
-
-
 def leaves(made: Splats) -> Splats:
     return Splats(**{name: value.clone().requires_grad_() for name, value in made.fields()})
 
@@ -89,11 +79,11 @@ def test_same_picture_and_gradients_as_the_reference(gsplat):
     cameras = orbit_cameras(
         torch.tensor([0.0, 80.0]), torch.tensor([10.0, -20.0]), radius=2, fov_deg=40, size_px=24
     )
-    frozen, drawn = splats(20, 1), {}
+    frozen, drawn = random_splats(20, 1, 1), {}
     g = torch.Generator().manual_seed(0)
     weights = torch.randn(2, 24, 24, 3, generator=g)
     for backend in ("cuda", "reference"):
-        new = leaves(splats(15, 2))
+        new = leaves(random_splats(15, 1, 2))
         offsets = torch.zeros(2, 15, 2, requires_grad=True)
         picture = render(
             new, cameras, torch.ones(3), frozen=frozen, screen_offsets=offsets, backend=backend
@@ -119,7 +109,7 @@ def test_the_real_gsplat_takes_these_arguments():
 def test_settings_that_its_kernels_fix_are_refused(gsplat):
     cameras = orbit_cameras(torch.zeros(1), torch.zeros(1), radius=2, fov_deg=40, size_px=8)
     with pytest.raises(UserError, match=r"alpha_max is 0\.999 in gsplat"):
-        render(splats(2, 0), cameras, settings=RenderSettings(alpha_max=0.99), backend="cuda")
+        render(random_splats(2), cameras, settings=RenderSettings(alpha_max=0.99), backend="cuda")
 
 
 def test_check_passes_where_gsplat_draws(gsplat):
@@ -180,7 +170,7 @@ def test_parity_of_the_real_kernels():
     """Colour, depth and alpha within 1e-4, gradients within 1e-3 relative."""
     from recipes.benchmarks.mvdream_gpu import renderer_parity
 
-    errors = renderer_parity(splats(500, 3))
+    errors = renderer_parity(random_splats(500, 1, 3))
     assert max(errors.color, errors.depth, errors.alpha) < 1e-4
     assert max(errors.gradient_relative.values()) < 1e-3
 

@@ -11,10 +11,11 @@ from gscomplete.render import prepare_frozen, render
 from gscomplete.render.partial_views import PartialViews
 from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution, join_cameras
-from tests.completion.oracle import OraclePrior, ball
-from tests.completion.steps import steps_of
+from tests.builders.objects import ball
+from tests.builders.priors import OraclePrior
+from tests.builders.steps import steps_of
 
-TRUTH = ball()
+TRUTH = ball(1500)
 PARTIAL = TRUTH.select(TRUTH.means[:, 0] > 0)
 OTHERS = TRUTH.select(TRUTH.means[:, 0] <= 0)
 VIEWS = ViewDistribution(0.0, 10.0)

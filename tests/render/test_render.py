@@ -11,17 +11,7 @@ from gscomplete.render import RenderSettings, render
 from gscomplete.render.cpu import view as one_view
 from gscomplete.splats import Splats
 from gscomplete.views import Cameras, four_view_orbit
-
-
-def random_splats(seed: int, count: int, degree: int = 0, scale: float = 0.05) -> Splats:
-    g = torch.Generator().manual_seed(seed)
-    return Splats(
-        0.6 * torch.randn(count, 3, generator=g),
-        torch.nn.functional.normalize(torch.randn(count, 4, generator=g), dim=1),
-        scale * torch.exp(0.7 * torch.randn(count, 3, generator=g)),
-        0.02 + 0.97 * torch.rand(count, generator=g),
-        0.6 * torch.randn(count, (degree + 1) ** 2, 3, generator=g),
-    )
+from tests.builders.objects import random_splats, round_splats
 
 
 def leaves(splats: Splats) -> Splats:
@@ -46,7 +36,7 @@ EXACT = RenderSettings(transmittance_min=0.0)
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_values_and_gradients_match_float64(degree):
-    base = random_splats(degree, 400, degree)
+    base = random_splats(400, degree, degree)
     views = cameras()
     g = torch.Generator().manual_seed(7)
     weights = [torch.randn(4, 48, 48, *c, generator=g, dtype=torch.float64) for c in ((3,), (), ())]
@@ -71,7 +61,7 @@ def test_values_and_gradients_match_float64(degree):
 
 
 def test_frozen_splats_are_drawn_but_get_no_gradient():
-    base = random_splats(3, 300)
+    base = random_splats(300, seed=3)
     first, second = base.select(torch.arange(100)), base.select(torch.arange(100, 300))
     trainable = leaves(second)
     together = leaves(base)
@@ -92,7 +82,7 @@ def test_same_bits_for_one_and_two_threads():
     before = numba.get_num_threads()
     for threads in (1, 2):
         numba.set_num_threads(threads)
-        splats = leaves(random_splats(5, 2000, 1))
+        splats = leaves(random_splats(2000, 1, 5))
         picture = render(splats, cameras(100))
         picture.color.square().sum().backward()
         results.append([picture.color.detach(), *(v.grad for _, v in splats.fields())])
@@ -137,18 +127,18 @@ def test_extreme_splats_stay_finite_and_close(seed, scale, ratio, spread, fov, w
 
 
 def test_nothing_to_draw():
-    empty = random_splats(0, 3).select(torch.zeros(3, dtype=torch.bool))
+    empty = random_splats(3).select(torch.zeros(3, dtype=torch.bool))
     background = torch.tensor([0.2, 0.4, 0.6])
     picture = render(empty, cameras(), background)
     assert torch.equal(picture.color, background.expand_as(picture.color))
     assert not picture.alpha.any()
-    behind = random_splats(0, 50)
+    behind = random_splats(50)
     far = Splats(behind.means + 100.0, *(v for n, v in behind.fields() if n != "means"))
     assert not render(far, cameras()).alpha.any()
 
 
 def test_splats_that_make_no_sense_are_not_drawn():
-    base = random_splats(1, 50)
+    base = random_splats(50, seed=1)
     broken = Splats(**{n: v.clone() for n, v in base.fields()})
     broken.means[0] = torch.nan
     broken.scales[1] = torch.inf
@@ -188,7 +178,7 @@ def test_depth_is_the_distance_of_an_opaque_wall():
 @pytest.mark.parametrize("where", ["one view", "one pixel", "everywhere"])
 def test_a_nan_gradient_of_the_picture_reaches_the_splats(where):
     """A maximum over a tile would pass over NaN, and the tile would count as without gradient."""
-    splats = leaves(random_splats(0, 50))
+    splats = leaves(random_splats(50))
     picture = render(splats, cameras(16))
     gradient = torch.zeros_like(picture.color)
     gradient[{"one view": 0, "one pixel": (0, 8, 8), "everywhere": slice(None)}[where]] = torch.nan
@@ -200,7 +190,7 @@ def test_a_nan_gradient_of_the_picture_reaches_the_splats(where):
 @pytest.mark.parametrize("scale", [1e3, 1e9, 1e17])
 def test_splats_far_larger_than_the_image_are_drawn(scale):
     """In float32, squares of such widths leave the range; nothing may vanish because of it."""
-    base = random_splats(2, 3)
+    base = random_splats(3, seed=2)
     near = Splats(
         torch.tensor([[1.9, 0.1, 0.0], [1.5, 0.0, 0.2], [0.0, 0.0, 0.0]]),
         base.quaternions,
@@ -222,31 +212,21 @@ def test_splats_far_larger_than_the_image_are_drawn(scale):
 def test_no_views_give_no_pictures():
     none = cameras(5)[0:0]
     for backend in ("cpu", "reference"):
-        assert render(random_splats(0, 3), none, backend=backend).color.shape == (0, 5, 5, 3)
+        assert render(random_splats(3), none, backend=backend).color.shape == (0, 5, 5, 3)
 
 
 def test_tile_lists_too_long_to_number_are_refused(monkeypatch):
     """Positions in them are int32: past 2^31 they would wrap, and the process write anywhere."""
     monkeypatch.setattr(one_view, "MAX_ENTRIES", 100)
     with pytest.raises(UserError, match="expected at most 100 pairs of a splat and a tile"):
-        render(random_splats(0, 300, scale=1.0), cameras())
-
-
-def one_ball(opacity: float, scale: float = 0.5) -> Splats:
-    return Splats(
-        torch.zeros(1, 3),
-        torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
-        torch.full((1, 3), scale),
-        torch.tensor([opacity]),
-        torch.ones(1, 1, 3),
-    )
+        render(random_splats(300, scale=1.0), cameras())
 
 
 def test_pixels_at_the_largest_alpha_pass_no_gradient():
     """Only those around them do; with an alpha_max of 0.6 that is less than half of them."""
     gradients = {}
     for backend in ("cpu", "reference"):
-        splats = leaves(one_ball(1.0))
+        splats = leaves(round_splats(torch.zeros(1, 3), scale=0.5, opacity=1.0))
         settings = RenderSettings(alpha_max=0.6)
         render(splats, cameras(24)[:1], settings=settings, backend=backend).color.sum().backward()
         gradients[backend] = splats
@@ -260,6 +240,6 @@ def test_a_faint_splat_is_as_far_away_as_it_is():
     """Expected depth is over what is seen, however little that is."""
     view = four_view_orbit(0.0, 0.0, radius=2.5, fov_deg=45.0, size_px=8)[:1]
     for opacity in (0.02, 0.9):
-        picture = render(one_ball(opacity), view)
+        picture = render(round_splats(torch.zeros(1, 3), scale=0.5, opacity=opacity), view)
         assert float(picture.alpha[0, 4, 4]) < opacity
         assert float(picture.depth[0, 4, 4]) == pytest.approx(2.5, abs=1e-4)

@@ -16,10 +16,11 @@ from gscomplete.errors import UserError
 from gscomplete.report.cards import error_picture
 from gscomplete.report.packed_splats import unpacked
 from gscomplete.report.page import write_page
-from tests.cli.test_evaluate import FRAME, halves
-from tests.folders.object_folders import write_object_folder
-from tests.folders.run_folders import write_run_folder
+from gscomplete.views import ObjectFrame
+from tests.builders.folders import write_object_folder, write_run_folder
+from tests.builders.objects import ball, halves
 
+FRAME = ObjectFrame("Y", (0.5, 1.0, 0.0), 2.0)
 SMALL = {"views": 2, "truth_views": 2, "size_px": 32}
 
 
@@ -33,7 +34,7 @@ def data_of(page: Path) -> dict:
 @pytest.fixture(scope="module")
 def page(tmp_path_factory) -> Path:
     root = tmp_path_factory.mktemp("report")
-    front, back = halves()
+    front, back = halves(ball(1500, 0.5))
     partial = front.__class__(
         FRAME.file_from_object.apply(front.means), front.quaternions, front.scales * 2,
         front.opacities, front.sh,

@@ -6,23 +6,29 @@ import torch
 from scipy.spatial import cKDTree
 
 from gscomplete.render import render
-from gscomplete.shape.assemble import AssembleSettings, assemble_splats, mirror_note
+from gscomplete.shape.assemble import (
+    AssembleSettings,
+    assemble_splats,
+    mirror_note,
+    select_consistent,
+)
 from gscomplete.shape.network import ShapeOutput
 from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.predict import Prediction
 from gscomplete.shape.surface import SurfaceSettings, surface_splats
-from gscomplete.shape.symmetry import SOURCES, no_symmetries
+from gscomplete.shape.symmetry import SOURCES, mirror_image, no_symmetries
 from gscomplete.shape.voxels import CELLS, COARSE_CELLS, cell_centers
 from gscomplete.splats import concatenate
 from gscomplete.views import ViewDistribution
-from tests.shape.shapes import half, mirrors, sphere
+from tests.builders.objects import ball, half
+from tests.builders.shape_network import mirrors
 
 VIEWS = ViewDistribution(0.0, 10.0)
 
 
 def predicted(symmetry_score: float, *, confidence: float = 200.0) -> Prediction:
     """Half a ball and its mirror image, of which the network thinks a ball (blurred inwards)."""
-    partial = half(sphere())
+    partial = half(ball())
     voxels = voxelize_partial(partial, VIEWS)
     distance = torch.from_numpy(np.linalg.norm(cell_centers(CELLS), axis=-1))
     nothing = torch.zeros(1, SOURCES + 1, *(COARSE_CELLS,) * 3)
@@ -33,12 +39,12 @@ def predicted(symmetry_score: float, *, confidence: float = 200.0) -> Prediction
 def put_together(prediction: Prediction, **changes: object):
     settings = dataclasses.replace(AssembleSettings(count=8000), **changes)
     return assemble_splats(
-        prediction, half(sphere()), settings, torch.Generator().manual_seed(0)
+        prediction, half(ball()), settings, torch.Generator().manual_seed(0)
     ).splats
 
 
 def test_a_believed_mirror_image_is_shown_by_ps_own_splats():
-    partial, new = half(sphere()), put_together(predicted(0.9))
+    partial, new = half(ball()), put_together(predicted(0.9))
     image = partial.means * torch.tensor([-1.0, 1.0, 1.0])
     away, index = cKDTree(image.numpy()).query(new.means.numpy())
     mirrored = away < 1e-6
@@ -53,7 +59,7 @@ def test_a_believed_mirror_image_is_shown_by_ps_own_splats():
 
 
 def test_without_belief_the_networks_surface_is_all():
-    prediction, partial = predicted(0.1), half(sphere())
+    prediction, partial = predicted(0.1), half(ball())
     generator = torch.Generator().manual_seed(0)
     settings = SurfaceSettings(8000, filled_logit=-0.3)
     alone = surface_splats(prediction.output, prediction.seen, partial, settings, generator)
@@ -100,7 +106,7 @@ def test_where_little_is_missing_the_network_has_to_be_surer(symmetry_score, sha
 @pytest.mark.parametrize(("count", "is_sure"), [(60, False), (4000, True)])
 def test_scattered_splats_are_no_whole_surface(count, is_sure):
     """All of a ball is there; of few splats, as far scanners see it, most of it is open."""
-    partial = sphere(count)
+    partial = ball(count)
     voxels = voxelize_partial(partial, VIEWS)
     half_ball = predicted(0.5, confidence=40.0)
     prediction = dataclasses.replace(half_ball, voxels=voxels, seen=voxels.with_copies(mirrors()))
@@ -119,10 +125,10 @@ def test_scattered_splats_are_no_whole_surface(count, is_sure):
 
 
 def test_the_mirrored_whole_is_that_of_the_truth():
-    whole = concatenate([half(sphere()), put_together(predicted(0.9))])
+    whole = concatenate([half(ball()), put_together(predicted(0.9))])
     cameras = VIEWS.ring(8, 96)
     with torch.no_grad():
-        ours, truth = render(whole, cameras), render(sphere(), cameras)
+        ours, truth = render(whole, cameras), render(ball(), cameras)
     iou = ((ours.alpha > 0.5) & (truth.alpha > 0.5)).sum() / (
         (ours.alpha > 0.5) | (truth.alpha > 0.5)
     ).sum()
@@ -172,3 +178,20 @@ def test_where_no_mirrored_splat_is_left_the_networks_surface_is_all():
     assert len(found) > 0
     not_believed = put_together(dataclasses.replace(nowhere, symmetry_score=0.0), **level)
     assert torch.equal(found.means, not_believed.means)
+
+
+def test_copies_that_network_or_views_contradict_are_left_out():
+    partial = half(ball())
+    voxels = voxelize_partial(partial, VIEWS)
+    copies = mirror_image(partial, mirrors()[0])
+    everywhere = torch.full((1, CELLS, CELLS, CELLS), 5.0)
+    assert len(select_consistent(copies, everywhere, voxels.evidence)) == len(copies)
+    left = everywhere.clone()
+    left[:, :, : CELLS // 2] = -5.0
+    kept = select_consistent(copies, left, voxels.evidence)
+    assert 0.4 < len(kept) / len(copies) < 0.6
+    assert float(kept.means[:, 1].min()) > -0.02
+    # P faces the views: what lies above its surface was seen to be empty, but for the rim.
+    above = dataclasses.replace(partial, means=1.2 * partial.means)
+    facing = above.select(above.means[:, 0] > 0.42)
+    assert len(select_consistent(facing, everywhere, voxels.evidence)) < 0.05 * len(facing)

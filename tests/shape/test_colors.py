@@ -8,9 +8,10 @@ from gscomplete.shape.network import ShapeOutput
 from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.symmetry import SOURCES
 from gscomplete.shape.voxels import CELLS, COARSE_CELLS
-from gscomplete.splats import Splats, colors_to_sh, concatenate
+from gscomplete.splats import colors_to_sh, concatenate
 from gscomplete.views import ViewDistribution
-from tests.shape.shapes import half, mirrors, sphere
+from tests.builders.objects import ball, half, round_splats
+from tests.builders.shape_network import mirrors
 
 VIEWS = ViewDistribution(0.0, 10.0)
 OWN = SOURCES
@@ -27,7 +28,7 @@ def pointing_at(*sources: int) -> ShapeOutput:
 
 
 def colors_at(points, output, partial=None, settings=None):
-    partial = half(sphere()) if partial is None else partial
+    partial = half(ball()) if partial is None else partial
     inputs = voxelize_partial(partial, VIEWS).with_copies(mirrors())
     generator = torch.Generator().manual_seed(0)
     return source_colors(output, inputs, partial, points, generator, settings), inputs
@@ -35,7 +36,7 @@ def colors_at(points, output, partial=None, settings=None):
 
 def hidden_points(count=200):
     """Return points of the sphere where the half of it lacks splats."""
-    points = sphere().means
+    points = ball().means
     return points[points[:, 0] < -0.2][:count]
 
 
@@ -48,7 +49,7 @@ def test_colours_come_from_the_source_that_is_trusted():
 
 
 def test_the_colour_of_the_network_is_never_mixed_in():
-    partial = half(sphere())
+    partial = half(ball())
     red = torch.tensor([0.9, 0.1, 0.2]).expand(len(partial), 3)
     partial = dataclasses.replace(partial, sh=colors_to_sh(red))
     taken, _ = colors_at(hidden_points(), pointing_at(OWN), partial)
@@ -67,7 +68,7 @@ def test_of_two_sources_trusted_alike_the_likelier_is_taken_whole():
 
 def test_far_from_every_source_the_nearest_is_taken():
     taken, inputs = colors_at(torch.tensor([[-0.7, 0.0, 0.0]]), pointing_at(0))
-    partial = half(sphere())
+    partial = half(ball())
     images = [torch.from_numpy(s.apply(partial.means.numpy())) for s in inputs.symmetries]
     places = torch.stack([partial.means, *images])
     nearest = (places + torch.tensor([0.7, 0.0, 0.0])).norm(dim=2).amin(dim=0).argmin()
@@ -76,19 +77,14 @@ def test_far_from_every_source_the_nearest_is_taken():
 
 @pytest.mark.parametrize("count", [1, 3])
 def test_a_few_splats_are_enough(count):
-    partial = Splats(
-        torch.rand(count, 3, generator=torch.Generator().manual_seed(1)) * 0.1,
-        torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(count, 1),
-        torch.full((count, 3), 0.02),
-        torch.full((count,), 0.9),
-        colors_to_sh(torch.full((count, 3), 0.7)),
-    )
+    places = 0.1 * torch.rand(count, 3, generator=torch.Generator().manual_seed(1))
+    partial = round_splats(places, scale=0.02, color=(0.7, 0.7, 0.7))
     taken, _ = colors_at(hidden_points(5), pointing_at(0), partial)
     torch.testing.assert_close(taken, torch.full((5, 3), 0.7), atol=1e-4, rtol=0)
 
 
 def test_of_two_layers_the_outer_one_gives_its_colour_to_what_lies_between_them():
-    inner = sphere()
+    inner = ball()
     normals = torch.nn.functional.normalize(inner.means, dim=1)
     outer = dataclasses.replace(
         inner, means=inner.means * 1.1, sh=colors_to_sh(torch.zeros_like(inner.means))
@@ -102,7 +98,7 @@ def test_of_two_layers_the_outer_one_gives_its_colour_to_what_lies_between_them(
 
 
 def test_a_gap_takes_the_colours_of_its_two_sides():
-    whole = sphere()
+    whole = ball()
     sides = whole.select(whole.means[:, 0].abs() > 0.03)
     left = (sides.means[:, :1] < 0).float().expand(-1, 3)
     sides = dataclasses.replace(sides, sh=colors_to_sh(left))
@@ -115,7 +111,7 @@ def test_a_gap_takes_the_colours_of_its_two_sides():
 
 
 def test_bands_go_on_round_what_stands_upright():
-    whole = sphere()
+    whole = ball()
     heights = whole.means[:, 2]
     red = (torch.floor(heights / 0.1) % 2 == 0).float()
     banded = dataclasses.replace(whole, sh=colors_to_sh(red[:, None].expand(-1, 3)))

@@ -3,13 +3,13 @@ import pytest
 
 from gscomplete.shape.evidence import FRONT_TOLERANCE, gather_evidence, kind_of
 from gscomplete.views import ViewDistribution
-from tests.shape.shapes import half, sphere
+from tests.builders.objects import ball, half
 
 VIEWS = ViewDistribution(0.0, 10.0)
 
 
 def test_views_tell_front_behind_and_beside():
-    evidence = gather_evidence(half(sphere()), VIEWS)
+    evidence = gather_evidence(half(ball()), VIEWS)
     points = np.array([[0.45, 0, 0], [0.0, 0, 0], [-0.3, 0, 0], [0, 0.69, 0.5]], np.float32)
     shares = evidence.classify(points)
     assert shares.sum(axis=1) == pytest.approx(1.0, abs=1e-6)

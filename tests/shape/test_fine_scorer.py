@@ -20,7 +20,7 @@ from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.symmetry_features import FEATURES
 from gscomplete.shape.voxels import COARSE_CELLS, cell_centers
 from gscomplete.views import ViewDistribution
-from tests.shape.shapes import sphere
+from tests.builders.objects import ball
 
 ANGLE, OFFSET = 0.7, 0.05
 
@@ -84,7 +84,7 @@ def test_evidence_is_looked_up_on_both_sides():
 
 
 def test_the_sides_of_a_plane_of_symmetry_are_alike():
-    voxels = voxelize_partial(sphere(), ViewDistribution(0.0, 10.0))
+    voxels = voxelize_partial(ball(), ViewDistribution(0.0, 10.0))
     fine = folded_volumes(colored_cells(voxels.volume), voxels.shares, np.zeros(1, np.float32),
                           np.zeros(1, np.float32)).fine[0]  # fmt: skip
     one, other = fine[0], fine[4]

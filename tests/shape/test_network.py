@@ -8,7 +8,7 @@ from gscomplete.shape.network import (
 )
 from gscomplete.shape.symmetry import SOURCES
 from gscomplete.shape.voxels import CELLS, COARSE_CELLS
-from tests.shape.shapes import TINY, tiny_network
+from tests.builders.shape_network import TINY, tiny_network
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,8 @@ from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.predict import predict, predict_occupancy, turned, turned_back
 from gscomplete.shape.symmetry_choice import choose_symmetries
 from gscomplete.views import ViewDistribution
-from tests.shape.shapes import half, likeliest_inputs, sphere, tiny_network
+from tests.builders.objects import ball, half
+from tests.builders.shape_network import likeliest_inputs, tiny_network
 
 
 @pytest.fixture(scope="module")
@@ -18,7 +19,7 @@ def test_turning_is_undone_and_the_mean_answer_turns_with_the_object(model):
     for turns in range(4):
         for mirror in (False, True):
             assert torch.equal(turned_back(turned(x, turns, mirror), turns, mirror), x)
-    seen = likeliest_inputs(half(sphere()), ViewDistribution(0.0, 10.0))
+    seen = likeliest_inputs(half(ball()), ViewDistribution(0.0, 10.0))
     tokens = torch.tensor([2, 3])
     answer = predict_occupancy(model, seen, tokens)
     assert torch.isfinite(answer.occupancy).all()
@@ -27,7 +28,7 @@ def test_turning_is_undone_and_the_mean_answer_turns_with_the_object(model):
 
 
 def test_the_answer_is_to_what_was_chosen(model):
-    partial, views = half(sphere()), ViewDistribution(0.0, 10.0)
+    partial, views = half(ball()), ViewDistribution(0.0, 10.0)
     tokens = torch.tensor([2, 3])
     guess = predict(model, partial, views, tokens, ends_in_plane=True)
     chosen = choose_symmetries(model, voxelize_partial(partial, views), tokens, ends_in_plane=True)

@@ -22,7 +22,8 @@ from gscomplete.shape.voxels import (
 from gscomplete.splats import concatenate
 from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.views import ViewDistribution
-from tests.shape.shapes import half, likeliest_inputs, mirrors, sphere
+from tests.builders.objects import ball, half
+from tests.builders.shape_network import likeliest_inputs, mirrors
 
 VIEWS = ViewDistribution(0.0, 10.0)
 
@@ -36,7 +37,7 @@ def ball_output(radius=0.4):
 
 
 def guess(settings=None, output=None, partial=None):
-    partial = half(sphere()) if partial is None else partial
+    partial = half(ball()) if partial is None else partial
     generator = torch.Generator().manual_seed(0)
     return surface_splats(
         output or ball_output(),
@@ -67,12 +68,12 @@ def test_discs_lie_on_the_surface_and_not_on_p():
 
 
 def test_whole_is_closed_and_of_the_right_size():
-    partial = half(sphere())
+    partial = half(ball())
     whole = concatenate([partial, guess()])
     cameras = VIEWS.ring(8, 96)
     with torch.no_grad():
         ours = render(whole, cameras).alpha > 0.5
-        truth = render(sphere(), cameras).alpha > 0.5
+        truth = render(ball(), cameras).alpha > 0.5
     iou = (ours & truth).sum(dim=(1, 2)) / (ours | truth).sum(dim=(1, 2))
     assert float(iou.min()) > 0.93
 
@@ -115,7 +116,7 @@ def test_the_same_seed_gives_the_same_splats():
 def test_the_surface_goes_on_from_ps_rim_without_a_gap():
     """Within P nothing is added, however near its splats are to each other; beyond its rim there
     are splats nearer than ``near_partial``, so that no seam shows."""
-    partial = half(sphere(20_000))
+    partial = half(ball(20_000))
     new = guess(SurfaceSettings(count=20_000), partial=partial).means
     distance = torch.cdist(new, partial.means).amin(dim=1)
     beyond = new[:, 0] < 0.0
@@ -128,7 +129,7 @@ def test_the_surface_goes_on_from_ps_rim_without_a_gap():
 
 
 def test_points_near_a_copy_move_onto_it_and_others_stay():
-    partial = half(sphere(12_000))
+    partial = half(ball(12_000))
     inputs = voxelize_partial(partial, VIEWS).with_copies(mirrors())
     normals = torch.nn.functional.normalize(
         torch.from_numpy(inputs.symmetries[0].apply(partial.means.numpy()[::40])), dim=1

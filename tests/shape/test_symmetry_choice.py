@@ -18,9 +18,10 @@ from gscomplete.shape.symmetry_choice import (
 from gscomplete.shape.symmetry_proposals import candidate_planes
 from gscomplete.shape.voxels import CELLS, COARSE_CELLS
 from gscomplete.views import ViewDistribution
-from tests.shape.shapes import half, mirrors, sphere
+from tests.builders.objects import ball, half
+from tests.builders.shape_network import mirrors
 
-LOOK = voxelize_partial(half(sphere()), ViewDistribution(0.0, 10.0))
+LOOK = voxelize_partial(half(ball()), ViewDistribution(0.0, 10.0))
 
 
 class Believer(torch.nn.Module):

@@ -16,7 +16,7 @@ from gscomplete.shape.symmetry_features import (
 from gscomplete.shape.voxels import CELLS
 from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution
-from tests.shape.shapes import half, moved, sphere
+from tests.builders.objects import ball, half, moved
 
 VIEWS = ViewDistribution(0.0, 10.0)
 MIDDLE = OFFSETS.index(0.0)
@@ -35,7 +35,7 @@ def features_of(partial: Splats) -> dict[str, np.ndarray]:
 
 def test_samples_are_counted_as_by_hand():
     """One plane, counted sample by sample in float64."""
-    partial = half(sphere())
+    partial = half(ball())
     part = sampled(partial)
     evidence = gather_evidence(partial, VIEWS)
     found = features_of(partial)
@@ -57,7 +57,7 @@ def test_samples_are_counted_as_by_hand():
 
 
 def test_half_a_sphere_closes_across_its_cut():
-    found = features_of(half(sphere()))
+    found = features_of(half(ball()))
     assert found["rim_at_plane"][0, MIDDLE] > 0.8
     assert found["rim_closed"][0, MIDDLE] > 0.8
     assert found["behind"][0, MIDDLE] > 0.6  # the copy is new and out of sight
@@ -69,7 +69,7 @@ def test_half_a_sphere_closes_across_its_cut():
 
 
 def test_colors_of_a_copy_are_compared():
-    found = features_of(sphere())  # its colour is its normal
+    found = features_of(ball())  # its colour is its normal
     for angle in (0, ANGLES // 2):
         share = found["exact"][angle, MIDDLE]
         # The mean of |2 n 0.4| / 3 over a sphere.
@@ -77,7 +77,7 @@ def test_colors_of_a_copy_are_compared():
 
 
 def test_lengths():
-    part = moved(half(sphere(radius=0.2)), (0.1, 0.0, 0.0))  # x from 0.1 to 0.3
+    part = moved(half(ball(radius=0.2)), (0.1, 0.0, 0.0))  # x from 0.1 to 0.3
     found = features_of(part)
     at = OFFSETS.index(0.4)
     assert found["gap"][0, at] == pytest.approx(0.1, abs=0.01)
@@ -89,7 +89,7 @@ def test_lengths():
 
 @pytest.mark.parametrize("count", [1, 2, 9, 600])
 def test_few_or_equal_points_break_nothing(count):
-    one = sphere(count=count)
+    one = ball(count=count)
     features_of(one)
     features_of(moved(one, (3.0, 0.0, 0.0)))  # outside the grid
 

@@ -22,21 +22,21 @@ from gscomplete.shape.voxels import CELL_SIDE
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.views import ViewDistribution
-from tests.shape.shapes import half, likeliest_inputs, moved, sphere
-from tests.shape.test_symmetry_features import sampled
+from tests.builders.objects import ball, half, moved
+from tests.builders.shape_network import likeliest_inputs
 
 VIEWS = ViewDistribution(0.0, 10.0)
 
 
 def dumbbell() -> Splats:
     """Return two unlike balls along y: the planes of symmetry are x = 0 and no other."""
-    large, small = sphere(radius=0.22), sphere(radius=0.12)
+    large, small = ball(radius=0.22), ball(radius=0.12)
     return concatenate([moved(large, (0.0, -0.2, 0.0)), moved(small, (0.0, 0.3, 0.05))])
 
 
 def test_part_of_a_sphere_is_mirrored_to_what_is_missing():
     """Every upright plane through the middle is right; the one chosen must show something new."""
-    partial = half(sphere())
+    partial = half(ball())
     planes = candidate_planes(voxelize_partial(partial, VIEWS), CANDIDATES)
     copy = planes[0].apply(partial.means.numpy())
     missing = copy[copy[:, 0] < -0.05]
@@ -66,7 +66,7 @@ def test_half_a_dumbbell_finds_its_one_plane(turn_deg):
 
 
 def test_a_slightly_wrong_plane_is_moved_to_the_right_one():
-    part = sampled(dumbbell())
+    part = voxelize_partial(dumbbell(), VIEWS).samples()
     tree = cKDTree(part.spread)
     angle, offset = refined(part, tree, math.radians(2.5), 0.012)
     assert math.degrees(angle) == pytest.approx(0.0, abs=0.7)
@@ -74,7 +74,7 @@ def test_a_slightly_wrong_plane_is_moved_to_the_right_one():
 
 
 def test_where_nothing_matches_a_plane_stays():
-    part = sampled(half(sphere()))
+    part = voxelize_partial(half(ball()), VIEWS).samples()
     tree = cKDTree(part.spread)
     assert refined(part, tree, 0.0, -0.4) == (0.0, -0.4)
 

@@ -9,12 +9,12 @@ from gscomplete.shape.voxels import (
     fill_colored,
     splat_arrays,
 )
-from tests.shape.shapes import sphere
+from tests.builders.objects import ball
 
 
 def test_cells_hold_the_splats_in_them_and_their_mean_colour():
     """The obvious way, in float64, cell by cell."""
-    positions, tangents, opacities, colors = splat_arrays(sphere(300))
+    positions, tangents, opacities, colors = splat_arrays(ball(300))
     volume = fill_colored(positions, tangents, opacities, colors, CELLS)
     weight = np.zeros((CELLS,) * 3)
     color = np.zeros((3, *weight.shape))
@@ -35,7 +35,7 @@ def test_cells_hold_the_splats_in_them_and_their_mean_colour():
 
 
 def test_what_lies_outside_the_cube_or_is_transparent_is_left_out():
-    positions, tangents, opacities, colors = splat_arrays(sphere(200))
+    positions, tangents, opacities, colors = splat_arrays(ball(200))
     far = positions + np.float32(10)
     assert fill_colored(far, tangents, opacities, colors, CELLS).sum() == 0
     nan = np.full_like(positions, np.nan)

@@ -24,7 +24,7 @@ from splatcomplete_data.scan.pcd import lzf_decompress, read_pcd
 from splatcomplete_data.singleview import depth_file
 from splatcomplete_data.singleview.depth_file import read_depth
 from splatcomplete_data.spz_size import check_spz_size
-from tests.splatcomplete_data.balls import ball
+from tests.builders.objects import ball
 
 MIB = 2**20
 

@@ -3,7 +3,7 @@ import torch
 from gscomplete.splats.record import Splats, colors_to_sh
 from splatcomplete_data.cuts.random_cuts import random_partial
 from splatcomplete_data.flaws import FlawSettings, corrupt
-from tests.splatcomplete_data.balls import BALL
+from tests.builders.objects import BALL
 
 
 def test_flaws_stay_small_and_repeatable():

@@ -10,7 +10,7 @@ from gscomplete.errors import UserError
 from gscomplete.splats import Splats, read_splats
 from splatcomplete_data.cli import main
 from splatcomplete_data.formats import format_of, read_any_splats, write_any_splats
-from tests.splats.ply_files import FORMATS, make_ply, random_table
+from tests.builders.ply_files import FORMATS, make_ply, random_table
 
 DATA = Path(__file__).resolve().parents[2] / "../shared/data/splats"
 

@@ -20,7 +20,7 @@ from splatcomplete_data.multiview.photos.colmap_model import read_colmap
 from splatcomplete_data.multiview.photos.transforms_json import read_transforms
 from splatcomplete_data.named_files import Reach
 from splatcomplete_data.objects import ObjectRecord
-from tests.splatcomplete_data.multiview import captures
+from tests.builders import captures
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"
 
@@ -151,9 +151,9 @@ def test_a_recipe_names_nothing_outside_the_data(tmp_path: Path, name: str) -> N
 
 
 def test_an_objects_files_are_plain_names(tmp_path: Path) -> None:
-    from tests.splatcomplete_data.test_objects import record
+    from tests.builders.folders import object_record
 
-    data = record().to_json()
+    data = object_record().to_json()
     data["files"] = {"../../x": {"sha256": "0" * 64, "bytes": 1}}
     with pytest.raises(UserError, match=r"files: expected plain file names, found '\.\./\.\./x'"):
         ObjectRecord.from_json(data, "object.json")

@@ -1,6 +1,5 @@
 """Object folders: whole or not at all, read back as written, refused when odd."""
 
-import dataclasses
 import json
 import os
 from pathlib import Path
@@ -12,56 +11,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gscomplete.errors import UserError
-from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.util.digests import sha256_of
-from gscomplete.views import ObjectFrame, ViewDistribution
 from splatcomplete_data.atomic_folder import atomic_folder, forget_leftovers
 from splatcomplete_data.cli.common import ObjectOptions, check_out
 from splatcomplete_data.cuts.boxes import CropBox, inside_boxes, parse_box
 from splatcomplete_data.objects import (
-    ObjectRecord,
-    SourceRecord,
     StepRecord,
     check_steps,
     read_object,
     read_record,
     write_object,
 )
-
-
-def ball(count: int = 400) -> Splats:
-    generator = torch.Generator().manual_seed(1)
-    points = torch.nn.functional.normalize(torch.randn(count, 3, generator=generator), dim=1) * 0.5
-    quaternions = torch.zeros(count, 4)
-    quaternions[:, 0] = 1
-    return Splats(
-        points,
-        quaternions,
-        torch.full((count, 3), 0.03),
-        torch.full((count,), 0.9),
-        colors_to_sh(torch.rand(count, 3, generator=generator)),
-    )
-
-
-def record(**changes: object) -> ObjectRecord:
-    base = ObjectRecord(
-        id="ball",
-        subset="mesh",
-        prompt="a ball",
-        source=SourceRecord("ball.obj", licence="CC0"),
-        frame=ObjectFrame("Z", (0.0, 0.0, 0.0), 1.0),
-        frame_origin="truth",
-        views=ViewDistribution(30.0, 15.0),
-        boxes=(CropBox((0, 0, 0), (1, 1, 1)),),
-        steps=(StepRecord("cut", 400, 200, {"plane": 200}),),
-    )
-    return dataclasses.replace(base, **changes)  # type: ignore[arg-type]
+from tests.builders.folders import object_record
+from tests.builders.objects import ball
 
 
 def test_an_object_reads_back_as_written(tmp_path: Path) -> None:
-    whole = ball()
+    whole = ball(400, 0.5)
     part = whole.select(whole.means[:, 0] > 0)
-    written = write_object(tmp_path / "ball", record(), part, whole)
+    written = write_object(tmp_path / "ball", object_record(), part, whole)
     found = read_object(tmp_path / "ball")
     assert found.record == written
     assert written.counts == {"sh_degree": 0, "partial": len(part), "complete": 400}
@@ -73,19 +41,19 @@ def test_an_object_reads_back_as_written(tmp_path: Path) -> None:
 
 def test_the_same_object_is_the_same_bytes(tmp_path: Path) -> None:
     for name in ("a", "b"):
-        write_object(tmp_path / name, record(), ball(), None)
+        write_object(tmp_path / name, object_record(), ball(400, 0.5), None)
     for file in sorted((tmp_path / "a").iterdir()):
         assert file.read_bytes() == (tmp_path / "b" / file.name).read_bytes()
 
 
 def test_nothing_is_replaced_without_overwrite(tmp_path: Path) -> None:
     folder = tmp_path / "ball"
-    write_object(folder, record(), ball(300), None)
+    write_object(folder, object_record(), ball(300, 0.5), None)
     before = (folder / "partial.ply").read_bytes()
     with pytest.raises(UserError, match="--overwrite"):
-        write_object(folder, record(), ball(), None)
+        write_object(folder, object_record(), ball(400, 0.5), None)
     assert (folder / "partial.ply").read_bytes() == before
-    write_object(folder, record(prompt="another"), ball(), None, overwrite=True)
+    write_object(folder, object_record(prompt="another"), ball(400, 0.5), None, overwrite=True)
     assert read_record(folder).prompt == "another"
     assert sorted(os.listdir(tmp_path)) == ["ball"]
 
@@ -96,7 +64,7 @@ def test_overwrite_replaces_nothing_but_object_folders(tmp_path: Path) -> None:
     (photos / "a.jpg").write_text("mine")
     said = r"photos: expected .*object\.json.*found other things \(such as a\.jpg\)"
     with pytest.raises(UserError, match=said):
-        write_object(photos, record(), ball(), None, overwrite=True)
+        write_object(photos, object_record(), ball(400, 0.5), None, overwrite=True)
     options = ObjectOptions(out=photos, overwrite=True)
     with pytest.raises(UserError, match=said):
         check_out(options, tmp_path / "ball.ply")
@@ -108,8 +76,8 @@ def test_a_folder_of_proposed_boxes_becomes_an_object(tmp_path: Path) -> None:
     (tmp_path / "ball").mkdir()
     (tmp_path / "ball/boxes.png").write_text("drawn by crop --propose")
     with pytest.raises(UserError, match="--overwrite"):
-        write_object(tmp_path / "ball", record(), ball(), None)
-    write_object(tmp_path / "ball", record(), ball(), None, overwrite=True)
+        write_object(tmp_path / "ball", object_record(), ball(400, 0.5), None)
+    write_object(tmp_path / "ball", object_record(), ball(400, 0.5), None, overwrite=True)
     assert not (tmp_path / "ball/boxes.png").exists()
     assert read_record(tmp_path / "ball").id == "ball"
 
@@ -145,11 +113,11 @@ def test_leftovers_of_killed_writers_go(tmp_path: Path) -> None:
 
 def test_empty_and_unwritable_objects_are_user_errors(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="no splats are left"):
-        write_object(tmp_path / "x", record(), ball(0), None)
+        write_object(tmp_path / "x", object_record(), ball(0), None)
     (tmp_path / "file").write_text("")
     for place in (tmp_path / "file", tmp_path / "file/below"):
         with pytest.raises(UserError, match="file"):
-            write_object(place, record(), ball(), None)
+            write_object(place, object_record(), ball(400, 0.5), None)
     assert sorted(os.listdir(tmp_path)) == ["file"]
 
 
@@ -166,7 +134,7 @@ def test_empty_and_unwritable_objects_are_user_errors(tmp_path: Path) -> None:
     ],
 )
 def test_odd_records_name_file_and_field(tmp_path: Path, change: dict, message: str) -> None:
-    write_object(tmp_path / "ball", record(), ball(), None)
+    write_object(tmp_path / "ball", object_record(), ball(400, 0.5), None)
     path = tmp_path / "ball/object.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
     with pytest.raises(UserError, match=rf"object\.json.*{message}"):

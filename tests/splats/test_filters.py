@@ -4,7 +4,7 @@ import torch
 
 from gscomplete.splats.filters import near_rows, usable_rows
 from gscomplete.splats.record import Splats
-from tests.splats.ply_files import make_splats
+from tests.builders.objects import random_splats
 
 
 def test_each_reason_is_counted_once():
@@ -51,7 +51,7 @@ def test_no_splats():
 
 
 def test_what_is_far_outside_the_others_is_counted():
-    splats = make_splats(200)
+    splats = random_splats(200)
     assert near_rows(splats)[1] == {}
     splats.means[7, 1] = -1e3
     keep, counts = near_rows(splats)

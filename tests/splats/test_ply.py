@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from gscomplete.errors import UserError
 from gscomplete.splats import append_splats, read_splats, write_splats
-from tests.splats.ply_files import FORMATS, make_ply, make_splats, random_table
+from tests.builders.objects import random_splats
+from tests.builders.ply_files import FORMATS, make_ply, random_table
 
 DATA = (Path(__file__).resolve().parents[2] / "../shared/data").resolve()
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="shared/data is absent")
@@ -37,7 +38,7 @@ def activated(table: dict[str, np.ndarray], row: int) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_write_then_read(tmp_path, degree):
-    splats = make_splats(5000, degree)  # more than one block
+    splats = random_splats(5000, degree)  # more than one block
     write_splats(tmp_path / "a.ply", splats, ["one", "two\nlines"])
     file = read_splats(tmp_path / "a.ply")
     assert file.comments == ("one", "two lines")
@@ -49,7 +50,7 @@ def test_write_then_read(tmp_path, degree):
 
 
 def test_written_header_is_the_original_layout(tmp_path):
-    write_splats(tmp_path / "a.ply", make_splats(1, 3))
+    write_splats(tmp_path / "a.ply", random_splats(1, 3))
     reference = DATA / "splats/metalsplatter/test-splat.3-points-from-train.ply"
     names = read_splats(tmp_path / "a.ply").header.elements[0].names
     assert names[:9] == [*"xyz", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
@@ -59,7 +60,7 @@ def test_written_header_is_the_original_layout(tmp_path):
 
 
 def test_extreme_values_stay_finite(tmp_path):
-    splats = make_splats(4)
+    splats = random_splats(4)
     splats.opacities[:] = torch.tensor([0.0, 1.0, 1e-30, 0.5])
     splats.scales[0] = torch.tensor([0.0, 1e-30, 1e30])
     write_splats(tmp_path / "a.ply", splats)
@@ -75,7 +76,7 @@ def test_extreme_values_stay_finite(tmp_path):
     [("means", np.nan), ("scales", -1.0), ("opacities", 1.5), ("sh", np.inf)],
 )
 def test_values_that_cannot_be_written(tmp_path, field, value):
-    splats = make_splats(3)
+    splats = random_splats(3)
     getattr(splats, field)[1] = value
     (tmp_path / "a.ply").write_bytes(b"old")
     with pytest.raises(ValueError, match=field):
@@ -106,7 +107,7 @@ def test_any_order_and_type_reads_and_appends(tmp_path, form, newline, data):
             found = getattr(file.splats, name)[row].numpy()
             np.testing.assert_allclose(found, expected, rtol=2e-5, atol=1e-6, err_msg=name)
 
-    new = make_splats(2500, file.splats.sh_degree)
+    new = random_splats(2500, file.splats.sh_degree)
     append_splats(out, file, new, ["gscomplete new_splats 2500"])
     joined = read_splats(out)
     assert joined.n_rows == 2503
@@ -128,7 +129,7 @@ def test_other_elements_pass_through(tmp_path):
     path.write_bytes(raw)
     file = read_splats(path)
     np.testing.assert_array_equal(file.splats.means[:, 0], table["x"])
-    append_splats(path, file, make_splats(3))  # onto itself
+    append_splats(path, file, random_splats(3))  # onto itself
     joined = read_splats(path)
     assert joined.n_rows == 7
     assert joined.payload.before == before[1]
@@ -141,7 +142,7 @@ def test_ascii_elements_around_and_no_last_newline(tmp_path):
     raw = make_ply(table, "ascii", before=("element note 1\nproperty int a\n", b"7\n"))
     (tmp_path / "a.ply").write_bytes(raw[:-1])
     file = read_splats(tmp_path / "a.ply")
-    append_splats(tmp_path / "b.ply", file, make_splats(1))
+    append_splats(tmp_path / "b.ply", file, random_splats(1))
     assert read_splats(tmp_path / "b.ply").n_rows == 3
     assert (tmp_path / "b.ply").read_bytes().count(b"\n7\n") == 1
 
@@ -169,15 +170,15 @@ def test_no_rows(tmp_path):
         file = read_splats(tmp_path / "a.ply")
         assert file.n_rows == 0
         assert "no splats" in file.warnings[0]
-        append_splats(tmp_path / "b.ply", file, make_splats(2))
+        append_splats(tmp_path / "b.ply", file, random_splats(2))
         assert read_splats(tmp_path / "b.ply").n_rows == 2
     write_splats(tmp_path / "c.ply", file.splats)
     assert read_splats(tmp_path / "c.ply").n_rows == 0
 
 
 def test_a_released_file_is_appended_to_as_before(tmp_path):
-    write_splats(tmp_path / "a.ply", make_splats(5, 1))
-    file, new = read_splats(tmp_path / "a.ply"), make_splats(2, 1)
+    write_splats(tmp_path / "a.ply", random_splats(5, 1))
+    file, new = read_splats(tmp_path / "a.ply"), random_splats(2, 1)
     released = file.released()
     assert len(released.splats) == 0
     assert released.n_rows == 5
@@ -187,17 +188,17 @@ def test_a_released_file_is_appended_to_as_before(tmp_path):
 
 
 def test_append_refusals(tmp_path):
-    write_splats(tmp_path / "a.ply", make_splats(2, 1))
+    write_splats(tmp_path / "a.ply", random_splats(2, 1))
     file = read_splats(tmp_path / "a.ply")
     with pytest.raises(UserError, match=r"4 SH coefficients.*with_sh_degree\(1\)"):
-        append_splats(tmp_path / "b.ply", file, make_splats(2, 2))
-    append_splats(tmp_path / "b.ply", file, make_splats(2, 0))
+        append_splats(tmp_path / "b.ply", file, random_splats(2, 2))
+    append_splats(tmp_path / "b.ply", file, random_splats(2, 0))
     assert (read_splats(tmp_path / "b.ply").splats.sh[2:, 1:] == 0).all()
     (tmp_path / "c.ply").write_bytes(make_ply(random_table(2, 0), types={"opacity": "uchar"}))
     file = read_splats(tmp_path / "c.ply")
     assert "opacity" in file.warnings[0]
     with pytest.raises(UserError, match="opacity"):
-        append_splats(tmp_path / "b.ply", file, make_splats(2))
+        append_splats(tmp_path / "b.ply", file, random_splats(2))
 
 
 def seconds(action: Callable[[], object], repeats: int) -> float:
@@ -212,7 +213,7 @@ def seconds(action: Callable[[], object], repeats: int) -> float:
 
 def test_much_faster_than_row_by_row(tmp_path):
     """A writer that fills its records from tuples, as the original's does, is ten times slower."""
-    splats = make_splats(20_000, degree=3)
+    splats = random_splats(20_000, degree=3)
     path = tmp_path / "a.ply"
     write_splats(path, splats)
     file = read_splats(path)

@@ -14,7 +14,7 @@ from gscomplete.splats.ply_files.header import Element, PlyError, Property
 from gscomplete.splats.ply_files.layout import SplatLayout, find_layout
 from gscomplete.splats.ply_files.records import Decoder, Encoder
 from gscomplete.splats.ply_files.threads import blocks, for_each_block
-from tests.splats.ply_files import make_splats
+from tests.builders.objects import random_splats
 
 ODD = np.array([0.0, -0.0, np.nan, np.inf, -np.inf, 1e38, -1e38, 1e-40, 88.0, -104.0], np.float32)
 
@@ -42,7 +42,7 @@ def decode(records: np.ndarray, layout: SplatLayout) -> Splats:
     return decoder.splats()
 
 
-def random_splats(count: int, degree: int, seed: int = 0) -> Splats:
+def extreme_splats(count: int, degree: int, seed: int = 0) -> Splats:
     rng = np.random.default_rng(seed)
     opacities = rng.random(count)
     opacities[:3] = 0, 1, 1e-30
@@ -97,7 +97,7 @@ def test_compiled_decoding_against_float64(monkeypatch):
 def test_compiled_encoding_gives_the_bytes_of_numpy(rest, seed, data):
     layout, dtype = make_layout(rest, seed, foreign=data.draw(st.sampled_from([0, 3])))
     degree = data.draw(st.integers(0, {0: 0, 9: 1, 24: 2, 45: 3, 72: 3}[rest]))
-    splats = random_splats(500, degree, seed)
+    splats = extreme_splats(500, degree, seed)
     plain = Encoder.of_splats(splats, layout, dtype)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(FEW_ROWS, -1)
@@ -110,7 +110,7 @@ def test_compiled_encoding_gives_the_bytes_of_numpy(rest, seed, data):
 
 @pytest.mark.parametrize("degree", [0, 3])
 def test_large_files_come_back_through_the_compiled_loops(tmp_path, degree):
-    splats = random_splats(20_000, degree)
+    splats = extreme_splats(20_000, degree)
     write_splats(tmp_path / "a.ply", splats)
     loaded, file = load_splats(tmp_path / "a.ply"), read_splats(tmp_path / "a.ply")
     for (name, wrote), (_, read) in zip(splats.fields(), loaded.fields(), strict=True):
@@ -121,7 +121,7 @@ def test_large_files_come_back_through_the_compiled_loops(tmp_path, degree):
 
 
 def test_loading_refuses_what_reading_refuses(tmp_path):
-    write_splats(tmp_path / "a.ply", random_splats(9000, 0))
+    write_splats(tmp_path / "a.ply", extreme_splats(9000, 0))
     content = (tmp_path / "a.ply").read_bytes()
     (tmp_path / "a.ply").write_bytes(content[:-1])
     with pytest.raises(PlyError, match="truncated"):
@@ -129,7 +129,7 @@ def test_loading_refuses_what_reading_refuses(tmp_path):
 
 
 def test_a_bad_value_in_a_large_set_leaves_the_old_file(tmp_path):
-    splats = random_splats(60_000, 0)
+    splats = extreme_splats(60_000, 0)
     splats.opacities[30_000] = 2.0
     splats.opacities[59_999] = float("nan")
     (tmp_path / "a.ply").write_bytes(b"old")
@@ -163,7 +163,7 @@ def test_every_row_is_visited_once_and_the_first_failure_is_raised(count, row_si
 
 
 def test_values_beyond_float32_are_refused_not_written_as_infinities(tmp_path):
-    splats = make_splats(3)
+    splats = random_splats(3)
     means = splats.means.double().clone()
     means[1, 2] = 1e300
     double = Splats(**{name: value.double() for name, value in splats.fields()} | {"means": means})

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from gscomplete.errors import UserError
 from gscomplete.splats import PlyError, append_splats, read_splats
 from gscomplete.splats.validation import validate_file
-from tests.splats.ply_files import FORMATS, make_ply, make_splats, random_table, schema
+from tests.builders.objects import random_splats
+from tests.builders.ply_files import FORMATS, make_ply, random_table, schema
 
 DATA = (Path(__file__).resolve().parents[2] / "../shared/data").resolve()
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="shared/data is absent")
@@ -161,7 +162,7 @@ def test_mutated_files_read_or_give_a_user_error(tmp_path, form, mutations):
     except UserError:
         return
     if not any("integer" in warning for warning in file.warnings):
-        append_splats(tmp_path / "n.ply", file, make_splats(1))
+        append_splats(tmp_path / "n.ply", file, random_splats(1))
         assert read_splats(tmp_path / "n.ply").n_rows == file.n_rows + 1
 
 

@@ -15,6 +15,7 @@ from gscomplete.splats.transform import (
     quaternion_from_rotation,
     transform_splats,
 )
+from tests.builders.objects import random_splats
 
 HALF_TURNS = [torch.diag(torch.tensor(d)) for d in ([1.0, -1, -1], [-1.0, 1, -1], [-1.0, -1, 1])]
 
@@ -36,17 +37,6 @@ def random_similarity(seed: int) -> Similarity:
     scale = 10 ** (4 * torch.rand(1, generator=generator).item() - 2)
     translation = torch.randn(3, generator=generator, dtype=torch.float64) * 10
     return Similarity(scale, matrix_of(quaternion / quaternion.norm()), translation)
-
-
-def random_splats(count: int, seed: int) -> Splats:
-    generator = torch.Generator().manual_seed(seed)
-
-    def normal(*shape: int) -> torch.Tensor:
-        return torch.randn(*shape, generator=generator, dtype=torch.float64)
-
-    quaternions = torch.nn.functional.normalize(normal(count, 4), dim=1)
-    sh = normal(count, 16, 3)
-    return Splats(normal(count, 3), quaternions, normal(count, 3).exp(), sh[:, 0, 0].sigmoid(), sh)
 
 
 @settings(max_examples=30, deadline=None)

@@ -7,7 +7,7 @@ import torch
 
 from gscomplete.errors import UserError
 from gscomplete.splats.working_set import working_set
-from tests.completion.oracle import ball
+from tests.builders.objects import ball
 
 
 def test_thinning_keeps_the_covered_area_and_counts_what_it_leaves_out():

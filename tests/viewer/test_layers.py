@@ -8,15 +8,16 @@ from gscomplete.errors import UserError
 from gscomplete.splats import append_splats, read_splats, write_splats
 from gscomplete.viewer.layers import read_scene
 from gscomplete.views import ObjectFrame, ViewDistribution
-from tests.folders.object_folders import write_object_folder
-from tests.splats.ply_files import make_ply, make_splats, random_table
+from tests.builders.folders import write_object_folder
+from tests.builders.objects import random_splats
+from tests.builders.ply_files import make_ply, random_table
 
 
 def write_run(folder, p=5, new=7, **changes):
     folder.mkdir()
-    write_splats(folder / "partial.ply", make_splats(p))
+    write_splats(folder / "partial.ply", random_splats(p))
     append_splats(
-        folder / "completed.ply", read_splats(folder / "partial.ply"), make_splats(new, seed=1)
+        folder / "completed.ply", read_splats(folder / "partial.ply"), random_splats(new, seed=1)
     )
     record = {
         "status": "finished",
@@ -35,7 +36,7 @@ def test_a_run_gives_p_and_what_was_added_in_its_frame(tmp_path):
     assert [(layer.name, len(layer.splats)) for layer in scene.layers] == [("P", 5), ("new", 7)]
     assert scene.views == ViewDistribution(30.0, 10.0)
     frame = ObjectFrame("Y", (1.0, 2.0, 3.0), 2.0).object_from_file
-    expected = frame.apply(make_splats(5).means.double()).float()
+    expected = frame.apply(random_splats(5).means.double()).float()
     assert torch.allclose(scene.layers[0].splats.means, expected, atol=1e-6)
 
 
@@ -64,8 +65,8 @@ def test_folders_give_a_layer_per_file_in_one_frame(tmp_path):
     """The first file's box is the frame; equal names are told apart by their folders."""
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
-        write_splats(tmp_path / name / "partial.ply", make_splats(40, seed=ord(name)))
-    write_splats(tmp_path / "b" / "complete.ply", make_splats(50))
+        write_splats(tmp_path / name / "partial.ply", random_splats(40, seed=ord(name)))
+    write_splats(tmp_path / "b" / "complete.ply", random_splats(50))
     scene = read_scene([tmp_path / "a", tmp_path / "b"], "Z", 30)
     assert [layer.name for layer in scene.layers] == ["a/partial", "complete", "b/partial"]
     assert scene.layers[0].note == "40 splats, 30 of them shown, widened to match"
@@ -81,7 +82,7 @@ def test_files_of_equal_names_in_folders_of_equal_names_are_told_apart(tmp_path)
     paths = [tmp_path / name / "mug" / "completed.ply" for name in ("default", "fast")]
     for path in paths:
         path.parent.mkdir(parents=True)
-        write_splats(path, make_splats(10))
+        write_splats(path, random_splats(10))
     scene = read_scene([*paths, paths[0]], "Z", 30)
     names = [layer.name for layer in scene.layers]
     assert names == ["default/mug/completed", "fast/mug/completed", "default/mug/completed (2)"]
@@ -102,13 +103,13 @@ def test_splats_that_cannot_be_drawn_are_left_out_and_counted(tmp_path):
 
 
 def test_hidden_files_of_a_folder_are_no_layers(tmp_path):
-    write_splats(tmp_path / "one.ply", make_splats(5))
+    write_splats(tmp_path / "one.ply", random_splats(5))
     (tmp_path / "._one.ply").write_bytes(b"what macOS leaves")
     assert [layer.name for layer in read_scene([tmp_path], "Z", 100).layers] == ["one"]
 
 
 def test_floaters_do_not_decide_the_frame_and_are_told(tmp_path):
-    splats = make_splats(40)
+    splats = random_splats(40)
     splats.means[:2] = torch.tensor([[1e4, 0.0, 0.0], [0.0, 1e5, 0.0]])
     write_splats(tmp_path / "a.ply", splats)
     layer = read_scene([tmp_path / "a.ply"], "Z", 100).layers[0]
@@ -117,12 +118,12 @@ def test_floaters_do_not_decide_the_frame_and_are_told(tmp_path):
 
 
 def test_an_object_folder_gives_its_files_in_its_frame(tmp_path):
-    folder = write_object_folder(tmp_path / "mug", make_splats(5), make_splats(9))
+    folder = write_object_folder(tmp_path / "mug", random_splats(5), random_splats(9))
     scene = read_scene([folder], "Z", 100)
     assert [(layer.name, len(layer.splats)) for layer in scene.layers] == [
         ("complete", 9), ("partial", 5)
     ]  # fmt: skip
     assert scene.views == ViewDistribution(30.0, 10.0, 40.0, 12.0)
     frame = ObjectFrame("Y", (0.1, 0.0, 0.0), 1.25).object_from_file
-    expected = frame.apply(make_splats(5).means.double()).float()
+    expected = frame.apply(random_splats(5).means.double()).float()
     assert torch.allclose(scene.layers[1].splats.means, expected, atol=1e-6)

@@ -6,12 +6,11 @@ import pytest
 import torch
 
 from gscomplete.errors import UserError
-from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.viewer.layers import Layer, Scene
 from gscomplete.viewer.server import TINTS, camera_fov, covariances, layer_colors, look_from, serve
 from gscomplete.views import ViewDistribution
-from tests.splats.ply_files import make_splats
+from tests.builders.objects import random_splats, round_splats
 
 
 def viser_version() -> str:
@@ -30,7 +29,7 @@ class Page:
 @pytest.fixture
 def viewer():
     pytest.importorskip("viser")
-    layers = (Layer("P", make_splats(30), ""), Layer("new", make_splats(20, seed=1), ""))
+    layers = (Layer("P", random_splats(30), ""), Layer("new", random_splats(20, seed=1), ""))
     started = serve(Scene(layers, ViewDistribution(30.0, 15.0)), "127.0.0.1", 18080)
     yield started
     started.server.stop()
@@ -81,7 +80,7 @@ def test_boxes_hide_layers_and_the_list_colours_them(viewer):
 
 
 def test_covariances_are_the_splats_second_moments():
-    splats = make_splats(20)
+    splats = random_splats(20)
     axes = rotation_matrices(splats.quaternions.double())
     expected = axes @ torch.diag_embed(splats.scales.double() ** 2) @ axes.transpose(1, 2)
     assert np.allclose(covariances(splats), expected.numpy(), rtol=1e-5, atol=1e-7)
@@ -89,13 +88,7 @@ def test_covariances_are_the_splats_second_moments():
 
 def test_tints_keep_the_order_of_lightness_and_tell_layers_apart():
     grey = torch.linspace(0.1, 0.9, 5)[:, None].expand(5, 3).contiguous()
-    splats = Splats(
-        torch.zeros(5, 3),
-        torch.tensor([[1.0, 0, 0, 0]]).repeat(5, 1),
-        torch.full((5, 3), 0.1),
-        torch.full((5,), 0.9),
-        colors_to_sh(grey),
-    )
+    splats = round_splats(torch.zeros(5, 3), color=grey)
     assert np.allclose(layer_colors(splats, "own", 0), grey.numpy(), atol=1e-5)
     tinted = [layer_colors(splats, "tints", place) for place in range(len(TINTS))]
     for colors in tinted:
@@ -121,7 +114,7 @@ def test_without_viser_the_user_is_told_what_to_install(monkeypatch):
 
 def test_no_layer_lies_below_another_one():
     pytest.importorskip("viser")
-    layers = (Layer("mug", make_splats(3), ""), Layer("mug/partial", make_splats(3), ""))
+    layers = (Layer("mug", random_splats(3), ""), Layer("mug/partial", random_splats(3), ""))
     started = serve(Scene(layers, None), "127.0.0.1", 18081)
     try:
         first, second = (started.drawn[layer.name].name for layer in layers)
@@ -133,7 +126,7 @@ def test_no_layer_lies_below_another_one():
 def test_fine_splats_keep_their_shape_in_half_precision(viewer):
     from gscomplete.viewer.server import _MAGNIFIED
 
-    fine = make_splats(50)
+    fine = random_splats(50)
     fine = dataclasses.replace(fine, scales=torch.tensor([[2e-3, 1e-3, 2e-4]]).expand(50, 3))
     sent = (_MAGNIFIED**2 * covariances(fine)).astype(np.float16).astype(np.float64)
     found = np.sqrt(np.linalg.eigvalsh(sent).clip(0))[:, ::-1] / _MAGNIFIED

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from gscomplete.errors import UserError
 from gscomplete.splats.transform import transform_splats
 from gscomplete.views import ObjectFrame, up_rotation
-from tests.splats.ply_files import make_splats
+from tests.builders.objects import random_splats
 
 AXES = ["X", "Y", "Z", "-X", "-Y", "-Z"]
 far = st.floats(-1e6, 1e6)
@@ -85,7 +85,7 @@ def test_bad_values_are_named() -> None:
 
 
 def test_the_frame_of_splats_holds_the_middle_of_their_centres() -> None:
-    splats = make_splats(5000)
+    splats = random_splats(5000)
     moved = transform_splats(splats, ObjectFrame.about(splats, "Y").object_from_file).means
     outside = (moved.abs() > 0.5 + 1e-5).float().mean(dim=0)
     assert float(outside.max()) == pytest.approx(0.001, abs=0.0003)  # whole splats: 2 or 3 a side
@@ -95,7 +95,7 @@ def test_the_frame_of_splats_holds_the_middle_of_their_centres() -> None:
 
 def test_floaters_do_not_decide_the_frame_and_are_counted() -> None:
     """Of 300 splats the middle 99.9 % would reach to any of five."""
-    splats = make_splats(300)
+    splats = random_splats(300)
     far_away = torch.tensor([[1e3, 0, 0], [50, 40, 0], [0, 0, -1e5], [1e3, 1, 0], [0, 1e3, 0]])
     means = torch.cat([splats.means[:295], far_away])
     frame = ObjectFrame.without_floaters(dataclasses.replace(splats, means=means), "Y")
@@ -105,7 +105,7 @@ def test_floaters_do_not_decide_the_frame_and_are_counted() -> None:
 
 
 def test_one_splat_that_is_far_too_large_does_not_shrink_the_object() -> None:
-    splats = make_splats(30)
+    splats = random_splats(30)
     expected = ObjectFrame.about(splats, "Z")
     scales = splats.scales.clone()
     scales[3] = 1000.0

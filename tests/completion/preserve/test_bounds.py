@@ -16,8 +16,9 @@ from gscomplete.completion.settings import HardPreservationSettings
 from gscomplete.errors import UserError
 from gscomplete.evaluate.metrics import MID_GREY, preservation, preservation_of_renders
 from gscomplete.render import render
-from gscomplete.splats import Splats, colors_to_sh, concatenate
+from gscomplete.splats import Splats, concatenate
 from gscomplete.views import ViewDistribution
+from tests.builders.objects import round_splats
 
 SMALL = HardPreservationSettings(check_px=48, fit_px=32, check_views=6, fit_views=4, steps=6)
 VIEWS = ViewDistribution(0.0, 10.0, azimuth_range_deg=30.0)
@@ -27,14 +28,8 @@ def wall(x: float, color: tuple[float, float, float], side: int = 12, seed: int 
     """A square of round splats across the x axis, at ``x``; V looks from +x."""
     line = torch.linspace(-0.3, 0.3, side)
     y, z = (grid.flatten() for grid in torch.meshgrid(line, line, indexing="ij"))
-    count = side * side
-    return Splats(
-        torch.stack([torch.full((count,), x), y, z], dim=1),
-        torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(count, 1),
-        torch.full((count, 3), 0.03),
-        torch.full((count,), 0.95),
-        colors_to_sh(torch.tensor([color]).repeat(count, 1)),
-    )
+    places = torch.stack([torch.full((side * side,), x), y, z], dim=1)
+    return round_splats(places, opacity=0.95, color=color)
 
 
 PARTIAL = wall(0.2, (0.8, 0.2, 0.1))
@@ -150,13 +145,7 @@ def test_a_bound_near_zero_is_reached_by_removing_what_is_in_the_way(monkeypatch
 
 def test_opaque_splats_that_fill_the_picture_are_found():
     # Everywhere at the renderer's largest alpha, where opacities get no gradient.
-    giant = Splats(
-        torch.tensor([[0.6, 0.0, 0.0]]),
-        torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
-        torch.full((1, 3), 50.0),
-        torch.ones(1),
-        colors_to_sh(torch.tensor([[0.1, 0.9, 0.1]])),
-    )
+    giant = round_splats([[0.6, 0.0, 0.0]], scale=50.0, opacity=1.0, color=(0.1, 0.9, 0.1))
     result = preserve_hard(giant, PARTIAL, VIEWS, dataclasses.replace(SMALL, rounds=0))
     assert result.report.before.color > 0.1
     assert result.report.met

@@ -9,8 +9,9 @@ from gscomplete.completion.preserve.fit import RoundProblem, fit_round
 from gscomplete.completion.settings import HardPreservationSettings
 from gscomplete.evaluate.metrics import MID_GREY
 from gscomplete.render import Render, prepare_frozen, render
-from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.splats import Splats
 from gscomplete.views import Cameras, ViewDistribution, join_cameras
+from tests.builders.objects import round_splats
 
 SIZE_PX = 16
 GREY = torch.tensor(MID_GREY)
@@ -21,13 +22,8 @@ OUTSIDE = ViewDistribution(180.0, 10.0, azimuth_range_deg=30.0)
 def balls(x: float, opacity: float, scale: float, count: int = 3) -> Splats:
     """A few round splats side by side across the x axis."""
     y = torch.linspace(-0.2, 0.2, count)
-    return Splats(
-        torch.stack([torch.full((count,), x), y, torch.zeros(count)], dim=1),
-        torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(count, 1),
-        torch.full((count, 3), scale),
-        torch.full((count,), opacity),
-        colors_to_sh(torch.tensor([[0.9, 0.2, 0.1]]).repeat(count, 1)),
-    )
+    places = torch.stack([torch.full((count,), x), y, torch.zeros(count)], dim=1)
+    return round_splats(places, scale=scale, opacity=opacity, color=(0.9, 0.2, 0.1))
 
 
 PARTIAL = balls(0.2, 0.9, 0.1)

@@ -7,7 +7,7 @@ from gscomplete.priors.embedded.inputs import (
     network_images,
     resize_images,
 )
-from tests.priors.embedded.tiny import ring_views
+from tests.builders.tiny_denoiser import ring_views
 
 
 @pytest.mark.parametrize("size", [8, 16, 32, 48])

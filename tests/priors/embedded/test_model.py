@@ -13,7 +13,7 @@ from gscomplete.priors.embedded.rays import ring_rays
 from gscomplete.render import render
 from gscomplete.splats import Splats
 from gscomplete.views import four_view_orbit
-from tests.priors.embedded.tiny import TINY, tiny_model
+from tests.builders.tiny_denoiser import TINY, tiny_model
 
 
 def inputs(batch=2, seed=0):

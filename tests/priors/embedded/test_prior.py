@@ -9,8 +9,8 @@ from gscomplete.priors.base import prior_identity
 from gscomplete.priors.embedded.prior import EmbeddedPrior
 from gscomplete.priors.embedded.weights import save_weights
 from gscomplete.views import ViewDistribution
-from tests.priors.embedded.tiny import ring_views, tiny_config, tiny_model
-from tests.shape.shapes import half, sphere
+from tests.builders.objects import ball, half
+from tests.builders.tiny_denoiser import ring_views, tiny_config, tiny_model
 
 
 @pytest.fixture(scope="module")
@@ -183,7 +183,7 @@ def test_the_shape_network_runs_in_the_precision_of_the_cpu(monkeypatch):
 def test_a_part_that_ends_squarely_at_a_plane_is_mirrored_through_it():
     prior = load_prior("embedded")
     views, conditioning = ViewDistribution(180.0, 10.0), prior.condition("a ball")
-    part = half(sphere(4000))
+    part = half(ball(4000))
     guess = prior.first_guess(part, views, conditioning, generator(), 2000)
     assert "squarely" in guess.notes[0]
     mirrored = part.means * torch.tensor([-1.0, 1.0, 1.0])
@@ -196,10 +196,12 @@ def test_a_part_that_ends_squarely_at_a_plane_is_mirrored_through_it():
 def test_nothing_is_added_to_a_closed_surface_unless_asked():
     prior = load_prior("embedded")
     views, conditioning = ViewDistribution(0.0, 10.0), prior.condition("a ball")
-    ball = sphere(2000)
-    closed = prior.first_guess(ball, views, conditioning, generator(), 500)
+    complete = ball(2000)
+    closed = prior.first_guess(complete, views, conditioning, generator(), 500)
     assert len(closed.splats) == 0
     assert "complete" in closed.notes[0]
-    assert len(prior.first_guess(half(ball), views, conditioning, generator(), 500).splats) > 100
-    asked = prior.first_guess(ball, views, conditioning, generator(), 500, "none")
+    assert (
+        len(prior.first_guess(half(complete), views, conditioning, generator(), 500).splats) > 100
+    )
+    asked = prior.first_guess(complete, views, conditioning, generator(), 500, "none")
     assert "complete" not in asked.notes[0]

@@ -14,7 +14,7 @@ from gscomplete.priors.embedded.weights import (
     unpack_tensors,
     words_digest,
 )
-from tests.priors.embedded.tiny import tiny_config, tiny_model
+from tests.builders.tiny_denoiser import tiny_config, tiny_model
 
 
 @pytest.fixture

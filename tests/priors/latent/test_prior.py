@@ -20,13 +20,8 @@ from gscomplete.priors.mvdream.model import build_vae
 from gscomplete.priors.mvdream.prior import NEGATIVE_PROMPT, mvdream_prior
 from gscomplete.priors.mvdream.weights import open_weights
 from gscomplete.views import four_view_orbit
+from tests.builders.tiny_mvdream import TINY_VIEWS, component, original_tensors, write_original
 from tests.priors.mvdream import reference
-from tests.priors.mvdream.tiny import (
-    TINY_VIEWS,
-    component,
-    original_tensors,
-    write_original,
-)
 
 CPU = torch.device("cpu")
 PROMPT = "a red mug"

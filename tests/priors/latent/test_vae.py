@@ -8,7 +8,7 @@ pytest.importorskip("diffusers", reason="the extra gscomplete[mvdream] is not in
 from gscomplete.priors.latent.settings import PLANS
 from gscomplete.priors.latent.vae import LatentCodec
 from gscomplete.priors.mvdream.model import build_vae
-from tests.priors.mvdream.tiny import TINY
+from tests.builders.tiny_mvdream import TINY
 
 
 @pytest.mark.parametrize("memory", list(PLANS))

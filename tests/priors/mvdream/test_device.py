@@ -18,8 +18,8 @@ from gscomplete.priors.mvdream.weights import open_weights
 from gscomplete.render import cuda
 from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution
-from tests.priors.mvdream.tiny import TINY_VIEWS, write_original
-from tests.simulated_gpu import simulated_gpu
+from tests.builders.simulated_gpu import simulated_gpu
+from tests.builders.tiny_mvdream import TINY_VIEWS, write_original
 
 NEW = 30
 

@@ -12,10 +12,10 @@ from gscomplete.completion.presets import PAPER, preset
 from gscomplete.fitting.settings import DensifySettings
 from gscomplete.priors.mvdream.prior import mvdream_prior
 from gscomplete.priors.mvdream.weights import open_weights
-from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.views import ViewDistribution
-from tests.completion.steps import steps_of
-from tests.priors.mvdream.tiny import TINY_VIEWS, write_original
+from tests.builders.objects import ball, half
+from tests.builders.steps import steps_of
+from tests.builders.tiny_mvdream import TINY_VIEWS, write_original
 
 SETTINGS = dataclasses.replace(
     PAPER,
@@ -27,24 +27,11 @@ SETTINGS = dataclasses.replace(
 STOP = 160
 
 
-def half_shell(count: int = 300) -> Splats:
-    g = torch.Generator().manual_seed(0)
-    normal = torch.nn.functional.normalize(torch.randn(count, 3, generator=g), dim=1)
-    normal[:, 0] = normal[:, 0].abs()
-    return Splats(
-        normal * 0.45,
-        torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1),
-        torch.full((count, 3), 0.04),
-        torch.full((count,), 0.9),
-        colors_to_sh(torch.rand(count, 3, generator=g)),
-    )
-
-
 @pytest.fixture(scope="module")
 def make(tmp_path_factory):
     weights = open_weights(write_original(tmp_path_factory.mktemp("weights")))
     prior = mvdream_prior(weights, torch.device("cpu"), views=TINY_VIEWS)
-    conditioning, partial = prior.condition("a red ball"), half_shell()
+    conditioning, partial = prior.condition("a red ball"), half(ball(600, 0.45))
     return lambda: steps_of(partial, prior, conditioning, ViewDistribution(0.0, 10.0), SETTINGS)
 
 

@@ -15,8 +15,8 @@ from gscomplete.priors.mvdream.config import PUBLISHED, MVDreamConfig, TextConfi
 from gscomplete.priors.mvdream.model import build_text_tower, build_unet, build_vae, load_strictly
 from gscomplete.priors.mvdream.store import MVDREAM
 from gscomplete.priors.mvdream.weights import COMPONENTS, component_sources, expected_original
+from tests.builders.tiny_mvdream import TINY, component, original_tensors
 from tests.priors.mvdream import reference
-from tests.priors.mvdream.tiny import TINY, component, original_tensors
 
 SHARED = Path(__file__).resolve().parents[4] / "shared/mvdream"
 LISTS = {

@@ -22,8 +22,8 @@ from gscomplete.priors.mvdream.cameras import camera_matrices
 from gscomplete.priors.mvdream.config import UNetConfig
 from gscomplete.priors.mvdream.model import MultiViewUNet, build_unet, load_strictly
 from gscomplete.views import four_view_orbit
+from tests.builders.tiny_mvdream import random_tensors
 from tests.priors.mvdream import reference
-from tests.priors.mvdream.tiny import random_tensors
 
 SHARED = Path(__file__).resolve().parents[4] / "shared/mvdream"
 FIXTURES = sorted(path.parent for path in SHARED.glob("*/io.safetensors"))

@@ -13,7 +13,7 @@ from gscomplete.errors import UserError
 from gscomplete.priors.mvdream import store, weights
 from gscomplete.priors.mvdream.store import MVDREAM, fetch_mvdream, find_mvdream
 from gscomplete.priors.mvdream.weights import open_weights
-from tests.priors.mvdream.tiny import TINY, write_original
+from tests.builders.tiny_mvdream import TINY, write_original
 
 
 class Hub(types.ModuleType):

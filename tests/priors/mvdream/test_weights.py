@@ -20,7 +20,7 @@ from gscomplete.priors.mvdream.weights import (
     is_mvdream_folder,
     open_weights,
 )
-from tests.priors.mvdream.tiny import TINY, original_tensors, write_folder, write_original
+from tests.builders.tiny_mvdream import TINY, original_tensors, write_folder, write_original
 
 
 @pytest.fixture(scope="module")

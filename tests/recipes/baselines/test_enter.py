@@ -14,7 +14,7 @@ from recipes.baselines.enter import Options, enter, find_result
 from recipes.baselines.registry import SYSTEMS
 from splatcomplete_data.mesh.convert import convert_mesh
 from splatcomplete_data.mesh.files.load import load_mesh
-from tests.folders.object_folders import write_object_folder
+from tests.builders.folders import write_object_folder
 
 trimesh = pytest.importorskip("trimesh")
 

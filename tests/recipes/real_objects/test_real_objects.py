@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gscomplete.errors import UserError
-from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.views import ObjectFrame, up_rotation
 from recipes.real_objects.catalogue import ENTRIES, BoxCut, Entry, PlaneCut, ScanCut
 from recipes.real_objects.load import (
@@ -21,6 +20,7 @@ from recipes.real_objects.load import (
     manifest_captions,
     names,
 )
+from tests.builders.objects import box
 
 DATA = Path(__file__).resolve().parents[3] / "../shared/data"
 
@@ -28,17 +28,6 @@ DATA = Path(__file__).resolve().parents[3] / "../shared/data"
 def need_data() -> None:
     if not (DATA / "MANIFEST.tsv").is_file():
         pytest.skip("real data are not here (../shared/data)")
-
-
-def box_splats(up: str, count: int = 4000) -> Splats:
-    """Splats in a box of 4 x 2 x 1 (z up), away from the origin, in the axes that ``up`` names."""
-    generator = torch.Generator().manual_seed(0)
-    points = torch.rand(count, 3, generator=generator) * torch.tensor([4.0, 2.0, 1.0])
-    means = points @ up_rotation(up).float() + 50.0  # type: ignore[arg-type]
-    quaternions = torch.zeros(count, 4)
-    quaternions[:, 0] = 1.0
-    grey = colors_to_sh(torch.full((count, 3), 0.5))
-    return Splats(means, quaternions, torch.full((count, 3), 0.05), torch.ones(count), grey)
 
 
 def test_table_is_wide_enough() -> None:
@@ -72,7 +61,7 @@ def test_unknown_names_and_missing_data_are_user_errors(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("up", ["X", "Y", "Z", "-X", "-Y", "-Z"])
 def test_cuts_are_made_in_the_object_frame(up: str) -> None:
-    splats = box_splats(up)
+    splats = box(up)
     frame = ObjectFrame.about(splats, up)  # type: ignore[arg-type]
     assert frame.size_file == pytest.approx(4.0, abs=0.02)
     along = (splats.means - 50.0) @ up_rotation(up).float().T  # type: ignore[arg-type]

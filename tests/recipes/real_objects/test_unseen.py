@@ -5,18 +5,18 @@ import pytest
 import torch
 
 from recipes.real_objects.unseen import Options, chosen_entries, main, part_of
-from tests.recipes.train_embedded_prior.packs import write_pack
-from tests.shape.shapes import sphere
+from tests.builders.mesh_pack import write_pack
+from tests.builders.objects import ball
 
 
 def test_parts_of_every_kind_keep_a_part():
-    ball = sphere()
+    complete = ball()
     kept = {}
     for kind in ("scan", "arc", "half", "box", "complete", "middle"):
-        part = part_of(ball, kind, np.random.default_rng(1))
-        again = part_of(ball, kind, np.random.default_rng(1))
+        part = part_of(complete, kind, np.random.default_rng(1))
+        again = part_of(complete, kind, np.random.default_rng(1))
         assert torch.equal(part.means, again.means)
-        kept[kind] = len(part) / len(ball)
+        kept[kind] = len(part) / len(complete)
     assert kept["complete"] == 1.0
     # A view of a ball shows less than half of it, an arc more; the box takes 40 % away.
     assert 0.25 < kept["scan"] < 0.5 < kept["arc"] < 0.9

@@ -21,7 +21,7 @@ from recipes.real_objects.validation import (
     table,
     turned_object,
 )
-from tests.recipes.real_objects.test_real_objects import box_splats
+from tests.builders.objects import box
 
 
 def test_parts_are_three_of_every_object_that_the_benchmark_leaves_alone() -> None:
@@ -35,7 +35,7 @@ def test_parts_are_three_of_every_object_that_the_benchmark_leaves_alone() -> No
 def test_slight_parts_lack_little_the_last_of_each_nothing() -> None:
     found = parts(slight=True)
     assert [part.name for part in found] == [part.name for part in parts()]
-    whole = box_splats("Y")
+    whole = box("Y")
     for part in found[2::3]:
         assert cut_object(whole, dataclasses.replace(part, up="Y")).kept == len(whole)
     for part, sides in zip(found, [4, 3, 0] * 15, strict=True):
@@ -53,7 +53,7 @@ def test_scans_and_boxes_take_the_far_side_away() -> None:
 
 
 def test_a_turned_object_stands_as_before_and_keeps_its_part() -> None:
-    whole = box_splats("Y")
+    whole = box("Y")
     part = whole.select(torch.arange(len(whole)) % 3 == 0)
     item = RealObject("box", "a box", "Y", part, whole, "every third")
     turned = turned_object(item, 40.0)

@@ -4,13 +4,14 @@ import pytest
 from gscomplete.shape.symmetry_features import ANGLES, OFFSETS
 from gscomplete.shape.voxels import CELLS
 from recipes.train_embedded_prior.data.copies import Truth, cells_away
-from tests.shape.shapes import half, mirrors, sphere
+from tests.builders.objects import ball, half
+from tests.builders.shape_network import mirrors
 
 MIDDLE = OFFSETS.index(0.0)
 
 
 def test_a_copy_is_worth_what_it_shows_of_the_missing():
-    truth = Truth.of(half(sphere()), sphere())
+    truth = Truth.of(half(ball()), ball())
     worth = truth.plane_worths()
     assert worth.shape == (ANGLES, len(OFFSETS))
     assert worth[0, MIDDLE] > 0.9  # the cut itself: all of the other half
@@ -19,7 +20,7 @@ def test_a_copy_is_worth_what_it_shows_of_the_missing():
 
 
 def test_maps_are_worth_what_their_planes_are():
-    truth = Truth.of(half(sphere()), sphere())
+    truth = Truth.of(half(ball()), ball())
     worth = truth.plane_worths()
     across, along, turned = mirrors()
     # Points on the border of two cells may fall on the other side.
@@ -29,7 +30,7 @@ def test_maps_are_worth_what_their_planes_are():
 
 
 def test_nothing_missing_is_worth_nothing():
-    worth = Truth.of(sphere(), sphere()).plane_worths()
+    worth = Truth.of(ball(), ball()).plane_worths()
     assert not worth.any()
     assert np.isfinite(worth).all()
 

@@ -5,7 +5,7 @@ import torch
 from gscomplete.priors.embedded.text import Tokenizer
 from recipes.train_embedded_prior.config import DataConfig, TrainConfig
 from recipes.train_embedded_prior.data.dataset import SetMaker, decode_sets, sample_ring
-from tests.recipes.train_embedded_prior.stub import DATA, WORDS, stub_source
+from tests.builders.training import DATA, WORDS, stub_source
 
 
 def maker(seed=0):

@@ -17,7 +17,7 @@ from recipes.train_embedded_prior.export import (
 from recipes.train_embedded_prior.shape_task import ShapeTask
 from recipes.train_embedded_prior.state import TrainState, open_run
 from recipes.train_embedded_prior.views_task import ViewsTask
-from tests.recipes.train_embedded_prior.stub import WORDS, stub_source, tiny_run, tiny_shape_run
+from tests.builders.training import WORDS, stub_source, tiny_run, tiny_shape_run
 
 
 def trained(task, steps=0):

@@ -3,7 +3,7 @@ import pytest
 
 from gscomplete.errors import UserError
 from recipes.train_embedded_prior.data.mesh_pack import read_manifest, read_mesh
-from tests.recipes.train_embedded_prior.packs import write_pack
+from tests.builders.mesh_pack import write_pack
 
 
 def test_meshes_come_centred_with_their_colours(tmp_path):

@@ -8,7 +8,7 @@ from recipes.train_embedded_prior.data.dataset import HELD_OUT_SEED_OFFSET
 from recipes.train_embedded_prior.data.mesh_source import MixedSource
 from recipes.train_embedded_prior.data.source import frequent_words
 from recipes.train_embedded_prior.data.user_parts import user_part
-from tests.recipes.train_embedded_prior.packs import write_pack
+from tests.builders.mesh_pack import write_pack
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ from recipes.train_embedded_prior.shape_task import (
 )
 from recipes.train_embedded_prior.state import open_run
 from recipes.train_embedded_prior.train import train
-from tests.recipes.train_embedded_prior.stub import WORDS, stub_source, tiny_shape_run
+from tests.builders.training import WORDS, stub_source, tiny_shape_run
 
 
 def run(config, source=stub_source):

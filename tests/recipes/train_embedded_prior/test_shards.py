@@ -3,7 +3,7 @@ import pytest
 
 from gscomplete.errors import UserError
 from recipes.train_embedded_prior.data.shards import ShardReader, ShardSpec
-from tests.recipes.train_embedded_prior.stub import DATA, WORDS, stub_source
+from tests.builders.training import DATA, WORDS, stub_source
 
 
 def failing_source(seed, index):

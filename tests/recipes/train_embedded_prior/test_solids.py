@@ -3,7 +3,7 @@ import pytest
 
 from gscomplete.shape.voxels import CELL_SIDE, CELLS, splat_arrays
 from recipes.train_embedded_prior.data.solids import fill_inside, fill_shell, solid_cells
-from tests.shape.shapes import sphere
+from tests.builders.objects import ball
 
 
 def test_a_sphere_is_filled_and_a_cup_is_not():
@@ -19,7 +19,7 @@ def test_a_sphere_is_filled_and_a_cup_is_not():
 
 
 def test_a_closed_shell_is_filled_and_an_open_one_is_not():
-    positions, tangents, *_ = splat_arrays(sphere())
+    positions, tangents, *_ = splat_arrays(ball())
     shell = fill_shell(positions, tangents, CELLS, 1.5)
     middle = (CELLS // 2,) * 3
     assert fill_inside(shell)[middle] == 1
@@ -30,12 +30,12 @@ def test_a_closed_shell_is_filled_and_an_open_one_is_not():
 
 
 def test_what_is_not_finite_fills_nothing():
-    positions, tangents, *_ = splat_arrays(sphere(200))
+    positions, tangents, *_ = splat_arrays(ball(200))
     assert fill_shell(np.full_like(positions, np.nan), tangents, CELLS, 1.2).sum() == 0
 
 
 def test_a_narrow_gap_between_two_bodies_stays_empty():
-    first = sphere(20000)
+    first = ball(20000)
     positions, _tangents, *_ = splat_arrays(first)
     radius = np.linalg.norm(positions, axis=1).max()
     small = (0.2 / radius) * positions
@@ -52,7 +52,7 @@ def test_a_narrow_gap_between_two_bodies_stays_empty():
 
 
 def test_a_hole_in_a_thick_body_does_not_empty_it():
-    positions, *_ = splat_arrays(sphere(20000))
+    positions, *_ = splat_arrays(ball(20000))
     radius = np.linalg.norm(positions, axis=1).max()
     body = (0.4 / radius) * positions
     axis = np.linalg.norm(body[:, :2], axis=1)

@@ -14,7 +14,7 @@ from recipes.train_embedded_prior.state import open_run
 from recipes.train_embedded_prior.train import learning_rate
 from recipes.train_embedded_prior.train import train as train_task
 from recipes.train_embedded_prior.views_task import ViewsTask, draw_step_noise
-from tests.recipes.train_embedded_prior.stub import WORDS, stub_source, tiny_run
+from tests.builders.training import WORDS, stub_source, tiny_run
 
 
 def train(config, source, words):

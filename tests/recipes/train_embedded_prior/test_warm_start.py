@@ -14,7 +14,7 @@ from recipes.train_embedded_prior.state import TrainState, open_run
 from recipes.train_embedded_prior.train import train
 from recipes.train_embedded_prior.views_task import ViewsTask
 from recipes.train_embedded_prior.warm_start import fill, start_weights
-from tests.recipes.train_embedded_prior.stub import WORDS, stub_source, tiny_run, tiny_shape_run
+from tests.builders.training import WORDS, stub_source, tiny_run, tiny_shape_run
 
 ROOMY = ShapeModelConfig(vocabulary_size=9, widths=(8, 8, 16), blocks=(1, 1, 1), embedding=8)
 

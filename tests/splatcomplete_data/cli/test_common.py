@@ -10,7 +10,7 @@ from gscomplete.cli.program import Command
 from gscomplete.cli.request import given_to
 from gscomplete.splats import write_splats
 from splatcomplete_data import cli
-from tests.splatcomplete_data.balls import BALL
+from tests.builders.objects import BALL
 
 
 @pytest.mark.parametrize("prompt", ['a "ball" of Ann\'s $HOME', "-1 degrees"])

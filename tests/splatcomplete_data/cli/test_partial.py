@@ -9,7 +9,7 @@ import trimesh
 from gscomplete.splats import Similarity, read_splats, write_splats
 from splatcomplete_data import cli
 from splatcomplete_data.formats import write_any_splats
-from tests.splatcomplete_data.balls import BALL
+from tests.builders.objects import BALL
 
 
 def file_with(path, means, rows):

@@ -110,7 +110,7 @@ def test_a_pcd_says_where_the_scanner_stood(tmp_path, words, given, side):
 
 
 def test_proposed_clusters_lead_to_their_objects(tmp_path, capsys):
-    from tests.splatcomplete_data.scan.table_top import EYE, box, table_top
+    from tests.builders.table_top import EYE, box, table_top
 
     scene = table_top([box((-0.2, 0), (0.15, 0.15, 0.2)), box((0.25, 0), (0.1, 0.1, 0.12))])
     np.savetxt(tmp_path / "a.xyz", scene.points)

@@ -6,9 +6,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gscomplete.splats import concatenate
 from gscomplete.splats.record import Splats
 from splatcomplete_data.cuts.geometry import by_box, by_plane, by_visibility, crop
-from tests.splatcomplete_data.balls import BALL, ball
+from tests.builders.objects import BALL, ball, round_splats
 
 
 @settings(max_examples=40, deadline=None)
@@ -75,9 +76,7 @@ def test_more_views_see_more_and_all_round_sees_all():
 
 def test_an_inner_wall_is_hidden_from_outside():
     shell, core = ball(6000, 0.5), ball(1000, 0.3)
-    both = Splats(
-        *(torch.cat([a, b]) for (_, a), (_, b) in zip(shell.fields(), core.fields(), strict=True))
-    )
+    both = concatenate([shell, core])
     six = np.concatenate([2 * np.eye(3), -2 * np.eye(3)])
     mask = by_visibility(both, six).mask
     assert mask[:6000].float().mean() > 0.99
@@ -98,12 +97,11 @@ def test_visibility_of_nothing_and_wrong_positions():
 
 def pair(opacity: float) -> Splats:
     """Two balls on the x axis, the one in front of the given opacity, seen from +x."""
-    return Splats(
-        torch.tensor([[0.5, 0.0, 0.0], [-0.5, 0.0, 0.0]]),
-        torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(2, 1),
-        torch.full((2, 3), 0.2),
-        torch.tensor([opacity, 0.9]),
-        torch.zeros(2, 1, 3),
+    return concatenate(
+        [
+            round_splats([[0.5, 0.0, 0.0]], scale=0.2, opacity=opacity),
+            round_splats([[-0.5, 0.0, 0.0]], scale=0.2),
+        ]
     )
 
 

@@ -10,24 +10,14 @@ from gscomplete.splats import Splats, concatenate
 from gscomplete.views import ObjectFrame
 from splatcomplete_data.cuts.boxes import parse_box
 from splatcomplete_data.cuts.named import BoxCut, PlaneCut, ScanCut, apply_cuts, parse_cut
-from tests.splatcomplete_data.balls import BALL
+from tests.builders.objects import BALL, ball
 
 FRAME = ObjectFrame("Y", (10.0, 0.0, 0.0), 2.0)
 
 
 def shell(count: int = 3000) -> Splats:
     """A sphere of radius 1 about x = 10, in a y-up file frame."""
-    generator = torch.Generator().manual_seed(0)
-    points = torch.nn.functional.normalize(torch.randn(count, 3, generator=generator), dim=1)
-    quaternions = torch.zeros(count, 4)
-    quaternions[:, 0] = 1
-    return Splats(
-        points + torch.tensor([10.0, 0, 0]),
-        quaternions,
-        torch.full((count, 3), 0.05),
-        torch.full((count,), 0.95),
-        torch.zeros(count, 1, 3),
-    )
+    return ball(count, 1.0, (10.0, 0.0, 0.0))
 
 
 def test_parse() -> None:

@@ -7,7 +7,7 @@ from splatcomplete_data.cuts.random_cuts import (
     random_partial,
     slight_partial,
 )
-from tests.splatcomplete_data.balls import BALL
+from tests.builders.objects import BALL
 
 
 def test_random_partials_are_repeatable_and_within_their_bounds():

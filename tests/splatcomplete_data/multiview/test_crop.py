@@ -18,7 +18,7 @@ from splatcomplete_data.multiview.crop import kept_rows, write_rows
 from splatcomplete_data.multiview.propose_box import Focus, focus_of_splats, propose_box
 from splatcomplete_data.multiview.reconstruct import SCHEMA
 from splatcomplete_data.multiview.scene import nearest_axis, read_scene
-from tests.splatcomplete_data.multiview import captures
+from tests.builders import captures
 
 TURN = (0.9, 0.1, -0.3, 0.2)
 
@@ -26,7 +26,7 @@ TURN = (0.9, 0.1, -0.3, 0.2)
 def table(height: float = -0.6, count: int = 1500) -> Splats:
     """A flat square of large splats below the ball, 4 x 4."""
     generator = torch.Generator().manual_seed(3)
-    flat = captures.ball(count, seed=1)
+    flat = captures.ball(count)
     place = 4 * torch.rand(count, 3, generator=generator) - 2
     place[:, 2] = height
     scales = torch.tensor([0.1, 0.1, 0.001]).repeat(count, 1)

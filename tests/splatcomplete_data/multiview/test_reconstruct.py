@@ -15,7 +15,7 @@ from splatcomplete_data.cli import main
 from splatcomplete_data.multiview import reconstruct
 from splatcomplete_data.multiview.sfm import structure_from_motion
 from splatcomplete_data.multiview.sfm.structure_from_motion import SfmSettings
-from tests.splatcomplete_data.multiview import captures
+from tests.builders import captures
 
 FLAGS = ["--start", "random", "--steps", "30", "--hold-out", "4", "--max-splats", "500"]
 FLAGS += ["--random-points", "300"]

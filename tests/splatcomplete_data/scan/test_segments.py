@@ -7,7 +7,7 @@ from splatcomplete_data.cuts.boxes import CropBox
 from splatcomplete_data.scan.clean import CleanSettings, Surroundings
 from splatcomplete_data.scan.make import PartSettings, make_part
 from splatcomplete_data.scan.segments import SegmentSettings, object_at, segment
-from tests.splatcomplete_data.scan.table_top import EYE, SPACING, box, table_top
+from tests.builders.table_top import EYE, SPACING, box, table_top
 
 FRONT = box((-0.1, -0.05), (0.2, 0.12, 0.12))
 BEHIND = box((-0.05, 0.11), (0.24, 0.2, 0.3), 0)

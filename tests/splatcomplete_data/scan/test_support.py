@@ -7,7 +7,7 @@ from splatcomplete_data.cuts.boxes import CropBox
 from splatcomplete_data.scan.clean import CleanSettings, Surroundings
 from splatcomplete_data.scan.make import PartSettings, make_part
 from splatcomplete_data.scan.support import PlaneSettings, find_support_planes
-from tests.splatcomplete_data.scan.table_top import EYE, SPACING, box, table_top
+from tests.builders.table_top import EYE, SPACING, box, table_top
 
 ALL_THE_PLANE = PlaneSettings(share=0.02)
 

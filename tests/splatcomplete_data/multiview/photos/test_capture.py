@@ -23,7 +23,7 @@ from splatcomplete_data.multiview.photos.transforms_json import read_transforms
 from splatcomplete_data.multiview.sfm import folder as sfm_folder
 from splatcomplete_data.multiview.sfm import structure_from_motion as sfm
 from splatcomplete_data.scan import PointCloud
-from tests.splatcomplete_data.multiview import captures
+from tests.builders import captures
 
 
 def with_points(posed: PosedPhotos) -> PosedPhotos:

@@ -15,7 +15,7 @@ from splatcomplete_data.multiview.photos.colmap_model import (
     read_colmap,
     read_points,
 )
-from tests.splatcomplete_data.multiview import captures
+from tests.builders import captures
 
 
 def write(folder: Path, *, text: bool, camera: tuple | None = None) -> tuple[Path, Path]:

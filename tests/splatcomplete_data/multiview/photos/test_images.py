@@ -20,7 +20,7 @@ from splatcomplete_data.multiview.photos.images import (
 from splatcomplete_data.multiview.photos.posed import PosedPhotos
 from splatcomplete_data.multiview.photos.transforms_json import read_transforms
 from splatcomplete_data.multiview.sfm.structure_from_motion import find_poses
-from tests.splatcomplete_data.multiview import captures
+from tests.builders import captures
 
 
 def posed(folder: Path, **values: object) -> PosedPhotos:

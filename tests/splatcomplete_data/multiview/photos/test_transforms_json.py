@@ -8,7 +8,7 @@ import pytest
 
 from gscomplete.errors import UserError
 from splatcomplete_data.multiview.photos.transforms_json import read_transforms
-from tests.splatcomplete_data.multiview import captures
+from tests.builders import captures
 
 FOX = Path(__file__).parents[5] / "shared/data/multiview/fox/transforms.json"
 

@@ -14,7 +14,7 @@ from PIL import Image
 from gscomplete.errors import UserError
 from splatcomplete_data.multiview.photos.transforms_json import read_transforms
 from splatcomplete_data.multiview.sfm import structure_from_motion as sfm
-from tests.splatcomplete_data.multiview import captures
+from tests.builders import captures
 
 
 class FakeColmap:

@@ -12,7 +12,7 @@ from splatcomplete_data.multiview.training.initial import (
     splats_from_points,
 )
 from splatcomplete_data.scan import PointCloud
-from tests.splatcomplete_data.multiview import captures
+from tests.builders import captures
 
 
 def cloud(points: np.ndarray) -> PointCloud:

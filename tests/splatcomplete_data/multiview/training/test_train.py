@@ -26,7 +26,7 @@ from splatcomplete_data.multiview.training.train import (
     evaluate_views,
     photo_loss,
 )
-from tests.splatcomplete_data.multiview import captures
+from tests.builders import captures
 
 GROWTH = GrowthSettings(max_splats=900, from_share=0.1, every=10, reset_share=0.5)
 FAST = LearningRates(means=2e-3, log_scales=0.02, opacity_logits=0.1, sh_base=0.05)

@@ -8,10 +8,10 @@ import numpy as np
 import torch
 
 from gscomplete.shape.network import ShapeModelConfig
-from gscomplete.splats.record import Splats, colors_to_sh
 from recipes.train_embedded_prior.config import DataConfig, ShapeTrainConfig, TrainConfig
 from recipes.train_embedded_prior.data.dataset import TrainingObject
-from tests.priors.embedded.tiny import TINY
+from tests.builders.objects import round_splats
+from tests.builders.tiny_denoiser import TINY
 
 WORDS = ("ball", "blue", "red")
 DATA = DataConfig(render_px=32)
@@ -23,13 +23,7 @@ def stub_source(seed: int, index: int) -> TrainingObject:
     points = torch.from_numpy(points / np.linalg.norm(points, axis=1, keepdims=True) / 2).float()
     red = rng.random() < 0.5
     colors = torch.tensor([[0.9, 0.1, 0.1] if red else [0.1, 0.1, 0.9]]).expand(200, 3)
-    splats = Splats(
-        points,
-        torch.tensor([[1.0, 0, 0, 0]]).repeat(200, 1),
-        torch.full((200, 3), 0.04),
-        torch.full((200,), 0.95),
-        colors_to_sh(colors),
-    )
+    splats = round_splats(points, scale=0.04, opacity=0.95, color=colors)
     side = float(rng.uniform(-0.2, 0.1))
     caption = f"a {'red' if red else 'blue'} ball"
     kept = splats.select(points[:, 0] > side)

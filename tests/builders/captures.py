@@ -12,8 +12,10 @@ import torch
 from PIL import Image
 
 from gscomplete.render import render
-from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.splats import Splats
 from gscomplete.views import Cameras, orbit_cameras
+from tests.builders import objects
+from tests.builders.objects import round_splats
 
 SIZE_PX = 32
 FOV_DEG = 50.0
@@ -26,19 +28,10 @@ def cameras(count: int = 8, size_px: int = SIZE_PX) -> Cameras:
     return orbit_cameras(azimuths, elevations, radius=3.0, fov_deg=FOV_DEG, size_px=size_px)
 
 
-def ball(count: int = 400, seed: int = 0) -> Splats:
-    """A coloured ball of splats of radius 0.6 about the origin."""
-    generator = torch.Generator().manual_seed(seed)
-    points = torch.nn.functional.normalize(torch.randn(count, 3, generator=generator), dim=1)
-    quaternions = torch.zeros(count, 4)
-    quaternions[:, 0] = 1.0
-    return Splats(
-        0.6 * points,
-        quaternions,
-        torch.full((count, 3), 0.06),
-        torch.full((count,), 0.95),
-        colors_to_sh(0.5 + 0.4 * points),
-    )
+def ball(count: int = 400) -> Splats:
+    """Return the round splats that photos are taken of: radius 0.6, about the origin."""
+    normals = objects.ball(count, 1.0).means
+    return round_splats(0.6 * normals, scale=0.06, opacity=0.95, color=0.5 + 0.4 * normals)
 
 
 def photos(folder: Path, views: Cameras, *, alpha: bool = False) -> list[str]:

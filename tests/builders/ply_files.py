@@ -3,24 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 
-from gscomplete.splats import Splats
 from gscomplete.splats.ply_files.header import SCALAR_CODES
 
 FORMATS = ("ascii", "binary_little_endian", "binary_big_endian")
-
-
-def make_splats(count: int, degree: int = 0, seed: int = 0) -> Splats:
-    generator = torch.Generator().manual_seed(seed)
-    quaternions = torch.randn(count, 4, generator=generator)
-    return Splats(
-        torch.randn(count, 3, generator=generator),
-        torch.nn.functional.normalize(quaternions, dim=1),
-        torch.rand(count, 3, generator=generator) + 0.01,
-        torch.rand(count, generator=generator),
-        torch.randn(count, (degree + 1) ** 2, 3, generator=generator),
-    )
 
 
 def schema(rest: int) -> list[str]:

@@ -1,9 +1,6 @@
-"""A prior that knows the answer and remembers how it was asked, and a small object to know."""
-
-import torch
+"""Priors that know the answer, and remember how they were asked."""
 
 from gscomplete.priors.base import Guidance
-from gscomplete.splats import Splats, colors_to_sh
 from recipes.stress_numerics.known_object import KnownObject
 
 
@@ -34,21 +31,3 @@ class GuessingPrior(OraclePrior):
 
     def likely_mirrors(self, *arguments):
         return ()
-
-
-def ball(count: int = 1500, seed: int = 0) -> Splats:
-    """A ball of discs, red above and blue below, of diameter 0.8."""
-    g = torch.Generator().manual_seed(seed)
-    normal = torch.nn.functional.normalize(torch.randn(count, 3, generator=g), dim=1)
-    quaternion = torch.cat(
-        [1 + normal[:, 2:], -normal[:, 1:2], normal[:, :1], torch.zeros(count, 1)], 1
-    )
-    top = (normal[:, 2:] > 0).float()
-    color = top * torch.tensor([0.9, 0.2, 0.1]) + (1 - top) * torch.tensor([0.1, 0.3, 0.9])
-    return Splats(
-        0.4 * normal,
-        torch.nn.functional.normalize(quaternion + 1e-6, dim=1),
-        torch.tensor([[0.03, 0.03, 0.003]]).repeat(count, 1),
-        torch.full((count,), 0.95),
-        colors_to_sh(color),
-    )
