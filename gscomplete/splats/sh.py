@@ -74,16 +74,6 @@ def evaluate_sh(sh: Tensor, directions: Tensor) -> Tensor:  # [..., K, 3], [...,
     return (sh_basis(directions, degree)[..., None] * sh).sum(dim=-2)
 
 
-def view_colors(
-    means: Tensor,  # [N, 3]
-    sh: Tensor,  # [N, K, 3]
-    camera_position: Tensor,  # [3]
-) -> Tensor:  # [N, 3]
-    """Colours of splats seen from a point: 0.5 + harmonics, clamped below at 0."""
-    directions = torch.nn.functional.normalize(means - camera_position, dim=-1)
-    return (0.5 + evaluate_sh(sh, directions)).clamp(min=0)
-
-
 def sh_rotation(rotation: Tensor, degree: int) -> Tensor:  # [3, 3] -> [K, K] float64
     """Return the matrix D that rotates coefficients: c' = D c.
 

@@ -7,7 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gscomplete.splats.sh import evaluate_sh, rotate_sh, sh_basis, sh_rotation, view_colors
+from gscomplete.splats.sh import evaluate_sh, rotate_sh, sh_basis, sh_rotation
 
 
 def random_rotation(seed: int) -> torch.Tensor:
@@ -72,14 +72,6 @@ def test_rotation_matrices_are_orthogonal_and_compose():
     whole = sh_rotation(a, 3)
     assert torch.allclose(whole @ whole.T, torch.eye(16, dtype=torch.float64), atol=1e-12)
     assert torch.allclose(sh_rotation(a @ b, 3), whole @ sh_rotation(b, 3), atol=1e-12)
-
-
-def test_view_colors_clamp_and_offset():
-    means = torch.tensor([[0.0, 0.0, 2.0]])
-    sh = torch.zeros(1, 4, 3)
-    sh[0, 2] = torch.tensor([1.0, -5.0, 0.0])
-    colors = view_colors(means, sh, torch.zeros(3))
-    assert colors[0].tolist() == pytest.approx([0.5 + math.sqrt(3 / (4 * math.pi)), 0.0, 0.5])
 
 
 def test_degree_is_checked():

@@ -47,12 +47,6 @@ def x0_from_v(x_t: Tensor, v: Tensor, timestep: Tensor) -> Tensor:
     return alpha * x_t - sigma * v
 
 
-def noise_from_v(x_t: Tensor, v: Tensor, timestep: Tensor) -> Tensor:
-    """Return the noise that v implies."""
-    alpha, sigma = _scales(timestep, x_t)
-    return sigma * x_t + alpha * v
-
-
 def noise_from_x0(x_t: Tensor, x0: Tensor, timestep: Tensor) -> Tensor:
     """Return the noise that a (possibly clamped or guided) clean image implies."""
     alpha, sigma = _scales(timestep, x_t)
