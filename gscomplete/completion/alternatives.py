@@ -85,7 +85,7 @@ def alternatives_sheet(
 ) -> Image.Image:
     """Draw P, the run's result and the guesses from the preview's six views, a row each."""
     cameras = views.preview_cameras(_SIZE_PX)
-    wholes = [concatenate([partial, alternative.splats]) for alternative in alternatives]
-    rows = [render_images(splats, cameras) for splats in (partial, completed, *wholes)]
+    completions = [concatenate([partial, alternative.splats]) for alternative in alternatives]
+    rows = [render_images(splats, cameras) for splats in (partial, completed, *completions)]
     labels = ["input", "this run", *(alternative.option for alternative in alternatives)]
     return contact_sheet(rows, row_labels=labels, title=title)

@@ -87,16 +87,16 @@ def match_seam_colors(
         settings: knobs.
     """
     drawn = partial.select(partial.opacities >= _LEAST_OPACITY)
-    shown = torch.nonzero(new.opacities >= _LEAST_OPACITY)[:, 0]
-    if len(drawn) == 0 or len(shown) == 0:
+    visible = torch.nonzero(new.opacities >= _LEAST_OPACITY)[:, 0]
+    if len(drawn) == 0 or len(visible) == 0:
         return new, SeamColorReport(0, 0, 0.0, 0.0)
     places = new.means.detach().double().cpu().numpy()
     known = _Colors(drawn, settings.neighbours)
-    ours = _Colors(new.select(shown), settings.neighbours)
-    at_seam = known.distance(places[shown.cpu().numpy()]) <= settings.reach
+    ours = _Colors(new.select(visible), settings.neighbours)
+    at_seam = known.distance(places[visible.cpu().numpy()]) <= settings.reach
     if not at_seam.any():
         return new, SeamColorReport(0, 0, 0.0, 0.0)
-    anchors = places[shown.cpu().numpy()][at_seam]
+    anchors = places[visible.cpu().numpy()][at_seam]
     wanted = known.mean(anchors)
     gap = wanted - ours.mean(anchors)
     shift = _spread(gap, anchors, places, settings)
@@ -107,7 +107,7 @@ def match_seam_colors(
     sh = new.sh.detach().clone()
     sh[:, 0] = torch.where(changed.to(sh.device)[:, None], band, sh[:, 0])
     result = dataclasses.replace(new, sh=sh)
-    after = wanted - _Colors(result.select(shown), settings.neighbours).mean(anchors)
+    after = wanted - _Colors(result.select(visible), settings.neighbours).mean(anchors)
     before_mean, after_mean = (float(np.linalg.norm(g, axis=1).mean()) for g in (gap, after))
     return result, SeamColorReport(len(anchors), int(changed.sum()), before_mean, after_mean)
 

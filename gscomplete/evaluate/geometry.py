@@ -58,13 +58,13 @@ def hidden_surface_errors(
         partial: P in the object frame.
         truth: T in the object frame.
     """
-    shown, real = _surface(partial), _surface(truth)
+    known, real = _surface(partial), _surface(truth)
     found = _surface(completed)
-    hidden = real[_distances(real, shown) > OWN]
+    hidden = real[_distances(real, known) > OWN]
     if len(hidden) < _FEWEST:
         return None
-    new = found[_distances(found, shown) > OWN]
-    reach = _distances(hidden, np.concatenate([shown, new]))
+    new = found[_distances(found, known) > OWN]
+    reach = _distances(hidden, np.concatenate([known, new]))
     excess = _distances(new, real)
     chamfer = 0.5 * float(reach.mean() + excess.mean()) if len(new) else None
     return HiddenSurfaceErrors(

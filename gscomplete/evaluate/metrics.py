@@ -206,9 +206,9 @@ def truth_errors_of_renders(completed: Render, partial: Render, truth: Render) -
     )
 
 
-def _ratio(part: int, whole: int) -> float:
+def _ratio(part: int, total: int) -> float:
     """Divide counts; nothing out of nothing is all of it."""
-    return part / whole if whole else 1.0
+    return part / total if total else 1.0
 
 
 def _psnr_db(squared: Tensor, where: Tensor) -> float:  # [V, H, W], bool [V, H, W]

@@ -107,9 +107,9 @@ def hidden_share(
     cameras = views.sides(settings.size_px)
     with torch.no_grad():
         alone, together = render(partial, cameras), render(completed, cameras)
-    shown = alone.alpha > 0.5
-    hidden = shown & (together.depth < alone.depth - settings.depth_tolerance)
-    return float(hidden.sum()) / max(float(shown.sum()), 1.0)
+    visible = alone.alpha > 0.5
+    hidden = visible & (together.depth < alone.depth - settings.depth_tolerance)
+    return float(hidden.sum()) / max(float(visible.sum()), 1.0)
 
 
 def _looking_from(

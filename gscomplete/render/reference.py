@@ -117,9 +117,9 @@ def _view(
     finite = (torch.cat([colors, depth[:, None]], dim=1).abs() < MAX_VALUE).all(dim=1)
     parts = [colors.clamp_min(0.0), depth[:, None], torch.ones_like(depth)[:, None]]
     values = torch.cat(parts, dim=1)
-    shown = (depth > settings.near) & (splats.opacities >= settings.alpha_min)
-    shown &= finite & covariance.isfinite().all(dim=(1, 2)) & (splats.opacities <= 1)
-    order = torch.argsort(torch.where(shown, depth, torch.inf), stable=True)[: int(shown.sum())]
+    drawn = (depth > settings.near) & (splats.opacities >= settings.alpha_min)
+    drawn &= finite & covariance.isfinite().all(dim=(1, 2)) & (splats.opacities <= 1)
+    order = torch.argsort(torch.where(drawn, depth, torch.inf), stable=True)[: int(drawn.sum())]
     reach = 2 * torch.log((splats.opacities / settings.alpha_min).clamp_min(1.0))
     half = (reach[:, None] * torch.diagonal(covariance, dim1=1, dim2=2)).sqrt().detach() + 1e-6
     rows = []

@@ -167,9 +167,9 @@ def settings_of(way: Way, prior: Prior, seed: int) -> CompletionSettings:
 
 def mirror_images(framed: FramedObject) -> list[Splats]:
     """Return P's copies by the likeliest planes, the likeliest first; see ``mirror`` above."""
-    look = voxelize_partial(framed.partial.with_sh_degree(0), framed.views)
-    shown = look.input_symmetries(candidate_planes(look, CANDIDATES), 0)
-    return [mirror_image(framed.partial, symmetry) for symmetry in shown]
+    voxels = voxelize_partial(framed.partial.with_sh_degree(0), framed.views)
+    symmetries = voxels.input_symmetries(candidate_planes(voxels, CANDIDATES), 0)
+    return [mirror_image(framed.partial, symmetry) for symmetry in symmetries]
 
 
 def alternatives(framed: FramedObject, prior: Prior, seed: int) -> list[Splats]:

@@ -204,7 +204,9 @@ def _mean_line(rows: list[dict[str, Any]]) -> str:
     if known:
         iou = sum(truth["hidden_iou"] for truth in known) / len(known)
         psnr = sum(truth["hidden_color_psnr_db"] or 0.0 for truth in known) / len(known)
-        parts.append(f"hidden IoU {iou:.3f}, PSNR {psnr:.1f} dB over {len(known)} known wholes")
+        parts.append(
+            f"hidden IoU {iou:.3f}, PSNR {psnr:.1f} dB over {len(known)} known complete objects"
+        )
     return f"mean of {len(rows)}: " + ", ".join(parts)
 
 

@@ -50,8 +50,8 @@ def masked_errors(
     total = fixed_sum(partial.alpha).clamp_min(1e-12)
     mask = torch.where(partial.alpha >= mask_from, partial.alpha, 0.0)
     color = (completed.color - partial.color).square().mean(dim=-1)
-    shown = mask >= NOTHING_ALPHA
-    depth = torch.where(shown, completed.depth - partial.depth, 0.0).square()
+    covered = mask >= NOTHING_ALPHA
+    depth = torch.where(covered, completed.depth - partial.depth, 0.0).square()
     return fixed_sum(mask * color) / total, fixed_sum(mask * depth) / total
 
 
