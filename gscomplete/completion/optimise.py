@@ -24,7 +24,7 @@ from gscomplete.completion.settings import CompletionSettings
 from gscomplete.completion.start import scale_bounds
 from gscomplete.fitting.densify import GradientStatistics, prune_mask, subdivide
 from gscomplete.fitting.finite import require_finite
-from gscomplete.fitting.parameters import SplatParameters
+from gscomplete.fitting.parameters import BoundedParameters
 from gscomplete.priors.base import Conditioning, FourViews, Guidance, Prior
 from gscomplete.render import Render
 from gscomplete.render.partial_views import PartialViews
@@ -83,7 +83,7 @@ class Optimisation:
         widest = max(prior.views.mean_extent / 2, _CORNER_RADIUS)
         self._max_radius = widest if radius is None else radius
         bounds = scale_bounds(prior.views, settings)
-        self.parameters = SplatParameters(start.to(self._device), bounds, settings.learning_rates)
+        self.parameters = BoundedParameters(start.to(self._device), settings.learning_rates, bounds)
         self._statistics = GradientStatistics(len(self.parameters), self._device)
         self._rings = RingMemory(settings.ring_memory)
         self._renders = PartialViews(self.partial)
@@ -146,7 +146,7 @@ class Optimisation:
         require_finite(step, **{"gradient of screen positions": offsets.grad})
         self._updating = True
         if offsets.grad is not None:
-            self._statistics.add(offsets.grad, ring_cameras.width)
+            self._statistics.add(offsets.grad, ring_cameras.width, ring_cameras.height)
         self.parameters.step(step / settings.steps)
         require_finite(step, **self.parameters.values())
         self._edit_splats(step)
@@ -293,7 +293,7 @@ class Optimisation:
             opacity = settings.densify.final_opacity if late else settings.densify.prune_opacity
             keep, report = prune_mask(self.new_splats, opacity, self._max_radius)
             if report.total and bool(keep.any()):
-                self.parameters.keep(keep)
+                self.parameters.edit(keep)
             self._statistics = GradientStatistics(len(self.parameters), self._device)
 
 

@@ -41,9 +41,10 @@ class GradientStatistics:
         self.total = torch.zeros(count, device=device)
         self.views = torch.zeros(count, device=device)
 
-    def add(self, offsets_grad: Tensor, size_px: int) -> None:  # [V, N, 2] dL/dpixel
-        """Add views; gradients are per half image, so that they do not depend on resolution."""
-        length = offsets_grad.norm(dim=2) * (0.5 * size_px)
+    def add(self, gradient: Tensor, width: int, height: int) -> None:  # [V, N, 2] dL/dpixel
+        """Add views; gradients are per half image, so that they hardly depend on resolution."""
+        half_image = gradient.new_tensor([0.5 * width, 0.5 * height])
+        length = (gradient * half_image).norm(dim=2)
         self.total += length.sum(dim=0)
         self.views += (length > 0).sum(dim=0)
 
@@ -72,15 +73,15 @@ def subdivide(
     if len(chosen) == 0:
         return 0
     large = splats.scales[chosen].amax(dim=1) > settings.split_scale
-    halves = _halves(splats.select(chosen[large]), generator_for(seed, step, "split"))
+    halves = halves_of(splats.select(chosen[large]), generator_for(seed, step, "split"))
     clones = splats.select(chosen[~large])
     keep = torch.ones(count, dtype=torch.bool, device=chosen.device)
     keep[chosen[large]] = False
-    parameters.extend(concatenate([halves, clones]), keep)
+    parameters.edit(keep, concatenate([halves, clones]))
     return len(parameters) - count
 
 
-def _halves(splats: Splats, generator: torch.Generator) -> Splats:
+def halves_of(splats: Splats, generator: torch.Generator) -> Splats:
     """Replace every splat by two smaller ones drawn from it."""
     twice = concatenate([splats, splats])
     local = torch.randn(twice.means.shape, generator=generator).to(twice.scales) * twice.scales

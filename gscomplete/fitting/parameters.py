@@ -1,17 +1,19 @@
-"""The new splats as optimiser parameters: raw values, Adam, and edits of rows.
+"""Splats as optimiser parameters: raw values, Adam, and edits of rows.
 
 Conventions
 -----------
 * Raw values are logits of opacities and logarithms of scales; nothing else here uses them.
-* After every step values are projected onto their bounds (scales, colours, quaternion length), so
-  a bound holds exactly and no saturating function slows the gradient.
-* Rows of Adam's moments follow the rows of the splats; copies made by subdivision start at zero.
+* ``SplatParameters`` has all that optimisations share, ``BoundedParameters`` the bounds of new
+  splats; training from photos has its own (``splatcomplete_data.multiview.training.parameters``).
+* Rows of Adam's moments follow the rows of the splats; rows that are added start at zero.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -26,8 +28,123 @@ from gscomplete.fitting.settings import LearningRates
 from gscomplete.splats import SH_C0, Splats
 from gscomplete.util.same_bits import fixed_sigmoid
 
-NAMES = ("means", "quaternions", "log_scales", "opacity_logits", "sh")
 ADAM_EPS = 1e-15
+
+
+class Rates(Protocol):
+    """Adam's step sizes: besides these two, one of each name of the parameters."""
+
+    @property
+    def means(self) -> float:
+        """Of positions at the start."""
+
+    @property
+    def means_final(self) -> float:
+        """Of positions at the end; in between the logarithm falls evenly."""
+
+
+class SplatParameters:
+    """Trainable splats and the optimiser that moves them."""
+
+    names: tuple[str, ...] = ("means", "quaternions", "log_scales", "opacity_logits", "sh")
+    fused = False
+    """Whether Adam updates each tensor in one pass: faster for many splats, other roundings."""
+
+    def __init__(self, splats: Splats, rates: Rates, length_unit: float = 1.0) -> None:
+        """Start from activated splats.
+
+        Args:
+            splats: where they start.
+            rates: Adam's step sizes.
+            length_unit: what the step sizes of positions are multiples of.
+        """
+        self._rates, self._length_unit = rates, length_unit
+        self._values = {
+            name: value.clone().requires_grad_() for name, value in self.raw(splats).items()
+        }
+        self._adam = self._new_adam()
+
+    def __len__(self) -> int:
+        """Return the number of splats."""
+        return int(self._values["means"].shape[0])
+
+    def raw(self, splats: Splats) -> dict[str, Tensor]:
+        """Turn activated splats into raw values by name."""
+        values = (
+            splats.means,
+            splats.quaternions,
+            splats.scales.clamp_min(1e-9).log(),
+            torch.logit(splats.opacities.clamp(1e-4, 1 - 1e-4)),
+            splats.sh,
+        )
+        return {name: value.detach() for name, value in zip(self.names, values, strict=True)}
+
+    def harmonics(self) -> Tensor:  # [N, K, 3]
+        """Return the colours, connected to the parameters."""
+        return self._values["sh"]
+
+    def splats(self, degree: int | None = None) -> Splats:
+        """Return activated splats connected to the parameters, with harmonics up to ``degree``."""
+        value, sh = self._values, self.harmonics()
+        return Splats(
+            value["means"],
+            torch.nn.functional.normalize(value["quaternions"], dim=1),
+            value["log_scales"].exp(),
+            fixed_sigmoid(value["opacity_logits"]),
+            sh if degree is None else sh[:, : (degree + 1) ** 2],
+        )
+
+    def step(self, progress: float) -> None:
+        """Apply one Adam step with the rates of ``progress`` (0 to 1)."""
+        for group in self._adam.param_groups:
+            if group["name"] == "means":
+                low, high = math.log(self._rates.means_final), math.log(self._rates.means)
+                group["lr"] = self._length_unit * math.exp(high + (low - high) * progress)
+        self._adam.step()
+        self._adam.zero_grad(set_to_none=True)
+
+    def values(self) -> dict[str, Tensor]:
+        """Return the raw values by name."""
+        return {name: value.detach() for name, value in self._values.items()}
+
+    def gradients(self) -> dict[str, Tensor | None]:
+        """Return the gradients of the raw values by name."""
+        return {f"gradient of {name}": value.grad for name, value in self._values.items()}
+
+    def edit(self, keep: Tensor, new: Splats | None = None) -> None:  # keep: [N] bool
+        """Keep the rows of ``keep`` and append new splats after them."""
+        values = {name: value.detach()[keep] for name, value in self._values.items()}
+        if new is not None:
+            raw = self.raw(new)
+            values = {name: torch.cat([value, raw[name]]) for name, value in values.items()}
+        old_values, old_adam = self._values, self._adam
+        self._values = {name: value.clone().requires_grad_() for name, value in values.items()}
+        self._adam = self._new_adam()
+        added = 0 if new is None else len(new)
+        carry_moments(old_values, old_adam, self._values, self._adam, keep, added)
+
+    def state(self) -> dict[str, Tensor]:
+        """Return values and moments for a checkpoint."""
+        return flat_state(self._values, self._adam)
+
+    def restore(self, state: dict[str, Tensor]) -> None:
+        """Take values and moments from :meth:`state`."""
+        self._values = values_of(state, self.names)
+        self._adam = self._new_adam()
+        restore_moments(state, self._values, self._adam)
+
+    def _new_adam(self) -> torch.optim.Adam:
+        groups = [
+            {
+                "params": [value],
+                "lr": getattr(self._rates, name) * (self._length_unit if name == "means" else 1.0),
+                "name": name,
+            }
+            for name, value in self._values.items()
+        ]
+        return torch.optim.Adam(
+            groups, eps=ADAM_EPS, fused=self.fused or None, foreach=None if self.fused else False
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,96 +155,27 @@ class Bounds:
     max_scale: float
 
 
-class SplatParameters:
-    """Trainable splats and the optimiser that moves them."""
+class BoundedParameters(SplatParameters):
+    """Splats that are projected onto their bounds after every step.
 
-    def __init__(self, splats: Splats, bounds: Bounds, rates: LearningRates) -> None:
-        """Start from activated splats."""
+    So a bound on scales, colours and quaternion length holds exactly, and no saturating function
+    slows the gradient.
+    """
+
+    def __init__(self, splats: Splats, rates: LearningRates, bounds: Bounds) -> None:
+        """Start from activated splats; see :class:`SplatParameters`."""
         self.bounds = bounds
-        self._rates = rates
-        opacities = splats.opacities.clamp(1e-4, 1 - 1e-4)
-        values = (
-            splats.means,
-            splats.quaternions,
-            splats.scales.clamp(max(bounds.min_scale, 1e-9), bounds.max_scale).log(),
-            torch.logit(opacities),
-            splats.sh,
-        )
-        self._values = {
-            name: value.detach().clone().requires_grad_()
-            for name, value in zip(NAMES, values, strict=True)
-        }
-        self._adam = self._new_adam()
+        super().__init__(splats, rates)
 
-    def __len__(self) -> int:
-        """Return the number of splats."""
-        return int(self._values["means"].shape[0])
-
-    def splats(self) -> Splats:
-        """Return the splats with activated values, connected to the parameters."""
-        value = self._values
-        return Splats(
-            value["means"],
-            torch.nn.functional.normalize(value["quaternions"], dim=1),
-            value["log_scales"].exp(),
-            fixed_sigmoid(value["opacity_logits"]),
-            value["sh"],
-        )
+    def raw(self, splats: Splats) -> dict[str, Tensor]:
+        """Turn activated splats into raw values by name, within the bounds."""
+        scales = splats.scales.clamp(max(self.bounds.min_scale, 1e-9), self.bounds.max_scale)
+        return super().raw(dataclasses.replace(splats, scales=scales))
 
     def step(self, progress: float) -> None:
         """Apply one Adam step with the rates of ``progress`` (0 to 1), then the bounds."""
-        for group in self._adam.param_groups:
-            if group["name"] == "means":
-                low, high = math.log(self._rates.means_final), math.log(self._rates.means)
-                group["lr"] = math.exp(high + (low - high) * progress)
-        self._adam.step()
-        self._adam.zero_grad(set_to_none=True)
+        super().step(progress)
         self._project()
-
-    def values(self) -> dict[str, Tensor]:
-        """Return the raw values by name."""
-        return {name: value.detach() for name, value in self._values.items()}
-
-    def gradients(self) -> dict[str, Tensor | None]:
-        """Return the gradients of the raw values by name."""
-        return {f"gradient of {name}": value.grad for name, value in self._values.items()}
-
-    def keep(self, mask: Tensor) -> None:  # [N] bool
-        """Keep the rows of ``mask``."""
-        self._edit({name: value.detach()[mask] for name, value in self._values.items()}, mask, 0)
-
-    def extend(self, splats: Splats, keep: Tensor) -> None:  # keep: [N] bool
-        """Keep the rows of ``keep`` and append new splats after them."""
-        new = SplatParameters(splats, self.bounds, self._rates)
-        joined = {
-            name: torch.cat([value.detach()[keep], new._values[name].detach()])
-            for name, value in self._values.items()
-        }
-        self._edit(joined, keep, len(splats))
-
-    def state(self) -> dict[str, Tensor]:
-        """Return values and moments for a checkpoint."""
-        return flat_state(self._values, self._adam)
-
-    def restore(self, state: dict[str, Tensor]) -> None:
-        """Take values and moments from :meth:`state`."""
-        self._values = values_of(state, NAMES)
-        self._adam = self._new_adam()
-        restore_moments(state, self._values, self._adam)
-
-    def _new_adam(self) -> torch.optim.Adam:
-        groups = [
-            {"params": [value], "lr": getattr(self._rates, name), "name": name}
-            for name, value in self._values.items()
-        ]
-        return torch.optim.Adam(groups, eps=ADAM_EPS, foreach=False)
-
-    def _edit(self, values: dict[str, Tensor], keep: Tensor, added: int) -> None:
-        """Replace all values, carrying the kept rows' moments along."""
-        old_values, old_adam = self._values, self._adam
-        self._values = {name: value.clone().requires_grad_() for name, value in values.items()}
-        self._adam = self._new_adam()
-        carry_moments(old_values, old_adam, self._values, self._adam, keep, added)
 
     @torch.no_grad()
     def _project(self) -> None:

@@ -25,7 +25,7 @@ from torch import Tensor
 from gscomplete.completion.losses import fit_loss, random_background
 from gscomplete.completion.start import initial_splats
 from gscomplete.evaluate.pictures import contact_sheet, save_image, to_image
-from gscomplete.fitting.parameters import Bounds, SplatParameters
+from gscomplete.fitting.parameters import BoundedParameters, Bounds
 from gscomplete.fitting.settings import LearningRates
 from gscomplete.priors.base import FourViews
 from gscomplete.priors.embedded.prior import EmbeddedPrior, packaged_weights
@@ -90,7 +90,7 @@ def consistency_db(views: FourViews, steps: int, seed: int) -> float:
     )
     start = initial_splats(colored, _FIT_SPLATS, 0.9, seed, min_scale=0.008, max_scale=0.1)
     rates = LearningRates(means=4e-3, means_final=4e-4, sh=2e-2, log_scales=1e-2)
-    parameters = SplatParameters(start, Bounds(0.006, 0.1), rates)
+    parameters = BoundedParameters(start, rates, Bounds(0.006, 0.1))
     for step in range(steps):
         background = random_background(generator_for(seed, step, "background"))
         drawn = render(parameters.splats(), views.cameras)

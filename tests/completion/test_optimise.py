@@ -164,7 +164,7 @@ def test_a_box_keeps_its_corners():
 
 @pytest.mark.parametrize("base", [DISTILL, RECONSTRUCT], ids=["distill", "reconstruct"])
 @pytest.mark.parametrize(
-    "where", ["PartialViews.together", "random_background", "SplatParameters.step"]
+    "where", ["PartialViews.together", "random_background", "BoundedParameters.step"]
 )
 def test_a_step_broken_off_is_taken_again_or_marked(base, where, monkeypatch):
     settings = dataclasses.replace(base, **QUICK, rounds=5)
@@ -180,7 +180,7 @@ def test_a_step_broken_off_is_taken_again_or_marked(base, where, monkeypatch):
         patch.setattr(f"gscomplete.completion.optimise.{where}", interrupt)
         with pytest.raises(KeyboardInterrupt):
             job.step()
-    assert job.between_updates == (where != "SplatParameters.step")
+    assert job.between_updates == (where != "BoundedParameters.step")
     if job.between_updates:
         resumed = completion(settings)
         resumed.restore({name: value.clone() for name, value in job.state().items()})

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from gscomplete.fitting.densify import GradientStatistics, prune_mask, subdivide
-from gscomplete.fitting.parameters import Bounds, SplatParameters
+from gscomplete.fitting.parameters import BoundedParameters, Bounds
 from gscomplete.fitting.settings import DensifySettings, LearningRates
 from gscomplete.splats import Splats
 from tests.builders.objects import random_splats
@@ -16,8 +16,8 @@ def splats(count: int = 100) -> Splats:
     return dataclasses.replace(random_splats(count), scales=torch.full((count, 3), 0.05))
 
 
-def parameters(count: int = 100) -> SplatParameters:
-    return SplatParameters(splats(count), Bounds(1e-3, 1.0), LearningRates())
+def parameters(count: int = 100) -> BoundedParameters:
+    return BoundedParameters(splats(count), LearningRates(), Bounds(1e-3, 1.0))
 
 
 def test_statistics_average_all_views_that_saw_a_splat():
@@ -25,7 +25,7 @@ def test_statistics_average_all_views_that_saw_a_splat():
     gradient = torch.zeros(3, 2, 2)
     gradient[0, 0] = torch.tensor([3.0, 4.0])
     gradient[2, 0] = torch.tensor([0.0, 1.0])
-    statistics.add(gradient, size_px=2)
+    statistics.add(gradient, 2, 2)
     assert statistics.mean().tolist() == [3.0, 0.0]
 
 
@@ -74,7 +74,7 @@ def test_only_a_share_of_the_splats_is_divided_at_once():
     assert subdivide(job, pulled(torch.ones(100)), settings, seed=0, step=0) == 15
 
 
-def needles(count: int) -> SplatParameters:
+def needles(count: int) -> BoundedParameters:
     """At the origin, long along their x axes, which their quaternions turn into y."""
     half = 0.5**0.5
     base = dataclasses.replace(
@@ -83,7 +83,7 @@ def needles(count: int) -> SplatParameters:
         quaternions=torch.tensor([[half, 0.0, 0.0, half]]).repeat(count, 1),
         scales=torch.tensor([[0.1, 1e-3, 1e-3]]).repeat(count, 1),
     )
-    return SplatParameters(base, Bounds(1e-6, 1.0), LearningRates())
+    return BoundedParameters(base, LearningRates(), Bounds(1e-6, 1.0))
 
 
 def test_halves_lie_along_the_splat_that_they_are_of():

@@ -3,14 +3,14 @@
 import pytest
 import torch
 
-from gscomplete.fitting.parameters import Bounds, SplatParameters
+from gscomplete.fitting.parameters import BoundedParameters, Bounds
 from gscomplete.fitting.settings import LearningRates
 from gscomplete.splats import SH_C0, Splats
 
 RATES = LearningRates(means=1e-2, means_final=1e-4, log_scales=0.5, sh=2.0)
 
 
-def parameters(count: int = 4) -> SplatParameters:
+def parameters(count: int = 4) -> BoundedParameters:
     base = Splats(
         torch.zeros(count, 3),
         torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(count, 1),
@@ -18,7 +18,7 @@ def parameters(count: int = 4) -> SplatParameters:
         torch.full((count,), 0.5),
         torch.zeros(count, 1, 3),
     )
-    return SplatParameters(base, Bounds(0.04, 0.06), RATES)
+    return BoundedParameters(base, RATES, Bounds(0.04, 0.06))
 
 
 @pytest.mark.parametrize(("progress", "length"), [(0.0, 1e-2), (0.5, 1e-3), (1.0, 1e-4)])

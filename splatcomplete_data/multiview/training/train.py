@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from gscomplete.errors import UserError
+from gscomplete.fitting.densify import GradientStatistics
 from gscomplete.render import render
 from gscomplete.render.settings import RenderSettings
 from gscomplete.splats import Splats
@@ -25,8 +26,8 @@ from gscomplete.util.randomness import generator_for
 from gscomplete.util.same_bits import fixed_mean, fixed_sum
 from gscomplete.views import Cameras
 from splatcomplete_data.multiview.photos.images import View
-from splatcomplete_data.multiview.training.growth import GradientStatistics, GrowthReport, grow
-from splatcomplete_data.multiview.training.parameters import GaussianParameters
+from splatcomplete_data.multiview.training.growth import GrowthReport, grow
+from splatcomplete_data.multiview.training.parameters import PhotoParameters
 from splatcomplete_data.multiview.training.settings import TrainingSettings
 from splatcomplete_data.multiview.training.ssim import Reference, ssim_map
 
@@ -145,7 +146,7 @@ class Training:
         self._targets = [Target.of(view, self._device) for view in views]
         self._halves = [target.halved() for target in self._targets]
         start = initial.with_sh_degree(settings.sh_degree).to(self._device)
-        self.parameters = GaussianParameters(start, settings.rates, extent)
+        self.parameters = PhotoParameters(start, settings.rates, extent)
         self._statistics = GradientStatistics(len(start), self._device)
         self._draw = RenderSettings(near=settings.near_extent * extent)
         self._updating = False
@@ -256,7 +257,7 @@ class Training:
         state = {
             "step": torch.tensor(self.step_number),
             "gradient.total": self._statistics.total,
-            "gradient.seen": self._statistics.seen,
+            "gradient.seen": self._statistics.views,
             **self.parameters.state(),
         }
         for name, value in state.items():
@@ -271,7 +272,7 @@ class Training:
         self.step_number = int(state["step"])
         self.parameters.restore(state)
         self._statistics = GradientStatistics(len(self.parameters), self._device)
-        self._statistics.total, self._statistics.seen = (
+        self._statistics.total, self._statistics.views = (
             state["gradient.total"],
             state["gradient.seen"],
         )

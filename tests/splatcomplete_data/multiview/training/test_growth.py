@@ -4,15 +4,16 @@ import dataclasses
 
 import torch
 
+from gscomplete.fitting.densify import SPLIT_SHRINK, GradientStatistics
 from gscomplete.splats import Splats
-from splatcomplete_data.multiview.training.growth import SPLIT_SHRINK, GradientStatistics, grow
-from splatcomplete_data.multiview.training.parameters import GaussianParameters
+from splatcomplete_data.multiview.training.growth import grow
+from splatcomplete_data.multiview.training.parameters import PhotoParameters
 from splatcomplete_data.multiview.training.settings import GrowthSettings, LearningRates
 
 SETTINGS = GrowthSettings(max_splats=100)
 
 
-def parameters(opacities, sizes) -> GaussianParameters:
+def parameters(opacities, sizes) -> PhotoParameters:
     count = len(opacities)
     quaternions = torch.zeros(count, 4)
     quaternions[:, 0] = 1.0
@@ -23,16 +24,16 @@ def parameters(opacities, sizes) -> GaussianParameters:
         torch.tensor(opacities),
         torch.zeros(count, 4, 3),
     )
-    return GaussianParameters(splats, LearningRates(), 1.0)
+    return PhotoParameters(splats, LearningRates(), 1.0)
 
 
 def statistics(values) -> GradientStatistics:
     result = GradientStatistics(len(values))
-    result.total, result.seen = torch.tensor(values), torch.ones(len(values))
+    result.total, result.views = torch.tensor(values), torch.ones(len(values))
     return result
 
 
-def step(target: GaussianParameters, values, settings=SETTINGS, *, prune_large=False):
+def step(target: PhotoParameters, values, settings=SETTINGS, *, prune_large=False):
     return grow(
         target,
         statistics(values),

@@ -74,7 +74,7 @@ def test_a_resumed_run_gives_the_same_bytes(capture):
         assert torch.equal(a, b), name
 
 
-@pytest.mark.parametrize("where", ["render", "GaussianParameters.step", "grow"])
+@pytest.mark.parametrize("where", ["render", "PhotoParameters.step", "grow"])
 def test_a_step_broken_off_is_taken_again_or_marked(where, capture, monkeypatch):
     """Splats grow in the steps before every tenth."""
     job = run(capture, steps=19)
