@@ -7,7 +7,7 @@ leaves behind, and those of sheets, lie along their planes instead.
 
 Conventions
 -----------
-* A point is on the rim of a surface if its neighbours lie to one side of it.
+* A point is on the rim of a surface if its neighbours lie to one side of it (``splats.rim``).
 * Lengths and places are those of the points given, z up; tolerances are in sides of their box.
 * The plane's normal is horizontal, at an azimuth in degrees, and points to the side cut away.
 """
@@ -21,15 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from gscomplete.splats.rim import ON_RIM, one_sidedness
+
 FloatArray = NDArray[np.float64]
 
 _MOST_POINTS = 6000
 _TESTED = 1500
 _NEIGHBOURS = 24
 _NORMAL_NEIGHBOURS = 16
-_ONE_SIDED = 0.5
-"""The mean of the ways to a rim point's neighbours is this share of their mean length; within a
-surface it is near 0."""
 _FEWEST_RIM = 8
 _LEAST_RIM_SHARE = 0.01
 _STEP_DEG = 2.0
@@ -172,9 +171,7 @@ def _rim(points: FloatArray, tree: cKDTree) -> FloatArray:  # [N, 3] -> [R, 3]
     """Return rim points of a surface; none if it has next to no rim."""
     tested = points[:: max(1, -(-len(points) // _TESTED))]
     _, index = tree.query(tested, k=_NEIGHBOURS + 1)
-    ways = points[index[:, 1:]] - tested[:, None]
-    length = np.linalg.norm(ways, axis=2).mean(axis=1)
-    one_sided = np.linalg.norm(ways.mean(axis=1), axis=1) > _ONE_SIDED * length
-    if one_sided.mean() < _LEAST_RIM_SHARE:
+    on_rim = one_sidedness(points[index[:, 1:]] - tested[:, None]) > ON_RIM
+    if on_rim.mean() < _LEAST_RIM_SHARE:
         return tested[:0]
-    return tested[one_sided]
+    return tested[on_rim]

@@ -24,6 +24,7 @@ from gscomplete.shape.partial_voxels import ShapeInputs
 from gscomplete.shape.voxels import CELL_SIDE, HALF_SIDE, grown, sample_volume
 from gscomplete.splats import Splats, colors_to_sh, concatenate
 from gscomplete.splats.filters import thinned
+from gscomplete.splats.rim import one_sidedness
 from gscomplete.splats.rotations import quaternions_facing
 
 _INWARD = 1.0
@@ -39,8 +40,7 @@ _RIM_NEIGHBOURS = 12
 _LEAST_GAP = 0.004
 """Object sizes; narrower gaps do not show."""
 _ONE_SIDED = 0.7
-"""A point is beyond the rim if the mean of the ways to P's nearest splats is this share of their
-mean length; within a surface it is near 0."""
+"""Of a point beyond the rim, the ``one_sidedness`` of P's nearest splats is larger."""
 _COPY_REACH = 1.2
 """Cells to a mirror image of P within which a point belongs on it."""
 _COPY_NEIGHBOURS = 4
@@ -239,8 +239,7 @@ def is_missing(
     offsets = others[torch.from_numpy(index)] - points[:, None]
     along = (offsets * normals[:, None]).sum(dim=2, keepdim=True)
     offsets = offsets - along * normals[:, None]
-    middle = offsets.mean(dim=1).norm(dim=1)
-    one_sided = middle > _ONE_SIDED * offsets.norm(dim=2).mean(dim=1)
+    one_sided = torch.from_numpy(one_sidedness(offsets.numpy()) > _ONE_SIDED)
     missing[close] = one_sided & (torch.from_numpy(distance[:, 0]) > settings.near_rim)
     if settings.gap_spacings is not None:
         widest = settings.gap_spacings * median_spacing(others)

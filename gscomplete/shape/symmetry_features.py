@@ -22,6 +22,7 @@ from scipy.spatial import cKDTree
 
 from gscomplete.shape.evidence import Evidence, kind_of
 from gscomplete.shape.voxels import CELLS, HALF_SIDE, FloatArray
+from gscomplete.splats.rim import ON_RIM, one_sidedness
 
 ANGLES = 36
 OFFSETS = tuple(round(0.025 * k, 3) for k in range(-18, 19))
@@ -54,9 +55,6 @@ _RIM_TESTED = 1500
 _RIM_SAMPLES = 400
 _FEWEST_RIM = 8
 _RIM_NEIGHBOURS = 24
-_ONE_SIDED = 0.5
-"""A sample is on the rim if the mean of the ways to its neighbours is this share of their mean
-length; within a surface it is near 0."""
 _BOX_SIDE = 0.53
 _AT_PLANE = 0.03
 
@@ -150,11 +148,8 @@ def _rim(points: FloatArray) -> tuple[FloatArray, float]:  # [N, 3] -> [R, 3], s
     tested = points[_every(len(points), _RIM_TESTED)]
     neighbours = min(_RIM_NEIGHBOURS + 1, len(points))
     _, index = cKDTree(points).query(tested, k=range(1, neighbours + 1))
-    ways = points[index[:, 1:]] - tested[:, None]
-    length = np.linalg.norm(ways, axis=2).mean(axis=1) if neighbours > 1 else np.ones(len(tested))
-    middle = np.linalg.norm(ways.sum(axis=1), axis=1) / max(neighbours - 1, 1)
-    one_sided = middle / length.clip(1e-6)
-    on_rim = one_sided > _ONE_SIDED
+    one_sided = one_sidedness(points[index[:, 1:]] - tested[:, None])
+    on_rim = one_sided > ON_RIM
     rim = tested[on_rim]
     if len(rim) < _FEWEST_RIM:
         rim = tested[np.argsort(-one_sided, kind="stable")[:_FEWEST_RIM]]
