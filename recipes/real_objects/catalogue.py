@@ -15,39 +15,36 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
+from gscomplete.splats import Splats
 from gscomplete.views import UpAxis
+from splatcomplete_data.cuts.geometry import PartialCut, by_visibility
+from splatcomplete_data.cuts.named import SCAN_DISTANCE, BoxCut, PlaneCut
 
 Source = Literal["mesh", "scan", "splats"]
 
 
 @dataclass(frozen=True, slots=True)
-class PlaneCut:
-    """Take away everything beyond an upright plane."""
-
-    toward_deg: float
-    """Azimuth of the side taken away."""
-    offset: float = 0.0
-    """Signed distance of the plane from the centre, in object sizes."""
-
-
-@dataclass(frozen=True, slots=True)
-class BoxCut:
-    """Keep what lies inside a box, as the paper's authors did by hand."""
-
-    low: tuple[float, float, float]
-    """Lower corner in the object frame."""
-    high: tuple[float, float, float]
-    """Upper corner in the object frame."""
-
-
-@dataclass(frozen=True, slots=True)
 class ScanCut:
-    """Keep what a scanner sees from some viewpoints."""
+    """Keep what a scanner sees from some viewpoints.
+
+    With the depth image that ``by_visibility`` has by default, which all recorded figures were made
+    with; that of ``cuts.named.ScanCut`` is as fine as the splats are.
+    """
 
     from_deg: tuple[float, ...]
     """Azimuths of the viewpoints."""
     elevation_deg: float = 20.0
     """Their elevation."""
+
+    def apply(self, complete: Splats) -> PartialCut:
+        """Return what is kept of splats in the object frame."""
+        azimuths, elevation = np.deg2rad(self.from_deg), np.deg2rad(self.elevation_deg)
+        outward = SCAN_DISTANCE * np.cos(elevation)
+        height = np.full_like(azimuths, SCAN_DISTANCE * np.sin(elevation))
+        eyes = np.stack([outward * np.cos(azimuths), outward * np.sin(azimuths), height], axis=1)
+        return by_visibility(complete, eyes)
 
 
 Cut = PlaneCut | BoxCut | ScanCut

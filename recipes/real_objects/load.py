@@ -14,14 +14,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, read_compressed_ply, transform_splats
-from gscomplete.views import ObjectFrame, UpAxis, up_rotation
-from recipes.real_objects.catalogue import ENTRIES, BoxCut, Entry, PlaneCut, ScanCut
-from splatcomplete_data.cuts.geometry import PartialCut, by_plane, by_visibility, crop
+from gscomplete.views import ObjectFrame, UpAxis
+from recipes.real_objects.catalogue import ENTRIES, Entry
+from splatcomplete_data.cuts.geometry import PartialCut
 from splatcomplete_data.mesh.files.load import BakedLight, GltfColors, load_mesh, mesh_to_discs
 from splatcomplete_data.points import points_to_splats
 from splatcomplete_data.scan import PointCloud
@@ -29,10 +28,6 @@ from splatcomplete_data.scan.read import read_scan
 
 SPLATS_PER_MESH = 30_000
 """Discs that cover a complete mesh; the paper's parts have 20k to 100k."""
-SCAN_DISTANCE = 2.2
-"""Distance of the scanner of a ``ScanCut`` from the centre, in object sizes."""
-LIGHT_Z_UP = (0.5, -0.35, 0.8)
-"""Where the soft light on shaded meshes comes from, z up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,21 +118,11 @@ def cut_object(complete: Splats, entry: Entry) -> PartialCut:
     Raises:
         UserError: the entry has no cut.
     """
+    if entry.cut is None:
+        raise UserError(f"real object {entry.name}: expected a cut, found none")
     frame = ObjectFrame.about(complete, entry.up)
     level = transform_splats(complete, frame.object_from_file)
-    cut = entry.cut
-    if isinstance(cut, PlaneCut):
-        angle = np.deg2rad(cut.toward_deg)
-        return by_plane(level, (-np.cos(angle), -np.sin(angle), 0.0), -cut.offset)
-    if isinstance(cut, BoxCut):
-        return crop(level, cut.low, cut.high)
-    if isinstance(cut, ScanCut):
-        azimuths, elevation = np.deg2rad(cut.from_deg), np.deg2rad(cut.elevation_deg)
-        outward = SCAN_DISTANCE * np.cos(elevation)
-        height = np.full_like(azimuths, SCAN_DISTANCE * np.sin(elevation))
-        eyes = np.stack([outward * np.cos(azimuths), outward * np.sin(azimuths), height], axis=1)
-        return by_visibility(level, eyes)
-    raise UserError(f"real object {entry.name}: expected a cut, found none")
+    return entry.cut.apply(level)
 
 
 def _covered_mesh(data_dir: Path, entry: Entry) -> Splats:
@@ -147,8 +132,7 @@ def _covered_mesh(data_dir: Path, entry: Entry) -> Splats:
     mesh = load_mesh(
         data_dir / entry.path, texture=texture, gltf_colors=colors, allow_outside=data_dir
     )
-    x, y, z = (up_rotation(entry.up).T @ torch.tensor(LIGHT_Z_UP, dtype=torch.float64)).tolist()
-    light = BakedLight((x, y, z)) if entry.is_shaded else None
+    light = BakedLight.from_above(entry.up) if entry.is_shaded else None
     return mesh_to_discs(mesh, SPLATS_PER_MESH, light=light)
 
 

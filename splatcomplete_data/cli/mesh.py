@@ -21,7 +21,6 @@ from splatcomplete_data.cli.common import (
 
 if TYPE_CHECKING:
     from gscomplete.splats import Splats
-    from gscomplete.views import UpAxis
     from splatcomplete_data.objects import StepRecord
 
 
@@ -65,23 +64,6 @@ class MeshOptions(ObjectOptions):
     """Multiply soft light from above into the colours, as a photo would show them; recorded."""
     seed: int = 0
     """Seed of the sampling."""
-
-
-LIGHT_Z_UP = (0.5, -0.35, 0.8)
-"""Where the soft light comes from, z up."""
-
-
-def in_file_axes(
-    direction_z_up: tuple[float, float, float], up: UpAxis
-) -> tuple[float, float, float]:
-    """Turn a z-up direction into the file's axes."""
-    import torch
-
-    from gscomplete.views import up_rotation
-
-    turned = up_rotation(up).T @ torch.tensor(direction_z_up, dtype=torch.float64)
-    x, y, z = turned.tolist()
-    return x, y, z
 
 
 def run(options: MeshOptions) -> int:
@@ -129,7 +111,7 @@ def make(options: MeshOptions, enter: StageCallback = ignore_stage) -> ObjectDra
     settings = ConvertSettings(options.mode, options.sigma, seed=options.seed)
     count = 100_000 if options.count is None and options.spacing is None else options.count
     request = framing_request(options, up_of_mesh_file(options.file))
-    light = BakedLight(in_file_axes(LIGHT_Z_UP, request.up)) if options.light else None
+    light = BakedLight.from_above(request.up) if options.light else None
     enter("converting", 0.2)
     made = convert_mesh(mesh, count, spacing=options.spacing, settings=settings, light=light)
     complete = made.splats

@@ -18,12 +18,14 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import torch
 import trimesh
 from numpy.typing import NDArray
 from trimesh.resolvers import Resolver
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats
+from gscomplete.views import UpAxis, up_rotation
 from splatcomplete_data.mesh.discs import (
     DiscSettings,
     discs_at,
@@ -46,6 +48,8 @@ FloatArray = NDArray[np.float32]
 GltfColors = Literal["linear", "srgb"]
 """What the numbers of a glTF's colour factors are; ``srgb`` for exporters that got it wrong."""
 
+_ABOVE_Z_UP = (0.5, -0.35, 0.8)
+"""Where the soft light comes from, z up."""
 MAX_TEXTURE_PX = 1024
 """Larger textures are reduced to this side before sampling."""
 
@@ -58,6 +62,12 @@ class BakedLight:
     """Towards the light, in the file's frame; need not be unit."""
     strength: float = 0.4
     """How much darker than its colour a surface facing away gets, in [0, 1]."""
+
+    @classmethod
+    def from_above(cls, up: UpAxis) -> BakedLight:
+        """Return the soft light of ``--light``, for a file whose axis ``up`` points up."""
+        x, y, z = (up_rotation(up).T @ torch.tensor(_ABOVE_Z_UP, dtype=torch.float64)).tolist()
+        return cls((x, y, z))
 
     def shade(self, normals: NDArray[np.floating]) -> FloatArray:  # [N, 3] unit, outward -> [N]
         """Return the factor on the colours: 1 towards the light, 1 - strength away from it."""
