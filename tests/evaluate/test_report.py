@@ -48,8 +48,8 @@ def _no_optional_packages(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_report_round_trips_and_prints() -> None:
-    partial, whole = blob(0.2), concatenate([blob(0.2), blob(-0.2)])
-    report = evaluate(whole, partial, VIEWS, truth=whole, settings=SETTINGS)
+    partial, complete = blob(0.2), concatenate([blob(0.2), blob(-0.2)])
+    report = evaluate(complete, partial, VIEWS, truth=complete, settings=SETTINGS)
     assert report.input_view.views == 1
     assert report.all_views.views == 4
     assert report.truth is not None

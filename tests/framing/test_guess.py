@@ -1,4 +1,4 @@
-"""Guesses of centre, size and input view on shapes whose whole is known."""
+"""Guesses of centre, size and input view on shapes of which the complete object is known."""
 
 import dataclasses
 
@@ -103,15 +103,15 @@ def test_extended_box_grows_at_most_to_width_and_twice_depth() -> None:
 
 
 def test_outward_normals_point_away_from_the_centroid() -> None:
-    whole = cylinder()
-    radial = torch.nn.functional.normalize(whole.means * torch.tensor([1.0, 1.0, 0.0]), dim=1)
-    assert float((outward_normals(whole) * radial).sum(dim=1).min()) > 0.99
+    complete = cylinder()
+    radial = torch.nn.functional.normalize(complete.means * torch.tensor([1.0, 1.0, 0.0]), dim=1)
+    assert float((outward_normals(complete) * radial).sum(dim=1).min()) > 0.99
 
 
 def test_fewer_splats_grow_to_cover_the_same_surface():
-    whole = cylinder(4000)
-    full = score_views(whole, FramingSettings())
-    thinned = score_views(whole, FramingSettings(max_splats=500))
+    complete = cylinder(4000)
+    full = score_views(complete, FramingSettings())
+    thinned = score_views(complete, FramingSettings(max_splats=500))
     ratio = thinned.area / full.area
     assert 0.85 < float(ratio.min()) <= float(ratio.max()) < 1.15
 

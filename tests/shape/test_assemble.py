@@ -43,7 +43,7 @@ def put_together(prediction: Prediction, **changes: object):
     ).splats
 
 
-def test_a_believed_mirror_image_is_shown_by_ps_own_splats():
+def test_a_consistent_mirror_image_enters_as_ps_own_splats():
     partial, new = half(ball()), put_together(predicted(0.9))
     image = partial.means * torch.tensor([-1.0, 1.0, 1.0])
     away, index = cKDTree(image.numpy()).query(new.means.numpy())
@@ -58,7 +58,7 @@ def test_a_believed_mirror_image_is_shown_by_ps_own_splats():
     )
 
 
-def test_without_belief_the_networks_surface_is_all():
+def test_without_a_consistent_image_the_networks_surface_is_all():
     prediction, partial = predicted(0.1), half(ball())
     generator = torch.Generator().manual_seed(0)
     settings = SurfaceSettings(8000, filled_logit=-0.3)
@@ -125,10 +125,10 @@ def test_scattered_splats_are_no_whole_surface(count, is_sure):
 
 
 def test_the_mirrored_whole_is_that_of_the_truth():
-    whole = concatenate([half(ball()), put_together(predicted(0.9))])
+    complete = concatenate([half(ball()), put_together(predicted(0.9))])
     cameras = VIEWS.ring(8, 96)
     with torch.no_grad():
-        ours, truth = render(whole, cameras), render(ball(), cameras)
+        ours, truth = render(complete, cameras), render(ball(), cameras)
     iou = ((ours.alpha > 0.5) & (truth.alpha > 0.5)).sum() / (
         (ours.alpha > 0.5) | (truth.alpha > 0.5)
     ).sum()

@@ -98,11 +98,11 @@ def test_of_two_layers_the_outer_one_gives_its_colour_to_what_lies_between_them(
 
 
 def test_a_gap_takes_the_colours_of_its_two_sides():
-    whole = ball()
-    sides = whole.select(whole.means[:, 0].abs() > 0.03)
+    complete = ball()
+    sides = complete.select(complete.means[:, 0].abs() > 0.03)
     left = (sides.means[:, :1] < 0).float().expand(-1, 3)
     sides = dataclasses.replace(sides, sh=colors_to_sh(left))
-    gap = whole.means[whole.means[:, 0].abs() < 0.02]
+    gap = complete.means[complete.means[:, 0].abs() < 0.02]
     normals = torch.nn.functional.normalize(gap, dim=1)
     taken = nearest_colors(sides, gap, normals, torch.Generator().manual_seed(0))
     is_left = gap[:, 0] < -0.01
@@ -111,13 +111,13 @@ def test_a_gap_takes_the_colours_of_its_two_sides():
 
 
 def test_bands_go_on_round_what_stands_upright():
-    whole = ball()
-    heights = whole.means[:, 2]
+    complete = ball()
+    heights = complete.means[:, 2]
     red = (torch.floor(heights / 0.1) % 2 == 0).float()
-    banded = dataclasses.replace(whole, sh=colors_to_sh(red[:, None].expand(-1, 3)))
-    front = banded.select(whole.means[:, 0] > 0)
-    behind = (whole.means[:, 0] < -0.1) & (heights.abs() < 0.25)
-    points = whole.means[behind]
+    banded = dataclasses.replace(complete, sh=colors_to_sh(red[:, None].expand(-1, 3)))
+    front = banded.select(complete.means[:, 0] > 0)
+    behind = (complete.means[:, 0] < -0.1) & (heights.abs() < 0.25)
+    points = complete.means[behind]
     normals = torch.nn.functional.normalize(points, dim=1)
 
     def share_kept(settings: ColorSettings) -> float:

@@ -69,10 +69,10 @@ def test_discs_lie_on_the_surface_and_not_on_p():
 
 def test_whole_is_closed_and_of_the_right_size():
     partial = half(ball())
-    whole = concatenate([partial, guess()])
+    complete = concatenate([partial, guess()])
     cameras = VIEWS.ring(8, 96)
     with torch.no_grad():
-        ours = render(whole, cameras).alpha > 0.5
+        ours = render(complete, cameras).alpha > 0.5
         truth = render(ball(), cameras).alpha > 0.5
     iou = (ours & truth).sum(dim=(1, 2)) / (ours | truth).sum(dim=(1, 2))
     assert float(iou.min()) > 0.93

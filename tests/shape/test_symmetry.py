@@ -26,7 +26,7 @@ from tests.builders.shape_network import likeliest_inputs, mirrors
 VIEWS = ViewDistribution(0.0, 10.0)
 
 
-def test_the_companion_shows_something_else():
+def test_the_second_symmetry_differs_from_the_first():
     points = half(ball()).means.numpy()
     across, along, turn = mirrors()
     nearly = dataclasses.replace(across, shift=np.array([0.02, 0, 0], np.float32))
@@ -36,7 +36,7 @@ def test_the_companion_shows_something_else():
     assert second_symmetry([across, nearly], 0, points) is nearly  # there is nothing else
 
 
-def test_what_is_shown_is_two_maps_and_one_after_the_other():
+def test_inputs_are_two_maps_and_their_composition():
     points = half(ball()).means.numpy()
     first, second, both = likeliest_inputs(half(ball()), VIEWS).symmetries
     np.testing.assert_allclose(both.apply(points), second.apply(first.apply(points)), atol=1e-5)

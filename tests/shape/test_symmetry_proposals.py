@@ -49,18 +49,18 @@ def test_part_of_a_sphere_is_mirrored_to_what_is_missing():
 @pytest.mark.parametrize("turn_deg", [0.0, 33.0, 90.0, 161.0])
 def test_half_a_dumbbell_finds_its_one_plane(turn_deg):
     """The part beyond a cut at an angle to the plane of symmetry: the copy must still fit."""
-    whole = dumbbell()
-    partial = whole.select(whole.means @ torch.tensor([0.95, 0.2, 0.0]) > -0.03)
+    complete = dumbbell()
+    partial = complete.select(complete.means @ torch.tensor([0.95, 0.2, 0.0]) > -0.03)
     angle = math.radians(turn_deg)
     turn = torch.tensor(
         [[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0], [0, 0, 1.0]]
     ).double()
     placed = Similarity(1.0, turn, torch.zeros(3).double())
-    partial, whole = transform_splats(partial, placed), transform_splats(whole, placed)
+    partial, complete = transform_splats(partial, placed), transform_splats(complete, placed)
     views = dataclasses.replace(VIEWS, azimuth_deg=turn_deg)
     seen = likeliest_inputs(partial, views)
     copy = seen.symmetries[0].apply(partial.means.numpy())
-    away, _ = cKDTree(whole.means.numpy()).query(copy)
+    away, _ = cKDTree(complete.means.numpy()).query(copy)
     # Where P has no match for its copy the plane stays on its grid of 5 degrees and 0.025.
     assert np.quantile(away, 0.9) < 1.5 * CELL_SIDE
 

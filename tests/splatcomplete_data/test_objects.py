@@ -27,9 +27,9 @@ from tests.builders.objects import ball
 
 
 def test_an_object_reads_back_as_written(tmp_path: Path) -> None:
-    whole = ball(400, 0.5)
-    part = whole.select(whole.means[:, 0] > 0)
-    written = write_object(tmp_path / "ball", object_record(), part, whole)
+    complete = ball(400, 0.5)
+    part = complete.select(complete.means[:, 0] > 0)
+    written = write_object(tmp_path / "ball", object_record(), part, complete)
     found = read_object(tmp_path / "ball")
     assert found.record == written
     assert written.counts == {"sh_degree": 0, "partial": len(part), "complete": 400}

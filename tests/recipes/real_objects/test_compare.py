@@ -22,30 +22,30 @@ def two_colored_plate() -> tuple[Splats, Splats]:
     quaternions = torch.zeros(3600, 4)
     quaternions[:, 0] = 1.0
     scales = torch.full((3600, 3), 0.012)
-    whole = Splats(means, quaternions, scales, torch.full((3600,), 0.95), colors_to_sh(colors))
-    return whole, whole.select(means[:, 0] < 0.0)
+    complete = Splats(means, quaternions, scales, torch.full((3600,), 0.95), colors_to_sh(colors))
+    return complete, complete.select(means[:, 0] < 0.0)
 
 
-def framed(whole: Splats | None, part: Splats) -> FramedObject:
-    item = RealObject("plate", "a plate", "Z", part, whole, "half of it")
-    return FramedObject(item, part, whole, ViewDistribution(-90.0, 0.0))
+def framed(complete: Splats | None, part: Splats) -> FramedObject:
+    item = RealObject("plate", "a plate", "Z", part, complete, "half of it")
+    return FramedObject(item, part, complete, ViewDistribution(-90.0, 0.0))
 
 
 def test_the_bound_has_the_true_shape_and_only_colors_that_are_seen() -> None:
-    whole, part = two_colored_plate()
-    one = framed(whole, part)
+    complete, part = two_colored_plate()
+    one = framed(complete, part)
     new = true_shape(one)
     assert new is not None
-    assert len(new) == len(whole) - len(part)
+    assert len(new) == len(complete) - len(part)
     torch.testing.assert_close(new.base_colors, part.base_colors[:1].expand(len(new), -1))
-    found = against_truth(concatenate([part, new]), part, whole, one.views.ring(4, 64))
+    found = against_truth(concatenate([part, new]), part, complete, one.views.ring(4, 64))
     assert found.silhouette_iou > 0.999
     psnr = found.hidden_color_psnr_db
     # Of the hidden half five ninths are green and shown red: 0.8 off in two of three channels.
     assert psnr is not None
     assert 5.0 < psnr < 7.5
-    right = dataclasses.replace(new, sh=whole.select(whole.means[:, 0] >= 0.0).sh)
-    better = against_truth(concatenate([part, right]), part, whole, one.views.ring(4, 64))
+    right = dataclasses.replace(new, sh=complete.select(complete.means[:, 0] >= 0.0).sh)
+    better = against_truth(concatenate([part, right]), part, complete, one.views.ring(4, 64))
     assert better.hidden_color_psnr_db is not None
     assert better.hidden_color_psnr_db > 40.0
 

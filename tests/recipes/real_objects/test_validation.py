@@ -35,9 +35,9 @@ def test_parts_are_three_of_every_object_that_the_benchmark_leaves_alone() -> No
 def test_slight_parts_lack_little_the_last_of_each_nothing() -> None:
     found = parts(slight=True)
     assert [part.name for part in found] == [part.name for part in parts()]
-    whole = box("Y")
+    complete = box("Y")
     for part in found[2::3]:
-        assert cut_object(whole, dataclasses.replace(part, up="Y")).kept == len(whole)
+        assert cut_object(complete, dataclasses.replace(part, up="Y")).kept == len(complete)
     for part, sides in zip(found, [4, 3, 0] * 15, strict=True):
         assert isinstance(part.cut, ScanCut) == (sides > 0)
         if isinstance(part.cut, ScanCut):
@@ -53,13 +53,13 @@ def test_scans_and_boxes_take_the_far_side_away() -> None:
 
 
 def test_a_turned_object_stands_as_before_and_keeps_its_part() -> None:
-    whole = box("Y")
-    part = whole.select(torch.arange(len(whole)) % 3 == 0)
-    item = RealObject("box", "a box", "Y", part, whole, "every third")
+    complete = box("Y")
+    part = complete.select(torch.arange(len(complete)) % 3 == 0)
+    item = RealObject("box", "a box", "Y", part, complete, "every third")
     turned = turned_object(item, 40.0)
     assert turned.complete is not None
     rotation = up_rotation("Y").double()
-    before, after = (s.means.double() @ rotation.T for s in (whole, turned.complete))
+    before, after = (s.means.double() @ rotation.T for s in (complete, turned.complete))
     torch.testing.assert_close(after[:, 2], before[:, 2], atol=1e-4, rtol=0)
     angle = torch.atan2(after[:, 1], after[:, 0]) - torch.atan2(before[:, 1], before[:, 0])
     angle_deg = torch.rad2deg(torch.atan2(angle.sin(), angle.cos()))

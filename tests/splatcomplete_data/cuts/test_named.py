@@ -30,17 +30,17 @@ def test_parse() -> None:
 
 
 def test_cuts_act_in_the_object_frame() -> None:
-    whole = shell()
-    part, steps = apply_cuts(whole, FRAME, [PlaneCut(0.0)], (), "shell")
+    complete = shell()
+    part, steps = apply_cuts(complete, FRAME, [PlaneCut(0.0)], (), "shell")
     assert float(part.means[:, 0].max()) <= 10.0 + 1e-4
-    assert steps[0].before - steps[0].after == len(whole) - len(part)
-    part, _ = apply_cuts(whole, FRAME, [PlaneCut(90.0)], (), "shell")
+    assert steps[0].before - steps[0].after == len(complete) - len(part)
+    part, _ = apply_cuts(complete, FRAME, [PlaneCut(90.0)], (), "shell")
     assert float(part.means[:, 2].min()) >= -1e-4  # azimuth 90 is -z of a y-up file
-    seen, _ = apply_cuts(whole, FRAME, [ScanCut(((0.0, 0.0),))], (), "shell")
+    seen, _ = apply_cuts(complete, FRAME, [ScanCut(((0.0, 0.0),))], (), "shell")
     assert float(seen.means[:, 0].min()) > 10.2
-    assert len(seen) > 0.2 * len(whole)
+    assert len(seen) > 0.2 * len(complete)
     box = parse_box("10,0.5,0,2,0.5,2")
-    both, steps = apply_cuts(whole, FRAME, [PlaneCut(0.0)], [box], "shell")
+    both, steps = apply_cuts(complete, FRAME, [PlaneCut(0.0)], [box], "shell")
     assert float(both.means[:, 1].min()) >= 0
     assert [step.name for step in steps] == ["cut_plane", "boxes"]
 
@@ -53,10 +53,10 @@ def test_nothing_and_everything_are_user_errors() -> None:
 
 @pytest.mark.parametrize("away", [1.5, 5.0, 50.0])
 def test_a_floater_does_not_change_what_a_scanner_sees(away: float) -> None:
-    whole = BALL
-    clean = ScanCut(((0.0, 20.0),)).apply(whole).mask
+    complete = BALL
+    clean = ScanCut(((0.0, 20.0),)).apply(complete).mask
     floater = dataclasses.replace(
-        whole.select(torch.tensor([0])), means=torch.tensor([[away, 0.0, 0.0]])
+        complete.select(torch.tensor([0])), means=torch.tensor([[away, 0.0, 0.0]])
     )
-    seen = ScanCut(((0.0, 20.0),)).apply(concatenate([whole, floater])).mask[:-1]
+    seen = ScanCut(((0.0, 20.0),)).apply(concatenate([complete, floater])).mask[:-1]
     assert (seen == clean).float().mean() > 0.99
