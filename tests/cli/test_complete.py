@@ -9,7 +9,7 @@ from gscomplete.errors import UserError
 
 
 @pytest.mark.parametrize("mirror", ["none", "30,0.1"])
-def test_a_plane_is_refused_where_the_prior_cannot_guess_the_whole(mirror):
+def test_a_plane_is_refused_where_the_prior_cannot_guess_the_complete_object(mirror):
     """``reconstruct`` starts from a guess, but only if the prior has one."""
     options = CompleteOptions(
         partial=Path("half.ply"), prompt="a mug", preset="reconstruct", mirror=mirror

@@ -22,7 +22,7 @@ from tests.builders.objects import cylinder
         ((0.0, 0.0, 0.0), 0.6, None),  # beyond by 0.2, a third of the size
     ],
 )
-def test_frames_that_may_be_the_wholes_are_taken(up, center, size, found):
+def test_frames_that_may_hold_the_complete_object_are_taken(up, center, size, found):
     notes = check_given_frame(cylinder(), ObjectFrame(up, center, size), Path("p.ply"))
     assert len(notes) == (found is not None)
     assert found is None or found in notes[0]
@@ -44,6 +44,8 @@ def test_frames_that_may_be_the_wholes_are_taken(up, center, size, found):
         ((-900.0, 0.0, 0.0), 90.0, "expected a frame that P lies in"),
     ],
 )
-def test_frames_that_cannot_be_the_wholes_are_refused_with_the_numbers(center, size, message):
+def test_frames_that_cannot_hold_the_complete_object_are_refused_with_the_numbers(
+    center, size, message
+):
     with pytest.raises(UserError, match=message):
         check_given_frame(cylinder(), ObjectFrame("Z", center, size), Path("p.ply"))

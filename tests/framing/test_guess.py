@@ -33,7 +33,7 @@ def test_half_a_cylinder_is_seen_from_outside_and_completed(
     assert "grows" in guess.box_reason
 
 
-def test_a_whole_object_keeps_its_box() -> None:
+def test_a_complete_object_keeps_its_box() -> None:
     guess = guess_framing(cylinder())
     assert np.linalg.norm(guess.center) < 0.02
     assert guess.size == pytest.approx(1.0, abs=0.02)
@@ -117,7 +117,7 @@ def test_fewer_splats_grow_to_cover_the_same_surface():
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 120.0, 250.0])
-def test_the_whole_lies_behind_what_one_scanner_saw(azimuth):
+def test_the_complete_object_reaches_behind_what_one_scanner_saw(azimuth):
     """A half open to the left of the scanner grows away from the scanner all the same."""
     part = half_cylinder(azimuth + 90.0, True)
     guess = guess_framing(part, seen_from_deg=azimuth)

@@ -40,7 +40,7 @@ def test_the_right_side_stays() -> None:
     assert refine_input_view(PART, REST, right) == (right, "")
 
 
-def test_a_whole_that_hides_p_from_everywhere_is_rather_wrong_itself() -> None:
+def test_a_guess_that_hides_p_from_everywhere_moves_no_view() -> None:
     wrapping = transform_splats(cylinder(), Similarity(1.3, torch.eye(3), torch.zeros(3)))
     settled, note = refine_input_view(PART, wrapping, WRONG)
     assert (settled, note) == (WRONG, "")

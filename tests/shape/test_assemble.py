@@ -104,7 +104,7 @@ def test_where_little_is_missing_the_network_has_to_be_surer(symmetry_score, sha
 
 
 @pytest.mark.parametrize(("count", "is_sure"), [(60, False), (4000, True)])
-def test_scattered_splats_are_no_whole_surface(count, is_sure):
+def test_scattered_splats_are_no_closed_surface(count, is_sure):
     """All of a ball is there; of few splats, as far scanners see it, most of it is open."""
     partial = ball(count)
     voxels = voxelize_partial(partial, VIEWS)
@@ -124,7 +124,7 @@ def test_scattered_splats_are_no_whole_surface(count, is_sure):
     assert not torch.equal(found(3.0, -3.0).means, found(-level, -level).means)
 
 
-def test_the_mirrored_whole_is_that_of_the_truth():
+def test_the_mirrored_object_has_the_silhouette_of_the_truth():
     complete = concatenate([half(ball()), put_together(predicted(0.9))])
     cameras = VIEWS.ring(8, 96)
     with torch.no_grad():

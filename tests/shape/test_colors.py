@@ -56,7 +56,7 @@ def test_the_colour_of_the_network_is_never_mixed_in():
     torch.testing.assert_close(taken, red[: len(taken)], atol=1e-4, rtol=0)
 
 
-def test_of_two_sources_trusted_alike_the_likelier_is_taken_whole():
+def test_of_two_sources_trusted_alike_only_the_likelier_is_taken():
     points = hidden_points()
     both, _ = colors_at(points, pointing_at(1, 3))
     first, _ = colors_at(points, pointing_at(1))

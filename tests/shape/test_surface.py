@@ -67,7 +67,7 @@ def test_discs_lie_on_the_surface_and_not_on_p():
     assert len(splats) > 1000
 
 
-def test_whole_is_closed_and_of_the_right_size():
+def test_the_completion_is_closed_and_of_the_right_size():
     partial = half(ball())
     complete = concatenate([partial, guess()])
     cameras = VIEWS.ring(8, 96)

@@ -35,7 +35,7 @@ def test_the_line_that_completes_the_part_is_told(tmp_path, capsys, prompt):
     assert "complete_command" not in json.loads((out / "object.json").read_text())
 
 
-def test_a_whole_alone_has_no_such_line(tmp_path, capsys):
+def test_a_complete_object_alone_has_no_such_line(tmp_path, capsys):
     trimesh = pytest.importorskip("trimesh")
     trimesh.creation.box().export(tmp_path / "box.ply")
     arguments = ["mesh", str(tmp_path / "box.ply"), "--count", "500", "--out", str(tmp_path / "o")]
