@@ -21,7 +21,8 @@ from tests.builders.objects import ball, half
 from tests.builders.ply_files import make_ply, random_table
 
 STEPS = 18
-QUICK = ("--preset", "reconstruct", "--steps", STEPS)
+QUICK = ("--preset", "reconstruct", "--steps", STEPS, "--mirror", "none")
+"""One answer of the shape network in place of nine, and a few steps."""
 
 
 def arguments_of(path: Path, out: Path, *more: object) -> tuple[object, ...]:
@@ -41,9 +42,13 @@ def shell(count: int = 800, offset: float = 0.0, size: float = 1.0) -> Splats:
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("run") / "mug"
-    result = run_alone(*arguments_of(SAMPLE, out, "--new-only", out.with_name("new.ply")))
+    alone = out.with_name("new.ply")
+    result = run_alone(*arguments_of(SAMPLE, out, "--new-only", alone, "--profile"))
     assert result.returncode == 0, result.stderr
-    assert f"the new splats alone: {out.with_name('new.ply')}" in result.stdout
+    assert f"the new splats alone: {alone}" in result.stdout
+    profile = json.loads((out / "run.json").read_text())["profile"]
+    assert {"load", "read", "frame", "render", "prior", "write", "metrics"} <= profile.keys()
+    assert all(f"\n{name} " in result.stdout for name in profile)
     return out
 
 
