@@ -16,6 +16,10 @@ SAMPLE = REPOSITORY / "recipes/demo/partial.ply"
 """The mug, cut through, that ``make demo`` completes."""
 
 
+PATIENCE_S = 600
+"""What hangs is ended after this; a busy machine takes minutes where an idle one takes seconds."""
+
+
 @dataclass(frozen=True)
 class Told:
     """What a command ended with and printed."""
@@ -50,6 +54,10 @@ def start_alone(*arguments: object, package: str = "gscomplete") -> subprocess.P
 
 def run_alone(*arguments: object, package: str = "gscomplete") -> Told:
     """Run a command in a process of its own."""
-    child = start_alone(*arguments, package=package)
-    stdout, stderr = child.communicate(timeout=170)
+    with start_alone(*arguments, package=package) as child:
+        try:
+            stdout, stderr = child.communicate(timeout=PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            raise
     return Told(child.returncode, stdout, stderr)

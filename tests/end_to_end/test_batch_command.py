@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from gscomplete.splats import read_splats, write_splats
-from tests.builders.commands import SAMPLE, run_here, start_alone
+from tests.builders.commands import PATIENCE_S, SAMPLE, run_here, start_alone
 
 HOW = ("--preset", "fast")
 NAMES = ("low", "high")
@@ -69,7 +69,7 @@ def workers_of(batch: subprocess.Popen) -> list[int]:
 
 
 def wait_until(condition, batch: subprocess.Popen) -> None:
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + PATIENCE_S
     while not condition():
         assert batch.poll() is None, batch.communicate()
         assert time.monotonic() < deadline
@@ -86,7 +86,7 @@ def test_killed_batches_lose_nothing_and_do_nothing_twice(manifest, one_by_one, 
     first.kill()
     first.wait()
     second = start(manifest, out, "--workers", 1)
-    told, said = second.communicate(timeout=170)
+    told, said = second.communicate(timeout=PATIENCE_S)
     assert second.returncode == 0, said
     assert json.loads(told)["objects"] == 2
     assert results(out) == one_by_one
@@ -100,7 +100,7 @@ def test_killed_batches_lose_nothing_and_do_nothing_twice(manifest, one_by_one, 
 def test_a_ray_cluster_gives_the_same_bytes(manifest, one_by_one, tmp_path):
     pytest.importorskip("ray")
     batch = start(manifest, tmp_path / "runs", "--ray", "local", "--workers", 2)
-    told, said = batch.communicate(timeout=300)
+    told, said = batch.communicate(timeout=PATIENCE_S)
     assert batch.returncode == 0, said
     assert json.loads(told)["counts"] == {"finished_before": 0, "finished": 2}
     assert results(tmp_path / "runs") == one_by_one
@@ -112,7 +112,7 @@ def test_ctrl_c_ends_a_batch_in_one_line(manifest, tmp_path):
     wait_until(lambda: (tmp_path / "runs/.batch/ledger.jsonl").exists(), batch)
     time.sleep(0.5)
     batch.send_signal(signal.SIGINT)
-    told, said = batch.communicate(timeout=60)
+    told, said = batch.communicate(timeout=PATIENCE_S)
     assert batch.returncode == 130, said
     assert "interrupted; the same command goes on with what is unfinished" in said
     assert "Traceback" not in said

@@ -15,7 +15,7 @@ import pytest
 import torch
 
 from gscomplete.splats import Splats, read_splats, write_splats
-from tests.builders.commands import SAMPLE, Told, run_alone, run_here, start_alone
+from tests.builders.commands import PATIENCE_S, SAMPLE, Told, run_alone, run_here, start_alone
 from tests.builders.folders import write_object_folder
 from tests.builders.objects import ball, half
 from tests.builders.ply_files import make_ply, random_table
@@ -89,7 +89,7 @@ def test_same_seed_same_bytes(finished, tmp_path):
 def test_killed_and_resumed_run_gives_the_same_bytes(finished, tmp_path, number):
     out = tmp_path / "killed"
     child = start_alone(*arguments_of(SAMPLE, out, "--checkpoint-every", "4"))
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + PATIENCE_S
     checkpoint = out / "checkpoints/latest.safetensors"
     while not checkpoint.exists() and child.poll() is None and time.monotonic() < deadline:
         time.sleep(0.02)

@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 
-from tests.builders.commands import REPOSITORY, SAMPLE
+from tests.builders.commands import PATIENCE_S, REPOSITORY, SAMPLE
 
 SCRIPT = """
 from gscomplete.cli.guard import let_threads_sleep
@@ -34,7 +34,7 @@ def run(threads: int) -> str:
     count = {"OMP_NUM_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads)}
     result = subprocess.run(
         [sys.executable, "-c", SCRIPT, str(SAMPLE)],
-        capture_output=True, text=True, timeout=170, cwd=REPOSITORY, env=os.environ | count,
+        capture_output=True, text=True, timeout=PATIENCE_S, cwd=REPOSITORY, env=os.environ | count,
     )  # fmt: skip
     assert result.returncode == 0, result.stderr
     return result.stdout
