@@ -108,9 +108,9 @@ def test_kept_rows_keep_their_momentum(moment):
     moments = job.state()[f"adam.means.{moment}"].clone()
     assert moments.any()
     mask = torch.arange(10) % 2 == 0
-    job.keep(mask)
+    job.edit(mask)
     assert torch.equal(job.state()[f"adam.means.{moment}"], moments[mask])
-    job.extend(splats(3), torch.ones(5, dtype=torch.bool))
+    job.edit(torch.ones(5, dtype=torch.bool), splats(3))
     state = job.state()[f"adam.means.{moment}"]
     assert torch.equal(state[:5], moments[mask])
     assert not state[5:].any()
