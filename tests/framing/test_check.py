@@ -34,8 +34,11 @@ def test_frames_that_may_be_the_wholes_are_taken(up, center, size, found):
         (
             (0.0, 0.0, 0.0),
             1000.0,
-            r"p\.ply: --object-size: expected at most 100 .*found 1000.*0\.1 %",
+            r"p\.ply: --object-size: expected 0\.1 to 100 .*found 1000.*0\.1 %",
         ),
+        ((0.0, 0.0, 0.0), 1e9, r"--object-size: expected 0\.1 to 100 .*found 1e\+09"),
+        ((0.0, 0.0, 0.0), 1e-9, r"--object-size: expected 0\.1 to 100 .*found 1e-09"),
+        ((0.0, 0.0, 0.0), 0.09, r"--object-size: expected 0\.1 to 100 .*found 0\.09"),
         (
             (0.0, 2.0, 0.0),
             1.0,
