@@ -26,7 +26,7 @@ def test_mutated_files_are_read_or_refused(
     seeds = seed_files(tmp_path / "seeds")
     answers = {}
     for path, reader in seeds:
-        assert try_reader(reader, tmp_path / "seeds" / path, 60) == "read", path
+        assert try_reader(reader, tmp_path / "seeds" / path, 300) == "read", path
     for number, path, reader in mutated(tmp_path, seeds, 1, range(4 * len(seeds))):
         answers[f"{number} {path}"] = try_reader(reader, tmp_path / "mutated" / path, 20)
     odd = {name: answer for name, answer in answers.items() if answer not in ("read", "refused")}
