@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from gscomplete.errors import UserError
 from gscomplete.render import render
 from gscomplete.splats import Splats
+from gscomplete.splats.filters import near_rows
 from gscomplete.views import ObjectFrame, ViewDistribution
 
 _LEAST_SHARE = 0.01
@@ -55,7 +56,8 @@ def check_given_frame(partial: Splats, frame: ObjectFrame, name: str) -> tuple[s
     Raises:
         UserError: P is next to nothing in it, many times as large, or lies outside.
     """
-    side, size = largest_side(partial), frame.size_file
+    near, _ = near_rows(partial)  # one splat may be astronomically far away
+    side, size = largest_side(partial.select(near)), frame.size_file
     share = side / size
     sides = (
         f"P's largest side is {side:.4g}, {100 * share:.2g} % of the complete object's {size:.4g} "

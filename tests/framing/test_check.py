@@ -28,6 +28,12 @@ def test_frames_that_may_be_the_wholes_are_taken(up, center, size, found):
     assert found is None or found in notes[0]
 
 
+def test_what_is_astronomically_far_away_does_not_count() -> None:
+    part = cylinder(60)
+    part.means[0] = 1e17
+    assert check_given_frame(part, ObjectFrame("Z", (0.0, 0.0, 0.0), 1.0), "p.ply") != ()
+
+
 @pytest.mark.parametrize(
     ("center", "size", "message"),
     [
