@@ -43,8 +43,8 @@ class GradientStatistics:
 
     def add(self, gradient: Tensor, width: int, height: int) -> None:  # [V, N, 2] dL/dpixel
         """Add views; gradients are per half image, so that they hardly depend on resolution."""
-        half_image = gradient.new_tensor([0.5 * width, 0.5 * height])
-        length = (gradient * half_image).norm(dim=2)
+        scaled = (gradient[..., 0] * (0.5 * width), gradient[..., 1] * (0.5 * height))
+        length = torch.stack(scaled, dim=-1).norm(dim=-1)
         self.total += length.sum(dim=0)
         self.views += (length > 0).sum(dim=0)
 
