@@ -22,10 +22,10 @@ def seed_files(folder: Path) -> list[tuple[Path, Reader]]:
     from PIL import Image
 
     from gscomplete.splats import write_splats
+    from gscomplete.splats.formats.any_file import write_any_splats
     from gscomplete.splats.validation import validate_file
     from recipes.benchmarks.ply_io import random_splats
     from splatcomplete_data.dataset.recipe import read_recipe
-    from splatcomplete_data.formats import write_any_splats
     from splatcomplete_data.objects import read_record
     from splatcomplete_data.scan.read import read_scan
     from splatcomplete_data.singleview.depth_file import read_depth
@@ -34,9 +34,11 @@ def seed_files(folder: Path) -> list[tuple[Path, Reader]]:
     splats = random_splats(40, 1)
     write_splats(folder / "splats.ply", splats)
     found += [(folder / "splats.ply", _rewrite), (folder / "splats.ply", validate_file)]
-    for name in ("a.splat", "a.spz", "a.compressed.ply"):
+    for name in ("a.splat", "a.spz", "a.compressed.ply", "a.sog", "splats.glb"):
         write_any_splats(folder / name, splats)
         found.append((folder / name, _rewrite))
+    _write_ksplat(folder / "a.ksplat", splats)
+    found.append((folder / "a.ksplat", _rewrite))
     box = trimesh.creation.icosphere(subdivisions=1)
     image = Image.fromarray(np.arange(192, dtype=np.uint8).reshape(8, 8, 3))
     uv = box.vertices[:, :2] * 0.5 + 0.5
@@ -67,6 +69,30 @@ def seed_files(folder: Path) -> list[tuple[Path, Reader]]:
     found += _captures(folder, splats)
     found += _runs(folder)
     return found
+
+
+def _write_ksplat(path: Path, splats: Splats) -> None:
+    """Write a .ksplat of one section whose rows lie in one bucket, without harmonics."""
+    count = len(splats)
+    head, section = np.zeros(4096, np.uint8), np.zeros(1024, np.uint8)
+    head[1] = 1
+    head.view("<u4")[1:5] = 1, 1, count, count
+    head.view("<u2")[10] = 1
+    section.view("<u4")[:4] = count, count, count, 1
+    section.view("<f4")[4] = 5.0
+    section.view("<u2")[10] = 12
+    section.view("<u4")[8] = 1
+    steps = (splats.means.numpy() / (2.5 / 32767) + 32767).clip(0, 65535)
+    rows = np.concatenate(
+        [
+            steps.astype("<u2").view(np.uint8),
+            splats.scales.numpy().astype("<f2").view(np.uint8),
+            splats.quaternions.numpy().astype("<f2").view(np.uint8),
+            np.full((count, 4), 128, np.uint8),
+        ],
+        axis=1,
+    )
+    path.write_bytes(head.tobytes() + section.tobytes() + bytes(12) + rows.tobytes())
 
 
 def _las(folder: Path, points: np.ndarray, reader: Reader) -> list[tuple[Path, Reader]]:
@@ -240,7 +266,7 @@ def _weights(folder: Path) -> list[tuple[Path, Reader]]:
 def _rewrite(path: Path) -> None:
     """Read splats and write them, which refuses what is not finite."""
     from gscomplete.splats import usable_rows
-    from splatcomplete_data.formats import read_any_splats, write_any_splats
+    from gscomplete.splats.formats.any_file import read_any_splats, write_any_splats
 
     splats = read_any_splats(path).splats
     usable, _ = usable_rows(splats)
