@@ -103,6 +103,8 @@ class CompleteOptions(HowToComplete):
     """PLY file to write the new splats to as well, alone, in P's frame; it must not exist."""
     resume: bool = False
     """Continue the run in --out from its last checkpoint; all other options must be the same."""
+    profile: bool = False
+    """Print where time and memory went, stage by stage, and keep it as ``profile`` in run.json."""
     json: bool = False
     """Print the content of run.json on standard output and nothing else there."""
 
@@ -121,8 +123,15 @@ def run(options: CompleteOptions) -> int:
     """
     import torch
 
+    from gscomplete.util.stages import profiled
+
     try:
-        return _complete(options)
+        if not options.profile:
+            return _complete(options)
+        with profiled() as profile:
+            code = _complete(options)
+        _say(options, *profile.lines())
+        return code
     except torch.OutOfMemoryError as error:
         raise GpuMemoryError(
             "the GPU ran out of memory; a smaller --diffusion.memory (8gb) or --device cpu needs "
@@ -132,16 +141,19 @@ def run(options: CompleteOptions) -> int:
 
 def _complete(options: CompleteOptions) -> int:
     """Load the prior, run, and say what came of it."""
-    from gscomplete.cli.request import request_of
-    from gscomplete.completion.run_folder import prepare
-    from gscomplete.priors import load_prior
-    from gscomplete.render.dispatch import choose_render_device
-    from gscomplete.util.device import choose_device
+    from gscomplete.util.stages import stage
 
-    device = choose_device(options.device)
-    render_device, fallback = choose_render_device(options.device, device)
-    knobs = None if options.diffusion == LatentPriorSettings() else options.diffusion
-    prior = load_prior(options.prior, device, knobs)
+    with stage("load"):
+        from gscomplete.cli.request import request_of
+        from gscomplete.completion.run_folder import prepare
+        from gscomplete.priors import load_prior
+        from gscomplete.render.dispatch import choose_render_device
+        from gscomplete.util.device import choose_device
+
+        device = choose_device(options.device)
+        render_device, fallback = choose_render_device(options.device, device)
+        knobs = None if options.diffusion == LatentPriorSettings() else options.diffusion
+        prior = load_prior(options.prior, device, knobs)
     job = prepare(request_of(options, prior), prior, render_device)
     _say(options, *job.notes, *([fallback] if fallback else []))
     if job.steps.step_number:

@@ -30,6 +30,7 @@ from gscomplete.render import Render
 from gscomplete.render.partial_views import PartialViews
 from gscomplete.splats import Splats
 from gscomplete.util.randomness import generator_for, uniform
+from gscomplete.util.stages import stage
 from gscomplete.views import Cameras, ViewDistribution
 
 _CORNER_RADIUS = 0.9
@@ -118,7 +119,8 @@ class Optimisation:
         timestep = schedules.timestep_at(settings, step)
         wants_targets = settings.mode == "reconstruct" and schedules.is_round_start(settings, step)
         if wants_targets and self._rings.newest_step != step:  # else a step begun before made them
-            self._rings.add(self._denoised_ring(timestep))
+            with stage("prior"):
+                self._rings.add(self._denoised_ring(timestep))
         ring_cameras, ring = self._guidance_views()
         batches = [ring_cameras]
         preserving = schedules.has_preservation(settings, step)
@@ -127,10 +129,13 @@ class Optimisation:
         count = sum(len(cameras) for cameras in batches)
         splats = self.parameters.splats()
         offsets = torch.zeros(count, len(splats), 2, device=self._device, requires_grad=True)
-        drawn = self._renders.together(splats, batches, offsets)
+        with stage("render"):
+            drawn = self._renders.together(splats, batches, offsets)
         background = random_background(generator_for(settings.seed, step, "background"))
         background = background.to(self._device)
-        guidance = self._guidance_loss(_part(drawn, 0, 4), ring_cameras, ring, timestep, background)
+        view = _part(drawn, 0, 4)
+        with stage("prior"):
+            guidance = self._guidance_loss(view, ring_cameras, ring, timestep, background)
         total, preservation = guidance, None
         if preserving:
             preservation = preservation_loss(
@@ -140,7 +145,8 @@ class Optimisation:
                 masked=not schedules.is_warmup(settings, step),
             )
             total = total + settings.preservation_weight * preservation
-        total.backward()
+        with stage("gradients"):
+            total.backward()
         losses = {"the prior's loss": guidance, "the preservation loss": preservation}
         require_finite(step, **losses, **self.parameters.gradients())
         require_finite(step, **{"gradient of screen positions": offsets.grad})

@@ -53,6 +53,7 @@ from gscomplete.splats.formats.any_file import read_splat_file
 from gscomplete.splats.working_set import WorkingSet, working_set
 from gscomplete.util.device import choose_device
 from gscomplete.util.jsonio import to_json
+from gscomplete.util.stages import stage
 from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution, radius_to_fit
 from gscomplete.views.distribution import AZIMUTH_RANGE_DEG, ELEVATION_RANGE_DEG
 
@@ -261,7 +262,8 @@ def prepare(
         splats, name = given, "P"
     working = working_set(splats, settings.max_working_splats, name)
 
-    framing = framing_for(working.splats, framing_request, prior)
+    with stage("frame"):
+        framing = framing_for(working.splats, framing_request, prior)
     notes += framing.notes
     if framing_request.center_file is not None or framing_request.size_file is not None:
         notes += check_given_frame(working.splats, framing.frame, name)
@@ -270,10 +272,12 @@ def prepare(
     require_visible(partial, framing.views, name)
     diameter = largest_side(working.splats) / framing.frame.size_file
     conditioning = prior.condition(request.prompt, request.negative_prompt)
-    start = start_splats(partial, prior, conditioning, framing.views, settings, diameter)
+    with stage("start"):
+        start = start_splats(partial, prior, conditioning, framing.views, settings, diameter)
     views, moved = framing.views, ""
     if start.is_guess and framing_request.view_deg is None:
-        views, moved = refine_input_view(partial, start.splats, framing.views)
+        with stage("input view"):
+            views, moved = refine_input_view(partial, start.splats, framing.views)
     steps = Optimisation(partial, start.splats, prior, conditioning, views, settings, device)
 
     notes += (start.note, *((moved,) if moved else ()), *conditioning.report)
@@ -322,12 +326,14 @@ def finish(prepared: Prepared, given: SplatFile | Splats) -> Completed:
     notes = prepared.notes
     colors, bounds = None, None
     if settings.seam_colors is not None:
-        new, colors = match_seam_colors(new, partial, settings.seam_colors)
+        with stage("seam"):
+            new, colors = match_seam_colors(new, partial, settings.seam_colors)
         notes += (colors.summary,)
     if settings.hard_preservation is not None:
-        bounded = preserve_hard(
-            new, partial, prepared.views, settings.hard_preservation, settings.seed
-        )
+        with stage("preservation"):
+            bounded = preserve_hard(
+                new, partial, prepared.views, settings.hard_preservation, settings.seed
+            )
         new, bounds = bounded.splats, bounded.report
         notes += (bounds.summary,)
     seconds = time.perf_counter() - started

@@ -36,6 +36,7 @@ from gscomplete.util.atomic import atomic_path, forget_leftovers
 from gscomplete.util.device import peak_gpu_bytes
 from gscomplete.util.digests import sha256_of
 from gscomplete.util.folder_lock import FolderLock, create_folder, lock_folder
+from gscomplete.util.stages import current_profile, stage
 from gscomplete.util.versions import differences_note, made_with
 
 ALTERNATIVES_FILE = "alternatives.png"
@@ -108,10 +109,12 @@ def prepare(request: RunRequest, prior: Prior, device: torch.device | str = "cpu
             )
         lock = lock_folder(request.out)
         forget_leftovers(request.out, _FILES)
-    source = read_splat_file(request.partial_path)
-    require_appendable(source)
+    with stage("read"):
+        source = read_splat_file(request.partial_path)
+        require_appendable(source)
     prepared = pipeline.prepare(source, request.completion, prior, device)
-    identity = {"input_sha256": sha256_of(request.partial_path), **prepared.identity}
+    with stage("read"):
+        identity = {"input_sha256": sha256_of(request.partial_path), **prepared.identity}
     notes = (*request.notes, *prepared.notes)
     run = Run(request, source.released(), prepared, identity, notes, lock)
     if request.resume:
@@ -151,22 +154,26 @@ def execute(run: Run, on_step: Callable[[StepReport], None]) -> dict[str, Any]:
     run.timings["finish_s"] = time.perf_counter() - started
     completing_s = sum(run.timings.values())
     started = time.perf_counter()
-    completed.save(out / OUTPUT_FILE)
-    if run.request.new_only is not None:
-        completed.save_new(run.request.new_only)
+    with stage("write"):
+        completed.save(out / OUTPUT_FILE)
+        if run.request.new_only is not None:
+            completed.save_new(run.request.new_only)
     run.timings["write_s"] = time.perf_counter() - started
     started = time.perf_counter()
     together = completed.in_object_frame
-    metrics = jsonio.to_json(evaluate(together, completed.partial, completed.views))
+    with stage("metrics"):
+        metrics = jsonio.to_json(evaluate(together, completed.partial, completed.views))
     run.timings["measure_s"] = time.perf_counter() - started
     started = time.perf_counter()
     title = run.request.completion.prompt
-    sheet = preview_sheet(completed.partial, together, completed.views, title=title)
-    save_image(sheet, out / "preview.png")
-    save_turntable(together, completed.views, out / "turntable.webp")
+    with stage("pictures"):
+        sheet = preview_sheet(completed.partial, together, completed.views, title=title)
+        save_image(sheet, out / "preview.png")
+        save_turntable(together, completed.views, out / "turntable.webp")
     run.timings["pictures_s"] = time.perf_counter() - started
     started = time.perf_counter()
-    alternatives = _draw_alternatives(run, completed) if run.request.alternatives else []
+    with stage("alternatives"):
+        alternatives = _draw_alternatives(run, completed) if run.request.alternatives else []
     run.timings["alternatives_s"] = time.perf_counter() - started
     result = {
         "metrics": metrics,
@@ -192,7 +199,8 @@ def _take_steps(run: Run, on_step: Callable[[StepReport], None]) -> None:
     every = run.request.completion.settings.checkpoint_every
     started = time.perf_counter()
     try:
-        run_steps(run.steps, out, every, on_step)
+        with stage("steps"):
+            run_steps(run.steps, out, every, on_step)
     except NonFiniteError as error:
         stopped = NonFiniteError(error.step, error.tensor, _way_back(out / CHECKPOINTS))
         _write_run_file(run, "stopped", {"error": str(stopped)})
@@ -249,6 +257,9 @@ def _write_run_file(run: Run, status: str, result: dict[str, Any] | None) -> dic
         "timings": {name: round(seconds, 3) for name, seconds in run.timings.items()},
         "result": result,
     }
+    profile = current_profile()
+    if profile is not None:
+        content["profile"] = profile.to_json()
     with atomic_path(run.request.out / RUN_FILE) as temporary:
         temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     return content

@@ -19,6 +19,7 @@ from gscomplete.shape.network import ShapeCompleter, ShapeOutput, cpu_precision
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs, voxelize_partial
 from gscomplete.shape.symmetry_choice import choose_symmetries
 from gscomplete.splats import Splats
+from gscomplete.util.stages import stage
 from gscomplete.views import ViewDistribution
 
 ORIENTATIONS = 8
@@ -59,17 +60,20 @@ def predict(
         bfloat16: precision of the network.
         mirror_plane: which plane of symmetry to show first.
     """
-    voxels = voxelize_partial(partial, distribution)
-    choice = choose_symmetries(
-        model,
-        voxels,
-        tokens,
-        ends_in_plane=ends_in_plane,
-        bfloat16=bfloat16,
-        mirror_plane=mirror_plane,
-    )
-    seen = voxels.with_copies(choice.symmetries)
-    output = predict_occupancy(model, seen, tokens, bfloat16=bfloat16)
+    with stage("voxels"):
+        voxels = voxelize_partial(partial, distribution)
+    with stage("mirror images"):
+        choice = choose_symmetries(
+            model,
+            voxels,
+            tokens,
+            ends_in_plane=ends_in_plane,
+            bfloat16=bfloat16,
+            mirror_plane=mirror_plane,
+        )
+    with stage("network"):
+        seen = voxels.with_copies(choice.symmetries)
+        output = predict_occupancy(model, seen, tokens, bfloat16=bfloat16)
     return Prediction(voxels, seen, output, choice.symmetry_score)
 
 

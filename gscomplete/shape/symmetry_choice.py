@@ -31,6 +31,7 @@ from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs
 from gscomplete.shape.symmetry import SymmetryMap, mirror, no_symmetries
 from gscomplete.shape.symmetry_proposals import candidate_planes
 from gscomplete.shape.voxels import FloatArray, grown, surface_cells
+from gscomplete.util.stages import stage
 
 CANDIDATES = 8
 _POSSIBLE = 0.1
@@ -113,7 +114,8 @@ def score_planes(
     bfloat16: bool = False,
 ) -> ScoredPlanes:
     """Ask the network about every likely plane; arguments as of :func:`choose_symmetries`."""
-    planes = candidate_planes(voxels, CANDIDATES, bfloat16=bfloat16)
+    with stage("planes"):
+        planes = candidate_planes(voxels, CANDIDATES, bfloat16=bfloat16)
     asked = [_inputs_with_first(voxels, planes, k) for k in range(len(planes))]
     if not ends_in_plane:
         asked.append(voxels.with_copies(no_symmetries()))

@@ -34,7 +34,7 @@ from gscomplete.shape.fill.close import close_gaps
 from gscomplete.splats import Splats, concatenate, transform_splats
 from gscomplete.views import Cameras, ObjectFrame, UpAxis, orbit_cameras, radius_to_fit
 from recipes.entry_point import start
-from splatcomplete_data.mesh.convert import ConvertSettings, convert_mesh
+from splatcomplete_data.mesh.convert import convert_mesh
 from splatcomplete_data.mesh.files.load import load_mesh
 
 NEAR = 0.015
@@ -88,7 +88,7 @@ def main(options: Options) -> int:
     rows = []
     for name, up in entries:
         path = options.data / name
-        splats = convert_mesh(load_mesh(path), _SPLATS, ConvertSettings()).splats
+        splats = convert_mesh(load_mesh(path), _SPLATS).splats
         whole = transform_splats(splats, ObjectFrame.about(splats, up).object_from_file)
         row = measure(path, whole.with_sh_degree(0), options)
         rows.append(row)

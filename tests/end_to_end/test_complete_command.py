@@ -71,8 +71,11 @@ def test_run_folder_is_complete_and_partial_is_kept_byte_for_byte(finished):
 
 def test_new_splats_can_be_had_alone(tmp_path):
     alone, out = tmp_path / "new.ply", tmp_path / "run"
-    result = complete(SAMPLE, out, "--new-only", alone)
+    result = complete(SAMPLE, out, "--new-only", alone, "--profile")
     assert result.returncode == 0, result.stderr
+    profile = json.loads((out / "run.json").read_text())["profile"]
+    assert {"load", "read", "frame", "render", "prior", "write", "metrics"} <= profile.keys()
+    assert all(f"\n{name} " in result.stdout for name in profile)
     assert f"the new splats alone: {alone}" in result.stdout
     new, together = read_splats(alone), read_splats(out / "completed.ply")
     assert len(new.splats) == len(together.splats) - read_splats(SAMPLE).n_rows > 0

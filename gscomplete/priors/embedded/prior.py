@@ -49,6 +49,7 @@ from gscomplete.shape.predict import predict
 from gscomplete.shape.symmetry_choice import score_planes
 from gscomplete.splats import Splats
 from gscomplete.util.same_bits import fixed_sum
+from gscomplete.util.stages import stage
 from gscomplete.views import ViewDistribution
 
 Precision = Literal["auto", "bfloat16", "float32"]
@@ -191,7 +192,8 @@ class EmbeddedPrior:
             mirror_plane=mirror,
         )
         settings = AssembleSettings(count=count)
-        assembled = assemble_splats(prediction, partial, settings, generator)
+        with stage("surface"):
+            assembled = assemble_splats(prediction, partial, settings, generator)
         return FirstGuess(assembled.splats, (*notes, mirror_note(prediction, assembled.mirrored)))
 
     def likely_mirrors(
