@@ -8,8 +8,9 @@ What is measured
 ----------------
 * Closed: of the removed splats that nothing left is within ``NEAR`` (object sizes) of, the share
   that a new one is.
-* Elsewhere: share of the new splats with no removed one within ``2 NEAR``, over all new ones; their
-  number, and that of the removed ones, are in the table.
+* Elsewhere: share of the new splats with no removed one within ``2 NEAR``.
+* Off: distance of new splats from the object's own, 95th percentile (lids are smooth, and flatter
+  than what they replace).
 * IoU of silhouettes from 8 views, 256 px, against the object that nothing was taken from.
 * The same for the object as it is: what is added to it is all elsewhere.
 """
@@ -37,7 +38,7 @@ from recipes.entry_point import start
 from splatcomplete_data.mesh.convert import convert_mesh
 from splatcomplete_data.mesh.files.load import load_mesh
 
-NEAR = 0.015
+NEAR = 0.025
 _BALLS = (0.05, 0.08, 0.11)
 _SLIT = 0.012
 _SPLATS = 40_000
@@ -116,6 +117,7 @@ def measure(path: Path, whole: Splats, options: Options) -> dict[str, object]:
         "new": len(new),
         "closed": _share_near(_away_from(missing, partial), new, NEAR),
         "elsewhere": 1 - _share_near(new, missing, 2 * NEAR) if len(new) else 0.0,
+        "off": _percentile(new, whole),
         "iou_before": _iou(partial, whole),
         "iou_after": _iou(completed, whole),
         "new_of_untouched": untouched,
@@ -126,6 +128,14 @@ def measure(path: Path, whole: Splats, options: Options) -> dict[str, object]:
         options.out.mkdir(parents=True, exist_ok=True)
         save_image(_sheet(whole, partial, completed), options.out / f"{path.stem}.png")
     return row
+
+
+def _percentile(points: Splats, others: Splats) -> float:
+    """Return the 95th percentile of the distances from the nearest of the others."""
+    if not len(points):
+        return 0.0
+    away, _ = cKDTree(others.means.numpy()).query(points.means.numpy())
+    return float(np.quantile(away, 0.95))
 
 
 def _away_from(points: Splats, others: Splats) -> Splats:

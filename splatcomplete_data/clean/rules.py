@@ -23,7 +23,6 @@ from typing import Literal
 
 import numpy as np
 import torch
-from gscomplete.splats.suspects import FEWEST, SuspectLimits, suspect_rows
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
@@ -32,6 +31,7 @@ from gscomplete.errors import UserError
 from gscomplete.splats import Splats, usable_rows
 from gscomplete.splats.filters import middle_and_extent
 from gscomplete.splats.rotations import rotation_matrices
+from gscomplete.splats.suspects import FEWEST, SuspectLimits, suspect_rows
 from splatcomplete_data.multiview.propose_box import Focus, propose_box
 from splatcomplete_data.scan.clusters import cluster
 
@@ -42,7 +42,7 @@ _GENTLE = SuspectLimits(10.0, 1.0, 0.2, 0.03, 0.2, 30.0)
 _STRICT = SuspectLimits(2.6, 0.1, 0.02, 0.25, 0.02, 6.0)
 _ISLAND_SHARES = (3e-4, 3e-3, 3e-2)
 """Largest share of all that an island holds, at strengths 0, 0.5 and 1."""
-_ISLAND_GAP = 0.02
+_ISLAND_GAP = 0.03
 """Islands are at least so far from everything else, shares of the extent."""
 _REACH_SIGMAS = 1.5
 """Splats touch what is within so many of their standard deviations."""

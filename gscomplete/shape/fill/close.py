@@ -21,15 +21,15 @@ from gscomplete.shape.fill.gaps import (
     FillSettings,
     Region,
     cover_of,
+    distances,
     find_regions,
-    uncovered,
 )
 from gscomplete.shape.fill.indicator import CELL_SIDE, Solid, solid_through
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.rotations import quaternions_facing
 
 _POINTS_PER_CELL = 40
-_SEAM_SPACINGS = 1.0
+_SEAM_SPACINGS = 0.8
 """New splats begin so many spacings from P's."""
 _LEAST_SPACING, _MOST_SPACING = 0.003, 0.012
 _OVERLAP = 0.8
@@ -99,52 +99,63 @@ def _splats_in(
     seeds = (middles[:, None] + 3 * CELL_SIDE * jitter).reshape(-1, 3)
     points, normals, arrived = solid.project(seeds)
     points, normals = points[arrived], normals[arrived]
-    open_, _ = uncovered(cover, points, normals, _SEAM_SPACINGS)
-    distance, _ = cKDTree(middles.numpy()).query(points.numpy())
-    kept = open_ & torch.from_numpy(distance < 2 * CELL_SIDE)
-    points, normals = points[kept], normals[kept]
+    _, in_spacings = distances(cover, points, normals)
+    distance, owner = cKDTree(middles.numpy()).query(points.numpy())
+    is_below = torch.cat(
+        [torch.full((len(region.points),), region.is_below) for region in regions]
+    )[torch.from_numpy(owner)]
+    kept = (in_spacings > _SEAM_SPACINGS) & torch.from_numpy(distance < 2 * CELL_SIDE)
+    points, normals, is_below = points[kept], normals[kept], is_below[kept]
     _, nearest = cover.tree.query(points.numpy())
     spacing = float(cover.spacing[torch.from_numpy(nearest)].median()) if len(points) else 0.0
     spacing = min(max(spacing, _LEAST_SPACING), _MOST_SPACING)
-    points, normals, spacing = _spread(points, normals, spacing, settings.count)
-    colors, rise = _from_rim(points, normals, cover, partial, solid.height(cover.points))
+    rows, spacing = _spread(points, spacing, settings.count)
+    points, normals, is_below = points[rows], normals[rows], is_below[rows]
+    rim = _rim_of(points, normals, cover)
+    colors = rim.mean(partial.base_colors.clamp(0.0, 1.0)[cover.owners])
+    points = points + rim.mean(solid.height(cover.points)[:, None]) * normals
+    level = rim.mean(cover.points[:, 2:])[:, 0]  # what an object stands on does not sag into it
+    points[:, 2] = torch.where(is_below, torch.minimum(points[:, 2], level), points[:, 2])
     low, high = partial.bounds()
-    points = torch.minimum(torch.maximum(points + rise[:, None] * normals, low), high)
+    points = torch.minimum(torch.maximum(points, low), high)
     scales = torch.full((len(points), 3), _OVERLAP * spacing)
     scales[:, 2] *= _FLATNESS
     opacities = torch.full((len(points),), _OPACITY)
     return Splats(points, quaternions_facing(normals), scales, opacities, colors_to_sh(colors))
 
 
-def _spread(
-    points: Tensor, normals: Tensor, spacing: float, most: int
-) -> tuple[Tensor, Tensor, float]:
-    """Keep one point of every cube of a grid, as coarse as it takes; return the side too."""
+def _spread(points: Tensor, spacing: float, most: int) -> tuple[Tensor, float]:  # [N, 3], [M]
+    """Keep the middlemost point of every cube of a grid, as coarse as it takes; return the side."""
     while True:
-        cells = torch.floor((points + 1.0) / spacing).long()
-        keys = (cells[:, 0] * 4096 + cells[:, 1]) * 4096 + cells[:, 2]
-        _, first = np.unique(keys.numpy(), return_index=True)
+        place = (points + 1.0) / spacing
+        cells = torch.floor(place)
+        order = (place - cells - 0.5).square().sum(dim=1).argsort(stable=True)
+        x, y, z = cells[order].long().unbind(1)
+        _, first = np.unique(((x * 4096 + y) * 4096 + z).numpy(), return_index=True)
         if len(first) <= most:
-            kept = torch.from_numpy(np.sort(first))
-            return points[kept], normals[kept], spacing
+            kept = order[torch.from_numpy(np.sort(first))]
+            return kept, spacing
         spacing *= 1.1
 
 
-def _from_rim(
-    points: Tensor,  # [N, 3]
-    normals: Tensor,  # [N, 3]
-    cover: Cover,
-    partial: Splats,
-    heights: Tensor,  # [M] of the cover's points above the smooth surface
-) -> tuple[Tensor, Tensor]:  # [N, 3], [N]
-    """Return colours, and heights above the surface, that pass smoothly into those of P's rim."""
+@dataclass(frozen=True, slots=True)
+class _Rim:
+    """The points of P's cover about new ones, the near ones weighing most."""
+
+    index: Tensor  # [N, K]
+    weight: Tensor  # [N, K] of sum 1
+
+    def mean(self, values: Tensor) -> Tensor:  # [M, C] -> [N, C]
+        """Return means of what the cover's points have."""
+        return (self.weight[:, :, None] * values[self.index]).sum(dim=1)
+
+
+def _rim_of(points: Tensor, normals: Tensor, cover: Cover) -> _Rim:  # [N, 3], [N, 3]
+    """Return what of P's surface is about new points, and faces as they do."""
     number = min(_RIM_NEIGHBOURS, len(cover.points))
     distance, index = cover.tree.query(points.numpy(), k=number)
     near = torch.from_numpy(np.asarray(index).reshape(len(points), -1))
     away = torch.from_numpy(np.asarray(distance).reshape(len(points), -1)).float()
     agrees = (cover.normals[near] * normals[:, None]).sum(dim=2) > 0
     weight = torch.where(agrees, 1.0, 1e-3) / (away + 0.2 * CELL_SIDE).square()
-    weight = weight / weight.sum(dim=1, keepdim=True)
-    base = partial.base_colors.clamp(0.0, 1.0)[cover.owners[near]]
-    colors = (weight[:, :, None] * base).sum(dim=1)
-    return colors, (weight * heights[near]).sum(dim=1)
+    return _Rim(near, weight / weight.sum(dim=1, keepdim=True))

@@ -29,7 +29,11 @@ _FOV_DEG = 30.0
 _REACH = 1.6
 """Extent that a view shows, object sizes."""
 TOLERANCE = 0.015
-"""What lies no deeper behind the seen surface than this is seen, object sizes."""
+"""What lies no deeper behind the seen surface than this is of that surface, object sizes."""
+_WALL = 0.004
+"""A splat so far behind the seen surface is seen, if it faces the camera; an oblique one may be
+behind it by what the surface falls within a pixel. Thicker walls have two sides."""
+_PIXEL = _REACH / _SIZE_PX
 _FLAT = 0.5
 """A splat whose smallest scale is less than this share of the middle one has a normal."""
 _NEIGHBOURS = 12
@@ -119,8 +123,10 @@ def outward_normals(splats: Splats, around: Around) -> Tensor:  # [N, 3]
     front, back = torch.zeros(len(splats)), torch.zeros(len(splats))
     for view in range(len(around.cameras)):
         row, column, far = around.pixels(splats.means, view)
-        seen = far < around.depth[view, row, column] + TOLERANCE
-        toward = (axes * around.ways(splats.means, view)).sum(dim=1) * seen
+        toward = (axes * around.ways(splats.means, view)).sum(dim=1)
+        slope = (1 - toward.square()).clamp_min(0).sqrt() / toward.abs().clamp_min(0.1)
+        behind = far - around.depth[view, row, column]
+        toward = toward * (behind < _WALL + _PIXEL * slope)
         front += toward.clamp_min(0)
         back += (-toward).clamp_min(0)
     total = front + back

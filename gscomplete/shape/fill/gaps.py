@@ -31,16 +31,22 @@ _MOST_PER_AXIS = 9
 _COVER_SIGMAS = 1.2
 """A splat covers the surface out to so many standard deviations."""
 _NEIGHBOURS = 16
-_GAP_SPACINGS = 1.8
-"""A surface point this many spacings of splats from the nearest splat, along the surface, is not
-covered ..."""
+_USUAL_QUANTILE, _USUAL_FACTOR = 0.8, 2.4
+"""A surface point is not covered if it is this many times as far from the nearest splat, along the
+surface and in spacings of splats, as what is usual at this quantile of the surface ..."""
+_LEAST_SPACINGS, _MOST_SPACINGS = 1.0, 2.5
+"""... within these bounds: splats on a grid leave smaller holes than scattered ones ..."""
 _LEAST_GAP = 0.004
-"""... but nearer ones always are."""
+"""... and points nearer than this are always covered."""
+_CERTAIN_GAP = 3.0
+"""Points so many spacings away lie in gaps and tell nothing of what is usual."""
 _JOINED = 1.5 * CELL_SIDE
 _FEWEST = 6
 """Smaller regions are specks of noise."""
 _SAMPLES = 400
 _OBLIQUE = 0.2
+_UPRIGHT = 0.7
+"""A region faces up or down if the mean of its normals rises or falls more than this."""
 _SIDE = 0.15
 _MOST_AWAY = 0.03
 """A region whose rim is no nearer to P does not belong to it."""
@@ -59,6 +65,8 @@ class FillSettings:
     this share."""
     narrow: float = 0.03
     """Narrower slits are closed whatever is seen through them, if anything is."""
+    most_above: float = 0.2
+    """Wider regions that face up are mouths of vessels: tops are what captures see best."""
     least_backs: float = 0.5
     """Of what is seen through a wider region, at least this share must be backs of surfaces."""
 
@@ -88,6 +96,8 @@ class Region:
     """Twice the distance of its middle from P's splats."""
     share: float
     """Of the surface."""
+    is_below: bool
+    """Whether it faces down: the side that the object stands on."""
     backs: float | None
     """Share of backs in what is seen through it; None = nothing is."""
     verdict: Verdict
@@ -120,19 +130,20 @@ def cover_of(splats: Splats, normals: Tensor) -> Cover:  # [N, 3]
     return Cover(place, normals[owner], owner, spacing, tree)
 
 
-def uncovered(
+def distances(
     cover: Cover,
     points: Tensor,  # [N, 3]
     normals: Tensor,  # [N, 3]
-    spacings: float = _GAP_SPACINGS,
-) -> tuple[Tensor, Tensor]:  # [N] bool, [N]
-    """Mark surface points that P does not cover; return their distances along the surface too.
+) -> tuple[Tensor, Tensor]:  # [N], [N]
+    """Return how far surface points are from P's splats, along the surface.
 
     Args:
         cover: of P.
         points: on the surface.
         normals: of the surface there.
-        spacings: how many spacings of splats are a gap.
+
+    Returns:
+        Distances in object sizes, and in spacings of the splats there (at least ``_LEAST_GAP``).
     """
     number = min(_NEIGHBOURS, len(cover.points))
     _, index = cover.tree.query(points.numpy(), k=number)
@@ -140,8 +151,17 @@ def uncovered(
     offsets = cover.points[near] - points[:, None]
     offsets = offsets - (offsets * normals[:, None]).sum(dim=2, keepdim=True) * normals[:, None]
     distance = offsets.norm(dim=2).amin(dim=1)
-    widest = (spacings * cover.spacing[near].median(dim=1).values).clamp_min(_LEAST_GAP)
-    return distance > widest, distance
+    spacing = cover.spacing[near].median(dim=1).values.clamp_min(_LEAST_GAP)
+    return distance, distance / spacing
+
+
+def _spacings_of_gaps(in_spacings: Tensor) -> float:  # [N]
+    """Return from how many spacings on a surface point is not covered, by what is usual."""
+    usual = in_spacings[in_spacings < _CERTAIN_GAP]
+    if not len(usual):
+        return _LEAST_SPACINGS
+    typical = float(np.quantile(usual.numpy(), _USUAL_QUANTILE))
+    return min(max(_USUAL_FACTOR * typical, _LEAST_SPACINGS), _MOST_SPACINGS)
 
 
 def find_regions(
@@ -163,7 +183,8 @@ def find_regions(
     cells = solid.crossed_cells()
     points, normals, arrived = solid.project(cells)
     points, normals = points[arrived], normals[arrived]
-    open_, distance = uncovered(cover, points, normals)
+    distance, in_spacings = distances(cover, points, normals)
+    open_ = in_spacings > _spacings_of_gaps(in_spacings)
     points, normals, distance = points[open_], normals[open_], distance[open_]
     if not len(points):
         return []
@@ -174,17 +195,25 @@ def find_regions(
         part, outward = points[rows], normals[rows]
         backs = _share_of_backs(part, outward, around, facing)
         width, share = 2 * float(distance[rows].max()), len(rows) / len(cells)
-        is_below = float(outward[:, 2].mean()) < -0.7
+        up = float(outward[:, 2].mean())
+        is_below = up < -_UPRIGHT
         most = settings.most_below_share if is_below else settings.most_share
         verdict: Verdict = "closed"
         if float(distance[rows].min()) > _MOST_AWAY:
             verdict = "away from P"
         elif share > most:
             verdict = "too large"
-        elif width > settings.narrow and (backs is None or backs < settings.least_backs):
+        elif _is_opening(width, up, backs, settings):
             verdict = "opening"
-        regions.append(Region(part, outward, width, share, backs, verdict))
+        regions.append(Region(part, outward, width, share, is_below, backs, verdict))
     return sorted(regions, key=lambda region: -region.share)
+
+
+def _is_opening(width: float, up: float, backs: float | None, settings: FillSettings) -> bool:
+    """Tell whether a region is meant to be open."""
+    if width > settings.most_above and up > _UPRIGHT:
+        return True
+    return width > settings.narrow and (backs is None or backs < settings.least_backs)
 
 
 def _components(points: NDArray[np.float32]) -> NDArray[np.int64]:  # [N, 3] -> [N]

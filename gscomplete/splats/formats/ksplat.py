@@ -99,14 +99,14 @@ def _section(
     if count == 0:
         return None, end
     rows = np.frombuffer(data, row, count, at_rows)
-    means = rows["mean"].astype(np.float64)
+    means: NDArray[np.float64] = rows["mean"].astype(np.float64)
     if head.level:
         centers = np.frombuffer(data, "<f4", 3 * buckets, at_buckets).reshape(-1, 3)
         sizes = np.frombuffer(data, "<u4", partly, start).astype(np.int64)
         owner = _owners(path, index, count, bucket, full, sizes)
         span = float(words[4:5].view("<f4")[0]) / 2
         steps = int(words[6]) or _BUCKET_RANGE
-        means = (means - steps) * (span / steps) + centers[owner]
+        means = (means - steps) * (span / steps) + centers[owner].astype(np.float64)
     return _splats(means, rows, head, degree), end
 
 

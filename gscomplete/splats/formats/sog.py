@@ -102,6 +102,11 @@ class _Source:
                 raise UserError(f"{self.path}: {name}: {width} x {height} pixels are too many")
             return np.asarray(image.convert("RGBA")).reshape(-1, 4)
 
+    def single(self, entry: dict[str, Any], least: int) -> Pixels:
+        """Return the picture of an entry that has one."""
+        (name,) = entry["files"]
+        return self.picture(name, least)
+
     def pair(self, entry: dict[str, Any], least: int) -> tuple[Pixels, Pixels]:
         """Return the pictures of an entry that has two."""
         first, second = entry["files"]
@@ -121,10 +126,10 @@ def _read(source: _Source) -> Splats:
     share = (low[:count, :3] + 256.0 * high[:count, :3]) / 65535
     ends = np.array([meta["means"][name] for name in ("mins", "maxs")], np.float64).reshape(2, 3)
     logs = ends[0] + share * (ends[1] - ends[0])
-    scales = source.picture(*meta["scales"]["files"], count)[:count, :3]
-    colors = source.picture(*meta["sh0"]["files"], count)[:count]
+    scales = source.single(meta["scales"], count)[:count, :3]
+    colors = source.single(meta["sh0"], count)[:count]
     base = _codes(meta["sh0"])[colors[:, :3]]
-    quats = source.picture(*meta["quats"]["files"], count)[:count]
+    quats = source.single(meta["quats"], count)[:count]
     sh = np.concatenate([base[:, None], _read_harmonics(source, meta, count)], axis=1)
     arrays = (
         np.sign(logs) * np.expm1(np.abs(logs)),

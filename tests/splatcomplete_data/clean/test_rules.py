@@ -84,19 +84,18 @@ def test_rows_that_cannot_be_drawn_go_at_any_strength():
 
 def test_a_splat_that_reaches_over_joins_islands():
     """A stick of long splats ties a small ball to a large one."""
-    small = moved(BALL.select(torch.arange(0, 4000, 16)), (0.9, 0.0, 0.0), 0.1).select(
+    small = moved(BALL.select(torch.arange(0, 4000, 16)), (0.9, 0.0, -0.05), 0.1).select(
         torch.arange(40)
-    )
+    )  # its middle is where the stick ends
     apart = concatenate([BALL, small])
     assert islands(apart, 0.5).sum() == 40
     stick = first(
         1,
-        means=torch.tensor([[0.68, 0.0, 0.0]]),
-        scales=torch.tensor([[0.14, 0.01, 0.01]]),
+        means=torch.tensor([[0.7, 0.0, 0.0]]),
+        scales=torch.tensor([[0.2 / 1.5, 0.01, 0.01]]),
         quaternions=torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
     )
     tied = concatenate([apart, stick])
-    # the small ball stands where the stick ends: the part of it that faces the large ball
     assert islands(tied, 0.5).sum() == 0
 
 
