@@ -3,8 +3,10 @@ PYTHON ?= python3
 # On a machine with an NVIDIA GPU: make setup TORCH=torch EXTRAS=dev,cuda
 TORCH ?= torch==2.13.0
 EXTRAS ?= dev
-# LOCKED=1 installs the versions of constraints.txt, which all tests pass with; else the newest.
+# LOCKED=1 installs the versions of constraints.txt, which all tests pass with, LOCKED=lowest those of
+# constraints-lowest.txt; else the newest.
 LOCKED ?=
+LOCK := $(if $(filter lowest,$(LOCKED)),constraints-lowest.txt,constraints.txt)
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-done
@@ -17,7 +19,7 @@ setup: $(STAMP)
 $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet "$(TORCH)"
-	$(BIN)/pip install --quiet $(if $(LOCKED),--constraint constraints.txt) --editable ".[$(EXTRAS)]"
+	$(BIN)/pip install --quiet $(if $(LOCKED),--constraint $(LOCK)) --editable ".[$(EXTRAS)]"
 	touch $(STAMP)
 
 # What is asked for by name is installed whatever is there already.

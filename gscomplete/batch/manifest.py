@@ -102,7 +102,7 @@ def _dataset_ids(folder: str) -> list[str]:
     try:
         rows = json.loads(storage.read_text(path) or "")["objects"]
         names = [row["id"] for row in rows]
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise UserError(f"{path}: objects: expected a list with ids, found none") from error
     return [item.id for item in _checked(path, (Item(name, "") for name in names))]
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from gscomplete.errors import UserError
-from gscomplete.util.parse import parse_numbers, parse_view
+from gscomplete.util.parse import parse_numbers, parse_view, require_positive
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -133,8 +133,7 @@ def _given_frame(options: RenderOptions, up: UpAxis) -> ObjectFrame | None:
     from gscomplete.views import ObjectFrame
 
     center = parse_numbers(options.center, 3, "--center", "X,Y,Z")
-    if options.size is not None and not 0 < options.size < float("inf"):
-        raise UserError(f"--object-size: expected a positive length, found {options.size:g}")
+    require_positive(options.size, "--object-size")
     if center is None and options.size is None:
         return None
     if center is None or options.size is None:

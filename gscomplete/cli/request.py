@@ -337,8 +337,6 @@ def _box(
     Raises:
         UserError: an option has the wrong form.
     """
-    if options.size_file is not None and not 0 < options.size_file < float("inf"):
-        raise UserError(f"--object-size: expected a positive length, found {options.size_file:g}")
     known = None if found is None else found.known_frame
     sources["center"] = sources["size"] = "guess" if known is None else OBJECT_FILE
     center = None if known is None else known.center_file

@@ -50,6 +50,7 @@ from gscomplete.splats import (
     write_splats,
 )
 from gscomplete.splats.formats.any_file import read_splat_file
+from gscomplete.splats.suspects import describe_suspects
 from gscomplete.splats.working_set import WorkingSet, working_set
 from gscomplete.util.device import choose_device
 from gscomplete.util.jsonio import to_json
@@ -261,7 +262,7 @@ def prepare(
     else:
         splats, name = given, "P"
     working = working_set(splats, settings.max_working_splats, name)
-
+    notes += describe_suspects(working.splats)
     with stage("frame"):
         framing = framing_for(working.splats, framing_request, prior)
     notes += framing.notes

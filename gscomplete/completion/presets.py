@@ -138,8 +138,10 @@ def preset(name: PresetName, prior: Prior, *, text_only: bool = False) -> Comple
         text_only: withhold P from the prior.
 
     Raises:
-        UserError: there is no such preset.
+        UserError: there is no such preset, or a name was given for the prior itself.
     """
+    if isinstance(prior, str):
+        raise UserError(f"preset: expected a prior (load_prior), found the text {prior!r}")
     table = getattr(prior, "presets", ANY_PRIOR)
     if name not in table:
         raise UserError(f"preset: expected one of {', '.join(table)}, found {name!r}")

@@ -14,10 +14,13 @@ from numpy.typing import NDArray
 from gscomplete.errors import UserError
 from gscomplete.render import render
 from gscomplete.splats import Splats
+from gscomplete.splats.filters import near_rows
 from gscomplete.views import ObjectFrame, ViewDistribution
 
 _LEAST_SHARE = 0.01
-"""A P whose largest side is less of the complete object's is a mistake, mostly of units."""
+_LARGEST_SHARE = 10.0
+"""A P whose largest side is less, or more, of the complete object's is a mistake, mostly of
+units; P may bring some of what stands around it."""
 _SMALL_SHARE = 0.05
 """One with less is reported."""
 _COARSE_SHARE = 1e-3
@@ -39,7 +42,8 @@ def largest_side(splats: Splats) -> float:
 def check_given_frame(partial: Splats, frame: ObjectFrame, name: str) -> tuple[str, ...]:
     """Check that a frame which the user gives may be that of the complete object.
 
-    A wrong unit is the usual mistake: the run would add a few splats and measure no fault.
+    A wrong unit is the usual mistake: the run would add a few splats, or specks on the surface of
+    P, and measure no fault.
 
     Args:
         partial: P, in the file frame.
@@ -50,18 +54,19 @@ def check_given_frame(partial: Splats, frame: ObjectFrame, name: str) -> tuple[s
         What is odd about it.
 
     Raises:
-        UserError: P is next to nothing in it, or lies outside.
+        UserError: P is next to nothing in it, many times as large, or lies outside.
     """
-    side, size = largest_side(partial), frame.size_file
+    near, _ = near_rows(partial)  # one splat may be astronomically far away
+    side, size = largest_side(partial.select(near)), frame.size_file
     share = side / size
     sides = (
         f"P's largest side is {side:.4g}, {100 * share:.2g} % of the complete object's {size:.4g} "
         "(--object-size)"
     )
-    if share < _LEAST_SHARE:
+    if not _LEAST_SHARE <= share <= _LARGEST_SHARE:
         raise UserError(
-            f"{name}: --object-size: expected at most {side / _LEAST_SHARE:.4g} (file units), "
-            f"found {size:.4g}; {sides}"
+            f"{name}: --object-size: expected {side / _LARGEST_SHARE:.4g} to "
+            f"{side / _LEAST_SHARE:.4g} (file units), found {size:.4g}; {sides}"
         )
     low, high = _middle_box(partial)
     center = np.array(frame.center_file)

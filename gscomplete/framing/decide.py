@@ -9,14 +9,17 @@ Conventions
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 import torch
 
+from gscomplete.errors import UserError
 from gscomplete.framing.guess import guess_framing
 from gscomplete.splats import Similarity, Splats, transform_splats
+from gscomplete.util.parse import require_positive
 from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution, up_rotation
 from gscomplete.views.distribution import AZIMUTH_RANGE_DEG, ELEVATION_RANGE_DEG, FOV_DEG, RADIUS
 
@@ -47,6 +50,17 @@ class FramingRequest:
     """Whether all of the part was seen from there: the complete object then lies behind it."""
     elevation_range_deg: float = ELEVATION_RANGE_DEG
     """V reaches this far above and below c."""
+
+    def __post_init__(self) -> None:
+        """Check what the user gives.
+
+        Raises:
+            UserError: the size is no length, or the centre is not finite.
+        """
+        require_positive(self.size_file, "--object-size")
+        if self.center_file is not None and not all(map(math.isfinite, self.center_file)):
+            found = ",".join(f"{value:g}" for value in self.center_file)
+            raise UserError(f"--center: expected three finite numbers, found {found}")
 
 
 @dataclass(frozen=True, slots=True)

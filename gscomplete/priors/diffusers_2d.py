@@ -48,6 +48,7 @@ from gscomplete.views import Cameras
 
 GUIDANCE_SCALE = 100.0
 """DreamFusion's, for models that know one view at a time."""
+_MOST_TIMESTEPS = 100_000
 _PAD_IDS = {"!": OPEN_CLIP_PAD_ID, "<|endoftext|>": END_ID}
 
 
@@ -170,11 +171,18 @@ def read_schedule(path: Path) -> NoiseSchedule:
         "rescale_betas_zero_snr",
     )
     given = {name: data[name] for name in names if data.get(name) is not None}
+    steps = given.get("num_train_timesteps", 1)
+    if not isinstance(steps, int) or not 1 <= steps <= _MOST_TIMESTEPS:
+        raise UserError(
+            f"{path}: num_train_timesteps: expected 1 to {_MOST_TIMESTEPS:,}, found {steps!r}"
+        )
     try:
         scheduler = require("diffusers").DDPMScheduler(**given)
-    except (NotImplementedError, TypeError, ValueError) as error:
+        alphas_bar = tuple(scheduler.alphas_cumprod.double().tolist())
+    except (NotImplementedError, OverflowError, RuntimeError, TypeError, ValueError) as error:
         raise UserError(f"{path}: beta_schedule: {error}") from error
-    alphas_bar = tuple(scheduler.alphas_cumprod.double().tolist())
+    if not alphas_bar or not all(0 <= value <= 1 for value in alphas_bar):
+        raise UserError(f"{path}: beta_start, beta_end: expected shares of noise, found others")
     if min(alphas_bar) <= 0:
         raise UserError(f"{path}: expected some signal at every timestep, found none at the last")
     return NoiseSchedule(alphas_bar, prediction)

@@ -3,7 +3,7 @@
 Conventions
 -----------
 * Values are those the file holds (logits, logarithms, raw quaternions), as float32.
-* Rows are read in blocks; per row only the position, the largest log scale and a hash are kept.
+* Rows are read in blocks; per row only position, log scales, opacity logit and a hash are kept.
 * A row with a NaN or an infinity takes part in the counts, but not in ranges and quantiles.
 """
 
@@ -64,10 +64,16 @@ class RowStatistics:
     scale: Range = field(default_factory=Range)
     base: Range = field(default_factory=Range)  # f_dc
     means: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
-    largest_scales: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
+    scales: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
+    opacities: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
     higher_sample: NDArray[np.float32] = field(  # [M, 3 (K - 1)] in the order of Splats.sh
         default_factory=lambda: np.zeros((0, 0), np.float32)
     )
+
+    @property
+    def largest_scales(self) -> NDArray[np.float32]:  # [N]
+        """Logarithm of every splat's largest standard deviation."""
+        return self.scales.max(axis=1, initial=-np.inf)
 
     def bounds(self) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
         """Corners of the finite positions, None without any."""
@@ -99,7 +105,7 @@ def gather_statistics(
     result = RowStatistics(payload_warnings(path, header, element))
     columns = [*layout.means, *layout.sh[:3], layout.opacity, *layout.scales, *layout.quaternion]
     step = max(1, element.count // _SH_SAMPLE_ROWS)
-    means, scales, hashes, samples = [], [], [], []
+    means, scales, opacities, hashes, samples = [], [], [], [], []
     with np.errstate(all="ignore"):
         for records in stream_records(path, header, element, _BLOCK_ROWS):
             table = value_table(records)
@@ -114,11 +120,13 @@ def gather_statistics(
             result.base.add(kept[:, 3:6])
             result.opacity.add(kept[:, 6])
             result.scale.add(kept[:, 7:10])
-            scales.append(kept[:, 7:10].max(axis=1, initial=-np.inf))
+            scales.append(kept[:, 7:10])
+            opacities.append(kept[:, 6])
             samples.append(higher[::step].copy())
     if means:
         result.means = np.concatenate(means)
-        result.largest_scales = np.concatenate(scales)
+        result.scales = np.concatenate(scales)
+        result.opacities = np.concatenate(opacities)
         result.higher_sample = np.concatenate(samples)
         result.counts["duplicates"] = _count_repeats(np.concatenate(hashes))
     return result

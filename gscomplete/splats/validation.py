@@ -6,7 +6,7 @@ Conventions
   ``warning`` - usable, but probably not what was meant; ``info`` - notable, normal.
 * Counts are rows unless a finding says otherwise.
 * Statistics are taken on the values as the file holds them: logits, logarithms, raw quaternions.
-* The file is read in blocks: apart from positions, largest scale and a hash per row, memory does
+* The file is read in blocks: apart from positions, scales, opacity and a hash per row, memory does
   not grow with the file.
 """
 
@@ -14,17 +14,23 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from gscomplete.splats.filters import FAR_FACTOR, far_positions, middle_and_extent
+from gscomplete.splats.filters import (
+    FAR_FACTOR,
+    MAX_MAGNITUDE,
+    far_positions,
+    middle_and_extent,
+)
 from gscomplete.splats.ply import splat_element
 from gscomplete.splats.ply_files.header import Element, PlyError, PlyHeader, read_header
 from gscomplete.splats.ply_files.layout import SplatLayout, find_layout
 from gscomplete.splats.row_statistics import RowStatistics, gather_statistics
+from gscomplete.splats.suspects import SuspectLimits, find_suspects
 
 Severity = Literal["error", "warning", "info"]
 
@@ -93,6 +99,9 @@ class ValidationLimits:
     sh_order_margin: float = 0.3
     """By how much the channels must correlate better in the other SH order to be reported."""
 
+    suspects: SuspectLimits = field(default_factory=SuspectLimits)
+    """Where a splat is a floater, a giant, haze or a needle."""
+
 
 def validate_file(path: str | Path, limits: ValidationLimits | None = None) -> ValidationReport:
     """Check one file; every fault is a finding, none an exception.
@@ -119,6 +128,7 @@ def validate_file(path: str | Path, limits: ValidationLimits | None = None) -> V
         *_header_findings(header, element, layout, statistics),
         *_value_findings(statistics, limits),
         *_frame_findings(statistics, limits),
+        *_suspect_findings(statistics, limits.suspects),
         *_linear_findings(statistics, limits),
         *_sh_order_findings(statistics, limits),
     ]
@@ -188,10 +198,6 @@ def _frame_findings(rows: RowStatistics, limits: ValidationLimits) -> list[Findi
     if count:
         message = f"positions far outside the others (extent {extent:.3g})"
         found.append(Finding("position_outliers", "warning", count, message))
-    count = int((rows.largest_scales > math.log(extent)).sum())
-    if count:
-        message = f"splats larger than the extent of all of them ({extent:.3g})"
-        found.append(Finding("scale_outliers", "warning", count, message))
     count = int((rows.largest_scales < math.log(extent) + math.log(limits.tiny_scale)).sum())
     if count:
         message = f"splats smaller than {limits.tiny_scale:g} of the extent: invisible"
@@ -207,6 +213,27 @@ def _frame_findings(rows: RowStatistics, limits: ValidationLimits) -> list[Findi
         message = f"an unusual extent of {extent:.3g} units"
         found.append(Finding("unusual_extent", "info", len(rows.means), message))
     return found
+
+
+def _suspect_findings(rows: RowStatistics, limits: SuspectLimits) -> list[Finding]:
+    """Findings that are counts of splats that are probably not of the object's surface."""
+    drawable = (np.abs(rows.means) < MAX_MAGNITUDE).all(axis=1)
+    drawable &= rows.largest_scales < math.log(MAX_MAGNITUDE)
+    total = int(drawable.sum())
+    scales = np.exp(rows.scales[drawable])
+    opacities = 1 / (1 + np.exp(-rows.opacities[drawable].clip(-80, 80)))
+    masks = find_suspects(rows.means[drawable], scales, opacities, limits)
+    messages = {
+        "floaters": "splats on their own, away from the others",
+        "giants": f"splats with a deviation above {limits.giant_size:g} of the object's extent",
+        "haze": f"large splats with an opacity below {limits.haze_opacity:g}",
+        "needles": f"long splats, more than {limits.needle_ratio:g} times longer than wide",
+    }
+    return [
+        Finding(name, "warning", count, f"{messages[name]} ({100 * count / total:.2g} %)")
+        for name, mask in masks.items()
+        if (count := int(mask.sum()))
+    ]
 
 
 def _linear_findings(rows: RowStatistics, limits: ValidationLimits) -> list[Finding]:

@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
+import functools
+import logging
+
 import torch
 
 from gscomplete.errors import UserError
+
+_logger = logging.getLogger(__name__)
 
 
 def choose_device(name: str) -> torch.device:
     """Turn ``auto``, ``cpu``, ``cuda`` or ``cuda:N`` into a device.
 
+    A build of PyTorch for GPUs on a machine without one is told once: it is many times as large as
+    the one for CPUs, and what plain ``pip install`` takes on Linux.
+
     Raises:
         UserError: an unknown name, or a GPU that this machine or this PyTorch lacks.
     """
     if name == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        is_there = torch.cuda.is_available()
+        if not is_there and torch.version.cuda is not None:
+            _tell_of_unused_cuda()
+        return torch.device("cuda" if is_there else "cpu")
     try:
         device = torch.device(name)
     except RuntimeError as error:
@@ -28,6 +39,17 @@ def choose_device(name: str) -> torch.device:
             f"--device {name}: this machine has {torch.cuda.device_count()} CUDA devices"
         )
     return device
+
+
+@functools.cache
+def _tell_of_unused_cuda() -> None:
+    """Say so once in a process."""
+    _logger.warning(
+        "note: PyTorch %s is built for CUDA %s but finds no GPU here: the CPU computes; PyTorch's "
+        "build for CPUs does the same and takes a fraction of the disk (see README.md)",
+        torch.__version__,
+        torch.version.cuda,
+    )
 
 
 def peak_gpu_bytes() -> int | None:

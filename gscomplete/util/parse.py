@@ -44,6 +44,16 @@ def parse_numbers(text: str | None, count: int, option: str, form: str) -> list[
     return values
 
 
+def require_positive(value: float | None, option: str) -> None:
+    """Refuse a length that is none; None = not given.
+
+    Raises:
+        UserError: it is zero, negative, infinite or NaN.
+    """
+    if value is not None and not 0 < value < float("inf"):
+        raise UserError(f"{option}: expected a positive length, found {value:g}")
+
+
 def with_new_names(arguments: Sequence[str], renamed: Mapping[str, str]) -> list[str]:
     """Replace old names of options by their new ones, with a note on standard error.
 

@@ -9,15 +9,10 @@ Conventions
 
 from __future__ import annotations
 
-import contextlib
-import inspect
 import io
-from collections.abc import Iterator
 from contextlib import redirect_stdout
 from dataclasses import dataclass
-from http import HTTPStatus
 from typing import TYPE_CHECKING, Any, Literal
-from urllib.parse import urlsplit
 
 import numpy as np
 import torch
@@ -28,6 +23,7 @@ from gscomplete.splats import Splats
 from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.splats.transform import quaternion_from_rotation
 from gscomplete.viewer.layers import Layer, Scene
+from gscomplete.viewer.pages import mended_answers
 from gscomplete.views import Cameras, ViewDistribution
 
 if TYPE_CHECKING:
@@ -128,38 +124,10 @@ def _listen(host: str, port: int) -> viser.ViserServer:
         ) from error
     try:
         # viser prints a banner of its own, whatever ``verbose`` says.
-        with redirect_stdout(io.StringIO()), own_pages_only():
+        with redirect_stdout(io.StringIO()), mended_answers():
             return viser.ViserServer(host=host, port=port, label="GSComplete", verbose=False)
     except OSError as error:
         raise UserError(f"--host {host} --port {port}: cannot listen there: {error}") from error
-
-
-@contextlib.contextmanager
-def own_pages_only() -> Iterator[None]:
-    """Have servers that start in the block refuse connections that other sites' pages open.
-
-    A page of any site may open a WebSocket to this machine; its browser says from where, in the
-    header Origin. viser answers all of them, and has no option for that.
-    """
-    from websockets.asyncio import server
-
-    serve = server.serve
-
-    def guarded(*arguments: Any, process_request: Any = None, **options: Any) -> Any:
-        async def answer(connection: Any, request: Any) -> Any:
-            origin, host = request.headers.get("Origin"), request.headers.get("Host")
-            if origin is not None and urlsplit(origin).netloc != host:
-                return connection.respond(HTTPStatus.FORBIDDEN, "another site's page\n")
-            result = process_request(connection, request) if process_request else None
-            return await result if inspect.isawaitable(result) else result
-
-        return serve(*arguments, process_request=answer, **options)
-
-    server.serve = guarded  # type: ignore[assignment, misc]
-    try:
-        yield
-    finally:
-        server.serve = serve  # type: ignore[misc]
 
 
 def _add_layer(viewer: Viewer, layer: Layer, place: int) -> None:

@@ -1,10 +1,16 @@
-"""Damage to the bytes of a file, as a function of a seed and a number."""
+"""Damage to a file as a function of a seed and a number.
+
+Half of the files are damaged as bytes, the other half inside their packing (``packings``), where
+checksums and lengths do not give the damage away.
+"""
 
 from __future__ import annotations
 
 import re
 
 import numpy as np
+
+from recipes.stress_readers.packings import damage_inside
 
 _NUMBERS = (b"0", b"-1", b"1", b"255", b"65536", b"1000000000", b"99999999999999999999", b"-0.0")
 _NUMBERS += (
@@ -22,9 +28,30 @@ _NUMBERS += (
 _NUMBERS += (b"", b'"x"', b"true", b"0x10", b"1_000", b"\xa0")
 
 
-def mutate(data: bytes, seed: int, number: int) -> bytes:
-    """Return a damaged copy of a file's bytes."""
+def mutate(name: str, data: bytes, seed: int, number: int) -> bytes:
+    """Return a damaged copy of a file's bytes.
+
+    Args:
+        name: of the file, which says how it is packed.
+        data: its bytes.
+        seed: of all files.
+        number: of this one.
+    """
     rng = np.random.default_rng((seed, number))
+    if rng.random() < 0.5:
+        damaged = damage_inside(name, data, rng, damage_bytes)
+        if damaged is not None:
+            return damaged
+    return damage_bytes(data, rng)
+
+
+def damage_bytes(data: bytes, rng: np.random.Generator) -> bytes:
+    """Change, remove, double, overwrite or cut off bytes, or put other numbers, up to four times.
+
+    Args:
+        data: what is damaged.
+        rng: says how.
+    """
     raw = bytearray(data)
     for _ in range(int(rng.integers(1, 5))):
         if not raw:

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import logging
 import resource
+import shutil
 import signal
 import time
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from types import FrameType
 
 from gscomplete.errors import UserError
+from recipes.stress_readers.finite import require_finite
 from recipes.stress_readers.mutations import mutate
 from recipes.stress_readers.seeds import Reader, seed_files
 
+CURRENT = "current"
+"""File beside the mutated ones that names the one which is being read."""
 _SEED_LIMIT_S = 600
 """Longest time for an undamaged file: the first of a kind compiles."""
 
@@ -26,6 +31,7 @@ class Answer:
 
     number: int
     file: str
+    """Path below ``mutated``."""
     text: str
     """``read``, ``refused``, or what went wrong."""
     seconds: float
@@ -43,22 +49,40 @@ def read_all(
     """Read mutations ``first`` to ``count`` and send an answer to each."""
     warnings.simplefilter("ignore")
     logging.disable(logging.CRITICAL)
-    (folder / "seeds").mkdir()
-    (folder / "mutated").mkdir()
     seeds = seed_files(folder / "seeds")
     for path, reader in seeds:
-        answer = try_reader(reader, path, _SEED_LIMIT_S)
+        answer = try_reader(reader, folder / "seeds" / path, _SEED_LIMIT_S)
         if answer != "read":
-            raise UserError(f"{path.name}: the seed itself gives: {answer}")
+            raise UserError(f"{path}: the seed itself gives: {answer}")
     limit = _address_space() + int(limit_gb * 1e9)
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
-    for number in range(first, count):
-        path, reader = seeds[number % len(seeds)]
-        damaged = folder / "mutated" / path.name
-        damaged.write_bytes(mutate(path.read_bytes(), seed, number))
+    numbers = range(first, count)
+    for number, path, reader in mutated(folder, seeds, seed, numbers):
+        (folder / CURRENT).write_text(str(path))
         started = time.perf_counter()
-        text = try_reader(reader, damaged, limit_s)
-        answers.send(Answer(number, path.name, text, time.perf_counter() - started))
+        text = try_reader(reader, folder / "mutated" / path, limit_s)
+        answers.send(Answer(number, str(path), text, time.perf_counter() - started))
+
+
+def mutated(
+    folder: Path, seeds: list[tuple[Path, Reader]], seed: int, numbers: range
+) -> Iterator[tuple[int, Path, Reader]]:
+    """Put one mutated file after the other in a copy of the seeds; yield its path there.
+
+    Args:
+        folder: holds the seeds, and gets their copy ``mutated``.
+        seeds: what ``seed_files`` gives.
+        seed: of the mutations.
+        numbers: which ones.
+    """
+    shutil.copytree(folder / "seeds", folder / "mutated")
+    for number in numbers:
+        path, reader = seeds[number % len(seeds)]
+        sound = (folder / "seeds" / path).read_bytes()
+        damaged = folder / "mutated" / path
+        damaged.write_bytes(mutate(path.name, sound, seed, number))
+        yield number, path, reader
+        damaged.write_bytes(sound)
 
 
 def try_reader(reader: Reader, path: Path, limit_s: int) -> str:
@@ -70,7 +94,7 @@ def try_reader(reader: Reader, path: Path, limit_s: int) -> str:
     signal.signal(signal.SIGALRM, stop)
     signal.alarm(limit_s)
     try:
-        reader(path)
+        require_finite(reader(path))
     except UserError as error:
         if f"longer than {limit_s} s" in str(error):  # a reader took the alarm for a damaged file
             return f"TimeoutError: {error}"[:200]

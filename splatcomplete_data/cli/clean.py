@@ -14,7 +14,7 @@ from gscomplete.errors import UserError
 from splatcomplete_data.cli.common import say
 
 if TYPE_CHECKING:
-    from splatcomplete_data.clean.rules import Cleaned
+    from splatcomplete_data.clean.rules import Cleaned, Rule
     from splatcomplete_data.multiview.scene import Scene
 
 _PICTURE = "clean.png"
@@ -72,7 +72,9 @@ def run(options: CleanOptions) -> int:
         if options.out.exists() and not options.overwrite:
             raise UserError(f"{options.out}: it exists; replace it with --overwrite")
     scene = read_scene(options.file, None if options.up == "auto" else options.up)
-    rules = (*options.rules, "background") if options.background else options.rules
+    rules: list[Rule] = [*options.rules]
+    if options.background:
+        rules.append("background")
     focus = scene.focus() if options.background else None
     cleaned = clean_rows(scene.file.splats, options.strength, rules, focus)
     lost = _write(options.out, scene, cleaned) if options.out is not None else ()

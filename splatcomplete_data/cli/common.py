@@ -236,8 +236,6 @@ def framing_request(options: ObjectOptions, default_up: UpAxis) -> FramingReques
     center = parse_numbers(options.center, 3, "--center", "X,Y,Z")
     if not 0 <= options.range <= 180:
         raise UserError(f"--range: expected 0 to 180 degrees, found {options.range:g}")
-    if options.object_size is not None and not 0 < options.object_size < float("inf"):
-        raise UserError(f"--object-size: expected a positive length, found {options.object_size:g}")
     return FramingRequest(
         up=default_up if options.up == "auto" else options.up,
         view_deg=view,

@@ -26,8 +26,9 @@ from splatcomplete_data.cli.points import PointOptions, made_from_points
 class DepthOptions(PointOptions):
     """Turn one picture and its depth into a partial object.
 
-    Frame: camera axes (x right, y down, z forward), so up is -Y unless --up or --level says
-    otherwise; the input view is the photo's own. An EXIF rotation is applied where only that fits
+    Frame: levelled (z up) where the picture shows a floor or table, whatever is kept of it; else,
+    or with --keep-tilt, camera axes (x right, y down, z forward), where up is -Y unless --up says
+    otherwise. The input view is the photo's own. An EXIF rotation is applied where only that fits
     the depth; else it tells which way is up. Flying pixels at depth edges are removed.
     Depth Anything 3's results.npz is read as it is, with "-" as IMAGE.
 
@@ -134,6 +135,8 @@ def make(options: DepthOptions, enter: StageCallback = ignore_stage) -> ObjectDr
         view.up,
         viewpoint=(0.0, 0.0, 0.0),
         is_up_known=True,
+        is_picture_up=True,
+        scene=view.scene,
         steps=view.steps,
         notes=view.notes,
         details={"camera": jsonio.to_json(view.camera), "depth": options.depth.as_posix()},

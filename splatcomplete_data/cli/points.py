@@ -11,6 +11,9 @@ from gscomplete.util.parse import parse_numbers
 from splatcomplete_data.cli.common import ObjectDraft, ObjectOptions, StageCallback, ignore_stage
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from gscomplete.views import UpAxis
     from splatcomplete_data.objects import StepRecord, Subset
     from splatcomplete_data.scan.cloud import PointCloud
@@ -41,8 +44,11 @@ class PointOptions(ObjectOptions):
     """Keep the object at X,Y,Z (source's frame) instead of the largest cluster; what touches it is
     parted from it where the surface folds inwards or changes colour."""
     level: bool = False
-    """Turn the object so that the first plane found is horizontal and z is up; recorded. Up is the
-    side of the scanner or, if that is unknown, of most points that stay."""
+    """Turn the object so that the first plane found is level and z is up, or fail; recorded. Up is
+    the side of the scanner or, if that is unknown, of most points that stay. Pictures with depth
+    are levelled without it where the scene has a floor or table, unless --up says what is up."""
+    keep_tilt: bool = False
+    """Never turn the object: up stays the picture's, though its camera looked down."""
     count: int | None = None
     """Thin to at most this many evenly spread points; None = keep all."""
     spacing: float | None = None
@@ -67,6 +73,8 @@ def part_settings(options: PointOptions) -> PartSettings:
     seed = parse_numbers(options.seed_point, 3, "--seed-point", "X,Y,Z")
     if options.level and options.up not in ("auto", "Z"):
         raise UserError(f"--level, --up: levelled points have z up, found --up {options.up}")
+    if options.level and options.keep_tilt:
+        raise UserError("--level, --keep-tilt: expected at most one of them, found both")
     size = (
         None
         if options.splat_size == "auto"
@@ -90,7 +98,7 @@ def part_settings(options: PointOptions) -> PartSettings:
     return PartSettings(
         boxes=tuple(parse_box(text) for text in options.box),
         cleaning=cleaning,
-        level=options.level,
+        level="always" if options.level else "never" if options.keep_tilt else "auto",
         count=options.count,
         spacing=options.spacing,
         sigma=None if size is None else size[0],
@@ -107,6 +115,8 @@ def made_from_points(
     *,
     viewpoint: tuple[float, float, float] | None,
     is_up_known: bool,
+    is_picture_up: bool = False,
+    scene: NDArray[np.float64] | None = None,  # [M, 3]
     steps: tuple[StepRecord, ...],
     notes: tuple[str, ...],
     details: dict[str, object],
@@ -122,6 +132,8 @@ def made_from_points(
         default_up: up axis of the source's frame; Z after levelling.
         viewpoint: where the scanner stood in the source's frame; None = unknown.
         is_up_known: whether ``default_up`` is what the source says, not only assumed.
+        is_picture_up: whether ``default_up`` is a picture's: its camera may look down.
+        scene: all that was scanned, where ``cloud`` is a choice of it; None = it is all.
         steps: what was done before.
         notes: what was noticed before.
         details: what only this kind of source has.
@@ -144,10 +156,15 @@ def made_from_points(
     enter(f"cleaning {len(cloud):,} points", 0.2)
     source_up = framing_request(options, default_up).up
     is_up_told = is_up_known or options.up != "auto"
-    around = Surroundings(viewpoint, axis_direction(source_up) if is_up_told else None)
+    around = Surroundings(
+        viewpoint,
+        axis_direction(source_up) if is_up_told else None,
+        scene,
+        is_picture_up and options.up == "auto",
+    )
     part = make_part(cloud, settings, str(source), around)
     moved = part.file_from_source
-    up: UpAxis = "Z" if options.level else source_up
+    up: UpAxis = source_up if part.turn is None else "Z"
     eye = viewpoint
     if viewpoint is not None and moved is not None:
         x, y, z = moved.apply(torch.tensor(viewpoint, dtype=torch.float64)).tolist()

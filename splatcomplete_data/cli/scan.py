@@ -24,6 +24,9 @@ from splatcomplete_data.cli.common import (
 from splatcomplete_data.cli.points import PointOptions, made_from_points
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from gscomplete.views import UpAxis
     from splatcomplete_data.objects import StepRecord
     from splatcomplete_data.scan.cloud import PointCloud
@@ -93,6 +96,8 @@ def make(options: ScanOptions, enter: StageCallback = ignore_stage) -> ObjectDra
         source.up,
         viewpoint=source.viewpoint,
         is_up_known=source.is_up_known,
+        is_picture_up=source.is_up_known,
+        scene=source.scene,
         steps=source.steps,
         notes=source.notes,
         details={},
@@ -108,6 +113,9 @@ class _Source:
     viewpoint: Position | None
     up: UpAxis
     is_up_known: bool
+    """Whether ``up`` is that of the depth picture that the scan is."""
+    scene: NDArray[np.float64] | None  # [M, 3]
+    """All points, where ``cloud`` holds those of a label; None = it holds all."""
     steps: tuple[StepRecord, ...]
     notes: tuple[str, ...]
 
@@ -128,6 +136,7 @@ def _read(options: ScanOptions) -> _Source:
     cloud = scan.cloud
     dropped = {"not_finite": scan.rows - len(cloud)} if scan.rows > len(cloud) else {}
     steps = [StepRecord("read", scan.rows, len(cloud), dropped)]
+    scene = None
     if options.label is not None:
         if cloud.labels is None:
             raise UserError(f"{options.file}: --label: expected a label field, found none")
@@ -137,7 +146,7 @@ def _read(options: ScanOptions) -> _Source:
             raise UserError(f"{options.file}: --label: expected one of {found}")
         counts = {"other_label": len(cloud) - len(inside)}
         steps.append(StepRecord("label", len(cloud), len(inside), counts))
-        cloud = cloud.select(inside)
+        scene, cloud = cloud.points, cloud.select(inside)
     given, notes = parse_numbers(options.viewpoint, 3, "--viewpoint", "X,Y,Z"), scan.notes
     eye = scan.viewpoint if given is None else (given[0], given[1], given[2])
     if given is None and eye is not None:
@@ -145,7 +154,7 @@ def _read(options: ScanOptions) -> _Source:
         why = "VIEWPOINT" if scan.up is None else "picture"
         notes = (*notes, f"the scanner stood at {place}, as the file's {why} says")
     up = up_of_mesh_file(options.file) if scan.up is None else scan.up
-    return _Source(cloud, eye, up, scan.up is not None, tuple(steps), notes)
+    return _Source(cloud, eye, up, scan.up is not None, scene, tuple(steps), notes)
 
 
 def _propose(options: ScanOptions) -> int:
@@ -176,7 +185,8 @@ def _propose(options: ScanOptions) -> int:
         is_told = source.is_up_known or options.up != "auto"
         from gscomplete.views import axis_direction
 
-        around = Surroundings(source.viewpoint, axis_direction(request.up) if is_told else None)
+        up = axis_direction(request.up) if is_told else None
+        around = Surroundings(source.viewpoint, up, source.scene)
         enter(f"looking for objects among {len(source.cloud):,} points", 0.2)
         found = propose_clusters(source.cloud, part_settings(options), str(options.file), around)
         enter("drawing", 0.7)

@@ -69,6 +69,10 @@ class Surroundings:
     """Where the scanner stood; None = unknown."""
     up: tuple[float, float, float] | None = None
     """What is up; None = unknown."""
+    scene: NDArray[np.float64] | None = None  # [M, 3]
+    """All that was scanned, where the points are a choice of it; None = they are all there is."""
+    is_picture_up: bool = False
+    """Whether ``up`` is a picture's: the camera that took it may look down."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

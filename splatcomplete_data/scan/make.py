@@ -6,9 +6,10 @@ Conventions
 -----------
 * Boxes and ``seed_point`` are in the source's frame, before levelling.
 * Planes are looked for in the complete cloud; boxes then say what is kept of it.
-* Levelling turns the cloud so that the first plane removed lies horizontally (z up, origin where
-  it was); the rotation is returned and recorded, never silent. It is told when the object then
-  hangs below that plane, or when what was up before is turned down.
+* Levelling turns the cloud so that the first plane removed, else the floor or table of the scene,
+  lies horizontally (z up, origin where it was); the rotation is returned and recorded, never
+  silent. It is told when the object then hangs below that plane, or when what was up before is
+  turned down.
 * A cloud too far from the origin for float32 has an offset taken away before it is turned
   (``points``); that too is returned and recorded.
 """
@@ -16,6 +17,7 @@ Conventions
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import torch
@@ -28,6 +30,7 @@ from splatcomplete_data.objects import StepRecord
 from splatcomplete_data.points import (
     Offset,
     PointSplatSettings,
+    median_spacing,
     offset_for_float32,
     points_to_splats,
     sigma_of,
@@ -43,7 +46,13 @@ from splatcomplete_data.scan.clean import (
     level_rotation,
 )
 from splatcomplete_data.scan.cloud import PointCloud
-from splatcomplete_data.scan.support import SupportPlane
+from splatcomplete_data.scan.support import PlaneSettings, SupportPlane, find_level_plane
+
+Level = Literal["auto", "always", "never"]
+_UNLEVELLED = (
+    "up is the picture's: there is no floor or table to level on; of a camera that looks down, the "
+    "object leans (--up)"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +63,9 @@ class PartSettings:
     """Boxes that keep or remove, source frame."""
     cleaning: CleanSettings | None = None
     """Planes, outliers and clutter; None = nothing is cleaned."""
-    level: bool = False
-    """Turn the cloud so that the first plane found is horizontal."""
+    level: Level = "auto"
+    """Turn the cloud so that the first plane found is horizontal: where up is a picture's and there
+    is a plane, always (or fail), or never."""
     count: int | None = None
     """Thin to at most this many points; None = keep all."""
     spacing: float | None = None
@@ -138,14 +148,18 @@ def make_part(
     kept, thinning = _thin(kept, settings)
     steps += thinning
     turn = None
-    if settings.level:
-        if not planes:
+    if settings.level == "always" or (settings.level == "auto" and known.is_picture_up):
+        plane = _plane_to_level_on(scene, planes, settings, known)
+        if plane is None and settings.level == "always":
             raise UserError(
                 f"{source}: --level: expected a plane to level on, found none"
                 + "".join(f"; {warning}" for warning in warnings)
             )
-        turn, doubts = _levelled(planes[0], kept.points, known)
-        warnings = (*warnings, *doubts)
+        if plane is None:
+            warnings = (*warnings, _UNLEVELLED)
+        else:
+            turn, told = _levelled(plane, kept.points, known)
+            warnings = (*warnings, *told)
     per_spacing = PointSplatSettings(sigma_per_spacing=settings.sigma_per_spacing)
     points, sigma = _turned(kept.points, turn), settings.sigma
     if sigma is None:
@@ -158,16 +172,38 @@ def make_part(
     return Part(splats, size, tuple(steps), offset, turn, cloud, reason, reasons, warnings)
 
 
+def _plane_to_level_on(
+    cloud: PointCloud, planes: tuple[SupportPlane, ...], settings: PartSettings, known: Surroundings
+) -> SupportPlane | None:
+    """Return the first plane removed, else the floor or table of the scene, if there is one."""
+    if planes:
+        return planes[0]
+    points = cloud.points if known.scene is None else known.scene
+    return find_level_plane(
+        points,
+        median_spacing(points, 20_000),
+        PlaneSettings() if settings.cleaning is None else settings.cleaning.plane,
+        up=None if known.up is None else np.asarray(known.up, np.float64),
+        viewpoint=None if known.viewpoint is None else np.asarray(known.viewpoint, np.float64),
+    )
+
+
 def _levelled(
     plane: SupportPlane,
     kept: NDArray[np.float64],  # [N, 3]
     known: Surroundings,
 ) -> tuple[Similarity, tuple[str, ...]]:
-    """Return the turn that makes a plane level, and what is odd about it."""
+    """Return the turn that makes a plane level, and what to tell of it."""
     above = kept if known.viewpoint is None else np.asarray(known.viewpoint, np.float64)
     rotation = level_rotation(plane.plane, above)
     height = kept @ rotation[2] - float(plane.foot @ rotation[2])
     doubts = []
+    if known.is_picture_up and known.up is not None:
+        lean = np.degrees(np.arccos(np.clip(rotation[2] @ np.asarray(known.up), -1, 1)))
+        doubts.append(
+            f"levelled on a plane of {int(plane.inside.sum()):,} points, from which the picture's "
+            f"up leans by {lean:.0f} degrees (--keep-tilt leaves it)"
+        )
     under = float((height < 0).mean())
     if under > DOUBTFUL_SHARE:
         doubts.append(

@@ -135,6 +135,22 @@ def find_support_planes(
     return accepted[:count], [plane for plane in found if plane.refusal is not None]
 
 
+def find_level_plane(
+    points: FloatArray,  # [N, 3] the complete scene
+    spacing: float,
+    settings: PlaneSettings,
+    *,
+    up: FloatArray | None,  # [3] unit
+    viewpoint: FloatArray | None,  # [3]
+) -> SupportPlane | None:
+    """Find the largest plane that is about level and bears things, a floor or table; or None."""
+    everything = np.ones(len(points), np.bool_)
+    planes, _ = find_support_planes(
+        points, everything, 1, spacing, settings, up=up, viewpoint=viewpoint
+    )
+    return planes[0] if planes and _is_level(planes[0]) else None
+
+
 def find_plane(
     points: FloatArray,  # [N, 3]
     thickness: float,

@@ -28,6 +28,9 @@ from splatcomplete_data.singleview.intrinsics import Intrinsics
 from splatcomplete_data.singleview.orientation import fitting_picture
 from splatcomplete_data.singleview.unproject import FLYING_JUMP, flying_pixels, unproject
 
+_SCENE_POINTS = 150_000
+"""Of the complete picture, to find the floor or table in."""
+
 
 @dataclass(frozen=True, slots=True)
 class SingleViewSettings:
@@ -75,6 +78,7 @@ class SingleView:
     color: NDArray[np.float32]  # [H, W, 3] the picture at the depth's resolution
     steps: tuple[StepRecord, ...]
     notes: tuple[str, ...]
+    scene: NDArray[np.float64]  # [M, 3] points of the complete picture, evenly thinned
     up: UpAxis = "-Y"
     """The camera's axis that points up."""
 
@@ -117,7 +121,11 @@ def load_single_view(
     keep, steps = _select(z, depth, picture, chosen, str(depth_path))
     points = unproject(z, camera, keep)
     cloud = PointCloud(points, color[keep])
-    return SingleView(cloud, camera, keep, color, tuple(steps), tuple(notes), fitting.up)
+    known = np.flatnonzero(np.isfinite(z) & (z > 0))
+    thinned = np.zeros(z.shape, np.bool_)
+    thinned.flat[known[:: max(1, -(-len(known) // _SCENE_POINTS))]] = True
+    scene = unproject(z, camera, thinned)
+    return SingleView(cloud, camera, keep, color, tuple(steps), tuple(notes), scene, fitting.up)
 
 
 def _open(path: Path | None, depth: DepthImage, depth_path: Path) -> Image.Image:

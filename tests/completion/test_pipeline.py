@@ -11,7 +11,7 @@ from gscomplete.completion.presets import DEFAULT, DISTILL, RECONSTRUCT
 from gscomplete.errors import UserError
 from gscomplete.framing.decide import FramingRequest
 from gscomplete.priors.base import FirstGuess
-from gscomplete.splats import Similarity, read_splats, transform_splats, write_splats
+from gscomplete.splats import Similarity, concatenate, read_splats, transform_splats, write_splats
 from tests.completion.cylinders import half_cylinder
 from tests.completion.oracle import GuessingPrior, OraclePrior, ball
 
@@ -60,6 +60,18 @@ def test_where_nothing_is_missing_nothing_is_added():
     assert len(found.new) == 0
     assert found.hard_preservation is not None
     assert found.hard_preservation.met
+
+
+@pytest.mark.parametrize("count", [0, 400])
+def test_an_unclean_part_is_told(count):
+    lost = dataclasses.replace(TRUTH, means=TRUTH.means * 9).select(torch.arange(count))
+    part = concatenate([PARTIAL, lost])
+    notes = prepare(
+        part, Request("a ball", QUICK, FramingRequest(**KNOWN)), OraclePrior(TRUTH)
+    ).notes
+    told = [note for note in notes if "unclean" in note]
+    assert len(told) == bool(count)
+    assert all("floaters" in note for note in told)
 
 
 @pytest.mark.parametrize("is_given", [True, False])

@@ -28,14 +28,23 @@ def test_frames_that_may_be_the_wholes_are_taken(up, center, size, found):
     assert found is None or found in notes[0]
 
 
+def test_what_is_astronomically_far_away_does_not_count() -> None:
+    part = cylinder(60)
+    part.means[0] = 1e17
+    assert check_given_frame(part, ObjectFrame("Z", (0.0, 0.0, 0.0), 1.0), "p.ply") != ()
+
+
 @pytest.mark.parametrize(
     ("center", "size", "message"),
     [
         (
             (0.0, 0.0, 0.0),
             1000.0,
-            r"p\.ply: --object-size: expected at most 100 .*found 1000.*0\.1 %",
+            r"p\.ply: --object-size: expected 0\.1 to 100 .*found 1000.*0\.1 %",
         ),
+        ((0.0, 0.0, 0.0), 1e9, r"--object-size: expected 0\.1 to 100 .*found 1e\+09"),
+        ((0.0, 0.0, 0.0), 1e-9, r"--object-size: expected 0\.1 to 100 .*found 1e-09"),
+        ((0.0, 0.0, 0.0), 0.09, r"--object-size: expected 0\.1 to 100 .*found 0\.09"),
         (
             (0.0, 2.0, 0.0),
             1.0,

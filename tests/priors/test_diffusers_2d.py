@@ -170,6 +170,9 @@ def test_default_guidance(folder):
         ("text_encoder/config.json", {"architectures": ["T5EncoderModel"]}, "architectures"),
         ("scheduler/scheduler_config.json", {"prediction_type": "flow"}, "prediction_type"),
         ("scheduler/scheduler_config.json", {"beta_schedule": "odd"}, "beta_schedule"),
+        ("scheduler/scheduler_config.json", {"num_train_timesteps": 10**9}, "num_train_timesteps"),
+        ("scheduler/scheduler_config.json", {"trained_betas": []}, "shares of noise"),
+        ("scheduler/scheduler_config.json", {"beta_start": -0.5}, "beta"),
     ],
 )
 def test_other_models_are_refused(folder, tmp_path, file, change, message):

@@ -22,8 +22,9 @@ def sound_table(count: int = 500, rest: int = 0, seed: int = 0) -> dict[str, np.
     rng = np.random.default_rng(seed)
     names = [*NAMES[:6], *(f"f_rest_{i}" for i in range(rest)), *NAMES[6:]]
     table = {name: rng.normal(size=count).astype("<f4") for name in names}
-    for i in range(3):
-        table[f"scale_{i}"] -= 4
+    for i, axis in enumerate("xyz"):
+        table[axis] = rng.uniform(-2, 2, count).astype("<f4")
+        table[f"scale_{i}"] = table[f"scale_{i}"] * 0.3 - 4
     quaternions = np.stack([table[f"rot_{i}"] for i in range(4)])
     for i, column in enumerate(quaternions / np.linalg.norm(quaternions, axis=0)):
         table[f"rot_{i}"] = column
@@ -119,6 +120,7 @@ def test_quaternions_zero_rows_and_duplicates(tmp_path):
         "zero_quaternions": ("error", 7),
         "unnormalised_quaternions": ("info", 5),
         "zero_rows": ("warning", 4),
+        "giants": ("warning", 4),  # a logarithm of 0 is a size of 1
         "duplicates": ("warning", 2),
     }
 
@@ -167,7 +169,7 @@ def test_outliers_and_frames(tmp_path):
     table["scale_0"][:3] = 5
     found = named(check(tmp_path, table))
     assert found["position_outliers"] == ("warning", 2)
-    assert found["scale_outliers"] == ("warning", 3)
+    assert found["giants"] == ("warning", 3)
     far = sound_table()
     far["z"] += 1e5
     assert set(named(check(tmp_path, far))) >= {"far_from_origin"}
@@ -177,6 +179,23 @@ def test_outliers_and_frames(tmp_path):
             table[axis] *= factor
             table[f"scale_{i}"] += np.log(factor) if factor else 0
         assert set(named(check(tmp_path, table))) == {name}
+
+
+def test_splats_that_are_not_of_the_surface_are_counted(tmp_path):
+    table = sound_table(1000)
+    for axis in "xyz":
+        table[axis][500:] *= 30
+    table["opacity"][:4] = -5
+    for name in ("scale_0", "scale_1"):
+        table[name][:4] = -1
+    table["scale_0"][4:7], table["scale_1"][4:7], table["scale_2"][4:7] = -1, -6, -6
+    report = check(tmp_path, table)
+    found = named(report)
+    assert found["floaters"][0] == found["haze"][0] == found["needles"][0] == "warning"
+    assert 480 <= found["floaters"][1] <= 520
+    assert found["haze"][1] >= 4
+    assert found["needles"][1] >= 3
+    assert report.ok
 
 
 def test_a_single_splat_and_none(tmp_path):

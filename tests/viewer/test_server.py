@@ -14,12 +14,6 @@ from gscomplete.views import ViewDistribution
 from tests.splats.ply_files import make_splats
 
 
-def viser_version() -> str:
-    import viser
-
-    return viser.__version__
-
-
 class Page:
     """What a page's camera is told."""
 
@@ -27,40 +21,11 @@ class Page:
         self.camera = type("Camera", (), {})()
 
 
-@pytest.fixture
-def viewer():
-    pytest.importorskip("viser")
-    layers = (Layer("P", make_splats(30), ""), Layer("new", make_splats(20, seed=1), ""))
-    started = serve(Scene(layers, ViewDistribution(30.0, 15.0)), "127.0.0.1", 18080)
-    yield started
-    started.server.stop()
-
-
 def test_the_page_is_served(viewer):
     address = f"http://127.0.0.1:{viewer.server.get_port()}"
     with urllib.request.urlopen(address, timeout=20) as page:
         assert page.status == 200
         assert b"<html" in page.read().lower()
-
-
-@pytest.mark.parametrize(
-    ("origin", "is_let_in"),
-    [(None, True), ("http://127.0.0.1:{port}", True), ("http://evil.example", False)],
-)
-def test_a_page_of_another_site_is_not_let_in(viewer, origin, is_let_in):
-    """Any page that a browser shows may open a WebSocket to this machine."""
-    from websockets.exceptions import InvalidStatus
-    from websockets.sync.client import connect
-
-    port = viewer.server.get_port()
-    chosen = origin and origin.format(port=port)
-    address, version = f"ws://127.0.0.1:{port}", f"viser-v{viser_version()}"
-    if is_let_in:
-        with connect(address, origin=chosen, subprotocols=[version], max_size=None) as page:
-            assert page.recv(timeout=20)
-    else:
-        with pytest.raises(InvalidStatus, match="403"):
-            connect(address, origin=chosen, subprotocols=[version])
 
 
 def test_boxes_hide_layers_and_the_list_colours_them(viewer):

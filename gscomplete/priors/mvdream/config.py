@@ -69,8 +69,14 @@ class UNetConfig:
         """Check that widths divide.
 
         Raises:
-            ValueError: a level's width is not a multiple of 32 (its norms' groups) or of a head.
+            ValueError: a size is not positive, or a level's width is not a multiple of 32 (its
+                norms' groups) or of a head.
         """
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            numbers = value if isinstance(value, tuple) else (value,)
+            if not numbers or min(numbers) < 1:
+                raise ValueError(f"{field.name}: expected positive sizes, found {value}")
         for width in self.widths:
             if width % 32 or width % self.num_head_channels:
                 raise ValueError(

@@ -26,6 +26,8 @@ from gscomplete.util.jsonio import read_json
 
 _OLD_ATTENTION = (("to_q", "query"), ("to_k", "key"), ("to_v", "value"), ("to_out.0", "proj_attn"))
 _PREFIX = "text_model."
+_LARGEST_SIZE = 1_000_000
+"""Of widths, layers, words: larger ones are a damaged file's."""
 _POSITION_IDS = ("embeddings.position_ids", _PREFIX + "embeddings.position_ids")
 
 
@@ -66,16 +68,21 @@ def read_vae_config(path: Path) -> VAEConfig:
     """
     data = _config(path, "AutoencoderKL")
     widths = data.get("block_out_channels", [64])
-    base = int(widths[0])
+    if not isinstance(widths, list) or not widths or not all(map(_is_size, widths)):
+        raise UserError(f"{path}: block_out_channels: expected a list of widths, found {widths!r}")
+    base = widths[0]
     if any(width % base for width in widths):
         raise UserError(f"{path}: block_out_channels: expected multiples of the first, {widths}")
+    factor = data.get("scaling_factor", 0.18215)
+    if not isinstance(factor, float | int) or not 0 < factor < 1e6:
+        raise UserError(f"{path}: scaling_factor: expected a positive number, found {factor!r}")
     return VAEConfig(
         base_channels=base,
         channel_mult=tuple(width // base for width in widths),
-        num_res_blocks=int(data.get("layers_per_block", 1)),
-        latent_channels=int(data.get("latent_channels", 4)),
-        norm_groups=int(data.get("norm_num_groups", 32)),
-        scaling_factor=float(data.get("scaling_factor", 0.18215)),
+        num_res_blocks=_size(path, data, "layers_per_block", 1),
+        latent_channels=_size(path, data, "latent_channels", 4),
+        norm_groups=_size(path, data, "norm_num_groups", 32),
+        scaling_factor=float(factor),
     )
 
 
@@ -86,17 +93,17 @@ def read_text_config(path: Path) -> TextConfig:
         UserError: it is missing, or of another kind of text encoder.
     """
     data = _config(path, None)
-    found = (data.get("architectures") or ["?"])[0]
-    if found != "CLIPTextModel":
-        raise UserError(f"{path}: architectures: expected CLIPTextModel, found {found}")
-    width = int(data.get("hidden_size", 512))
+    found = data.get("architectures")
+    if not isinstance(found, list) or found[:1] != ["CLIPTextModel"]:
+        raise UserError(f"{path}: architectures: expected CLIPTextModel, found {found!r}")
+    width = _size(path, data, "hidden_size", 512)
     return TextConfig(
         width=width,
-        heads=int(data.get("num_attention_heads", 8)),
-        layers=int(data.get("num_hidden_layers", 12)),
-        mlp_width=int(data.get("intermediate_size", 4 * width)),
-        vocabulary_size=int(data.get("vocab_size", 49408)),
-        length=int(data.get("max_position_embeddings", 77)),
+        heads=_size(path, data, "num_attention_heads", 8),
+        layers=_size(path, data, "num_hidden_layers", 12),
+        mlp_width=_size(path, data, "intermediate_size", 4 * width),
+        vocabulary_size=_size(path, data, "vocab_size", 49408),
+        length=_size(path, data, "max_position_embeddings", 77),
         hidden_act=str(data.get("hidden_act", "quick_gelu")),
     )
 
@@ -141,6 +148,23 @@ def text_part(folder: Path, module: Any) -> Part:
         what="the text tower in config.json",
     )
     return Part(file, sources)
+
+
+def _is_size(value: object) -> bool:
+    """Tell whether a value is a number of something in a network."""
+    return isinstance(value, int) and not isinstance(value, bool) and 0 < value <= _LARGEST_SIZE
+
+
+def _size(path: Path, data: dict[str, Any], name: str, default: int) -> int:
+    """Return a network's size by name.
+
+    Raises:
+        UserError: it is none.
+    """
+    value = data.get(name, default)
+    if not _is_size(value):
+        raise UserError(f"{path}: {name}: expected 1 to {_LARGEST_SIZE:,}, found {value!r}")
+    return int(value)
 
 
 def _config(path: Path, class_name: str | None) -> dict[str, Any]:

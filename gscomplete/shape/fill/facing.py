@@ -32,7 +32,8 @@ TOLERANCE = 0.015
 """What lies no deeper behind the seen surface than this is of that surface, object sizes."""
 _WALL = 0.004
 """A splat so far behind the seen surface is seen, if it faces the camera; an oblique one may be
-behind it by what the surface falls within a pixel. Thicker walls have two sides."""
+behind it by what the surface falls within a pixel and a splat, for a splat is drawn at the depth of
+its centre. Thicker walls have two sides."""
 _PIXEL = _REACH / _SIZE_PX
 _FLAT = 0.5
 """A splat whose smallest scale is less than this share of the middle one has a normal."""
@@ -121,12 +122,13 @@ def outward_normals(splats: Splats, around: Around) -> Tensor:  # [N, 3]
     """
     axes = _axes(splats)
     front, back = torch.zeros(len(splats)), torch.zeros(len(splats))
+    extent = 1.5 * splats.scales.amax(dim=1)
     for view in range(len(around.cameras)):
         row, column, far = around.pixels(splats.means, view)
         toward = (axes * around.ways(splats.means, view)).sum(dim=1)
         slope = (1 - toward.square()).clamp_min(0).sqrt() / toward.abs().clamp_min(0.1)
         behind = far - around.depth[view, row, column]
-        toward = toward * (behind < _WALL + _PIXEL * slope)
+        toward = toward * (behind < _WALL + (_PIXEL + extent) * slope)
         front += toward.clamp_min(0)
         back += (-toward).clamp_min(0)
     total = front + back

@@ -106,7 +106,7 @@ def _section(
         owner = _owners(path, index, count, bucket, full, sizes)
         span = float(words[4:5].view("<f4")[0]) / 2
         steps = int(words[6]) or _BUCKET_RANGE
-        means = (means - steps) * (span / steps) + centers[owner].astype(np.float64)
+        means = np.add((means - steps) * (span / steps), centers[owner], dtype=np.float64)
     return _splats(means, rows, head, degree), end
 
 

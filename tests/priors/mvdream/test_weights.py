@@ -170,10 +170,18 @@ def test_a_schedule_is_all_there_or_not_at_all(original, tmp_path):
         ("unet/config.json", {"_class_name": "UNet2DConditionModel"}, "_class_name"),
         ("unet/config.json", {"ip_dim": 16}, "ip_dim"),
         ("unet/config.json", {"model_channels": 64}, "other shape"),
+        ("unet/config.json", {"num_head_channels": 0}, "num_head_channels: expected positive"),
+        ("unet/config.json", {"channel_mult": []}, "channel_mult: expected positive"),
         ("vae/config.json", {"layers_per_block": 2}, "missing"),
         ("vae/config.json", {"_class_name": "VQModel"}, "_class_name"),
         ("text_encoder/config.json", {"num_hidden_layers": 3}, "missing"),
         ("text_encoder/config.json", {"architectures": ["T5"]}, "architectures"),
+        ("text_encoder/config.json", {"architectures": 5}, "architectures"),
+        ("text_encoder/config.json", {"hidden_size": None}, "hidden_size: expected 1 to"),
+        ("vae/config.json", {"block_out_channels": 64}, "block_out_channels"),
+        ("vae/config.json", {"block_out_channels": [0, 8]}, "block_out_channels"),
+        ("vae/config.json", {"norm_num_groups": 10**30}, "norm_num_groups"),
+        ("vae/config.json", {"scaling_factor": "x"}, "scaling_factor"),
     ],
 )
 def test_a_folder_that_does_not_fit_is_refused(folder, tmp_path, file, change, message):

@@ -1,5 +1,7 @@
 """Cleaning removes planes, outliers and clutter, keeps the object, and counts everything."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -104,9 +106,8 @@ def test_levelling_lifts_the_plane_and_is_recorded() -> None:
     points, labels = scene()
     cloud = PointCloud(points, np.full(points.shape, 0.5, np.float32))
     eye = np.array([0.0, -3.0, 3.0])
-    part = make_part(
-        cloud, PartSettings(cleaning=CleanSettings(), level=True), "scene", Surroundings(tuple(eye))
-    )
+    settings = PartSettings(cleaning=CleanSettings(), level="always")
+    part = make_part(cloud, settings, "scene", Surroundings(tuple(eye)))
     assert part.turn is not None
     plane = np.array([0.0, -np.sin(0.5), np.cos(0.5), 0.0])
     rotation = level_rotation(plane, eye)
@@ -119,6 +120,33 @@ def test_levelling_lifts_the_plane_and_is_recorded() -> None:
     assert np.linalg.norm(moved[:50, None] - kept[None], axis=2).min(axis=1).max() < 1e-5
 
 
+def test_what_is_chosen_of_a_picture_is_levelled_on_the_table_beside_it() -> None:
+    points, labels = scene()
+    ball = points[labels == 1]
+    up = (0.0, 0.0, 1.0)  # the camera's: the scene leans by .5
+    seen = Surroundings((0.0, -3.0, 3.0), up, points, is_picture_up=True)
+    part = make_part(grey(ball), PartSettings(), "scene", seen)
+    assert part.turn is not None
+    level = np.array([0.0, -np.sin(0.5), np.cos(0.5)])
+    assert part.turn.rotation.numpy()[2] @ level > np.cos(np.radians(0.5))
+    assert len(part.splats) == len(ball)  # nothing is removed for it
+    assert "leans by 29 degrees" in part.warnings[-1]
+
+    for settings, known in (
+        (PartSettings(level="never"), seen),
+        (PartSettings(), dataclasses.replace(seen, is_picture_up=False)),
+        (PartSettings(), dataclasses.replace(seen, scene=ball)),
+        (PartSettings(), dataclasses.replace(seen, up=(0.0, 0.9, -0.4))),
+    ):
+        kept = make_part(grey(ball), settings, "scene", known)
+        assert kept.turn is None
+        is_guessed = known.is_picture_up and settings.level == "auto"
+        assert ("no floor or table" in "".join(kept.warnings)) == is_guessed
+    line = np.outer(np.linspace(0, 1, 50), [1.0, 1.0, 1.0])
+    with pytest.raises(UserError, match="--level: expected a plane"):
+        make_part(grey(line), PartSettings(level="always"), "scene")
+
+
 def test_boxes_thinning_and_their_errors() -> None:
     points, _ = scene()
     cloud = PointCloud(points, np.full(points.shape, 0.5, np.float32))
@@ -128,8 +156,6 @@ def test_boxes_thinning_and_their_errors() -> None:
     box = CropBox((100, 0, 0), (1, 1, 1))
     with pytest.raises(UserError, match=r"scene: --box.*span"):
         make_part(cloud, PartSettings(boxes=(box,)), "scene")
-    with pytest.raises(UserError, match="--level"):
-        make_part(cloud, PartSettings(level=True), "scene")
     with pytest.raises(UserError, match="--spacing"):
         make_part(cloud, PartSettings(spacing=-1.0), "scene")
 
@@ -144,7 +170,7 @@ def test_without_a_viewpoint_up_is_where_the_points_that_stay_lie(
     post = rng.uniform([-0.1, -0.1, 0.05], [0.1, 0.1, 0.8], (2000, 3))
     points = np.concatenate([floor, post]) * (-1 if turned_over else 1) + [0, 0, height]
     cloud = PointCloud(points, np.full(points.shape, 0.5, np.float32))
-    settings = PartSettings(cleaning=CleanSettings(clusters=0), level=True)
+    settings = PartSettings(cleaning=CleanSettings(clusters=0), level="always")
     z = make_part(cloud, settings, "scene").splats.means[:, 2]
     ground = -height if turned_over else height
     assert float(z.min()) > ground

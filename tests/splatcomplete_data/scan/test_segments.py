@@ -19,7 +19,7 @@ PAIR = table_top([FRONT, BEHIND])
 def test_a_seed_point_separates_touching_boxes(label, known):
     own = PAIR.points[PAIR.labels == label]
     seed = own[np.square(own - np.median(own, axis=0)).sum(axis=1).argmin()]
-    settings = PartSettings((), CleanSettings(seed_point=tuple(seed)), level=True)
+    settings = PartSettings((), CleanSettings(seed_point=tuple(seed)), level="always")
     around = Surroundings(tuple(EYE) if known else None)
     part = make_part(PAIR, settings, "scene", around)
     kept = part.cloud.labels[part.reason < 0]

@@ -27,7 +27,7 @@ def test_the_table_goes_and_not_the_larger_front_of_the_box(eye):
     inside = crop.contains(cloud.points)
     assert (cloud.labels[inside] == 1).sum() > 3 * (cloud.labels[inside] == 0).sum()
     known = Surroundings(None if eye is None else tuple(eye))
-    settings = PartSettings((crop,), CleanSettings(clusters=0), level=True)
+    settings = PartSettings((crop,), CleanSettings(clusters=0), level="always")
     part = make_part(cloud, settings, "scene", known)
     kept = part.cloud.labels[part.reason < 0]
     assert (kept == 1).mean() > 0.99
@@ -69,7 +69,7 @@ def test_level_planes_come_before_larger_walls():
 def test_losses_and_turns_upside_down_are_told():
     cloud = table_top([box((0, 0), (0.1, 0.1, 0.05))])
     crop = CropBox((0, 0, 0.05), (0.2, 0.2, 0.1))
-    settings = PartSettings((crop,), CleanSettings(clusters=0), level=True)
+    settings = PartSettings((crop,), CleanSettings(clusters=0), level="always")
     below = Surroundings((0.0, 0.0, -3.0), (0.0, 0.0, 1.0))
     part = make_part(cloud, settings, "scene", below)
     assert any(w.startswith("doubtful") and "points (" in w for w in part.warnings)

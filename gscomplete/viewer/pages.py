@@ -1,0 +1,72 @@
+"""What viser's web server answers, where it has no option for it.
+
+Conventions
+-----------
+* Only servers that start within :func:`mended_answers` are concerned.
+* A page that is not the one expected, as of another version of viser, is served as it is.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+import inspect
+from collections.abc import Iterator
+from http import HTTPStatus
+from typing import Any
+from urllib.parse import urlsplit
+
+_UNPACKED = b"const code=td.decode(heap.subarray(up+ss,up+sz));"
+"""Where the page has unpacked its script."""
+_CORNERS = "new Float32Array([-2,-2,2,-2,2,2,-2,2]),2)"
+"""The corners of a splat's square in that script: of two numbers each, so that three.js takes the
+third for NaN and reports a radius of NaN when the pointer first moves over splats."""
+_MENDED_CORNERS = "new Float32Array([-2,-2,0,2,-2,0,2,2,0,-2,2,0]),3)"
+
+
+@contextlib.contextmanager
+def mended_answers() -> Iterator[None]:
+    """Have servers that start in the block refuse other sites' pages and serve a mended page.
+
+    A page of any site may open a WebSocket to this machine; its browser says from where, in the
+    header Origin. viser answers all of them.
+    """
+    from websockets.asyncio import server
+
+    serve = server.serve
+
+    def guarded(*arguments: Any, process_request: Any = None, **options: Any) -> Any:
+        async def answer(connection: Any, request: Any) -> Any:
+            origin, host = request.headers.get("Origin"), request.headers.get("Host")
+            if origin is not None and urlsplit(origin).netloc != host:
+                return connection.respond(HTTPStatus.FORBIDDEN, "another site's page\n")
+            result = process_request(connection, request) if process_request else None
+            return _mended(await result if inspect.isawaitable(result) else result)
+
+        return serve(*arguments, process_request=answer, **options)
+
+    server.serve = guarded  # type: ignore[assignment, misc]
+    try:
+        yield
+    finally:
+        server.serve = serve  # type: ignore[misc]
+
+
+def mended_page(page: bytes) -> bytes:
+    """Return viser's page with square corners of three numbers."""
+    replaced = f'.replace("{_CORNERS}","{_MENDED_CORNERS}")'.encode()
+    return page.replace(_UNPACKED, _UNPACKED[:-1] + replaced + b";")
+
+
+def _mended(response: Any) -> Any:
+    """Return an answer to a request, None for those of WebSockets, with its page mended."""
+    if response is None or response.status_code != HTTPStatus.OK or not response.body:
+        return response
+    is_packed = response.headers.get("Content-Encoding") == "gzip"
+    page = gzip.decompress(response.body) if is_packed else response.body
+    mended = mended_page(page)
+    if mended != page:
+        response.body = gzip.compress(mended) if is_packed else mended
+        del response.headers["Content-Length"]
+        response.headers["Content-Length"] = str(len(response.body))
+    return response

@@ -1,0 +1,1 @@
+"""Kill long jobs at random moments."""
