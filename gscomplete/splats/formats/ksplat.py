@@ -99,14 +99,18 @@ def _section(
     if count == 0:
         return None, end
     rows = np.frombuffer(data, row, count, at_rows)
-    means: NDArray[np.float64] = rows["mean"].astype(np.float64)
+    negative = int((rows["scale"] < 0).any(axis=1).sum())
+    if negative:
+        raise UserError(f"{path}: scale: expected no negative one, found {negative:,} splats with")
+    means = rows["mean"].astype(np.float64)
     if head.level:
-        centers = np.frombuffer(data, "<f4", 3 * buckets, at_buckets).reshape(-1, 3)
+        stored = np.frombuffer(data, "<f4", 3 * buckets, at_buckets)
+        centers = stored.astype(np.float64).reshape(-1, 3)
         sizes = np.frombuffer(data, "<u4", partly, start).astype(np.int64)
         owner = _owners(path, index, count, bucket, full, sizes)
-        span = float(words[4:5].view("<f4")[0]) / 2
+        span = float(np.frombuffer(words[4:5].tobytes(), "<f4")[0]) / 2
         steps = int(words[6]) or _BUCKET_RANGE
-        means = np.add((means - steps) * (span / steps), centers[owner], dtype=np.float64)
+        means = (means - steps) * (span / steps) + centers[owner]
     return _splats(means, rows, head, degree), end
 
 

@@ -1,4 +1,4 @@
-"""Splat files: PLY, binary and as text, compressed PLY, .splat, .spz in two versions, .glb, .sog, .ksplat."""
+"""Splat files: PLY (also as text), compressed PLY, .splat, two .spz, .glb, .sog, .ksplat."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ def test_normals_point_outward_and_a_sheet_has_none() -> None:
     sheet = dataclasses.replace(
         whole, means=flat, quaternions=torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(3000, 1)
     )
-    assert outward_normals(sheet, look_around(sheet)).norm(dim=1).mean() < 0.2
+    assert outward_normals(sheet, look_around(sheet)).norm(dim=1).mean() < 0.05
 
 
 def test_the_command_fills_without_a_prompt(tmp_path, capsys) -> None:
