@@ -35,6 +35,8 @@ _WALL = 0.004
 behind it by what the surface falls within a pixel and a splat, for a splat is drawn at the depth of
 its centre. Thicker walls have two sides."""
 _PIXEL = _REACH / _SIZE_PX
+_SQUARE = 0.3
+"""Cosine of the angle beyond which obliqueness excuses no more."""
 _FLAT = 0.5
 """A splat whose smallest scale is less than this share of the middle one has a normal."""
 _NEIGHBOURS = 12
@@ -126,7 +128,7 @@ def outward_normals(splats: Splats, around: Around) -> Tensor:  # [N, 3]
     for view in range(len(around.cameras)):
         row, column, far = around.pixels(splats.means, view)
         toward = (axes * around.ways(splats.means, view)).sum(dim=1)
-        slope = (1 - toward.square()).clamp_min(0).sqrt() / toward.abs().clamp_min(0.1)
+        slope = (1 - toward.square()).clamp_min(0).sqrt() / toward.abs().clamp_min(_SQUARE)
         behind = far - around.depth[view, row, column]
         toward = toward * (behind < _WALL + (_PIXEL + extent) * slope)
         front += toward.clamp_min(0)

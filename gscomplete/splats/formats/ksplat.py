@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -102,7 +103,7 @@ def _section(
     negative = int((rows["scale"] < 0).any(axis=1).sum())
     if negative:
         raise UserError(f"{path}: scale: expected no negative one, found {negative:,} splats with")
-    means = rows["mean"].astype(np.float64)
+    means: NDArray[Any] = rows["mean"].astype(np.float64)
     if head.level:
         stored = np.frombuffer(data, "<f4", 3 * buckets, at_buckets)
         centers = stored.astype(np.float64).reshape(-1, 3)

@@ -77,17 +77,18 @@ def test_an_opening_that_shows_the_inside_stays() -> None:
 def test_normals_point_outward_and_a_sheet_has_none() -> None:
     whole = sphere(3000)
     normals = outward_normals(whole, look_around(whole))
-    assert ((normals * whole.means).sum(dim=1) / 0.4 > 0.9).all()
+    assert ((normals * whole.means).sum(dim=1) / 0.4 > 0.8).all()
     flat = whole.means.clone()
     flat[:, 2] *= 0.001
     sheet = dataclasses.replace(
         whole, means=flat, quaternions=torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(3000, 1)
     )
-    assert outward_normals(sheet, look_around(sheet)).norm(dim=1).mean() < 0.05
+    assert outward_normals(sheet, look_around(sheet)).norm(dim=1).mean() < 0.1
 
 
 def test_the_command_fills_without_a_prompt(tmp_path, capsys) -> None:
-    part, _ = punched()
+    whole = ball(2500, 0.4)
+    part = whole.select(whole.means[:, 2] < 0.36)
     write_splats(tmp_path / "part.ply", part)
     out, new = tmp_path / "run", tmp_path / "new.ply"
     options = CompleteOptions(
