@@ -103,7 +103,7 @@ def _section(
     negative = int((rows["scale"] < 0).any(axis=1).sum())
     if negative:
         raise UserError(f"{path}: scale: expected no negative one, found {negative:,} splats with")
-    means: NDArray[Any] = rows["mean"].astype(np.float64)
+    means = rows["mean"].astype(np.float64)
     if head.level:
         stored = np.frombuffer(data, "<f4", 3 * buckets, at_buckets)
         centers = stored.astype(np.float64).reshape(-1, 3)
@@ -151,7 +151,7 @@ def _splats(
     quaternions = torch.from_numpy(rows["rot"].astype(np.float32))
     rgba = torch.from_numpy(rows["rgba"].astype(np.float32) / 255)
     sh = [colors_to_sh(rgba[:, :3])]
-    stored = rows["sh"].astype(np.float32)
+    stored: NDArray[Any] = rows["sh"].astype(np.float32)
     if head.level == 2:
         stored = head.sh_low + stored / 255 * (head.sh_high - head.sh_low)
     for first, last in _BANDS[:degree]:
