@@ -64,7 +64,7 @@ def run(options: RenderOptions) -> int:
 
     from gscomplete.render import render
     from gscomplete.splats.filters import usable_rows
-    from gscomplete.splats.ply import read_splats
+    from gscomplete.splats.formats.any_file import read_any_splats
     from gscomplete.splats.transform import transform_splats
     from gscomplete.util.atomic import atomic_path
     from gscomplete.views import ObjectFrame, orbit_cameras, radius_to_fit
@@ -85,7 +85,7 @@ def run(options: RenderOptions) -> int:
     given = _given_frame(options, up)
     if given is None and drawable.frame is not None and drawable.frame.up == up:
         given = drawable.frame
-    splats = read_splats(drawable.file).splats
+    splats = read_any_splats(drawable.file).splats
     usable, left_out = usable_rows(splats)
     if not bool(usable.any()):
         raise UserError(f"{drawable.file}: expected splats that can be drawn, found none")
