@@ -32,8 +32,9 @@ class HowToComplete:
     range: float | None = None
     """V reaches this many degrees of azimuth to either side of c; None = as object.json says, else
     50."""
-    up: Literal["X", "Y", "Z", "-X", "-Y", "-Z"] | None = None
-    """Axis of the file that points up (glTF: Y; COLMAP and most 3DGS files: -Y); None = as
+    up: str | None = None
+    """Axis of the file that points up, X, Y, Z, -X, -Y or -Z (glTF: Y; COLMAP and most 3DGS files:
+    -Y), or a direction X,Y,Z in file axes, as objects that lean are completed badly; None = as
     object.json says, else Z."""
     center: str | None = None
     """Centre of the COMPLETE object as X,Y,Z in file coordinates; None = as object.json says where

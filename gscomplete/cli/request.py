@@ -28,7 +28,7 @@ from gscomplete.framing.decide import FramingRequest
 from gscomplete.priors.base import Prior, ShapePrior
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.util.parse import parse_numbers, parse_view
-from gscomplete.views import UpAxis
+from gscomplete.views import UpAxis, parse_up
 from gscomplete.views.distribution import AZIMUTH_RANGE_DEG, ELEVATION_RANGE_DEG
 
 DEFAULT_UP: UpAxis = "Z"
@@ -306,10 +306,14 @@ def _prompt(options: Options, found: ObjectFolder | None, sources: dict[str, str
 
 
 def _up(options: Options, found: ObjectFolder | None, sources: dict[str, str]) -> UpAxis:
-    """Return the up axis."""
+    """Return the up axis.
+
+    Raises:
+        UserError: it is none.
+    """
     if options.up is not None:
         sources["up"] = "--up"
-        return options.up
+        return parse_up(options.up) or DEFAULT_UP
     sources["up"] = "default" if found is None else OBJECT_FILE
     return DEFAULT_UP if found is None else found.frame.up
 

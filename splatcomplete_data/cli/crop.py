@@ -55,9 +55,10 @@ class CropOptions(ObjectOptions):
 
 def run(options: CropOptions) -> int:
     """Crop; return the exit code."""
+    from gscomplete.views import parse_up
     from splatcomplete_data.multiview.scene import read_scene
 
-    scene = read_scene(options.file, None if options.up == "auto" else options.up)
+    scene = read_scene(options.file, None if options.up == "auto" else parse_up(options.up))
     if not options.propose:
         check_out(options, scene.name)
     boxes, notes = _boxes(options, scene)
