@@ -26,9 +26,9 @@ import numpy as np
 from recipes.stress_kills.disk import SmallDisk
 from recipes.stress_kills.jobs import Job
 
-_LONGEST_S = 300.0
+_LONGEST_S = 900.0
 """A start that takes longer hangs."""
-_WORKERS_END_S = 30.0
+_WORKERS_END_S = 120.0
 """Workers of a killed job have to notice within this time."""
 _LATEST = 1.2
 """Kills come up to this many times as late as an undisturbed job ends."""

@@ -24,6 +24,7 @@ from gscomplete.errors import UserError
 Shape = tuple[int, ...]
 
 TORCH_SUFFIXES = (".pt", ".pth", ".th", ".ckpt", ".bin")
+_SUMMED = (torch.float32, torch.float16, torch.bfloat16)
 _SHOWN = 3
 _BLOCKS, _BLOCK_BYTES = 64, 2**16
 
@@ -51,26 +52,29 @@ class TensorFile:
         """Read one tensor.
 
         Raises:
-            UserError: the file has been damaged since it was opened.
+            UserError: the file has been damaged, or the tensor is not finite.
         """
-        if self._tensors is not None:
-            return self._tensors[name]
-        try:
-            with safe_open(self.path, framework="pt") as file:
-                tensor: Tensor = file.get_tensor(name)
-                return tensor
-        except (SafetensorError, OSError) as error:
-            raise UserError(f"{self.path}: cannot read {name} ({error})") from error
+        return self.get_all((name,))[name]
 
     def get_all(self, names: Iterable[str]) -> dict[str, Tensor]:
-        """Read several tensors, opening the file once."""
-        if self._tensors is not None:
-            return {name: self._tensors[name] for name in names}
+        """Read several tensors, opening the file once.
+
+        Raises:
+            UserError: the file has been damaged, or a tensor is not finite.
+        """
         try:
-            with safe_open(self.path, framework="pt") as file:
-                return {name: file.get_tensor(name) for name in names}
+            if self._tensors is not None:
+                found = {name: self._tensors[name] for name in names}
+            else:
+                with safe_open(self.path, framework="pt") as file:
+                    found = {name: file.get_tensor(name) for name in names}
         except (SafetensorError, OSError) as error:
             raise UserError(f"{self.path}: cannot read it ({error})") from error
+        for name, tensor in found.items():
+            # a sum in float64 is finite unless a number is not, and takes no memory
+            if tensor.dtype in _SUMMED and not tensor.sum(dtype=torch.float64).isfinite():
+                raise UserError(f"{self.path}: {name}: expected finite numbers, found others")
+        return found
 
 
 def check_tensors(
