@@ -16,6 +16,7 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from collections import Counter
 from dataclasses import dataclass, field
@@ -93,6 +94,7 @@ def kill_often(
             end = _one_start(job, out, rng, reference.seconds, tally, is_full=is_full)
         starts += 1
         tally.ends[end] += 1
+        sys.stderr.write(f"{job.name}: {tally.kills} of {kills} kills, {number} finished: {end}\n")
         tally.faults += [f"{out.name}: {fault}" for fault in _wrong(job, out, reference)]
         if end == "finished":
             number += 1
