@@ -24,7 +24,7 @@ from typing import Any
 
 from gscomplete.errors import UserError
 from gscomplete.util import jsonio
-from splatcomplete_data.optional import import_optional
+from gscomplete.util.optional import import_optional
 
 SCHEMA = "splatcomplete.recipe"
 SCHEMA_VERSION = 1

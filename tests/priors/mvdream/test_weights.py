@@ -146,7 +146,7 @@ def test_weights_that_are_not_finite_are_named(tmp_path, suffix, dtype):
         if value == 0.0:
             assert torch.equal(file.get_all(("odd",))["odd"], tensors["odd"])
         else:
-            with pytest.raises(UserError, match="odd: expected finite numbers"):
+            with pytest.raises(UserError, match="odd: expected finite values, found 1 "):
                 file.get("odd")
 
 

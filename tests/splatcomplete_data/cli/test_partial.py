@@ -7,8 +7,8 @@ import pytest
 import trimesh
 
 from gscomplete.splats import Similarity, read_splats, write_splats
+from gscomplete.splats.formats.any_file import write_any_splats
 from splatcomplete_data import cli
-from splatcomplete_data.formats import write_any_splats
 from tests.splatcomplete_data.balls import BALL
 
 

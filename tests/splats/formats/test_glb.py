@@ -10,8 +10,8 @@ import torch
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Similarity, Splats, read_splats, transform_splats, write_splats
+from gscomplete.splats.formats.glb import EXTENSION, read_glb_splats, write_glb_splats
 from splatcomplete_data.cli import main
-from splatcomplete_data.glb_splats import EXTENSION, read_glb_splats, write_glb_splats
 
 
 def some_splats(count=40, bands=9):

@@ -24,11 +24,15 @@ import torch
 from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
-from gscomplete.splats import Similarity, Splats, concatenate, transform_splats
+from gscomplete.splats.record import Splats, concatenate
 from gscomplete.splats.rotations import rotation_matrices
+from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.util.atomic import atomic_path
 
 EXTENSION = "KHR_gaussian_splatting"
+TURN = Similarity(1.0, torch.diag(torch.tensor([-1.0, -1.0, 1.0])), torch.zeros(3))
+"""From a GLB's axes to those of a PLY of the same object, and back: 180 degrees about z, as
+PlayCanvas's splat-transform turns."""
 _COLOR_SPACE = "srgb_rec709_display"
 _KINDS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
