@@ -217,13 +217,13 @@ def _camera(entry: dict[str, Any]) -> Cameras:
     Raises:
         ValueError: a number is not finite, a focal length not positive, or a picture of no size.
     """
-    numbers = [
+    matrices, focal_px, center_px = (
         torch.tensor([entry[name]], dtype=torch.float64)
         for name in ("camera_from_world", "focal_px", "center_px")
-    ]
+    )
     width, height = int(entry["width"]), int(entry["height"])
-    if not all(bool(values.isfinite().all()) for values in numbers):
+    if not all(bool(values.isfinite().all()) for values in (matrices, focal_px, center_px)):
         raise ValueError("cameras: expected finite numbers")
-    if numbers[1].min() <= 0 or not 0 < width <= _LARGEST_PX or not 0 < height <= _LARGEST_PX:
+    if focal_px.min() <= 0 or not 0 < width <= _LARGEST_PX or not 0 < height <= _LARGEST_PX:
         raise ValueError("cameras: expected positive focal_px, width and height")
-    return Cameras(*numbers, width, height)
+    return Cameras(matrices, focal_px, center_px, width, height)
