@@ -100,6 +100,9 @@ def parse_up(text: str | None) -> UpAxis | None:
     Args:
         text: X, Y, Z, -X, -Y, -Z or a direction X,Y,Z; None = nothing was given.
 
+    Returns:
+        The same, checked.
+
     Raises:
         UserError: it is neither an axis nor a direction.
     """
