@@ -13,9 +13,9 @@ from gscomplete.errors import UserError
 from gscomplete.priors import load_prior
 from gscomplete.render import Render, render
 from gscomplete.splats import read_splats, write_splats
+from gscomplete.splats.formats.any_file import read_any_splats, write_any_splats
 from gscomplete.views import ViewDistribution
 from splatcomplete_data.cli.common import ObjectDraft, ObjectOptions, store_object
-from splatcomplete_data.formats import read_any_splats, write_any_splats
 from splatcomplete_data.objects import StepRecord, read_record
 from splatcomplete_data.points import points_to_splats
 from tests.builders.objects import ball

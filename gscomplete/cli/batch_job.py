@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 ITEM_FIELDS: dict[str, FieldKind] = {
     "prompt": str,
     "negative_prompt": str,
-    "up": ("X", "Y", "Z", "-X", "-Y", "-Z"),
+    "up": str,
     "view": str,
     "range": float,
     "center": str,

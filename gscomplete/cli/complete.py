@@ -32,8 +32,9 @@ class HowToComplete:
     range: float | None = None
     """V reaches this many degrees of azimuth to either side of c; None = as object.json says, else
     50."""
-    up: Literal["X", "Y", "Z", "-X", "-Y", "-Z"] | None = None
-    """Axis of the file that points up (glTF: Y; COLMAP and most 3DGS files: -Y); None = as
+    up: str | None = None
+    """Axis of the file that points up, X, Y, Z, -X, -Y or -Z (glTF: Y; COLMAP and most 3DGS files:
+    -Y), or a direction X,Y,Z in file axes, as objects that lean are completed badly; None = as
     object.json says, else Z."""
     center: str | None = None
     """Centre of the COMPLETE object as X,Y,Z in file coordinates; None = as object.json says where
@@ -58,6 +59,9 @@ class HowToComplete:
     preserve: str | None = None
     """Bounds COLOR,DEPTH on E_color and E_depth over V, such as 0.001,0.0005: at the end, new
     splats that hide P fade, move or go until both hold. None = what the preset gives."""
+    fill: bool = False
+    """P is complete but for gaps (scan shadows, slits, a hole under it): close these by a smooth
+    surface and add nothing else. Takes no prior's guess, and needs no prompt."""
     match_seam: bool = False
     """At the end, shift new splats' colours near P towards P's, so that no seam shows."""
     mirror: str = "guess"
@@ -81,7 +85,7 @@ class HowToComplete:
 class CompleteOptions(HowToComplete):
     """Complete a partial object made of Gaussian splats.
 
-    Reads PARTIAL.ply (P), adds new splats where the prompt and the prior want them, keeps P's
+    Reads PARTIAL (P), adds new splats where the prompt and the prior want them, keeps P's
     appearance from the view distribution V, and writes a run folder: completed.ply (P's records
     first and byte for byte, new ones after), run.json, preview.png, turntable.webp. Of an object
     folder of splatcomplete-data, or any file in it, object.json says what the options leave open.
@@ -91,7 +95,8 @@ class CompleteOptions(HowToComplete):
     """
 
     partial: Annotated[Path, tyro.conf.Positional]
-    """Splat PLY of the partial object, in the layout of the original 3DGS; or an object folder."""
+    """Splat file of the partial object: a PLY in the layout of the original 3DGS, or any format
+    that splatcomplete-data convert reads, which is converted to PLY first; or an object folder."""
     out: Path | None = None
     """Run folder; None = the name of PARTIAL or of its object with _completed, in the current
     folder."""

@@ -36,8 +36,9 @@ class RenderOptions:
     """Folder for view_AZIMUTH_ELEVATION.png files; created, files in it are replaced."""
     views: tuple[str, ...] = ("0,15", "60,15", "120,15", "180,15", "240,15", "300,15")
     """Views as AZIMUTH,ELEVATION in degrees, at least one."""
-    up: Literal["X", "Y", "Z", "-X", "-Y", "-Z"] | None = None
-    """Axis of the file that points up; None = as its run or object folder says, else Z."""
+    up: str | None = None
+    """Axis (such as -Y) or direction X,Y,Z of the file that points up; None = as its run or object
+    folder says, else Z."""
     center: str | None = None
     """Centre of the object frame as X,Y,Z in file coordinates, with --object-size; None = as the
     run or object folder says, else the middle of the splats, floaters apart."""
@@ -63,7 +64,7 @@ def run(options: RenderOptions) -> int:
 
     from gscomplete.render import render
     from gscomplete.splats.filters import usable_rows
-    from gscomplete.splats.ply import read_splats
+    from gscomplete.splats.formats.any_file import read_any_splats
     from gscomplete.splats.transform import transform_splats
     from gscomplete.util.atomic import atomic_path
     from gscomplete.views import ObjectFrame, orbit_cameras, radius_to_fit
@@ -77,13 +78,14 @@ def run(options: RenderOptions) -> int:
     background = parse_numbers(options.background, 3, "--background", "R,G,B") or [1.0, 1.0, 1.0]
     angles = [parse_view(view, "--views") for view in options.views]
     from gscomplete.folders import drawable_of
+    from gscomplete.views import parse_up
 
     drawable = drawable_of(options.file)
-    up = options.up or (drawable.frame.up if drawable.frame is not None else "Z")
+    up = parse_up(options.up) or (drawable.frame.up if drawable.frame is not None else "Z")
     given = _given_frame(options, up)
     if given is None and drawable.frame is not None and drawable.frame.up == up:
         given = drawable.frame
-    splats = read_splats(drawable.file).splats
+    splats = read_any_splats(drawable.file).splats
     usable, left_out = usable_rows(splats)
     if not bool(usable.any()):
         raise UserError(f"{drawable.file}: expected splats that can be drawn, found none")

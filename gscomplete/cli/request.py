@@ -15,7 +15,7 @@ from pathlib import Path
 
 from gscomplete.cli.complete import CompleteOptions, HowToComplete
 from gscomplete.completion.pipeline import Request
-from gscomplete.completion.presets import preset
+from gscomplete.completion.presets import FILL, preset
 from gscomplete.completion.run_folder import RunRequest
 from gscomplete.completion.settings import (
     CompletionSettings,
@@ -28,10 +28,12 @@ from gscomplete.framing.decide import FramingRequest
 from gscomplete.priors.base import Prior, ShapePrior
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.util.parse import parse_numbers, parse_view
-from gscomplete.views import UpAxis
+from gscomplete.views import UpAxis, parse_up
 from gscomplete.views.distribution import AZIMUTH_RANGE_DEG, ELEVATION_RANGE_DEG
 
 DEFAULT_UP: UpAxis = "Z"
+_ANYTHING = "an object"
+"""Prompt of what is completed without one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +48,8 @@ class Options:
     range_deg: float | None = None
     center_file: tuple[float, float, float] | None = None
     size_file: float | None = None
+    needs_prompt: bool = True
+    """Without one, and without an object folder that says it: an error, or else no matter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,9 +110,10 @@ def settings_of(options: HowToComplete, prior: Prior) -> CompletionSettings:
     Raises:
         UserError: an option has the wrong form.
     """
-    settings = dataclasses.replace(
-        preset(options.preset, prior, text_only=options.text_only), seed=options.seed
-    )
+    chosen = FILL if options.fill else preset(options.preset, prior, text_only=options.text_only)
+    settings = dataclasses.replace(chosen, seed=options.seed)
+    if options.fill:
+        _require_plain_fill(options)
     if options.steps is not None:
         settings = _stretched(settings, options.steps)
     if options.checkpoint_every is not None:
@@ -129,6 +134,25 @@ def settings_of(options: HowToComplete, prior: Prior) -> CompletionSettings:
     if options.alternatives:
         _require_guess("--alternatives", options, settings, prior)
     return settings
+
+
+def _require_plain_fill(options: HowToComplete) -> None:
+    """Refuse options that closing gaps does not heed.
+
+    Raises:
+        UserError: there is one.
+    """
+    heedless = {
+        "--preset": options.preset != "default",
+        "--steps": options.steps is not None,
+        "--mirror": options.mirror != "guess",
+        "--alternatives": options.alternatives != 0,
+        "--text-only": options.text_only,
+        "--negative-prompt": options.negative_prompt is not None,
+    }
+    found = [name for name, given in heedless.items() if given]
+    if found:
+        raise UserError(f"--fill: closes gaps without the prior; expected no {', '.join(found)}")
 
 
 def _check_new_only(path: Path) -> None:
@@ -157,6 +181,7 @@ def given_to(options: CompleteOptions) -> Given:
             options.range,
             None if center is None else (center[0], center[1], center[2]),
             options.size,
+            needs_prompt=not options.fill,
         )
     )
 
@@ -268,6 +293,9 @@ def _prompt(options: Options, found: ObjectFolder | None, sources: dict[str, str
             raise UserError("--prompt: expected what the complete object is, found an empty text")
         sources["prompt"] = "--prompt"
         return options.prompt
+    if found is None and not options.needs_prompt:
+        sources["prompt"] = "default"
+        return _ANYTHING
     if found is None:
         raise UserError(
             f'--prompt: expected what the complete object is, such as "a red mug", found none; '
@@ -278,10 +306,14 @@ def _prompt(options: Options, found: ObjectFolder | None, sources: dict[str, str
 
 
 def _up(options: Options, found: ObjectFolder | None, sources: dict[str, str]) -> UpAxis:
-    """Return the up axis."""
+    """Return the up axis.
+
+    Raises:
+        UserError: it is none.
+    """
     if options.up is not None:
         sources["up"] = "--up"
-        return options.up
+        return parse_up(options.up) or DEFAULT_UP
     sources["up"] = "default" if found is None else OBJECT_FILE
     return DEFAULT_UP if found is None else found.frame.up
 

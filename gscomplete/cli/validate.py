@@ -8,6 +8,7 @@ Conventions
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import sys
 from dataclasses import dataclass
@@ -31,7 +32,8 @@ class ValidateOptions:
     """Check splat files and name what is wrong or odd, with counts and a verdict."""
 
     files: Annotated[list[Path], tyro.conf.Positional]
-    """PLY files to check, and folders whose PLY files are checked."""
+    """Splat files to check, and folders whose PLY files are checked. What is no PLY is checked as
+    the PLY that it is converted to."""
 
     json: bool = False
     """Print one JSON object instead of text."""
@@ -47,11 +49,10 @@ def run(options: ValidateOptions) -> int:
         UserError: no file was given, or a folder holds none.
     """
     from gscomplete.folders import splat_files_of
-    from gscomplete.splats.validation import validate_file
 
     if not options.files:
         raise UserError("expected at least one FILE to check, found none")
-    reports = [validate_file(file) for path in options.files for file in splat_files_of(path)]
+    reports = [_checked(file) for path in options.files for file in splat_files_of(path)]
     ok = all(report.ok for report in reports)
     if options.json:
         data = {"ok": ok, "files": [report.to_json() for report in reports]}
@@ -61,6 +62,21 @@ def run(options: ValidateOptions) -> int:
         for report in reports:
             _print_report(console, report)
     return 0 if ok else 1
+
+
+def _checked(path: Path) -> ValidationReport:
+    """Check a file of any format; every fault is a finding."""
+    from gscomplete.splats.formats.any_file import as_ply
+    from gscomplete.splats.validation import Finding, ValidationReport, validate_file
+
+    try:
+        with as_ply(path) as (plain, notes):
+            report = validate_file(plain)
+    except UserError as error:
+        finding = Finding("unreadable", "error", 1, str(error).removeprefix(f"{path}: "))
+        return ValidationReport(str(path), False, 0, None, None, (finding,))
+    how = tuple(Finding("converted", "info", 1, note) for note in notes)
+    return dataclasses.replace(report, path=str(path), findings=(*report.findings, *how))
 
 
 class _PipedConsole(Console):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
@@ -22,7 +22,7 @@ class ViewOptions:
 
     paths: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """A run folder; an object folder; or splat files and folders of them, each file a layer."""
-    up: Literal["X", "Y", "Z", "-X", "-Y", "-Z"] = "Z"
+    up: str = "Z"
     """Axis of the files that points up; a run and an object folder know their own."""
     host: str = "127.0.0.1"
     """Address to listen at; 0.0.0.0 lets other machines look."""
@@ -36,6 +36,7 @@ def run(options: ViewOptions) -> int:
     """Serve the page until interrupted; return the exit code."""
     from gscomplete.viewer.layers import read_scene
     from gscomplete.viewer.server import serve
+    from gscomplete.views import parse_up
 
     if not options.paths:
         raise UserError("view: expected a run folder or splat files, found none")
@@ -43,7 +44,7 @@ def run(options: ViewOptions) -> int:
         raise UserError(f"--most-splats: expected at least 1, found {options.most_splats}")
     if not 1 <= options.port <= 65535:
         raise UserError(f"--port: expected 1 to 65535, found {options.port}")
-    scene = read_scene(options.paths, options.up, options.most_splats)
+    scene = read_scene(options.paths, parse_up(options.up) or "Z", options.most_splats)
     server = serve(scene, options.host, options.port).server
     try:
         for layer in scene.layers:

@@ -46,10 +46,10 @@ from gscomplete.splats import (
     Splats,
     append_splats,
     concatenate,
-    read_splats,
     transform_splats,
     write_splats,
 )
+from gscomplete.splats.formats.any_file import read_splat_file
 from gscomplete.splats.suspects import describe_suspects
 from gscomplete.splats.working_set import WorkingSet, working_set
 from gscomplete.util.device import choose_device
@@ -192,7 +192,7 @@ def complete(
     """Complete a partial object made of Gaussian splats (the paper's O from P, y and V).
 
     Args:
-        partial: P: a splat PLY, or splats in the file frame (any scale; ``up`` points up).
+        partial: P: a splat file, or splats in the file frame (any scale; ``up`` points up).
         prompt: what the complete object is, such as "a red mug".
         prior: a loaded prior (``load_prior``; load it once to complete many), or what ``--prior``
             takes: ``embedded``, ``mvdream``, or the path of weights.
@@ -222,7 +222,7 @@ def complete(
     if settings is None:
         settings = dataclasses.replace(preset(preset_name, prior), seed=seed)
     started = time.perf_counter()
-    given = partial if isinstance(partial, Splats) else read_splats(partial)
+    given = partial if isinstance(partial, Splats) else read_splat_file(partial)
     framing = FramingRequest(
         up,
         view_deg,

@@ -78,6 +78,10 @@ DEFAULT = dataclasses.replace(
 """The first guess of a prior with a shape network, held to P's appearance where P is dense: steps
 of a small denoiser make it no better in shape, and dirtier (the time/quality benchmark)."""
 
+FILL = dataclasses.replace(DEFAULT, start="fill", hard_preservation=None)
+"""P's gaps are closed and nothing else is done: what is seen through a gap changes, and is meant
+to."""
+
 FAST = dataclasses.replace(DEFAULT, new_splats=10_000, hard_preservation=None)
 """The first guess as it is."""
 

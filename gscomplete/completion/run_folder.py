@@ -29,7 +29,8 @@ from gscomplete.fitting.finite import NonFiniteError
 from gscomplete.fitting.step_loop import CHECKPOINTS, LOG_FILE, require_same_identity, run_steps
 from gscomplete.folders.run_folder import OUTPUT_FILE, RUN_FILE
 from gscomplete.priors.base import Prior
-from gscomplete.splats.ply import SplatFile, read_splats, require_appendable
+from gscomplete.splats.formats.any_file import read_splat_file
+from gscomplete.splats.ply import SplatFile, require_appendable
 from gscomplete.util import jsonio
 from gscomplete.util.atomic import atomic_path, forget_leftovers
 from gscomplete.util.device import peak_gpu_bytes
@@ -109,7 +110,7 @@ def prepare(request: RunRequest, prior: Prior, device: torch.device | str = "cpu
         lock = lock_folder(request.out)
         forget_leftovers(request.out, _FILES)
     with stage("read"):
-        source = read_splats(request.partial_path)
+        source = read_splat_file(request.partial_path)
         require_appendable(source)
     prepared = pipeline.prepare(source, request.completion, prior, device)
     with stage("read"):

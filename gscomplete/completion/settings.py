@@ -23,9 +23,10 @@ Mode = Literal["distill", "reconstruct"]
 ``reconstruct``: denoise a ring of views for several steps, then fit the splats to it for many
 cheap steps (after MicroDreamer); the preservation loss is the same."""
 
-Start = Literal["sphere", "guess"]
+Start = Literal["sphere", "guess", "fill"]
 """``sphere``: new splats uniform in a sphere (paper, section 3.3). ``guess``: on the surface that a
-prior with a shape network guesses (``priors.base.ShapePrior``), else in the sphere."""
+prior with a shape network guesses (``priors.base.ShapePrior``), else in the sphere. ``fill``: in
+the gaps of P, which is complete but for them (``shape.fill``)."""
 
 
 LAST_TIMESTEP = 999.0

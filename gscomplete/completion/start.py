@@ -1,4 +1,4 @@
-"""The new splats at the first step: the prior's guess, or the paper's sphere (section 3.3).
+"""The new splats at the first step: the prior's guess, what closes P's gaps, or a sphere (3.3).
 
 Conventions
 -----------
@@ -17,6 +17,8 @@ from gscomplete.errors import UserError
 from gscomplete.fitting.finite import require_finite
 from gscomplete.fitting.parameters import Bounds
 from gscomplete.priors.base import Conditioning, Prior, PriorViews, ShapePrior
+from gscomplete.shape.fill.close import close_gaps
+from gscomplete.shape.fill.gaps import FillSettings
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.util.randomness import generator_for, sphere_points
 from gscomplete.views import ViewDistribution
@@ -61,7 +63,11 @@ def start_splats(
     """
     bounds = scale_bounds(prior.views, settings)
     start = None
-    if settings.start == "guess" and isinstance(prior, ShapePrior):
+    if settings.start == "fill":
+        generator = generator_for(settings.seed, 0, "fill")
+        filled = close_gaps(partial, generator, FillSettings(settings.new_splats))
+        start = Start(filled.splats, False, filled.note)
+    elif settings.start == "guess" and isinstance(prior, ShapePrior):
         start = _guess(partial, prior, conditioning, views, settings)
     if start is None and settings.start == "guess" and not settings.steps:
         raise UserError(

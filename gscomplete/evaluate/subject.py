@@ -26,6 +26,7 @@ from gscomplete.folders import (
     read_run_folder,
 )
 from gscomplete.splats import Splats, concatenate, read_splats, usable_rows
+from gscomplete.splats.formats.any_file import read_any_splats
 from gscomplete.splats.transform import transform_splats
 from gscomplete.views import ObjectFrame, ViewDistribution
 
@@ -149,7 +150,7 @@ def _read_result(path: Path, method: str, known: ObjectFolder) -> Subject:
         known.subset,
         known.prompt,
         transform_splats(_drawable(read_splats(known.partial).splats), to_object),
-        transform_splats(_drawable(read_splats(path).splats), to_object),
+        transform_splats(_drawable(read_any_splats(path).splats), to_object),
         None if truth is None else transform_splats(truth, to_object),
         known.views,
         known.frame,

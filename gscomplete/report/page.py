@@ -50,14 +50,14 @@ def write_page(
         "packing": {"reach": REACH, "smallest": SMALLEST, "largest": LARGEST},
         "cards": list(cards),
     }
-    style, viewer, script = (_asset(name) for name in _ASSETS)
+    style, viewer, script = (asset(name) for name in _ASSETS)
     text = "\n".join(
         (
             '<!doctype html><html lang="en"><head><meta charset="utf-8">',
             '<meta name="viewport" content="width=device-width">',
             '<link rel="icon" href="data:,">',
-            f"<title>{_escaped(title)}</title><style>{style}</style></head><body>",
-            f'<script id="data" type="application/json">{_embedded(data)}</script>',
+            f"<title>{escaped(title)}</title><style>{style}</style></head><body>",
+            f'<script id="data" type="application/json">{embedded(data)}</script>',
             f"<script>{viewer}</script><script>{script}</script></body></html>",
             "",
         )
@@ -86,14 +86,28 @@ def _means(rows: Sequence[Row]) -> list[dict[str, Any]]:
     return found
 
 
-def _embedded(data: Any) -> str:
-    """Write JSON that cannot end the element it stands in."""
+def embedded(data: Any) -> str:
+    """Write JSON that cannot end the element it stands in.
+
+    Args:
+        data: JSON values.
+    """
     return json.dumps(data, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
 
 
-def _escaped(text: str) -> str:
+def escaped(text: str) -> str:
+    """Write text that is no markup.
+
+    Args:
+        text: anything.
+    """
     return text.replace("&", "&amp;").replace("<", "&lt;")
 
 
-def _asset(name: str) -> str:
+def asset(name: str) -> str:
+    """Return a style or script of this folder.
+
+    Args:
+        name: of the file.
+    """
     return (resources.files("gscomplete.report") / name).read_text(encoding="utf-8")

@@ -18,8 +18,9 @@ from torch import Tensor
 
 from gscomplete.errors import UserError
 from gscomplete.folders import RUN_FILE, object_folder_of, read_run_folder, splat_files_of
-from gscomplete.splats import Splats, read_splats
+from gscomplete.splats import Splats
 from gscomplete.splats.filters import thinned, usable_rows
+from gscomplete.splats.formats.any_file import read_any_splats
 from gscomplete.splats.transform import transform_splats
 from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution
 
@@ -64,7 +65,7 @@ def read_scene(paths: Sequence[Path], up: UpAxis, most_splats: int) -> Scene:
     known = object_folder_of(paths[0]) if len(paths) == 1 else None
     frame = None if known is None else known.frame
     for name, path in zip(_names(files), files, strict=True):
-        splats = read_splats(path).splats
+        splats = read_any_splats(path).splats
         usable, _ = usable_rows(splats)
         if not bool(usable.any()):
             raise UserError(f"{path}: expected splats that can be drawn, found none")

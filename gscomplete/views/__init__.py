@@ -9,7 +9,7 @@ from gscomplete.views.cameras import (
     radius_to_fit,
 )
 from gscomplete.views.distribution import ViewDistribution
-from gscomplete.views.frame import ObjectFrame, UpAxis, axis_direction, up_rotation
+from gscomplete.views.frame import ObjectFrame, UpAxis, axis_direction, parse_up, up_rotation
 
 __all__ = [
     "Cameras",
@@ -21,6 +21,7 @@ __all__ = [
     "four_view_orbit",
     "join_cameras",
     "orbit_cameras",
+    "parse_up",
     "radius_to_fit",
     "up_rotation",
 ]

@@ -17,25 +17,29 @@ Conventions
   X     file (-z,  y,  x)        -90 degrees about y
   -X    file ( z,  y, -x)        90 degrees about y
   ====  =======================  ==================
+
+* ``up`` may also be a direction, as "X,Y,Z" in file axes of any length. R_up is then that of the
+  nearest axis, followed by the shortest rotation that lifts the direction to +z.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from gscomplete.errors import UserError
 from gscomplete.splats.filters import near_rows
 from gscomplete.splats.record import Splats
 from gscomplete.splats.transform import Similarity
 from gscomplete.util import jsonio
 
-UpAxis = Literal["X", "Y", "Z", "-X", "-Y", "-Z"]
-"""The file axis that points up."""
+UpAxis = str
+"""The file axis that points up, X, Y, Z, -X, -Y or -Z, or a direction "X,Y,Z" in file axes."""
 
 _OBJECT_ROWS: dict[str, tuple[tuple[float, float, float], ...]] = {
     "Z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
@@ -51,17 +55,63 @@ def up_rotation(up: UpAxis) -> Tensor:  # [3, 3]
     """Return the proper rotation (float64) that takes file axes to z-up axes.
 
     Args:
-        up: axis of the file that points up.
+        up: axis or direction of the file that points up.
 
     Returns:
         [3, 3] with determinant 1; a column vector of the file times this is z up.
 
     Raises:
-        ValueError: ``up`` is not one of the six axes.
+        ValueError: ``up`` is neither one of the six axes nor a direction.
     """
-    if up not in _OBJECT_ROWS:
-        raise ValueError(f"up: expected one of {', '.join(_OBJECT_ROWS)}, found {up!r}")
-    return torch.tensor(_OBJECT_ROWS[up], dtype=torch.float64)
+    if up in _OBJECT_ROWS:
+        return torch.tensor(_OBJECT_ROWS[up], dtype=torch.float64)
+    direction = _parsed_direction(up)
+    axes = {name: np.array(rows[2]) for name, rows in _OBJECT_ROWS.items()}
+    nearest = max(axes, key=lambda name: float(axes[name] @ direction))
+    rows = np.array(_OBJECT_ROWS[nearest], np.float64)
+    x, y, z = rows @ direction  # unit, z > 0
+    about, cosine = np.array([y, -x, 0.0]), z
+    cross = np.array([[0.0, 0.0, about[1]], [0.0, 0.0, -about[0]], [-about[1], about[0], 0.0]])
+    lift = np.eye(3) + cross + cross @ cross / (1.0 + cosine)
+    return torch.from_numpy(lift @ rows)
+
+
+def _parsed_direction(up: str) -> np.ndarray:  # [3] unit
+    """Parse a direction.
+
+    Raises:
+        ValueError: it is none.
+    """
+    try:
+        direction = np.array([float(part) for part in up.split(",")])
+    except ValueError:
+        direction = np.zeros(0)
+    length = float(np.linalg.norm(direction))
+    if direction.shape != (3,) or not 1e-12 < length < math.inf:
+        raise ValueError(
+            f"up: expected one of {', '.join(_OBJECT_ROWS)} or a direction X,Y,Z, found {up!r}"
+        )
+    return direction / length
+
+
+def parse_up(text: str | None) -> UpAxis | None:
+    """Check what a user gives for up.
+
+    Args:
+        text: X, Y, Z, -X, -Y, -Z or a direction X,Y,Z; None = nothing was given.
+
+    Returns:
+        The same, checked.
+
+    Raises:
+        UserError: it is neither an axis nor a direction.
+    """
+    if text is not None:
+        try:
+            up_rotation(text)
+        except ValueError as error:
+            raise UserError(f"--{error}") from None
+    return text
 
 
 def axis_direction(up: UpAxis) -> tuple[float, float, float]:
@@ -71,7 +121,7 @@ def axis_direction(up: UpAxis) -> tuple[float, float, float]:
         up: axis of the file that points up, such as ``-Y``.
 
     Returns:
-        x, y, z, of which one is 1 or -1.
+        x, y, z.
     """
     x, y, z = up_rotation(up)[2].tolist()
     return (x, y, z)

@@ -20,12 +20,12 @@ from gscomplete.errors import UserError
 from gscomplete.evaluate.align import AlignmentSettings, align_splats
 from gscomplete.evaluate.subject import objects_of
 from gscomplete.splats import Splats, read_splats, write_splats
+from gscomplete.splats.formats.any_file import read_any_splats
 from gscomplete.splats.ply import PlyError
 from gscomplete.splats.transform import transform_splats
 from gscomplete.util import jsonio
 from recipes.baselines.registry import SYSTEMS
 from recipes.entry_point import start
-from splatcomplete_data.formats import read_any_splats
 from splatcomplete_data.mesh.convert import convert_mesh
 from splatcomplete_data.mesh.files.load import load_mesh
 

@@ -16,9 +16,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from gscomplete.util.optional import import_open3d
 from gscomplete.views import Cameras, ObjectFrame
 from splatcomplete_data.mesh.files.load import Mesh
-from splatcomplete_data.optional import import_open3d
 
 MAX_LAYERS = 6
 """Cut-out surfaces a ray passes before it counts as missing everything."""

@@ -19,7 +19,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from gscomplete.errors import UserError
 from gscomplete.util import jsonio
@@ -64,8 +64,9 @@ class ObjectOptions:
     most of the part from outside."""
     range: float = 50.0
     """V reaches this many degrees of azimuth to either side of c."""
-    up: Literal["auto", "X", "Y", "Z", "-X", "-Y", "-Z"] = "auto"
-    """Axis of the source that points up; auto = by the kind of source, as told above."""
+    up: str = "auto"
+    """Axis of the source that points up, X, Y, Z, -X, -Y or -Z, or a direction X,Y,Z; auto = by the
+    kind of source, as told above."""
     center: str | None = None
     """Centre of the COMPLETE object as X,Y,Z in the source's coordinates, those of --box, also
     where an offset or --level moves the splats; None = known or guessed."""
@@ -231,13 +232,14 @@ def framing_request(options: ObjectOptions, default_up: UpAxis) -> FramingReques
         UserError: a flag has the wrong form.
     """
     from gscomplete.framing.decide import FramingRequest
+    from gscomplete.views import parse_up
 
     view = parse_view(options.view)
     center = parse_numbers(options.center, 3, "--center", "X,Y,Z")
     if not 0 <= options.range <= 180:
         raise UserError(f"--range: expected 0 to 180 degrees, found {options.range:g}")
     return FramingRequest(
-        up=default_up if options.up == "auto" else options.up,
+        up=default_up if options.up == "auto" else parse_up(options.up) or default_up,
         view_deg=view,
         azimuth_range_deg=options.range,
         center_file=None if center is None else (center[0], center[1], center[2]),

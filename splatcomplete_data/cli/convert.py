@@ -4,21 +4,28 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from gscomplete.errors import UserError
 from splatcomplete_data.cli.common import say
 
+if TYPE_CHECKING:
+    from gscomplete.splats import Splats
+
 
 @dataclass(frozen=True, kw_only=True)
 class ConvertOptions:
-    """Convert a splat file: .ply, .compressed.ply, .splat, .spz, .glb (KHR_gaussian_splatting).
+    """Convert a splat file to another format, or to a page that shows it.
 
-    What the target cannot hold is named, and so are properties and comments beside the splats.
+    Read: .ply, .compressed.ply, .splat, .spz (1 to 4), .glb (KHR_gaussian_splatting), .sog (or the
+    folder of its meta.json), .ksplat. Written: the same without .ksplat, USD (.usd, .usda, .usdc:
+    ParticleField3DGaussianSplat), and .html, which opens without a network. What the target cannot
+    hold is named, and so are properties and comments beside the splats, and axes that differ.
 
-    Example: splatcomplete-data convert biker.spz biker.ply
+    Examples: splatcomplete-data convert biker.spz biker.ply;
+    splatcomplete-data convert biker.ply biker.html --up -Y
     """
 
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
@@ -29,21 +36,70 @@ class ConvertOptions:
     """Replace the target if it exists."""
     spz_version: Literal[3, 4] = 3
     """Version of SPZ files: 3 is read everywhere, 4 is smaller."""
+    up: str = "auto"
+    """For .html: axis of the splats that points up, X, Y, Z, -X, -Y or -Z, or a direction X,Y,Z;
+    auto = as the object folder says that SOURCE belongs to, else -Y."""
+    most_splats: int = 500_000
+    """For .html: of more, an even choice is shown, widened to match; 24 bytes each."""
 
 
 def run(options: ConvertOptions) -> int:
     """Convert; return the exit code."""
-    from splatcomplete_data.formats import format_of, read_any_splats, write_any_splats
+    from gscomplete.splats.formats.any_file import (
+        axes_note,
+        read_any_splats,
+        writable_format_of,
+        write_any_splats,
+    )
 
-    format_of(options.target)
+    is_page = options.target.suffix.lower() == ".html"
+    if not is_page:
+        writable_format_of(options.target)
     if options.target.exists() and not options.overwrite:
         raise UserError(f"{options.target}: it exists; replace it with --overwrite")
     found = read_any_splats(options.source)
-    written = write_any_splats(options.target, found.splats, spz_version=options.spz_version)
-    lost = (*found.left, *written)
     say(options, *found.notes)
+    if is_page:
+        written = _write_page(options, found.splats)
+    else:
+        written = write_any_splats(options.target, found.splats, spz_version=options.spz_version)
+        note = axes_note(options.target)
+        say(options, *([note] if note else []))
+    lost = (*found.left, *written)
     if lost:
         say(options, f"lost: {', '.join(lost)}")
     degree = found.splats.sh_degree
     say(options, f"written: {options.target} ({len(found.splats):,} splats, SH degree {degree})")
     return 0
+
+
+def _write_page(options: ConvertOptions, splats: Splats) -> tuple[str, ...]:
+    """Write the page; return what is lost.
+
+    Raises:
+        UserError: an option is out of range, or nothing can be drawn.
+    """
+    from gscomplete.folders import object_folder_of
+    from gscomplete.report.splat_page import write_splat_page
+    from gscomplete.splats import usable_rows
+    from gscomplete.views import ObjectFrame, parse_up
+    from splatcomplete_data.framing import SPLAT_FILE_UP, UP_ASSUMED
+
+    if not 100 <= options.most_splats <= 5_000_000:
+        raise UserError(f"--most-splats: expected 100 to 5,000,000, found {options.most_splats}")
+    usable, _ = usable_rows(splats)
+    if not bool(usable.any()):
+        raise UserError(f"{options.source}: expected splats that can be drawn, found none")
+    known = object_folder_of(options.source)
+    up = None if options.up == "auto" else parse_up(options.up)
+    if up is not None:
+        frame = ObjectFrame.without_floaters(splats.select(usable), up)
+    elif known is not None:
+        frame = known.frame
+    else:
+        say(options, UP_ASSUMED)
+        frame = ObjectFrame.without_floaters(splats.select(usable), SPLAT_FILE_UP)
+    title = options.source.name
+    return write_splat_page(
+        options.target, splats.select(usable), frame, title, options.most_splats
+    )

@@ -20,6 +20,9 @@ from splatcomplete_data.cli.common import (
 )
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from splatcomplete_data.multiview.scene import Scene
 
 
@@ -43,15 +46,19 @@ class CropOptions(ObjectOptions):
     box: tuple[str, ...] = ()
     """Boxes in the file's frame, in order: auto, or [keep:|remove:]CX,CY,CZ,HX,HY,HZ (centre and
     half extents), with ,QW,QX,QY,QZ behind for an oriented box. None = keep everything."""
+    clean: float | None = None
+    """Strength of the rules of `clean`, 0 to 1, on what the boxes keep, and on what `--box auto`
+    looks for the object in; None = 0.5 with --box auto, else 0."""
     propose: bool = False
     """Only draw the boxes into boxes.png in the current folder (or --out) and print them."""
 
 
 def run(options: CropOptions) -> int:
     """Crop; return the exit code."""
+    from gscomplete.views import parse_up
     from splatcomplete_data.multiview.scene import read_scene
 
-    scene = read_scene(options.file, None if options.up == "auto" else options.up)
+    scene = read_scene(options.file, None if options.up == "auto" else parse_up(options.up))
     if not options.propose:
         check_out(options, scene.name)
     boxes, notes = _boxes(options, scene)
@@ -80,10 +87,13 @@ def make(
     from splatcomplete_data.objects import BOXES_FILE, StepRecord
 
     mask, reasons = kept_rows(scene.file, boxes)
+    steps = [StepRecord("crop", scene.file.n_rows, int(mask.sum()), reasons)]
+    mask, gone = _cleaned(options, scene, mask)
     part = scene.file.splats.select(torch.from_numpy(mask))
+    if gone:
+        steps.append(StepRecord("clean", steps[0].after, len(part), gone))
     path = folder / "partial.ply"
     write_rows(path, scene.file, mask)
-    step = StepRecord("crop", scene.file.n_rows, len(part), reasons)
     sheet = box_sheet(scene.drawable(), part, boxes, scene.picture_cameras(boxes), scene.near)
     return ObjectDraft(
         "multiview",
@@ -91,7 +101,7 @@ def make(
         part,
         None,
         scene.up_axis,
-        (step,),
+        tuple(steps),
         tuple(notes),
         tuple(boxes),
         camera_position_file=scene.front_position(boxes),
@@ -103,18 +113,47 @@ def make(
 
 def _boxes(options: CropOptions, scene: Scene) -> tuple[list[Any], list[str]]:
     """Read the boxes, proposing one where ``auto`` stands."""
+    import torch
+
+    from splatcomplete_data.clean.rules import clean_rows
     from splatcomplete_data.cuts.boxes import parse_box
     from splatcomplete_data.multiview.propose_box import propose_box
 
     boxes, notes = [], list(scene.notes)
     for text in options.box:
         if text == "auto":
-            proposal = propose_box(scene.file.splats, scene.focus())
+            splats = scene.file.splats
+            cleaned = clean_rows(splats, _strength(options))
+            proposal = propose_box(splats.select(torch.from_numpy(cleaned.keep)), scene.focus())
             notes += [f"--box auto: {note}" for note in proposal.notes]
             boxes.append(proposal.box)
         else:
             boxes.append(parse_box(text))
     return boxes, notes
+
+
+def _strength(options: CropOptions) -> float:
+    """Return how strictly to clean."""
+    if options.clean is not None:
+        return options.clean
+    return 0.5 if "auto" in options.box else 0.0
+
+
+def _cleaned(
+    options: CropOptions,
+    scene: Scene,
+    mask: NDArray[np.bool_],  # [N]
+) -> tuple[NDArray[np.bool_], dict[str, int]]:
+    """Take from what the boxes keep what the rules of ``clean`` mark; return why, too."""
+    import torch
+
+    from splatcomplete_data.clean.rules import clean_rows
+
+    rows = torch.from_numpy(mask)
+    cleaned = clean_rows(scene.file.splats.select(rows), _strength(options))
+    mask = mask.copy()
+    mask[mask] = cleaned.keep
+    return mask, cleaned.reasons
 
 
 def _propose(options: CropOptions, scene: Scene, boxes: list[Any], notes: list[str]) -> int:
@@ -137,6 +176,7 @@ def _propose(options: CropOptions, scene: Scene, boxes: list[Any], notes: list[s
             f"{BOXES_FILE} would be replaced"
         )
     mask, _ = kept_rows(scene.file, boxes)
+    mask, gone = _cleaned(options, scene, mask)
     part = scene.file.splats.select(torch.from_numpy(mask))
     path = (options.out or Path()) / BOXES_FILE
     if options.out is not None:
@@ -146,6 +186,8 @@ def _propose(options: CropOptions, scene: Scene, boxes: list[Any], notes: list[s
     say(options, *notes)
     for box in boxes:
         say(options, f"--box {box_text(box)}")
+    for reason, count in gone.items():
+        say(options, f"--clean: {count:,} {reason}")
     say(options, f"keeps {int(mask.sum()):,} of {len(mask):,} splats; drawn: {path}")
     if options.json:
         data = {"boxes": jsonio.to_json(boxes), "kept": int(mask.sum()), "splats": len(mask)}

@@ -39,7 +39,7 @@ class PartialOptions(ObjectOptions):
     """
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """Splat file (.ply, .compressed.ply, .splat, .spz, .glb) or object folder."""
+    """Splat file (as ``convert`` reads) or object folder."""
     cut: tuple[str, ...] = ()
     """plane:AZIMUTH[,OFFSET], box:LX,LY,LZ,HX,HY,HZ or scan:AZ/EL[,AZ/EL...] (object frame)."""
     box: tuple[str, ...] = ()
@@ -160,7 +160,7 @@ def _read_complete(path: Path) -> _CompleteObject:
         UserError: it cannot be read, or the folder has no complete object.
     """
     from gscomplete.splats import Similarity
-    from splatcomplete_data.formats import read_any_splats
+    from gscomplete.splats.formats.any_file import read_any_splats
     from splatcomplete_data.objects import read_object, record_of_file
 
     notes: tuple[str, ...] = ()

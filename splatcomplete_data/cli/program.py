@@ -17,9 +17,10 @@ from gscomplete.cli.guard import let_threads_sleep, print_version, run_guarded
 from gscomplete.util.parse import with_new_names
 
 let_threads_sleep()  # the commands load PyTorch, and with it the OpenMP runtime
-from splatcomplete_data.cli import convert, crop, dataset, depth, images, mesh, partial, scan
+from splatcomplete_data.cli import clean, convert, crop, dataset, depth, images, mesh, partial, scan
 
 _RUNNERS: dict[type, Callable[[Any], int]] = {
+    clean.CleanOptions: clean.run,
     convert.ConvertOptions: convert.run,
     crop.CropOptions: crop.run,
     dataset.BuildOptions: dataset.run_build,
@@ -36,10 +37,11 @@ _RUNNERS: dict[type, Callable[[Any], int]] = {
 _RENAMED = {"--size-whole": "--object-size", "--size": "--splat-size"}
 """Old names of options, which are understood for one version."""
 
-_LISTS = ("--box", "--cut", "--only")
+_LISTS = ("--box", "--cut", "--only", "--rules")
 
 Command = (
-    Annotated[convert.ConvertOptions, tyro.conf.subcommand("convert")]
+    Annotated[clean.CleanOptions, tyro.conf.subcommand("clean")]
+    | Annotated[convert.ConvertOptions, tyro.conf.subcommand("convert")]
     | Annotated[crop.CropOptions, tyro.conf.subcommand("crop")]
     | Annotated[dataset.BuildOptions, tyro.conf.subcommand("build")]
     | Annotated[dataset.ListOptions, tyro.conf.subcommand("list")]

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
-from splatcomplete_data.optional import import_optional
+from gscomplete.util.optional import import_optional
 
 Result = TypeVar("Result")
 

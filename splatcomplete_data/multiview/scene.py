@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, read_splats, usable_rows
+from gscomplete.splats.formats.any_file import read_splat_file
 from gscomplete.splats.ply import SplatFile
 from gscomplete.splats.transform import Similarity
 from gscomplete.util import jsonio
@@ -33,6 +34,8 @@ from splatcomplete_data.multiview.reconstruct import SCHEMA
 PICTURES = 4
 _PICTURE_PX = 360
 _NEAR_EXTENT = 0.02
+_LARGEST_PX = 100_000
+"""Of a picture's side."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,13 +66,20 @@ class Scene:
         look_at = np.array(self.capture["look_at"], np.float64)
         return focus_of_cameras(self.cameras, look_at, self.up)
 
-    def picture_cameras(self, boxes: Sequence[CropBox]) -> list[Cameras]:
-        """Return cameras to draw from: some of the capture's, or an orbit about the boxes."""
+    def picture_cameras(
+        self, boxes: Sequence[CropBox], shown: Splats | None = None
+    ) -> list[Cameras]:
+        """Return cameras to draw from: some of the capture's, or an orbit.
+
+        Args:
+            boxes: the orbit is about the first that keeps.
+            shown: without boxes, what the orbit is about; None = all splats.
+        """
         if self.cameras:
             step = max(1, len(self.cameras) // PICTURES)
             chosen = self.cameras[step // 2 :: step][:PICTURES]
             return [_fitted(camera) for camera in chosen]
-        center, size = self._middle(boxes)
+        center, size = self._middle(boxes, shown)
         rotation = up_rotation(self.up_axis)
         orbit = orbit_cameras(
             torch.tensor([0.0, 90.0, 180.0, 270.0]),
@@ -106,12 +116,14 @@ class Scene:
         kept = ("source", "world_from_source", "result", "identity")
         return {"capture": {name: self.capture.get(name) for name in kept}}
 
-    def _middle(self, boxes: Sequence[CropBox]) -> tuple[NDArray[np.float64], float]:
-        """Return centre and size of what is kept: the first box, or all splats."""
+    def _middle(
+        self, boxes: Sequence[CropBox], shown: Splats | None = None
+    ) -> tuple[NDArray[np.float64], float]:
+        """Return centre and size of what is kept: the first box, or the splats that are shown."""
         for box in boxes:
             if box.action == "keep":
                 return np.array(box.center), 2.0 * max(box.half_extents)
-        points = self.drawable().means.double().numpy()
+        points = (shown or self.drawable()).means.double().numpy()
         low, high = np.quantile(points, [0.02, 0.98], axis=0)
         return (low + high) / 2, max(float((high - low).max()), 1e-9)
 
@@ -125,7 +137,7 @@ def _fitted(camera: Cameras) -> Cameras:
 
 
 def read_scene(path: Path, up_axis: UpAxis | None = None) -> Scene:
-    """Read a splat PLY or a capture folder.
+    """Read a splat file or a capture folder.
 
     Args:
         path: the file or folder.
@@ -135,7 +147,7 @@ def read_scene(path: Path, up_axis: UpAxis | None = None) -> Scene:
         UserError: it is neither, or the capture is not finished.
     """
     if not path.is_dir():
-        file = read_splats(path)
+        file = read_splat_file(path)
         low, high = (corner.double() for corner in _bounds(file))
         near = 1e-3 * max(float((high - low).max()), 1e-9)
         notes = () if up_axis else (UP_ASSUMED,)
@@ -154,8 +166,12 @@ def read_scene(path: Path, up_axis: UpAxis | None = None) -> Scene:
         if not 0 < np.linalg.norm(up) < np.inf:
             raise ValueError(f"up: expected a direction, found {capture['up']}")
         near = _NEAR_EXTENT * float(capture["extent"])
-        np.array(capture["look_at"], np.float64).reshape(3)
-    except (KeyError, TypeError, ValueError) as error:
+        if not 0 < near < np.inf:
+            raise ValueError(f"extent: expected a positive length, found {capture['extent']}")
+        look_at = np.array(capture["look_at"], np.float64).reshape(3)
+        if not np.isfinite(look_at).all():
+            raise ValueError(f"look_at: expected finite numbers, found {capture['look_at']}")
+    except (KeyError, OverflowError, RuntimeError, TypeError, ValueError) as error:
         raise UserError(f"{path / CAPTURE_FILE}: cannot understand it ({error!r})") from error
     axis = up_axis or nearest_axis(up)
     angle = _angle_deg(up, _direction(axis))
@@ -196,11 +212,18 @@ def _bounds(file: SplatFile) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def _camera(entry: dict[str, Any]) -> Cameras:
-    """Read one camera of a capture."""
-    return Cameras(
-        torch.tensor([entry["camera_from_world"]], dtype=torch.float64),
-        torch.tensor([entry["focal_px"]], dtype=torch.float64),
-        torch.tensor([entry["center_px"]], dtype=torch.float64),
-        int(entry["width"]),
-        int(entry["height"]),
+    """Read one camera of a capture.
+
+    Raises:
+        ValueError: a number is not finite, a focal length not positive, or a picture of no size.
+    """
+    matrices, focal_px, center_px = (
+        torch.tensor([entry[name]], dtype=torch.float64)
+        for name in ("camera_from_world", "focal_px", "center_px")
     )
+    width, height = int(entry["width"]), int(entry["height"])
+    if not all(bool(values.isfinite().all()) for values in (matrices, focal_px, center_px)):
+        raise ValueError("cameras: expected finite numbers")
+    if focal_px.min() <= 0 or not 0 < width <= _LARGEST_PX or not 0 < height <= _LARGEST_PX:
+        raise ValueError("cameras: expected positive focal_px, width and height")
+    return Cameras(matrices, focal_px, center_px, width, height)

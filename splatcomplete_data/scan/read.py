@@ -126,7 +126,7 @@ def _ply_points(path: Path, header: PlyHeader, vertex: Element) -> Scan:
 
 def _read_las(path: Path) -> Scan:
     """Read LAS or LAZ by way of laspy."""
-    from splatcomplete_data.optional import import_optional
+    from gscomplete.util.optional import import_optional
 
     laspy = import_optional("laspy", "reading LAS and LAZ files")
     _check_las_header(path)

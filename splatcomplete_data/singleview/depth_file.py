@@ -26,7 +26,7 @@ from PIL import Image
 
 from gscomplete.errors import UserError
 from gscomplete.util.limits import check_decoded_bytes
-from splatcomplete_data.optional import import_optional
+from gscomplete.util.optional import import_optional
 
 DepthKind = Literal["metric", "disparity", "inverse"]
 """What the numbers are; see the module's conventions."""

@@ -167,7 +167,7 @@ def test_what_the_input_view_does_not_show_is_refused_before_the_run(tmp_path):
     cases = (
         (hidden, (), "input view"),
         (seen, ("--center", "9,9,9"), "expected a frame that P lies in"),
-        (seen, ("--object-size", "1000"), "--object-size: expected at most"),
+        (seen, ("--object-size", "1000"), "(file units), found 1000"),
     )
     for path, more, message in cases:
         result = complete(path, tmp_path / "out", *more)

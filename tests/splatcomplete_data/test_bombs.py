@@ -18,12 +18,12 @@ import torch
 
 from gscomplete.errors import UserError
 from gscomplete.priors.mvdream.tensor_files import _read_torch
-from splatcomplete_data.formats import read_any_splats, write_any_splats
+from gscomplete.splats.formats.any_file import read_any_splats, write_any_splats
+from gscomplete.splats.formats.spz import check_spz_size
 from splatcomplete_data.mesh.files.load import load_mesh
 from splatcomplete_data.scan.pcd import lzf_decompress, read_pcd
 from splatcomplete_data.singleview import depth_file
 from splatcomplete_data.singleview.depth_file import read_depth
-from splatcomplete_data.spz_size import check_spz_size
 from tests.builders.objects import ball
 
 MIB = 2**20

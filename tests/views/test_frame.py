@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 
 from gscomplete.errors import UserError
 from gscomplete.splats.transform import transform_splats
-from gscomplete.views import ObjectFrame, up_rotation
+from gscomplete.views import ObjectFrame, axis_direction, parse_up, up_rotation
 from tests.builders.objects import random_splats
 
 AXES = ["X", "Y", "Z", "-X", "-Y", "-Z"]
 far = st.floats(-1e6, 1e6)
 frames = st.builds(
     ObjectFrame,
-    up=st.sampled_from(AXES),
+    up=st.sampled_from([*AXES, "0.1,-0.8,-0.6", "-3,4e2,1"]),
     center_file=st.tuples(far, far, far),
     size_file=st.floats(-6, 6).map(lambda power: 10.0**power),
 )
@@ -31,6 +31,40 @@ def test_rotation_is_proper_and_lifts_the_axis_to_z(up: str) -> None:
     axis = torch.zeros(3, dtype=torch.float64)
     axis["XYZ".index(up[-1])] = -1.0 if up[0] == "-" else 1.0
     assert torch.equal(rotation @ axis, torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
+
+
+directions = st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda d: sum(v * v for v in d) > 1e-3)
+
+
+@given(directions)
+def test_a_direction_is_lifted_by_the_shortest_way_from_its_axis(
+    direction: tuple[float, float, float],
+) -> None:
+    rotation = up_rotation(",".join(map(str, direction)))
+    unit = torch.nn.functional.normalize(torch.tensor(direction, dtype=torch.float64), dim=0)
+    # Rounding of some float64 products.
+    assert torch.allclose(rotation @ rotation.T, torch.eye(3, dtype=torch.float64), atol=1e-14)
+    assert torch.linalg.det(rotation) == pytest.approx(1.0)
+    assert torch.allclose(rotation @ unit, torch.tensor([0.0, 0.0, 1.0]).double(), atol=1e-14)
+    shares = {up: float(up_rotation(up)[2] @ unit) for up in AXES}
+    most = max(shares.values())
+    nearest = [up_rotation(up) for up in AXES if shares[up] > most - 1e-9]
+    cosines = [float(torch.trace(rotation @ near.T) - 1) / 2 for near in nearest]
+    assert any(cosine == pytest.approx(most, abs=1e-12) for cosine in cosines)
+
+
+def test_a_direction_along_an_axis_is_that_axis() -> None:
+    for up in AXES:
+        direction = axis_direction(up)
+        text = ",".join(f"{2.5 * v:g}" for v in direction)
+        assert torch.equal(up_rotation(text), up_rotation(up))
+        assert axis_direction(text) == direction
+
+
+@pytest.mark.parametrize("text", ["", "W", "1,2", "0,0,0", "1,2,nan", "1,inf,0", "z"])
+def test_what_is_no_direction_is_told(text: str) -> None:
+    with pytest.raises(UserError, match=r"--up: expected one of Z, .* or a direction X,Y,Z"):
+        parse_up(text)
 
 
 def test_documented_table() -> None:
@@ -70,7 +104,11 @@ def test_json_round_trip(frame: ObjectFrame) -> None:
 def test_from_z_up_center(frame: ObjectFrame) -> None:
     center = up_rotation(frame.up) @ torch.tensor(frame.center_file, dtype=torch.float64)
     x, y, z = center.tolist()
-    assert ObjectFrame.from_z_up(frame.up, (x, y, z), frame.size_file) == frame
+    found = ObjectFrame.from_z_up(frame.up, (x, y, z), frame.size_file)
+    assert (found.up, found.size_file) == (frame.up, frame.size_file)
+    # Axes only swap coordinates; a direction's rotation and its inverse round them.
+    rounding = 0.0 if frame.up in AXES else 1e-15 * max(map(abs, frame.center_file))
+    assert found.center_file == pytest.approx(frame.center_file, rel=0, abs=4 * rounding)
 
 
 def test_bad_values_are_named() -> None:
@@ -80,7 +118,7 @@ def test_bad_values_are_named() -> None:
         ObjectFrame("Z", (0.0, math.nan, 0.0), 1.0)
     with pytest.raises(ValueError, match="up"):
         ObjectFrame("W", (0.0, 0.0, 0.0), 1.0)
-    with pytest.raises(UserError, match=r"run\.json: up: expected one of"):
+    with pytest.raises(UserError, match=r"run\.json: .*up: expected one of"):
         ObjectFrame.from_json({"up": "z", "center_file": [0, 0, 0], "size_file": 1}, "run.json")
 
 

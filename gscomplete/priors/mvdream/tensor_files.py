@@ -51,26 +51,36 @@ class TensorFile:
         """Read one tensor.
 
         Raises:
-            UserError: the file has been damaged since it was opened.
+            UserError: the file has been damaged since it was opened, or a value is not finite.
         """
         if self._tensors is not None:
-            return self._tensors[name]
+            return self._finite(name, self._tensors[name])
         try:
             with safe_open(self.path, framework="pt") as file:
-                tensor: Tensor = file.get_tensor(name)
-                return tensor
+                return self._finite(name, file.get_tensor(name))
         except (SafetensorError, OSError) as error:
             raise UserError(f"{self.path}: cannot read {name} ({error})") from error
 
     def get_all(self, names: Iterable[str]) -> dict[str, Tensor]:
         """Read several tensors, opening the file once."""
         if self._tensors is not None:
-            return {name: self._tensors[name] for name in names}
+            return {name: self._finite(name, self._tensors[name]) for name in names}
         try:
             with safe_open(self.path, framework="pt") as file:
-                return {name: file.get_tensor(name) for name in names}
+                return {name: self._finite(name, file.get_tensor(name)) for name in names}
         except (SafetensorError, OSError) as error:
             raise UserError(f"{self.path}: cannot read it ({error})") from error
+
+    def _finite(self, name: str, tensor: Tensor) -> Tensor:
+        """Return a tensor whose values are all finite.
+
+        Raises:
+            UserError: they are not.
+        """
+        odd = int((~tensor.isfinite()).sum())
+        if odd:
+            raise UserError(f"{self.path}: {name}: expected finite values, found {odd:,} others")
+        return tensor
 
 
 def check_tensors(

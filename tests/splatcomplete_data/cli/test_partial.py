@@ -7,8 +7,8 @@ import pytest
 import trimesh
 
 from gscomplete.splats import Similarity, read_splats, write_splats
+from gscomplete.splats.formats.any_file import write_any_splats
 from splatcomplete_data import cli
-from splatcomplete_data.formats import write_any_splats
 from tests.builders.objects import BALL
 
 
@@ -46,7 +46,7 @@ def test_a_file_of_nothing_else_is_a_user_error(tmp_path, capsys):
     assert "a.ply: expected splats that can be drawn" in capsys.readouterr().err
 
 
-def test_sound_files_have_no_such_step(tmp_path):
+def test_whole_files_have_no_such_step(tmp_path):
     path = file_with(tmp_path / "a.ply", NAN, [])
     out = tmp_path / "part"
     assert cli.main(["partial", str(path), "--cut", "plane:90", "--out", str(out)]) == 0

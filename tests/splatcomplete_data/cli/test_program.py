@@ -35,7 +35,7 @@ def test_repeated_list_options_add_up(words: str, expected: str) -> None:
     [
         ("partial --cut plane:0 cup --out a", "put it before --cut"),
         ("partial --cut plane:0 --out a", None),
-        ("partial --up sideways cup", None),
+        ("partial --subset sideways cup", None),
     ],
 )
 def test_a_list_that_took_the_file_is_named(

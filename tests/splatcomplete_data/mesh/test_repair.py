@@ -9,7 +9,7 @@ import torch
 from scipy.spatial import cKDTree
 
 from gscomplete.errors import UserError
-from splatcomplete_data import optional
+from gscomplete.util import optional
 from splatcomplete_data.mesh import meshlab
 from splatcomplete_data.mesh.convert import ConvertSettings, convert_mesh
 from splatcomplete_data.mesh.files.load import Mesh

@@ -7,12 +7,17 @@ import pytest
 import torch
 
 from gscomplete.errors import UserError
-from gscomplete.splats import Splats, read_splats
+from gscomplete.splats import Splats, append_splats, read_splats
+from gscomplete.splats.formats.any_file import (
+    format_of,
+    read_any_splats,
+    read_splat_file,
+    write_any_splats,
+)
 from splatcomplete_data.cli import main
-from splatcomplete_data.formats import format_of, read_any_splats, write_any_splats
 from tests.builders.ply_files import FORMATS, make_ply, random_table
 
-DATA = Path(__file__).resolve().parents[2] / "../shared/data/splats"
+DATA = Path(__file__).resolve().parents[3] / "../shared/data/splats"
 
 
 def some_splats(count: int = 300, bands: int = 4) -> Splats:
@@ -34,7 +39,7 @@ def covariances(splats: Splats) -> torch.Tensor:
     return axes @ axes.transpose(1, 2)
 
 
-@pytest.mark.parametrize("kind", ["ply", "splat", "spz", "compressed.ply", "glb"])
+@pytest.mark.parametrize("kind", ["ply", "splat", "spz", "compressed.ply", "glb", "sog"])
 def test_round_trip(tmp_path: Path, kind: str) -> None:
     if kind in ("spz", "compressed.ply"):
         pytest.importorskip("gsply")
@@ -95,7 +100,7 @@ def test_odd_files_are_user_errors(tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(content)
         with pytest.raises(UserError, match=name):
             read_any_splats(tmp_path / name)
-    for name in ("a.ksplat", "none.ply", "ply"):
+    for name in ("a.ksplat", "none.ply", "ply", "a.usda"):
         with pytest.raises(UserError, match=name):
             read_any_splats(tmp_path / name)
     bad = some_splats(3)
@@ -103,7 +108,25 @@ def test_odd_files_are_user_errors(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="finite"):
         write_any_splats(tmp_path / "x.splat", bad)
     assert not (tmp_path / "x.splat").exists()
+    with pytest.raises(UserError, match="expected a format that is written"):
+        write_any_splats(tmp_path / "x.ksplat", some_splats(3))
     assert format_of(Path("A.Compressed.PLY")) == "compressed.ply"
+
+
+@pytest.mark.parametrize("kind", ["splat", "glb", "sog", "compressed.ply"])
+def test_files_of_any_format_can_be_appended_to(tmp_path: Path, kind: str) -> None:
+    """As a PLY: a completion's records follow those of the converted part."""
+    if kind == "compressed.ply":
+        pytest.importorskip("gsply")
+    path = tmp_path / f"a.{kind}"
+    write_any_splats(path, some_splats(20))
+    file = read_splat_file(path)
+    assert file.path == path
+    assert f"converted from .{kind} to PLY" in file.warnings
+    append_splats(tmp_path / "b.ply", file, some_splats(2, 1))
+    both = read_splats(tmp_path / "b.ply")
+    assert both.n_rows == 22
+    assert bytes(both.payload.records).startswith(bytes(file.payload.records))
 
 
 @pytest.mark.parametrize("kind", ["spz", "splat"])

@@ -2,7 +2,8 @@
 
 Conventions
 -----------
-* This is the only place that imports Open3D, laspy, OpenImageIO, gsply, pymeshlab and yaml.
+* This is the only place that imports Open3D, laspy, OpenImageIO, gsply, pymeshlab, usd-core (its
+  package is ``pxr``) and yaml.
 * ``import open3d`` needs the system library libusb-1.0, which a fresh machine lacks; the package
   ``libusb-package`` carries it, and loading it first is all that is needed.
 """
@@ -16,7 +17,7 @@ from types import ModuleType
 
 from gscomplete.errors import UserError
 
-EXTRA = "make setup EXTRAS=dev,bench, or pip install 'gscomplete[data,bench]'"
+EXTRA = "make setup EXTRAS=dev,bench, or pip install 'gscomplete[data,bench,usd]'"
 """How to get everything this module imports."""
 
 

@@ -24,11 +24,15 @@ import torch
 from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
-from gscomplete.splats import Similarity, Splats, concatenate, transform_splats
+from gscomplete.splats.record import Splats, concatenate
 from gscomplete.splats.rotations import rotation_matrices
+from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.util.atomic import atomic_path
 
 EXTENSION = "KHR_gaussian_splatting"
+TURN = Similarity(1.0, torch.diag(torch.tensor([-1.0, -1.0, 1.0])), torch.zeros(3))
+"""From a GLB's axes to those of a PLY of the same object, and back: 180 degrees about z, as
+PlayCanvas's splat-transform turns."""
 _COLOR_SPACE = "srgb_rec709_display"
 _KINDS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
@@ -121,7 +125,10 @@ def read_glb_splats(path: Path) -> tuple[Splats, int]:
                     found.append(transform_splats(_primitive(file, primitive), transform))
                 else:
                     others += 1
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+    except (
+        *(KeyError, IndexError, TypeError, ValueError),
+        *(AttributeError, OverflowError, RecursionError),
+    ) as error:
         if isinstance(error, UserError):
             raise
         raise UserError(f"{path}: GLB: malformed document ({error!r})") from error
@@ -215,6 +222,11 @@ def _primitive(file: _File, primitive: dict[str, Any]) -> Splats:
         for degree in range(bands)
         for number in range(2 * degree + 1)
     ]
+    negative = int((column[f"{EXTENSION}:SCALE"] < 0).any(axis=1).sum())
+    if negative:
+        raise UserError(
+            f"{file.path}: scale: expected no negative one, found {negative:,} splats with"
+        )
     quaternions = torch.from_numpy(column[f"{EXTENSION}:ROTATION"][:, [3, 0, 1, 2]].copy())
     return Splats(
         torch.from_numpy(column["POSITION"]),

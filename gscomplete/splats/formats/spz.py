@@ -1,7 +1,10 @@
-"""What an SPZ file unpacks to, counted before anything is made of it.
+"""Niantic's SPZ: quantised splats in gzip (versions 1 to 3) or zstandard (4), by way of gsply.
 
 Conventions
 -----------
+* SPZ stores right-up-back axes, PLY files of the same object right-down-front: reading and writing
+  turn by ``TURN``, 180 degrees about x, harmonics too.
+* What a file unpacks to is counted before anything is made of it.
 * Versions 1 to 3 are one gzip stream: a header of 16 bytes, then 19 bytes (version 3: 20) and the
   harmonics of every splat. Version 4 has its header and a table of its zstd streams in the open.
 * What follows the splats is an extension, and may be small.
@@ -9,19 +12,91 @@ Conventions
 
 from __future__ import annotations
 
+import math
 import struct
 import zlib
 from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
 
 from gscomplete.errors import UserError
+from gscomplete.splats.ply_files.records import LOG_SCALE_LIMIT, LOGIT_LIMIT
+from gscomplete.splats.record import SH_C0, Splats
+from gscomplete.splats.transform import Similarity, transform_splats
+from gscomplete.util.atomic import atomic_path
 from gscomplete.util.limits import check_decoded_bytes
-from splatcomplete_data.optional import import_optional
+from gscomplete.util.optional import import_optional
+
+SpzVersion = Literal[3, 4]
+"""3: gzip, read everywhere; 4: zstandard, smaller."""
+TURN = Similarity(1.0, torch.diag(torch.tensor([1.0, -1.0, -1.0])), torch.zeros(3))
 
 _MAGIC = b"NGSP"
 _HARMONICS = {0: 0, 1: 3, 2: 8, 3: 15}
 _BLOCK_BYTES = 1 << 20
 _EXTENSION_BYTES = 1 << 20
 _FIRST_ZSTD_VERSION = 4
+
+
+def read_spz(path: Path) -> Splats:
+    """Read an SPZ file of version 1 to 4, in the frame of a PLY.
+
+    Raises:
+        UserError: it is damaged, or unpacks to more than it says.
+    """
+    gsply = import_optional("gsply", "reading SPZ files")
+    check_spz_size(path)
+    try:
+        data = gsply.read_spz(path)
+        means = np.array(data.means, np.float32)
+        higher = np.zeros((len(means), 0, 3)) if data.shN is None else np.asarray(data.shN)
+        bands = max(k for k in (0, 3, 8, 15) if k <= higher.shape[1])
+        sh = np.concatenate([np.asarray(data.sh0)[:, None], higher[:, :bands]], axis=1)
+        raw = Splats(
+            torch.from_numpy(means),
+            torch.from_numpy(np.array(data.quats, np.float32)),
+            torch.from_numpy(np.exp(np.array(data.scales, np.float32))),
+            torch.from_numpy(1 / (1 + np.exp(-np.array(data.opacities, np.float32).reshape(-1)))),
+            torch.from_numpy(sh.astype(np.float32)),
+        )
+    except Exception as error:  # damaged files raise whatever the decoder happens to raise
+        raise UserError(f"{path}: cannot read it as SPZ ({error})") from error
+    return transform_splats(raw, TURN)
+
+
+def write_spz(path: Path, splats: Splats, version: SpzVersion = 3) -> tuple[str, ...]:
+    """Write splats in the frame of a PLY as SPZ; return what is lost.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
+    gsply = import_optional("gsply", "writing SPZ files")
+    with atomic_path(path) as temporary:
+        gsply.write_spz(temporary, to_gsply(gsply, transform_splats(splats, TURN)), version=version)
+    return ("values are quantised",)
+
+
+def to_gsply(gsply: Any, splats: Splats) -> Any:
+    """Turn splats into gsply's container of PLY values.
+
+    Args:
+        gsply: the module.
+        splats: activated, finite.
+    """
+    floor = math.exp(LOG_SCALE_LIMIT)
+    opacities = splats.opacities.double()
+    logits = torch.logit(opacities).clamp(-LOGIT_LIMIT, LOGIT_LIMIT)
+    higher = None if splats.sh_degree == 0 else splats.sh[:, 1:].contiguous().numpy()
+    return gsply.GSData(
+        means=splats.means.numpy(),
+        scales=splats.scales.clamp_min(floor).log().numpy(),
+        quats=splats.quaternions.numpy(),
+        opacities=logits.float().numpy(),
+        sh0=((splats.base_colors - 0.5) / SH_C0).contiguous().numpy(),
+        shN=higher,
+    )
 
 
 def check_spz_size(path: Path) -> None:
