@@ -10,14 +10,14 @@ from gscomplete.splats import Splats, concatenate
 from gscomplete.views import ObjectFrame
 from splatcomplete_data.cuts.boxes import parse_box
 from splatcomplete_data.cuts.named import BoxCut, PlaneCut, ScanCut, apply_cuts, parse_cut
-from tests.builders.objects import BALL, ball
+from tests.builders.objects import BALL, ball, round_splats
 
 FRAME = ObjectFrame("Y", (10.0, 0.0, 0.0), 2.0)
 
 
 def shell(count: int = 3000) -> Splats:
     """A sphere of radius 1 about x = 10, in a y-up file frame."""
-    return ball(count, 1.0, (10.0, 0.0, 0.0))
+    return round_splats(ball(count, 1.0, (10.0, 0.0, 0.0)).means, scale=0.05, opacity=0.95)
 
 
 def test_parse() -> None:
