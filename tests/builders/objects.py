@@ -18,6 +18,7 @@ from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.rotations import quaternions_facing
 from gscomplete.views import up_rotation
 from gscomplete.views.frame import UpAxis
+from splatcomplete_data.mesh.discs import discs_at
 
 GREY = (0.5, 0.5, 0.5)
 
@@ -69,6 +70,16 @@ def ball(
         torch.full((count,), 0.95),
         colors_to_sh(0.5 + 0.4 * normals),
     )
+
+
+def even_ball(count: int = 4000, radius: float = 0.5) -> Splats:
+    """Return the discs of a ball as evenly as they can lie (Fibonacci points): without holes."""
+    k = np.arange(count) + 0.5
+    z = 1 - 2 * k / count
+    angle, ring = np.pi * (1 + 5**0.5) * k, np.sqrt(1 - z * z)
+    normals = np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1).astype(np.float32)
+    spacing = (4 * np.pi * radius**2 / count) ** 0.5
+    return discs_at(normals * np.float32(radius), normals, np.abs(normals), spacing)
 
 
 BALL = ball(4000, 0.5)

@@ -84,7 +84,7 @@ def test_steps_of_both_modes_keep_to_the_device(weights, monkeypatch):
             jobs.append(job)
             for _ in range(2):
                 job.step()
-            job._statistics.add(torch.zeros(4, NEW, 2, device=gpu), 32)
+            job._statistics.add(torch.zeros(4, NEW, 2, device=gpu), 32, 32)
             stored = {n: torch.zeros(t.shape, dtype=t.dtype) for n, t in job.state().items()}
             job.restore(stored)  # as read from a checkpoint, on the CPU
             job.step()
