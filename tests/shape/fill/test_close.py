@@ -13,7 +13,7 @@ from gscomplete.errors import UserError
 from gscomplete.shape.fill.close import Filled, close_gaps
 from gscomplete.shape.fill.facing import look_around, outward_normals
 from gscomplete.splats import Splats, concatenate, read_splats, write_splats
-from tests.builders.objects import ball
+from tests.builders.objects import ball, even_ball
 
 CAP_TOP, CAP_SIDE = 0.96, 0.93
 """Cosines of the angles within which the holes lie: 16 and 22 degrees."""
@@ -25,7 +25,7 @@ def close(splats: Splats) -> Filled:
 
 def punched() -> tuple[Splats, Splats]:
     """A sphere with two round holes and a slit, and what lies in them."""
-    whole = ball(12_000, 0.4)
+    whole = even_ball(12_000, 0.4)
     normals = whole.means / 0.4
     hole = (normals[:, 2] > CAP_TOP) | (normals[:, 0] > CAP_SIDE)
     slit = (normals[:, 1].abs() < 0.06) & (normals[:, 0] < -0.3)
@@ -59,7 +59,7 @@ def test_colours_go_on_over_the_gap(filled: Filled) -> None:
 
 
 def test_nothing_is_added_to_what_is_complete_or_half() -> None:
-    whole = ball(6000, 0.4)
+    whole = even_ball(6000, 0.4)
     for splats in (whole, whole.select(whole.means[:, 0] > 0.05)):
         assert len(close(splats).splats) == 0
 
@@ -86,7 +86,7 @@ def test_normals_point_outward_and_a_sheet_has_none() -> None:
 
 
 def test_the_command_fills_without_a_prompt(tmp_path, capsys) -> None:
-    whole = ball(2500, 0.4)
+    whole = even_ball(2500, 0.4)
     part = whole.select(whole.means[:, 2] < 0.36)
     write_splats(tmp_path / "part.ply", part)
     out, new = tmp_path / "run", tmp_path / "new.ply"
