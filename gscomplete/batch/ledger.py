@@ -2,8 +2,8 @@
 
 Conventions
 -----------
-* The last line of an object counts. A line that was cut off by a kill is left out, and the object's
-  own folder says whether it is finished.
+* The last line of an object counts. A line that was cut off by a kill, or is damaged otherwise, is
+  left out, and the object's own folder says whether it is finished.
 * ``finished``: completed by this run of the batch. ``found``: was finished already, of the same
   input, options and weights. ``failed``: ``error`` says why, ``log`` where more is told.
 """
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -53,11 +54,23 @@ def read_ledger(path: Path) -> dict[str, Row]:
     with path.open("rb") as lines:
         for line in lines:
             try:
-                values = json.loads(line)
+                values = json.loads(line, parse_constant=_finite, parse_float=_finite)
                 rows[values["id"]] = Row(**{k: v for k, v in values.items() if k in names})
-            except (ValueError, KeyError, TypeError, AttributeError):
+            except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
                 continue
     return rows
+
+
+def _finite(text: str) -> float:
+    """Read a number.
+
+    Raises:
+        ValueError: it is NaN or infinite, which no ledger holds.
+    """
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"expected a finite number, found {text}")
+    return value
 
 
 class Ledger:

@@ -108,7 +108,7 @@ def describe_suspects(splats: Splats) -> tuple[str, ...]:
         return ()
     return (
         f"P may be unclean: {', '.join(parts)}; they take part, and what is guessed from P may "
-        "be wrong",
+        "be wrong (splatcomplete-data clean takes them out)",
     )
 
 

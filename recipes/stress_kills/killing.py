@@ -16,6 +16,7 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from collections import Counter
 from dataclasses import dataclass, field
@@ -26,9 +27,9 @@ import numpy as np
 from recipes.stress_kills.disk import SmallDisk
 from recipes.stress_kills.jobs import Job
 
-_LONGEST_S = 300.0
+_LONGEST_S = 900.0
 """A start that takes longer hangs."""
-_WORKERS_END_S = 30.0
+_WORKERS_END_S = 120.0
 """Workers of a killed job have to notice within this time."""
 _LATEST = 1.2
 """Kills come up to this many times as late as an undisturbed job ends."""
@@ -93,6 +94,7 @@ def kill_often(
             end = _one_start(job, out, rng, reference.seconds, tally, is_full=is_full)
         starts += 1
         tally.ends[end] += 1
+        sys.stderr.write(f"{job.name}: {tally.kills} of {kills} kills, {number} finished: {end}\n")
         tally.faults += [f"{out.name}: {fault}" for fault in _wrong(job, out, reference)]
         if end == "finished":
             number += 1

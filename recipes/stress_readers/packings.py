@@ -55,7 +55,7 @@ def damage_inside(
         return _safetensors(data, rng, damage_bytes)
     if suffix == ".glb":
         return _glb(data, rng, damage_bytes)
-    if suffix in (".npz", ".pt"):
+    if suffix in (".npz", ".pt", ".sog") and data[:2] == b"PK":
         return _zip(data, rng, damage_bytes)
     if suffix == ".spz" and data[:2] == b"\x1f\x8b":
         return gzip.compress(damage_bytes(gzip.decompress(data), rng), 1, mtime=0)

@@ -45,9 +45,9 @@ class CleanOptions:
     """Which rules apply."""
     background: bool = False
     """Also leave out planes that bear the object (table, floor, wall) and all behind them."""
-    up: Literal["auto", "X", "Y", "Z", "-X", "-Y", "-Z"] = "auto"
-    """Axis that points up, for --background and the picture; auto = as the capture's cameras say,
-    else -Y."""
+    up: str = "auto"
+    """Axis that points up, X, Y, Z, -X, -Y or -Z, or a direction X,Y,Z, for --background and the
+    picture; auto = as the capture's cameras say, else -Y."""
     picture: Path | None = None
     """Picture to write; None = clean.png in the current folder, or --out's name with .png."""
     overwrite: bool = False
@@ -64,6 +64,7 @@ def run(options: CleanOptions) -> int:
     """
     from gscomplete.evaluate.pictures import save_image
     from gscomplete.splats.formats.any_file import writable_format_of
+    from gscomplete.views import parse_up
     from splatcomplete_data.clean.rules import clean_rows
     from splatcomplete_data.multiview.scene import read_scene
 
@@ -71,7 +72,7 @@ def run(options: CleanOptions) -> int:
         writable_format_of(options.out)
         if options.out.exists() and not options.overwrite:
             raise UserError(f"{options.out}: it exists; replace it with --overwrite")
-    scene = read_scene(options.file, None if options.up == "auto" else options.up)
+    scene = read_scene(options.file, None if options.up == "auto" else parse_up(options.up))
     rules: list[Rule] = [*options.rules]
     if options.background:
         rules.append("background")

@@ -36,9 +36,9 @@ class ConvertOptions:
     """Replace the target if it exists."""
     spz_version: Literal[3, 4] = 3
     """Version of SPZ files: 3 is read everywhere, 4 is smaller."""
-    up: Literal["auto", "X", "Y", "Z", "-X", "-Y", "-Z"] = "auto"
-    """For .html: axis of the splats that points up; auto = as the object folder says that SOURCE
-    belongs to, else -Y."""
+    up: str = "auto"
+    """For .html: axis of the splats that points up, X, Y, Z, -X, -Y or -Z, or a direction X,Y,Z;
+    auto = as the object folder says that SOURCE belongs to, else -Y."""
     most_splats: int = 500_000
     """For .html: of more, an even choice is shown, widened to match; 24 bytes each."""
 
@@ -82,7 +82,7 @@ def _write_page(options: ConvertOptions, splats: Splats) -> tuple[str, ...]:
     from gscomplete.folders import object_folder_of
     from gscomplete.report.splat_page import write_splat_page
     from gscomplete.splats import usable_rows
-    from gscomplete.views import ObjectFrame
+    from gscomplete.views import ObjectFrame, parse_up
     from splatcomplete_data.framing import SPLAT_FILE_UP, UP_ASSUMED
 
     if not 100 <= options.most_splats <= 5_000_000:
@@ -91,8 +91,9 @@ def _write_page(options: ConvertOptions, splats: Splats) -> tuple[str, ...]:
     if not bool(usable.any()):
         raise UserError(f"{options.source}: expected splats that can be drawn, found none")
     known = object_folder_of(options.source)
-    if options.up != "auto":
-        frame = ObjectFrame.without_floaters(splats.select(usable), options.up)
+    up = None if options.up == "auto" else parse_up(options.up)
+    if up is not None:
+        frame = ObjectFrame.without_floaters(splats.select(usable), up)
     elif known is not None:
         frame = known.frame
     else:

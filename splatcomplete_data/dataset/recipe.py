@@ -173,14 +173,14 @@ def _entries(path: Path, rows: Any, *, is_capture: bool) -> tuple[Entry, ...]:
             raise UserError(f"{path}: entry {number}: id: expected a plain name, found {name!r}")
         if name in [entry.id for entry in entries]:
             raise UserError(f"{path}: {name}: expected each id once, found it twice")
-        if command not in commands:
+        if not isinstance(command, str) or command not in commands:
             found = f"expected one of {', '.join(commands)}, found {command!r}"
             raise UserError(f"{path}: {name}: command: {found}")
         values = {str(k): v for k, v in row.items() if k not in ("id", "command")}
         reserved = sorted(set(values) & set(_RESERVED))
         if reserved:
             raise UserError(f"{path}: {name}: {reserved[0]}: set by build, not by a recipe")
-        entry = Entry(name, str(command), values, is_capture)
+        entry = Entry(name, command, values, is_capture)
         try:
             entry.options(Path("out"), Path("captures"))
         except UserError as error:

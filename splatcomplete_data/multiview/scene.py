@@ -34,6 +34,8 @@ from splatcomplete_data.multiview.reconstruct import SCHEMA
 PICTURES = 4
 _PICTURE_PX = 360
 _NEAR_EXTENT = 0.02
+_LARGEST_PX = 100_000
+"""Of a picture's side."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,8 +166,12 @@ def read_scene(path: Path, up_axis: UpAxis | None = None) -> Scene:
         if not 0 < np.linalg.norm(up) < np.inf:
             raise ValueError(f"up: expected a direction, found {capture['up']}")
         near = _NEAR_EXTENT * float(capture["extent"])
-        np.array(capture["look_at"], np.float64).reshape(3)
-    except (KeyError, TypeError, ValueError) as error:
+        if not 0 < near < np.inf:
+            raise ValueError(f"extent: expected a positive length, found {capture['extent']}")
+        look_at = np.array(capture["look_at"], np.float64).reshape(3)
+        if not np.isfinite(look_at).all():
+            raise ValueError(f"look_at: expected finite numbers, found {capture['look_at']}")
+    except (KeyError, OverflowError, RuntimeError, TypeError, ValueError) as error:
         raise UserError(f"{path / CAPTURE_FILE}: cannot understand it ({error!r})") from error
     axis = up_axis or nearest_axis(up)
     angle = _angle_deg(up, _direction(axis))
@@ -206,11 +212,18 @@ def _bounds(file: SplatFile) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def _camera(entry: dict[str, Any]) -> Cameras:
-    """Read one camera of a capture."""
-    return Cameras(
-        torch.tensor([entry["camera_from_world"]], dtype=torch.float64),
-        torch.tensor([entry["focal_px"]], dtype=torch.float64),
-        torch.tensor([entry["center_px"]], dtype=torch.float64),
-        int(entry["width"]),
-        int(entry["height"]),
+    """Read one camera of a capture.
+
+    Raises:
+        ValueError: a number is not finite, a focal length not positive, or a picture of no size.
+    """
+    matrices, focal_px, center_px = (
+        torch.tensor([entry[name]], dtype=torch.float64)
+        for name in ("camera_from_world", "focal_px", "center_px")
     )
+    width, height = int(entry["width"]), int(entry["height"])
+    if not all(bool(values.isfinite().all()) for values in (matrices, focal_px, center_px)):
+        raise ValueError("cameras: expected finite numbers")
+    if focal_px.min() <= 0 or not 0 < width <= _LARGEST_PX or not 0 < height <= _LARGEST_PX:
+        raise ValueError("cameras: expected positive focal_px, width and height")
+    return Cameras(matrices, focal_px, center_px, width, height)

@@ -184,7 +184,7 @@ def read_intrinsics(path: Path, width: int, height: int) -> Intrinsics:
         raise UserError(f"{path}: intrinsics: cannot read it ({error})") from error
     try:
         data: Any = json.loads(text)
-    except json.JSONDecodeError:
+    except (ValueError, RecursionError):  # no JSON, or numbers and nesting that cannot be held
         data = None
     try:
         if isinstance(data, dict):
@@ -194,7 +194,7 @@ def read_intrinsics(path: Path, width: int, height: int) -> Intrinsics:
             return from_matrix(np.array(words).reshape(3, 3), width, height, path.name)
         if len(words) == 4:
             return Intrinsics(words[0], words[1], words[2], words[3], width, height, path.name)
-    except (ValueError, TypeError, KeyError, IndexError) as error:
+    except (ValueError, TypeError, KeyError, IndexError, OverflowError) as error:
         raise UserError(f"{path}: intrinsics: malformed ({error})") from error
     raise UserError(f"{path}: intrinsics: expected JSON, 4 numbers (fx fy cx cy) or a 3 x 3 matrix")
 

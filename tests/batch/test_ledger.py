@@ -21,3 +21,11 @@ def test_a_line_cut_off_by_a_kill_costs_only_itself(tmp_path):
     ledger.close()
     assert list(read_ledger(path)) == ["a", "c"]
     assert read_ledger(tmp_path / "missing.jsonl") == {}
+
+
+def test_numbers_that_no_ledger_holds_are_damage(tmp_path):
+    path = tmp_path / "ledger.jsonl"
+    rows = [f'{{"id": "{n}", "status": "finished", "facts": {{"x": {n}}}}}' for n in
+            ("NaN", "-Infinity", "1e400", "1e30", "7")]  # fmt: skip
+    path.write_text("\n".join(rows))
+    assert list(read_ledger(path)) == ["1e30", "7"]

@@ -28,10 +28,13 @@ def codebook(
         values: numbers to quantise, any shape.
 
     Returns:
-        One-dimensional k-means from evenly spread quantiles, and the nearest of them.
+        One-dimensional k-means, and the nearest of them. Half of them start evenly spread over the
+        values' range, so that rare values far from the others keep some of their own.
     """
     ordered = np.sort(values.reshape(-1).astype(np.float64))
-    centers = np.quantile(ordered, (np.arange(CODES) + 0.5) / CODES)
+    shares = (np.arange(CODES // 2) + 0.5) / (CODES // 2)
+    even = ordered[0] + shares * (ordered[-1] - ordered[0])
+    centers = np.sort(np.concatenate([np.quantile(ordered, shares), even]))
     sums = np.concatenate([[0.0], np.cumsum(ordered)])
     for _ in range(_ROUNDS):
         ends = np.searchsorted(ordered, (centers[1:] + centers[:-1]) / 2)

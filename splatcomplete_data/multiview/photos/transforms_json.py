@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -129,7 +130,8 @@ def _number(values: Mapping[str, Any], name: str, default: float, where: str) ->
         UserError: it is something else.
     """
     value = values.get(name, default)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not abs(value) <= sys.float_info.max:
         raise UserError(f"{where}: {name}: expected a finite number, found {value!r}")
     return float(value)
 
@@ -192,7 +194,7 @@ def _camera_from_world(value: Any, where: str) -> NDArray[np.float64]:  # [4, 4]
     """
     try:
         matrix = np.asarray(value, np.float64)
-    except (TypeError, ValueError):
+    except (OverflowError, TypeError, ValueError):
         matrix = np.zeros(0)
     if matrix.shape == (3, 4):
         matrix = np.vstack([matrix, [0.0, 0.0, 0.0, 1.0]])
@@ -200,5 +202,8 @@ def _camera_from_world(value: Any, where: str) -> NDArray[np.float64]:  # [4, 4]
         raise UserError(f"{where}: transform_matrix: expected 4 x 4 finite numbers")
     if abs(np.linalg.det(matrix[:3, :3])) < 1e-9:
         raise UserError(f"{where}: transform_matrix: expected a rotation, found a singular matrix")
+    if not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0]):
+        last = " ".join(f"{number:g}" for number in matrix[3])
+        raise UserError(f"{where}: transform_matrix: expected a last row of 0 0 0 1, found {last}")
     inverse: NDArray[np.float64] = np.linalg.inv(matrix @ _OPENCV_FROM_OPENGL).astype(np.float64)
     return inverse

@@ -14,6 +14,7 @@ pytest.importorskip("transformers", reason="the extra gscomplete[mvdream] is not
 from gscomplete.errors import UserError
 from gscomplete.priors.mvdream import keys
 from gscomplete.priors.mvdream.convert import convert, verify_digests
+from gscomplete.priors.mvdream.tensor_files import TensorFile
 from gscomplete.priors.mvdream.weights import (
     MANIFEST_FILE,
     Weights,
@@ -130,6 +131,23 @@ def test_a_truncated_file_is_refused(original, tmp_path, keep):
         path.write_bytes(data[: int(keep * len(data))])
         with pytest.raises(UserError, match="found damage"):
             open_weights(path)
+
+
+@pytest.mark.parametrize("suffix", [".pt", ".safetensors"])
+@pytest.mark.parametrize("dtype", [torch.float16, torch.float32])
+def test_weights_that_are_not_finite_are_named(tmp_path, suffix, dtype):
+    path = tmp_path / f"w{suffix}"
+    tensors = {"large": torch.full((99,), 6e4, dtype=dtype), "odd": torch.zeros(9, dtype=dtype)}
+    for value in (0.0, torch.nan, -torch.inf):
+        tensors["odd"][3] = value
+        (torch.save if suffix == ".pt" else save_file)(tensors, path)
+        file = TensorFile(path)
+        assert torch.equal(file.get("large"), tensors["large"])
+        if value == 0.0:
+            assert torch.equal(file.get_all(("odd",))["odd"], tensors["odd"])
+        else:
+            with pytest.raises(UserError, match="odd: expected finite values, found 1 "):
+                file.get("odd")
 
 
 def test_other_contents_are_named(original, tmp_path):

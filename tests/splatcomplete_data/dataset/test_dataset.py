@@ -276,6 +276,7 @@ def test_a_folder_that_the_build_did_not_make_is_left_alone(
     [
         ("objects: []\n", "objects"),
         ("objects: [{id: a, command: fly}]\n", "command"),
+        ("objects: [{id: a, command: {}}]\n", "command: expected one of"),
         ("objects: [{id: a, command: mesh}]\n", "file"),
         ("objects: [{id: a, command: mesh, file: x, speed: 3}]\n", "speed"),
         ("objects: [{id: a, command: mesh, file: x, count: many}]\n", "count"),

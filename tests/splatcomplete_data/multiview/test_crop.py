@@ -2,7 +2,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -157,7 +159,7 @@ def test_the_up_axis_that_is_given_decides_the_box_and_the_pictures(tmp_path, ca
     assert found[0][1] != found[1][1] != found[2][1]  # each is drawn upright by its own axis
 
 
-def test_a_capture_obeys_an_up_axis_that_is_given(tmp_path):
+def write_capture(folder: Path) -> dict[str, Any]:
     views = captures.cameras()
     entries = [
         {
@@ -171,8 +173,33 @@ def test_a_capture_obeys_an_up_axis_that_is_given(tmp_path):
     ]
     content = {"schema": SCHEMA, "status": "finished", "cameras": entries, "extent": 1.0}
     content |= {"up": [0.0, -0.6, 0.8], "look_at": [0.0, 0.0, 0.0]}
+    (folder / "capture.json").write_text(json.dumps(content))
+    write_splats(folder / "splats.ply", captures.ball(50))
+    return content
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("extent", math.inf),
+        ("look_at", [0, math.nan, 0]),
+        ("camera_from_world", [[math.nan] * 4] * 4),
+        ("focal_px", [0.0, 1.0]),
+        ("center_px", [math.inf, 1.0]),
+        ("width", 10**9),
+        ("height", 10**400),
+    ],
+)
+def test_a_damaged_capture_is_named(tmp_path, name, value):
+    content = write_capture(tmp_path)
+    (content if name in content else content["cameras"][0])[name] = value
     (tmp_path / "capture.json").write_text(json.dumps(content))
-    write_splats(tmp_path / "splats.ply", captures.ball(50))
+    with pytest.raises(UserError, match=r"capture\.json: cannot understand it"):
+        read_scene(tmp_path)
+
+
+def test_a_capture_obeys_an_up_axis_that_is_given(tmp_path):
+    write_capture(tmp_path)
     own, given = read_scene(tmp_path), read_scene(tmp_path, "-Y")
     assert (own.up_axis, given.up_axis) == ("Z", "-Y")
     np.testing.assert_array_equal(own.focus().up, [0.0, -0.6, 0.8])

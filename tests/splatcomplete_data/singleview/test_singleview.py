@@ -163,7 +163,7 @@ def test_intrinsics_files_and_sizes(tmp_path: Path) -> None:
     assert (found.focal_x_px, found.focal_y_px, found.center_x_px) == (262.5, 263.0, 159.75)
     with pytest.raises(UserError, match="aspect"):
         found.resized(320, 320)
-    for text in ("{}", "1 2 3", "[]", '{"fx": "a"}', '{"fx": -1}'):
+    for text in ("{}", "1 2 3", "[]", '{"fx": "a"}', '{"fx": -1}', '{"fx": 1, "w": 1e400}'):
         path.write_text(text)
         with pytest.raises(UserError, match="intrinsics"):
             read_intrinsics(path, 10, 10)

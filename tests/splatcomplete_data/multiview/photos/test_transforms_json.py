@@ -81,6 +81,7 @@ def test_names_without_suffix_are_found(capture):
         ({"fl_x": None, "fl_y": None}, "fl_x"),
         ({"fl_x": "wide"}, "fl_x: expected a finite number"),
         ({"fl_x": -5}, "focal length"),
+        ({"fl_x": 10**400}, "fl_x: expected a finite number"),
         ({"w": 64}, "expected the size of photo_00.png"),
         ({"camera_model": "THIN_PRISM"}, "camera_model"),
         ({"k4": 0.1}, "k4: expected 0"),
@@ -102,6 +103,8 @@ def test_wrong_fields_are_named(capture, values, words):
         (np.diag([2.0, 1, 1, 1]).tolist(), "stretches"),
         (np.diag([-1.0, 1, 1, 1]).tolist(), "mirrors"),
         ([[float("nan")] * 4] * 4, "4 x 4"),
+        ([[10**400] * 4] * 4, "4 x 4"),
+        (np.diag([1.0, 1, 1, 0]).tolist(), "last row of 0 0 0 1, found 0 0 0 0"),
     ],
 )
 def test_wrong_poses_are_named(capture, matrix, words):
