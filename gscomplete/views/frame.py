@@ -95,7 +95,13 @@ def _parsed_direction(up: str) -> np.ndarray:  # [3] unit
 
 
 def parse_up(text: str | None) -> UpAxis | None:
-    """Check what a user gives for up; None = nothing was given.
+    """Check what a user gives for up.
+
+    Args:
+        text: X, Y, Z, -X, -Y, -Z or a direction X,Y,Z; None = nothing was given.
+
+    Returns:
+        The same, checked.
 
     Raises:
         UserError: it is neither an axis nor a direction.

@@ -146,14 +146,19 @@ def by_visibility(
     for eye in eyes:
         distance = float(np.linalg.norm(eye - middle))
         half = max(math.tan(math.radians(fov_deg) / 2), 1.05 * reach / max(distance - reach, 1e-3))
-        rotation = _looking(eye, middle).astype(np.float32)
+        rotation = looking_rotation(eye, middle).astype(np.float32)
         local = (points - eye.astype(np.float32)) @ rotation.T
         seen |= _first_surface(local, sizes, solid, grid_px, 0.5 * grid_px / half, slack)
     return _cut(splats, seen, "visibility", views=len(eyes), eyes=eyes.round(3).tolist())
 
 
-def _looking(eye: NDArray[np.float64], target: ArrayLike) -> NDArray[np.float64]:
-    """Return the rotation [3, 3] into camera axes (x right, y down, z forward), z up."""
+def looking_rotation(eye: NDArray[np.float64], target: ArrayLike) -> NDArray[np.float64]:
+    """Return the rotation [3, 3] into camera axes (x right, y down, z forward), z up.
+
+    Args:
+        eye: where the camera stands, [3].
+        target: what it looks at, [3].
+    """
     forward = np.asarray(target, np.float64) - eye
     forward /= max(float(np.linalg.norm(forward)), 1e-12)
     up = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.999 else np.array([1.0, 0.0, 0.0])

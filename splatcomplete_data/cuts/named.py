@@ -23,15 +23,17 @@ from gscomplete.errors import UserError
 from gscomplete.splats import Splats, transform_splats
 from gscomplete.views import ObjectFrame
 from splatcomplete_data.cuts.boxes import CropBox, inside_boxes
-from splatcomplete_data.cuts.geometry import PartialCut, by_plane, by_visibility, crop
+from splatcomplete_data.cuts.discs_in_depth import seen_discs
+from splatcomplete_data.cuts.geometry import PartialCut, by_plane, crop, looking_rotation
 from splatcomplete_data.objects import StepRecord
 
 SCAN_DISTANCE = 2.2
 """Distance of a scanner from the centre, in object sizes (as ``ViewDistribution.radius``)."""
 SCAN_WIDTH = 2.54
 """What a scanner's depth image spans at the centre, in object sizes."""
-MAX_SCAN_GRID_PX = 256
+MAX_SCAN_GRID_PX = 1024
 """Largest side of a scanner's depth image."""
+_SCAN_FOV_DEG = 60.0
 _OBJECT_SHARE = 0.995
 """A scanner's picture is wide enough for this share of the splats: trained ones have floaters."""
 _MOST_REACH = 1.0
@@ -80,20 +82,20 @@ class ScanCut:
         azimuths, elevations = np.deg2rad(np.array(self.directions_deg, np.float64)).T
         level = np.cos(elevations)
         eyes = np.stack([level * np.cos(azimuths), level * np.sin(azimuths), np.sin(elevations)], 1)
-        # a pixel no finer than the splats, else far ones show between near ones; and a slack of
-        # what a slanted surface spans within two pixels
+        # two pixels a splat: finer ones show nothing more
         typical = float(complete.scales.amax(dim=1).median())
-        grid_px = int(np.clip(SCAN_WIDTH / max(2.0 * typical, 1e-9), 40, MAX_SCAN_GRID_PX))
-        slack = 2.5 * SCAN_WIDTH / grid_px
+        grid_px = int(np.clip(SCAN_WIDTH / max(1.3 * typical, 1e-9), 64, MAX_SCAN_GRID_PX))
+        middle = np.zeros(3)
         reach = float(np.quantile(complete.means.double().norm(dim=1).numpy(), _OBJECT_SHARE))
-        return by_visibility(
-            complete,
-            SCAN_DISTANCE * eyes,
-            grid_px=grid_px,
-            tolerance=slack,
-            target=(0.0, 0.0, 0.0),
-            reach=min(reach, _MOST_REACH),
+        reach = min(reach, _MOST_REACH)
+        half = max(
+            math.tan(math.radians(_SCAN_FOV_DEG / 2)), 1.05 * reach / (SCAN_DISTANCE - reach)
         )
+        seen = np.zeros(len(complete), np.bool_)
+        for eye in SCAN_DISTANCE * eyes:
+            seen |= seen_discs(complete, eye, looking_rotation(eye, middle), grid_px, half)
+        details = {"views": len(eyes), "eyes": (SCAN_DISTANCE * eyes).round(3).tolist()}
+        return PartialCut(torch.from_numpy(seen), "visibility", details)
 
 
 Cut = PlaneCut | BoxCut | ScanCut

@@ -125,7 +125,10 @@ def read_glb_splats(path: Path) -> tuple[Splats, int]:
                     found.append(transform_splats(_primitive(file, primitive), transform))
                 else:
                     others += 1
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+    except (
+        *(KeyError, IndexError, TypeError, ValueError),
+        *(AttributeError, OverflowError, RecursionError),
+    ) as error:
         if isinstance(error, UserError):
             raise
         raise UserError(f"{path}: GLB: malformed document ({error!r})") from error
@@ -219,6 +222,11 @@ def _primitive(file: _File, primitive: dict[str, Any]) -> Splats:
         for degree in range(bands)
         for number in range(2 * degree + 1)
     ]
+    negative = int((column[f"{EXTENSION}:SCALE"] < 0).any(axis=1).sum())
+    if negative:
+        raise UserError(
+            f"{file.path}: scale: expected no negative one, found {negative:,} splats with"
+        )
     quaternions = torch.from_numpy(column[f"{EXTENSION}:ROTATION"][:, [3, 0, 1, 2]].copy())
     return Splats(
         torch.from_numpy(column["POSITION"]),

@@ -337,6 +337,8 @@ def _points_txt(path: Path) -> Iterator[tuple[float, ...]]:
             raise UserError(f"{path}: line {number}: expected ID X Y Z R G B ...") from error
         if len(row) != 6:
             raise UserError(f"{path}: line {number}: expected ID X Y Z R G B ...")
+        if any(value < 0 or value > 255 for value in row[3:]):
+            raise UserError(f"{path}: line {number}: expected a colour of 0 to 255")
         yield row
 
 

@@ -135,13 +135,18 @@ def test_no_splat_is_a_needle_or_reaches_beyond_the_edge(
         assert beyond < (convert.MOST_OVERHANG + 0.05) * made.spacing
 
 
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:  # [..., 2] twice
+    """Return the vertical component of the cross product of level vectors."""
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
 def distance_outside(points: np.ndarray, outline: np.ndarray) -> np.ndarray:
     """Return how far points [N, 2] lie outside a convex outline [K, 2]; 0 inside."""
-    turn = np.cross(outline[1] - outline[0], outline[2] - outline[1])
+    turn = cross(outline[1] - outline[0], outline[2] - outline[1])
     outside, nearest = np.zeros(len(points), bool), np.full(len(points), np.inf)
     for start, end in zip(outline, np.roll(outline, -1, axis=0), strict=True):
         edge, off = end - start, points - start
-        outside |= np.sign(turn) * np.cross(edge, off) < 0
+        outside |= np.sign(turn) * cross(edge, off) < 0
         share = np.clip(off @ edge / (edge @ edge), 0, 1)
         nearest = np.minimum(nearest, np.linalg.norm(off - share[:, None] * edge, axis=1))
     return np.where(outside, nearest, 0.0)

@@ -154,3 +154,23 @@ def test_convert_goes_there_and_back_without_loss(tmp_path, capsys):
     sign = (back.quaternions * splats.quaternions).sum(dim=1, keepdim=True).sign()
     back = dataclasses.replace(back, quaternions=sign * back.quaternions)  # q and -q turn alike
     assert_same(back, splats, atol=1e-5, rtol=1e-4)
+
+
+def test_a_negative_scale_is_named(tmp_path):
+    splats = some_splats()
+    splats.scales[3, 1] = -0.1
+    path = written(tmp_path / "a.glb", splats)
+    with pytest.raises(UserError, match=r"a\.glb: scale: expected no negative one, found 1 splats"):
+        read_glb_splats(path)
+
+
+@pytest.mark.parametrize(
+    ("group", "name"),
+    [("bufferViews", "byteOffset"), ("accessors", "count"), ("nodes", "children")],
+)
+def test_numbers_that_cannot_be_held_are_named(tmp_path, group, name):
+    path = written(tmp_path / "a.glb", some_splats())
+    document, binary = chunks(path)
+    document[group][0][name] = [float("inf")] if name == "children" else float("inf")
+    with pytest.raises(UserError, match=r"a\.glb: GLB: malformed document"):
+        read_glb_splats(rewritten(path, document, binary))

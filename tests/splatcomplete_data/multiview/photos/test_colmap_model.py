@@ -150,3 +150,10 @@ def test_mutated_files_end_in_a_message_or_a_result(tmp_path_factory, name, text
     finally:
         path.write_bytes(good)
     assert str(folder) in message
+
+
+@pytest.mark.parametrize("color", ["1e39", "-1", "256", "inf"])
+def test_a_colour_out_of_range_is_named(tmp_path, color):
+    (tmp_path / "points3D.txt").write_text(f"1 0 0 0 9 9 9 0\n2 0 0 0 9 {color} 9 0\n")
+    with pytest.raises(UserError, match="line 2: expected a colour of 0 to 255"):
+        read_points(tmp_path)
