@@ -24,9 +24,9 @@ from gscomplete.framing.cut_plane import CutPlane
 FloatArray = NDArray[np.float64]
 
 CLOSED_BELOW = 0.008
-"""P's surface counts as closed where a smaller share of it is exposed on both sides. Of 60 objects of
-the validation split 39 are below, of their halves through the middle 1, of halves at random 2, and 3
-of those that lack a box."""
+"""P's surface counts as closed where a smaller share of it is exposed on both sides. Of 60 objects
+of the validation split 39 are below, of their halves through the middle 1, of halves at random 2,
+and 3 of those that lack a box."""
 _MOST_POINTS = 8000
 _NEIGHBOURS = 10
 _AZIMUTHS = 12
