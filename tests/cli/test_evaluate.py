@@ -104,7 +104,7 @@ def test_a_file_needs_its_object(dataset, capsys):
 
 
 def test_a_run_of_another_part_is_refused(dataset, tmp_path):
-    front, _ = halves()
+    front, _ = halves(ball(1500, 0.5))
     other = write_object_folder(tmp_path / "other", front.select(torch.arange(20)))
     with pytest.raises(UserError, match="with 20 splats, found one of"):
         run(EvaluateOptions(paths=(dataset / "good/cup",), object=other))
