@@ -63,6 +63,9 @@ def clip_similarity(
     model: str = CLIP_MODEL,
 ) -> float | Unavailable:
     """Measure S_CLIP; higher is better."""
+    missing = Unavailable(f"no CLIP weights ({model} is not on this machine)")
+    if not _may_be_here(model):
+        return missing  # the package alone takes a second to load
     package = _optional("transformers")
     if isinstance(package, Unavailable):
         return package
@@ -70,7 +73,7 @@ def clip_similarity(
         network = package.CLIPModel.from_pretrained(model, local_files_only=True)
         processor = package.CLIPImageProcessor.from_pretrained(model, local_files_only=True)
     except (OSError, ValueError):
-        return Unavailable(f"no CLIP weights ({model} is not on this machine)")
+        return missing
     with torch.no_grad():
         white = partial.means.new_ones(3)
         views = torch.cat(
@@ -82,6 +85,16 @@ def clip_similarity(
     embedding = getattr(found, "pooler_output", found)  # a tensor before transformers 5
     unit = torch.nn.functional.normalize(embedding, dim=-1)
     return 100.0 * float((unit[1:] @ unit[0]).mean())
+
+
+def _may_be_here(model: str) -> bool:
+    """Tell whether a model is a folder, or lies in the hub's cache as far as names say."""
+    if Path(model).is_dir():
+        return True
+    hub = _optional("huggingface_hub.constants")
+    if isinstance(hub, Unavailable):
+        return True
+    return (Path(hub.HF_HUB_CACHE) / f"models--{model.replace('/', '--')}").is_dir()
 
 
 def _optional(name: str) -> Any:

@@ -40,7 +40,7 @@ def _no_optional_packages(monkeypatch: pytest.MonkeyPatch) -> None:
     real = importlib.import_module
 
     def without(name: str, package: str | None = None) -> Any:
-        if name in ("lpips", "transformers"):
+        if name in ("lpips", "transformers", "huggingface_hub.constants"):
             raise ImportError(name)
         return real(name, package)
 
@@ -85,8 +85,11 @@ def test_missing_weights_are_named(monkeypatch: pytest.MonkeyPatch, tmp_path: An
         raise OSError("no such model")
 
     loader = types.SimpleNamespace(from_pretrained=refuse)
-    fake = types.SimpleNamespace(CLIPModel=loader, CLIPImageProcessor=loader)
-    monkeypatch.setattr(importlib, "import_module", lambda name: fake)
+    fake = types.SimpleNamespace(
+        CLIPModel=loader, CLIPImageProcessor=loader, HF_HUB_CACHE=str(tmp_path)
+    )
+    imported = []
+    monkeypatch.setattr(importlib, "import_module", lambda name: imported.append(name) or fake)
     monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
     camera = VIEWS.input_camera(16)
     lpips = lpips_error(blob(0.0), blob(0.0), camera)
@@ -95,6 +98,10 @@ def test_missing_weights_are_named(monkeypatch: pytest.MonkeyPatch, tmp_path: An
     assert "AlexNet weights" in lpips.reason
     assert isinstance(clip, Unavailable)
     assert "CLIP weights" in clip.reason
+    assert "transformers" not in imported  # it takes a second to load
+    (tmp_path / "models--openai--clip-vit-large-patch14").mkdir()
+    assert clip_similarity(blob(0.0), blob(0.0), camera, VIEWS.ring(4, 16)) == clip
+    assert "transformers" in imported
 
 
 def test_clip_of_the_installed_transformers(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
