@@ -63,17 +63,11 @@ def read_sog(path: Path) -> Splats:
             return _read(_Source(folder / META_FILE, None))
         with zipfile.ZipFile(path) as archive:
             return _read(_Source(path, archive))
-    except (
-        OSError,
-        ValueError,
-        SyntaxError,
-        KeyError,
-        TypeError,
-        IndexError,
-        OverflowError,
-    ) as error:
+    except (OSError, ValueError, SyntaxError, KeyError, TypeError, IndexError) as error:
         raise UserError(f"{path}: cannot read it as SOG ({error})") from error
-    except (zipfile.BadZipFile, NotImplementedError, Image.DecompressionBombError) as error:
+    except (OverflowError, NotImplementedError) as error:
+        raise UserError(f"{path}: cannot read it as SOG ({error})") from error
+    except (zipfile.BadZipFile, Image.DecompressionBombError) as error:
         raise UserError(f"{path}: cannot read it as SOG ({error})") from error
 
 
