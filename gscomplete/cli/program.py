@@ -13,10 +13,11 @@ from gscomplete.util.parse import with_new_names
 
 let_threads_sleep()  # the commands load PyTorch, and with it the OpenMP runtime
 from gscomplete.cli import batch, complete, evaluate, render, report, validate, view, weights
+from gscomplete.cli.complete_options import CompleteOptions
 
 _RUNNERS: dict[type, Callable[[Any], int]] = {
     batch.BatchOptions: batch.run,
-    complete.CompleteOptions: complete.run,
+    CompleteOptions: complete.run,
     evaluate.EvaluateOptions: evaluate.run,
     render.RenderOptions: render.run,
     report.ReportOptions: report.run,
@@ -30,7 +31,7 @@ _GOES_ON: dict[type, str] = {batch.BatchOptions: "the same command goes on with 
 
 Command = (
     Annotated[batch.BatchOptions, tyro.conf.subcommand("batch")]
-    | Annotated[complete.CompleteOptions, tyro.conf.subcommand("complete")]
+    | Annotated[CompleteOptions, tyro.conf.subcommand("complete")]
     | Annotated[evaluate.EvaluateOptions, tyro.conf.subcommand("evaluate")]
     | Annotated[render.RenderOptions, tyro.conf.subcommand("render")]
     | Annotated[report.ReportOptions, tyro.conf.subcommand("report")]
