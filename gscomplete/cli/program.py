@@ -8,7 +8,12 @@ from typing import Annotated, Any
 
 import tyro
 
-from gscomplete.cli.guard import let_threads_sleep, print_version, run_guarded
+from gscomplete.cli.guard import (
+    keep_freed_memory,
+    let_threads_sleep,
+    print_version,
+    run_guarded,
+)
 from gscomplete.util.parse import with_new_names
 
 let_threads_sleep()  # the commands load PyTorch, and with it the OpenMP runtime
@@ -52,6 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description="Complete partial 3D objects made of Gaussian splats.",
         args=with_new_names(arguments, {"--size": "--object-size"}),
     )
+    keep_freed_memory()
     return run_guarded(
         "gscomplete",
         lambda: _RUNNERS[type(options)](options),
