@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from gscomplete.evaluate.align.nearest import FloatArray
+from gscomplete.evaluate.align.nearest_grid import FloatArray
 from gscomplete.evaluate.align.search import KEPT
 
 _POINT_SHARE = 0.03
