@@ -16,6 +16,7 @@ from typing import Literal
 
 from gscomplete.errors import UserError
 from gscomplete.fitting.settings import DensifySettings, LearningRates
+from gscomplete.priors.base import RescaleCenter
 from gscomplete.shape.mirror_plane import Mirror
 
 Mode = Literal["distill", "reconstruct"]
@@ -177,6 +178,8 @@ class CompletionSettings:
     """Guidance towards the renders of P; None = the prior's own default."""
     rescale: float | None = None
     """Guidance rescale; None = the prior's own default."""
+    rescale_about: RescaleCenter | None = None
+    """What the rescale leaves as it is; None = the prior's own default."""
     see_input: bool = True
     """Show the renders of P to priors that can see them; False = text only."""
     resolution_px: int | None = None
