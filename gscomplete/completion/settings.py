@@ -57,6 +57,25 @@ class TimestepStage:
             )
 
 
+def annealed_timesteps(
+    first: float, last: float, width: float, stages: int = 20
+) -> tuple[TimestepStage, ...]:
+    """Return stages whose middle falls evenly from the first to the last.
+
+    Args:
+        first: middle of the first stage.
+        last: middle of the last stage.
+        width: half of what each stage spans.
+        stages: how many.
+    """
+    found = []
+    for k in range(stages):
+        middle = first + (last - first) * k / (stages - 1)
+        low, high = max(middle - width, 0.0), min(middle + width, LAST_TIMESTEP)
+        found.append(TimestepStage((k + 1) / stages, low, high))
+    return tuple(found)
+
+
 @dataclass(frozen=True, slots=True)
 class HardPreservationSettings:
     """Bounds on what new splats may change of P's appearance from V, and how they are reached."""

@@ -63,8 +63,8 @@ from recipes.real_objects.load import RealObject, load_real_object
 from recipes.results import Results
 
 Way = Literal[
-    "input", "likeliest", "mirror", "text", "reconstruct", "fast", "default", "alternatives",
-    "true_shape",
+    "input", "likeliest", "mirror", "text", "reconstruct", "fast", "default", "distill",
+    "alternatives", "true_shape",
 ]  # fmt: skip
 WAYS: tuple[Way, ...] = get_args(Way)
 OBJECTS = (
@@ -130,7 +130,7 @@ def frame_object(item: RealObject, prior: Prior) -> FramedObject:
 
 def outcome_of(framed: FramedObject, way: Way, prior: Prior, seed: int) -> Outcome:
     """Complete a part in one way."""
-    if way in ("fast", "default", "reconstruct", "text"):
+    if way in ("fast", "default", "distill", "reconstruct", "text"):
         return completed_as_run(framed, prior, settings_of(way, prior, seed))
     started = time.perf_counter()
     found: Splats | None = None
@@ -160,7 +160,7 @@ def completed_as_run(framed: FramedObject, prior: Prior, settings: CompletionSet
 
 def settings_of(way: Way, prior: Prior, seed: int) -> CompletionSettings:
     """Return the settings of a way to complete."""
-    name: PresetName = way if way in ("fast", "reconstruct") else "default"
+    name: PresetName = way if way in ("fast", "distill", "reconstruct") else "default"
     chosen = preset(name, prior, text_only=way == "text")
     return dataclasses.replace(chosen, seed=seed)
 

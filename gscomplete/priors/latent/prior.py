@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import torch
 import torch.nn.functional as F
@@ -79,6 +79,14 @@ class LatentPrior:
     """A :class:`gscomplete.priors.base.Prior` on a latent diffusion model."""
 
     sees_input = False
+    presets: ClassVar[dict[str, str]] = {
+        "default": "latent",
+        "fast": "text only",
+        "reconstruct": "text only",
+        "distill": "latent",
+        "paper": "paper",
+    }
+    """Which settings of ``completion.presets`` a preset stands for."""
 
     def __init__(
         self,
