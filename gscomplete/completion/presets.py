@@ -100,8 +100,8 @@ REFINE = dataclasses.replace(
     ),
     densify=dataclasses.replace(DISTILL.densify, until=0.0),
 )
-"""Score distillation from the first guess, in small steps: colours agree with each other, haze goes,
-the shape stays."""
+"""Score distillation from the first guess, in small steps: colours agree with each other, haze
+goes, the shape stays."""
 
 FILL = dataclasses.replace(DEFAULT, start="fill", hard_preservation=None)
 """P's gaps are closed and nothing else is done: what is seen through a gap changes, and is meant

@@ -1,1 +1,1 @@
-"""Score distillation judged apart from its prior: priors that know the answer, to a known degree."""
+"""Score distillation judged apart from its prior: priors that know the answer."""

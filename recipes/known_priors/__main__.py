@@ -31,12 +31,12 @@ from gscomplete.completion.pipeline import Request, finish, prepare
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.evaluate.bootstrap import bootstrap_interval
 from gscomplete.framing.decide import FramingRequest
-from gscomplete.splats import concatenate, write_splats
+from gscomplete.splats import Splats, concatenate, write_splats
 from recipes.entry_point import start
 from recipes.known_priors.measure import errors_of
 from recipes.known_priors.objects import KnownObject, believed, known_objects
 from recipes.known_priors.priors import MVDREAM_VIEWS, Kind, KnownPrior
-from recipes.known_priors.ways import WAYS
+from recipes.known_priors.ways import TABLE_2, WAYS
 from recipes.results import Results
 
 
@@ -65,8 +65,8 @@ class Options:
 
 def completed(
     item: KnownObject, prior: KnownPrior, settings: CompletionSettings
-) -> tuple[Any, float]:
-    """Complete a part in its true frame; return the new splats and the seconds."""
+) -> tuple[Splats, float]:
+    """Complete a part in its true frame; return the new splats and the seconds of the steps."""
     angles = (item.views.azimuth_deg, item.views.elevation_deg)
     framing = FramingRequest("Z", angles, center_file=(0.0, 0.0, 0.0), size_file=1.0)
     prepared = prepare(item.partial, Request("", settings, framing), prior)
@@ -107,7 +107,7 @@ def main(options: Options) -> None:
         if options.keep:
             name = f"{kind}.{way}.{steps}.{item.name.replace('/', '_')}.ply"
             write_splats(options.out / name, concatenate([item.partial, new.with_sh_degree(0)]))
-    sys.stdout.write(table(results.rows))
+    sys.stdout.write(table(results.rows) + table_2(results.rows))
 
 
 _COLUMNS = (
@@ -137,10 +137,40 @@ def table(rows: dict[str, dict[str, Any]]) -> str:
             known = [row[name] for row in found if row[name] is not None]
             cells += f"{np.mean(known):9{form}}" if known else f"{'-':>9}"
         low, high = bootstrap_interval([row["silhouette_iou"] for row in found])
-        lines.append(
-            f"{kind:14}{way:16}{steps:6}{len(found):4}{cells}   {low:.3f}-{high:.3f}"
-        )
+        lines.append(f"{kind:14}{way:16}{steps:6}{len(found):4}{cells}   {low:.3f}-{high:.3f}")
     return "\n".join(lines) + "\n"
+
+
+def table_2(rows: dict[str, dict[str, Any]]) -> str:
+    """Show E_color by row of the paper's Table 2: mean and spread over seeds, and as a ratio.
+
+    Empty where no prior has more than one of the rows.
+    """
+    lines = []
+    priors = sorted({(key.split("/")[0], key.split("/")[2]) for key in rows})
+    for kind, steps in priors:
+        means = {way: _seed_means(rows, kind, way, steps) for way in TABLE_2}
+        if not means["paper"] or not any(means[way] for way in TABLE_2[:-1]):
+            continue
+        full = float(np.mean(means["paper"]))
+        for way in TABLE_2:
+            if means[way]:
+                mean, spread = float(np.mean(means[way])), float(np.std(means[way]))
+                lines.append(
+                    f"{kind}, {steps} steps, {way}: E_color {mean:.5f} +- {spread:.5f} over "
+                    f"{len(means[way])} seeds, {mean / full:.1f} times paper's"
+                )
+    return "\n".join(lines) + "\n" if lines else ""
+
+
+def _seed_means(rows: dict[str, dict[str, Any]], kind: str, way: str, steps: str) -> list[float]:
+    """Return E_color averaged over objects, one number per seed."""
+    by_seed: dict[str, list[float]] = {}
+    for key, row in rows.items():
+        found = key.split("/")
+        if found[:3] == [kind, way, steps]:
+            by_seed.setdefault(found[3], []).append(row["e_color_v"])
+    return [float(np.mean(values)) for values in by_seed.values()]
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Compare ways to complete real objects: ``python -m recipes.real_objects.compare --out DIR``.
 
-Every object is completed (or not) in nine ways and compared with the truth from eight views:
+Every object is completed (or not) in ten ways and compared with the truth from eight views:
 
 * ``input``: P alone.
 * ``likeliest``: P and its mirror image through the plane that is proposed first.
@@ -11,6 +11,7 @@ Every object is completed (or not) in nine ways and compared with the truth from
 * ``reconstruct``: the first guess, then rounds of denoised views that splats are fitted to.
 * ``fast``: the fast preset.
 * ``default``: the default preset.
+* ``distill``: score distillation from the first guess.
 * ``alternatives``: the best of up to nine first guesses, through the likely planes of symmetry and
   through none, *chosen with the truth*: the most that someone who looks at what ``--alternatives``
   draws could get.

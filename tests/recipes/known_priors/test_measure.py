@@ -10,7 +10,9 @@ from tests.builders.objects import ball, moved
 
 TRUTH = ball(1500).with_sh_degree(0)
 HIDDEN = TRUTH.means[:, 0] < 0
-ITEM = KnownObject("ball", "half", TRUTH.select(~HIDDEN), TRUTH, HIDDEN, ViewDistribution(0.0, 10.0))
+ITEM = KnownObject(
+    "ball", "half", TRUTH.select(~HIDDEN), TRUTH, HIDDEN, ViewDistribution(0.0, 10.0)
+)
 
 
 def test_the_missing_half_itself_has_no_errors():

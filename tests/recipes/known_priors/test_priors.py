@@ -48,7 +48,9 @@ def posterior_mean(objects, renders, noisy, timestep):
         torch.cat([r.color, r.alpha[..., None]], -1).permute(0, 3, 1, 2).double() * 2 - 1
         for r in renders
     ]
-    logits = [-SHARPNESS * float((noisy.double() - a * k).square().mean()) / (2 * s * s) for k in known]
+    logits = [
+        -SHARPNESS * float((noisy.double() - a * k).square().mean()) / (2 * s * s) for k in known
+    ]
     weights = torch.softmax(torch.tensor(logits, dtype=torch.float64), 0)
     return sum(w * k for w, k in zip(weights, known, strict=True)), weights
 
