@@ -45,7 +45,7 @@ def test_presets_of_this_prior(make):
 
 
 def test_the_default_settings_reach_the_prior_as_they_are(make, monkeypatch):
-    """Contrast is pulled back about the background, at a noise that falls; guidance is MVDream's."""
+    """Contrast is pulled back about the background, noise falls, guidance is MVDream's."""
     seen = []
     job = make(dataclasses.replace(LATENT, steps=6, new_splats=100, warmup_steps=2))
     original = job._prior.distill
