@@ -5,6 +5,9 @@ Conventions
 * Exit codes: 0 or the command's own; 2 user error; 4 out of memory; 70 internal error; 130
   interrupted by Ctrl-C; 129 and 143 stopped by SIGHUP and SIGTERM; 141 the reader of the output is
   gone.
+* A signal that arrives while a library is being imported ends the process at once, as nothing is
+  being done: interrupted in its middle, PyTorch aborts, and others swallow the interrupt and leave
+  half a module behind.
 * Shared by the packages' console commands.
 """
 
@@ -73,19 +76,16 @@ def run_guarded(program: str, command: Callable[[], int], interrupted: str) -> i
             sys.stderr.write(f"{program}: {message}\n")
 
     try:
-        with _signals_raise():
+        with _signals_raise(program, interrupted):
             code = command()
         sys.stdout.flush()  # what is buffered may find its reader gone only now
         return code
     except UserError as error:
         say(f"error: {error}")
         return error.exit_code
-    except Stopped as stop:
-        say(f"stopped by {stop}; {interrupted}")
-        return 128 + stop.number
-    except KeyboardInterrupt:
-        say(f"interrupted; {interrupted}")
-        return 130
+    except KeyboardInterrupt as stop:
+        say(_told(stop, interrupted))
+        return _exit_code(stop)
     except BrokenPipeError:
         _forget_stdout()
         return 141  # as with ``| head``
@@ -109,16 +109,23 @@ def run_guarded(program: str, command: Callable[[], int], interrupted: str) -> i
 
 
 @contextlib.contextmanager
-def _signals_raise() -> Iterator[None]:
-    """Have SIGTERM and SIGHUP raise ``Stopped`` in the block, but for signals that are ignored."""
+def _signals_raise(program: str, interrupted: str) -> Iterator[None]:
+    """Have SIGINT, SIGTERM and SIGHUP interrupt the block, but for those that are ignored."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
     def stop(number: int, frame: FrameType | None) -> None:
-        raise Stopped(number)
+        reason = KeyboardInterrupt() if number == signal.SIGINT else Stopped(number)
+        if not _is_importing(frame):
+            raise reason
+        with contextlib.suppress(OSError, RuntimeError, ValueError):
+            sys.stdout.flush()
+        with contextlib.suppress(OSError):
+            os.write(2, f"{program}: {_told(reason, interrupted)}\n".encode())
+        os._exit(_exit_code(reason))
 
-    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
     numbers = [getattr(signal, name) for name in names]
     before = {number: signal.getsignal(number) for number in numbers}
     for number, handler in before.items():
@@ -129,6 +136,26 @@ def _signals_raise() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _is_importing(frame: FrameType | None) -> bool:
+    """Tell whether an import is under way in a frame or in those that called it."""
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False
+
+
+def _told(stop: KeyboardInterrupt, interrupted: str) -> str:
+    """Return what the user is told of an interrupt."""
+    name = f"stopped by {stop}" if isinstance(stop, Stopped) else "interrupted"
+    return f"{name}; {interrupted}"
+
+
+def _exit_code(stop: KeyboardInterrupt) -> int:
+    """Return the exit code after an interrupt."""
+    return 128 + (stop.number if isinstance(stop, Stopped) else signal.SIGINT)
 
 
 def _forget_stdout() -> None:

@@ -3,6 +3,7 @@
 Conventions
 -----------
 * Only servers that start within :func:`mended_answers` are concerned.
+* A machine's own names are ``localhost``, its host name, any address, and the one it listens at.
 * A page that is not the one expected, as of another version of viser, is served as it is.
 """
 
@@ -11,6 +12,8 @@ from __future__ import annotations
 import contextlib
 import gzip
 import inspect
+import ipaddress
+import socket
 from collections.abc import Iterator
 from http import HTTPStatus
 from typing import Any
@@ -25,11 +28,15 @@ _MENDED_CORNERS = "new Float32Array([-2,-2,0,2,-2,0,2,2,0,-2,2,0]),3)"
 
 
 @contextlib.contextmanager
-def mended_answers() -> Iterator[None]:
+def mended_answers(listening_at: str) -> Iterator[None]:
     """Have servers that start in the block refuse other sites' pages and serve a mended page.
 
     A page of any site may open a WebSocket to this machine; its browser says from where, in the
-    header Origin. viser answers all of them.
+    header Origin. A site may also have its own name resolve to this machine, so that Origin and
+    Host agree: then Host is a name that this machine does not have. viser answers all of them.
+
+    Args:
+        listening_at: host that the servers listen at.
     """
     from websockets.asyncio import server
 
@@ -38,6 +45,9 @@ def mended_answers() -> Iterator[None]:
     def guarded(*arguments: Any, process_request: Any = None, **options: Any) -> Any:
         async def answer(connection: Any, request: Any) -> Any:
             origin, host = request.headers.get("Origin"), request.headers.get("Host")
+            if host is not None and not is_own_name(host, listening_at):
+                said = f"not a name of this machine: {host}; use its address\n"
+                return connection.respond(HTTPStatus.FORBIDDEN, said)
             if origin is not None and urlsplit(origin).netloc != host:
                 return connection.respond(HTTPStatus.FORBIDDEN, "another site's page\n")
             result = process_request(connection, request) if process_request else None
@@ -50,6 +60,22 @@ def mended_answers() -> Iterator[None]:
         yield
     finally:
         server.serve = serve  # type: ignore[misc]
+
+
+def is_own_name(host: str, listening_at: str) -> bool:
+    """Tell whether a request's Host, with or without a port, names this machine."""
+    try:
+        name = urlsplit(f"//{host}").hostname or ""
+    except ValueError:
+        return False
+    own = {"localhost", socket.gethostname().lower(), socket.getfqdn().lower(), listening_at}
+    if name in own or name.endswith(".localhost"):
+        return True
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
 
 
 def mended_page(page: bytes) -> bytes:

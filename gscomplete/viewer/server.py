@@ -124,7 +124,7 @@ def _listen(host: str, port: int) -> viser.ViserServer:
         ) from error
     try:
         # viser prints a banner of its own, whatever ``verbose`` says.
-        with redirect_stdout(io.StringIO()), mended_answers():
+        with redirect_stdout(io.StringIO()), mended_answers(host):
             return viser.ViserServer(host=host, port=port, label="GSComplete", verbose=False)
     except OSError as error:
         raise UserError(f"--host {host} --port {port}: cannot listen there: {error}") from error

@@ -14,8 +14,8 @@ import numpy as np
 from gscomplete.errors import UserError
 
 _LARGEST = 2**30
-_MOST_LEFT = 2 * 2**20
-"""A nearly full disk has between nothing and this many bytes left."""
+_MOST_LEFT = 2**19
+"""A nearly full disk has between nothing and this many bytes left: less than an object takes."""
 _BLOCK = bytes(2**16)
 
 

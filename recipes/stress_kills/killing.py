@@ -4,6 +4,8 @@ Conventions
 -----------
 * A job is stopped by SIGKILL (three of five times, the process alone or with its workers), SIGTERM
   or Ctrl-C, which reaches its workers too as from a terminal.
+* With a small disk, every third start finds it nearly full, and every sixth has no signal but runs
+  until it notices.
 * A fault is whatever a user would call one: a result that is there in part or differs, an exit code
   or a traceback that no signal and no full disk explains, workers that live on, a changed input.
 """
@@ -92,7 +94,8 @@ def kill_often(
         is_full = disk is not None and starts % 3 == 1
         with disk.nearly_full(rng) if disk is not None and is_full else contextlib.nullcontext():
             is_fresh, started = not out.exists(), time.monotonic()
-            end = _one_start(job, out, rng, usual_s, tally, is_full=is_full)
+            moments = None if is_full and starts % 6 == 1 else rng
+            end = _one_start(job, out, moments, usual_s, tally, is_full=is_full)
         if end == "finished" and is_fresh:
             usual_s = min(usual_s, time.monotonic() - started)
         starts += 1

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -82,6 +83,26 @@ def test_an_interrupt_while_loading_is_one_line(package: str) -> None:
     assert done.returncode == 130
     program = package.replace("splatcomplete_data", "splatcomplete-data")
     assert done.stderr == f"{program}: interrupted; nothing was done\n"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_a_library_is_imported_ends_at_once(number: int, tmp_path: Path) -> None:
+    """Libraries that are interrupted in their import swallow it, or abort in native code."""
+    swallows = "try:\n    print('importing', flush=True)\n    time.sleep(60)\n"
+    swallows += "except BaseException:\n    raise RecursionError\n"
+    (tmp_path / "swallows.py").write_text("import time\n" + swallows)
+    code = "import sys\nfrom gscomplete.cli.guard import run_guarded\n"
+    code += "def work():\n    print('before')\n    import swallows\n"
+    code += "sys.exit(run_guarded('mug', work, 'nothing was done'))"
+    piped = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    child = subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path, **piped)
+    assert child.stdout.readline() == "before\n"
+    assert child.stdout.readline() == "importing\n"
+    child.send_signal(number)
+    _, told = child.communicate(timeout=20)
+    assert child.returncode == 128 + number
+    said = "interrupted" if number == signal.SIGINT else "stopped by SIGTERM"
+    assert told == f"mug: {said}; nothing was done\n"
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])

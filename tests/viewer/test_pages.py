@@ -2,11 +2,13 @@
 
 import gzip
 import re
+import socket
+import urllib.error
 import urllib.request
 
 import pytest
 
-from gscomplete.viewer.pages import mended_page
+from gscomplete.viewer.pages import is_own_name, mended_page
 
 _DIGITS = "".join(chr(c) for c in range(0x21, 0x7F) if chr(c) not in "\"&<>'`")
 
@@ -53,6 +55,47 @@ def test_a_page_of_another_site_is_not_let_in(viewer, origin, is_let_in):
     else:
         with pytest.raises(InvalidStatus, match="403"):
             connect(address, origin=chosen, subprotocols=[version])
+
+
+def test_a_site_whose_name_resolves_to_this_machine_is_not_let_in(viewer):
+    """Origin and Host agree once a site's name is rebound to this machine's address."""
+    from websockets.exceptions import InvalidStatus
+    from websockets.sync.client import connect
+
+    port = viewer.server.get_port()
+    rebound = f"evil.example:{port}"
+    page = socket.create_connection(("127.0.0.1", port))
+    with pytest.raises(InvalidStatus, match="403"):
+        connect(
+            f"ws://{rebound}",
+            sock=page,
+            origin=f"http://{rebound}",
+            subprotocols=[f"viser-v{viser_version()}"],
+        )
+    request = urllib.request.Request(f"http://127.0.0.1:{port}", headers={"Host": rebound})
+    with pytest.raises(urllib.error.HTTPError, match="403"):
+        urllib.request.urlopen(request, timeout=20)
+
+
+@pytest.mark.parametrize(
+    ("host", "is_own"),
+    [
+        ("localhost:8080", True),
+        ("LOCALHOST", True),
+        ("viewer.localhost:80", True),
+        ("192.168.1.7:8080", True),
+        ("[::1]:8080", True),
+        (f"{socket.gethostname()}:8080", True),
+        ("listening.example", True),
+        ("evil.example:8080", False),
+        ("127.0.0.1.evil.example", False),
+        ("localhost.evil.example", False),
+        ("[::1", False),
+        ("", False),
+    ],
+)
+def test_names_of_this_machine(host, is_own):
+    assert is_own_name(host, "listening.example") == is_own
 
 
 @pytest.mark.parametrize("encoding", ["identity", "gzip"])

@@ -1,0 +1,44 @@
+"""Nearest neighbours of many points, in threads that a signal cannot leave behind.
+
+Conventions
+-----------
+* SciPy's own ``workers`` are daemon threads: when Ctrl-C or SIGTERM ends the wait for them they go
+  on reading the tree while the interpreter ends, and the process dies of a segmentation fault.
+  Threads of a pool are waited for whatever happens.
+* Each row is asked for by one thread alone: the number of threads does not change results.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+_FEWEST_ROWS = 4096
+"""A thread is started for at least this many points."""
+
+
+def query_nearest(
+    tree: cKDTree,
+    points: NDArray[Any],  # [N, D]
+    k: int | Sequence[int] = 1,
+) -> tuple[NDArray[np.float64], NDArray[np.intp]]:  # [N], or [N, K] for a sequence or k > 1
+    """Return distances and indices of the nearest points of a tree, as ``cKDTree.query`` does.
+
+    Args:
+        tree: of M points of D dimensions.
+        points: where to ask.
+        k: how many neighbours, or which ones, the nearest being 1.
+    """
+    threads = min(torch.get_num_threads(), len(points) // _FEWEST_ROWS)
+    if threads <= 1:
+        return tree.query(points, k=k)
+    with ThreadPoolExecutor(threads) as pool:
+        parts = pool.map(lambda rows: tree.query(rows, k=k), np.array_split(points, threads))
+        distances, indices = zip(*parts, strict=True)
+    return np.concatenate(distances), np.concatenate(indices)
