@@ -30,7 +30,7 @@ def test_cameras_lead_from_the_file_to_the_pictures(known, tmp_path):
     points = read_splats(known.partial).splats.means
     for row in content["views"]:
         in_object = Similarity.from_json(row["object_from_file"]).apply(points).double()
-        pose = torch.tensor(row["camera_from_object"])
+        pose = torch.tensor(row["camera_from_object"], dtype=torch.float64)
         local = in_object @ pose[:3, :3].T + pose[:3, 3]
         place = local[:, :2] / local[:, 2:] * torch.tensor(row["focal_px"])
         column, line = (place + torch.tensor(row["center_px"])).floor().long().T
