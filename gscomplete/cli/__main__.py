@@ -1,7 +1,5 @@
 """Run the command as ``python -m gscomplete.cli``."""
 
-import sys
+from gscomplete.cli import run_process
 
-from gscomplete.cli import main
-
-sys.exit(main())
+run_process()

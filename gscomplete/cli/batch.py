@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from gscomplete.cli.complete import HowToComplete
+from gscomplete.cli.complete_options import HowToComplete
 from gscomplete.errors import UserError
 from gscomplete.util.parse import parse_numbers, parse_view
 

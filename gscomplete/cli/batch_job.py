@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from gscomplete.batch.manifest import FieldKind, Item
 from gscomplete.batch.work import SetupError
-from gscomplete.cli.complete import CompleteOptions, HowToComplete
+from gscomplete.cli.complete_options import CompleteOptions, HowToComplete
 from gscomplete.errors import UserError
 from gscomplete.priors.latent.settings import LatentPriorSettings
 from gscomplete.util import jsonio

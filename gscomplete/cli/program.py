@@ -8,15 +8,21 @@ from typing import Annotated, Any
 
 import tyro
 
-from gscomplete.cli.guard import let_threads_sleep, print_version, run_guarded
+from gscomplete.cli.guard import (
+    keep_freed_memory,
+    let_threads_sleep,
+    print_version,
+    run_guarded,
+)
 from gscomplete.util.parse import with_new_names
 
 let_threads_sleep()  # the commands load PyTorch, and with it the OpenMP runtime
 from gscomplete.cli import batch, complete, evaluate, render, report, validate, view, weights
+from gscomplete.cli.complete_options import CompleteOptions
 
 _RUNNERS: dict[type, Callable[[Any], int]] = {
     batch.BatchOptions: batch.run,
-    complete.CompleteOptions: complete.run,
+    CompleteOptions: complete.run,
     evaluate.EvaluateOptions: evaluate.run,
     render.RenderOptions: render.run,
     report.ReportOptions: report.run,
@@ -30,7 +36,7 @@ _GOES_ON: dict[type, str] = {batch.BatchOptions: "the same command goes on with 
 
 Command = (
     Annotated[batch.BatchOptions, tyro.conf.subcommand("batch")]
-    | Annotated[complete.CompleteOptions, tyro.conf.subcommand("complete")]
+    | Annotated[CompleteOptions, tyro.conf.subcommand("complete")]
     | Annotated[evaluate.EvaluateOptions, tyro.conf.subcommand("evaluate")]
     | Annotated[render.RenderOptions, tyro.conf.subcommand("render")]
     | Annotated[report.ReportOptions, tyro.conf.subcommand("report")]
@@ -51,6 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description="Complete partial 3D objects made of Gaussian splats.",
         args=with_new_names(arguments, {"--size": "--object-size"}),
     )
+    keep_freed_memory()
     return run_guarded(
         "gscomplete",
         lambda: _RUNNERS[type(options)](options),

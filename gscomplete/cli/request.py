@@ -13,7 +13,7 @@ import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
-from gscomplete.cli.complete import CompleteOptions, HowToComplete
+from gscomplete.cli.complete_options import CompleteOptions, HowToComplete
 from gscomplete.completion.pipeline import Request
 from gscomplete.completion.presets import FILL, preset
 from gscomplete.completion.run_folder import RunRequest

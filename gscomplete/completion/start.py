@@ -17,8 +17,6 @@ from gscomplete.errors import UserError
 from gscomplete.fitting.finite import require_finite
 from gscomplete.fitting.parameters import Bounds
 from gscomplete.priors.base import Conditioning, Prior, PriorViews, ShapePrior
-from gscomplete.shape.fill.close import close_gaps
-from gscomplete.shape.fill.gaps import FillSettings
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.util.randomness import generator_for, sphere_points
 from gscomplete.views import ViewDistribution
@@ -64,6 +62,9 @@ def start_splats(
     bounds = scale_bounds(prior.views, settings)
     start = None
     if settings.start == "fill":
+        from gscomplete.shape.fill.close import close_gaps  # it loads much of SciPy
+        from gscomplete.shape.fill.gaps import FillSettings
+
         generator = generator_for(settings.seed, 0, "fill")
         filled = close_gaps(partial, generator, FillSettings(settings.new_splats))
         start = Start(filled.splats, False, filled.note)

@@ -53,8 +53,9 @@ def haarpsi(ours: Tensor, theirs: Tensor, mask: Tensor | None = None) -> Tensor:
 
 def _prepared(pictures: Tensor) -> Tensor:  # [V, H, W, 3] -> [V, 3, H/2, W/2]
     """Return YIQ values to 255 at half the resolution."""
-    matrix = torch.tensor(_YIQ, dtype=torch.float64, device=pictures.device)
-    return _halved(255.0 * (pictures.double() @ matrix.T).permute(0, 3, 1, 2))
+    matrix = 255.0 * torch.tensor(_YIQ, dtype=torch.float64, device=pictures.device)
+    small = _halved(pictures.permute(0, 3, 1, 2).double())
+    return (small.permute(0, 2, 3, 1) @ matrix.T).permute(0, 3, 1, 2)
 
 
 def _halved(images: Tensor) -> Tensor:  # [V, C, H, W] -> [V, C, H/2, W/2]
@@ -64,17 +65,33 @@ def _halved(images: Tensor) -> Tensor:  # [V, C, H, W] -> [V, C, H/2, W/2]
 
 
 def _haar(luma: Tensor) -> tuple[Tensor, Tensor]:  # [V, 1, h, w] -> [V, 2, h, w], [V, 2, 2, h, w]
-    """Return Haar coefficients by direction: the coarsest, and the finer ones (axis 2)."""
+    """Return Haar coefficients by direction: the coarsest, and the finer ones (axis 2).
+
+    A coefficient is the difference of two halves of a window, over its side. The sums of windows
+    of 2 x 2 pixels make those of 4 x 4, and so on, in a fraction of the time of convolutions.
+    """
     found = []
+    largest = 2**_SCALES
+    before, after = largest // 2 - 1, largest // 2
+    sums = F.pad(luma, (before, after, before, after))
+    height, width = luma.shape[2:]
     for scale in range(1, _SCALES + 1):
-        side = 2**scale
-        kernel = torch.full((side, side), 1.0 / side, dtype=luma.dtype, device=luma.device)
-        kernel[: side // 2] *= -1.0
-        pair = torch.stack([kernel, kernel.T])[:, None]
-        before, after = side // 2 - 1, side // 2
-        padded = F.pad(luma, (before, after, before, after))
-        found.append(F.conv2d(padded, pair))
+        side, half = 2**scale, 2 ** (scale - 1)
+        # From here on ``sums`` is of windows whose first pixel is at the index.
+        beside, below = _pairs(sums, half, -1), _pairs(sums, half, -2)
+        falling = beside[..., half:, :] - beside[..., :-half, :]
+        rightward = below[..., half:] - below[..., :-half]
+        first = largest // 2 - half
+        window = (..., slice(first, first + height), slice(first, first + width))
+        found.append(torch.cat([falling[window], rightward[window]], dim=1) / side)
+        sums = _pairs(beside, half, -2)
     return found[-1], torch.stack(found[:-1], dim=2)
+
+
+def _pairs(sums: Tensor, apart: int, axis: int) -> Tensor:
+    """Return the sums of what lies ``apart`` along an axis."""
+    length = sums.shape[axis] - apart
+    return sums.narrow(axis, 0, length) + sums.narrow(axis, apart, length)
 
 
 def _smoothed(images: Tensor) -> Tensor:

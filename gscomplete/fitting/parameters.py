@@ -18,17 +18,10 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from gscomplete.fitting.row_adam import (
-    carry_moments,
-    flat_state,
-    restore_moments,
-    values_of,
-)
+from gscomplete.fitting.row_adam import RowAdam, values_of
 from gscomplete.fitting.settings import LearningRates
 from gscomplete.splats import SH_C0, Splats
 from gscomplete.util.same_bits import fixed_sigmoid
-
-ADAM_EPS = 1e-15
 
 
 class Rates(Protocol):
@@ -96,12 +89,9 @@ class SplatParameters:
 
     def step(self, progress: float) -> None:
         """Apply one Adam step with the rates of ``progress`` (0 to 1)."""
-        for group in self._adam.param_groups:
-            if group["name"] == "means":
-                low, high = math.log(self._rates.means_final), math.log(self._rates.means)
-                group["lr"] = self._length_unit * math.exp(high + (low - high) * progress)
+        low, high = math.log(self._rates.means_final), math.log(self._rates.means)
+        self._adam.rates["means"] = self._length_unit * math.exp(high + (low - high) * progress)
         self._adam.step()
-        self._adam.zero_grad(set_to_none=True)
 
     def values(self) -> dict[str, Tensor]:
         """Return the raw values by name."""
@@ -117,34 +107,23 @@ class SplatParameters:
         if new is not None:
             raw = self.raw(new)
             values = {name: torch.cat([value, raw[name]]) for name, value in values.items()}
-        old_values, old_adam = self._values, self._adam
         self._values = {name: value.clone().requires_grad_() for name, value in values.items()}
-        self._adam = self._new_adam()
-        added = 0 if new is None else len(new)
-        carry_moments(old_values, old_adam, self._values, self._adam, keep, added)
+        self._adam = self._adam.with_rows(self._values, keep, 0 if new is None else len(new))
 
     def state(self) -> dict[str, Tensor]:
         """Return values and moments for a checkpoint."""
-        return flat_state(self._values, self._adam)
+        return self._adam.flat_state()
 
     def restore(self, state: dict[str, Tensor]) -> None:
         """Take values and moments from :meth:`state`."""
         self._values = values_of(state, self.names)
         self._adam = self._new_adam()
-        restore_moments(state, self._values, self._adam)
+        self._adam.restore(state)
 
-    def _new_adam(self) -> torch.optim.Adam:
-        groups = [
-            {
-                "params": [value],
-                "lr": getattr(self._rates, name) * (self._length_unit if name == "means" else 1.0),
-                "name": name,
-            }
-            for name, value in self._values.items()
-        ]
-        return torch.optim.Adam(
-            groups, eps=ADAM_EPS, fused=self.fused or None, foreach=None if self.fused else False
-        )
+    def _new_adam(self) -> RowAdam:
+        rates = {name: getattr(self._rates, name) for name in self._values}
+        rates["means"] *= self._length_unit
+        return RowAdam(self._values, rates, fused=self.fused)
 
 
 @dataclass(frozen=True, slots=True)

@@ -97,6 +97,6 @@ def read_run_folder(folder: Path) -> RunFolder:
         frame = ObjectFrame.from_json(identity["frame"], str(path))
         views = ViewDistribution.from_json(identity["views"], str(path))
         prompt = str(identity.get("prompt", ""))
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, OverflowError, TypeError, ValueError) as error:
         raise UserError(f"{path}: expected the record of a run, found none ({error!r})") from error
     return RunFolder(folder, content, prompt, frame, views, count)

@@ -32,6 +32,8 @@ _MOST_HIDDEN = 0.1
 _LEAST_HIDDEN = 0.05
 """... and so it does if the best other one (by score and hidden share) hides more than this:
 then it is rather the guess of the complete object that is wrong."""
+DEPTH_TOLERANCE = 0.03
+"""In object sizes: hidden is what lies this much behind the complete object."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +48,6 @@ class InputViewSettings:
 
     least_score: float = 0.5
     """Views that show P worse than this share of the best one's score are not asked."""
-    depth_tolerance: float = 0.03
-    """In object sizes: hidden is what lies this much behind the complete object."""
     size_px: int = 48
     """Side of the renders."""
     max_splats: int = 20_000
@@ -108,7 +108,7 @@ def hidden_share(
     with torch.no_grad():
         alone, together = render(partial, cameras), render(completed, cameras)
     visible = alone.alpha > 0.5
-    hidden = visible & (together.depth < alone.depth - settings.depth_tolerance)
+    hidden = visible & (together.depth < alone.depth - DEPTH_TOLERANCE)
     return float(hidden.sum()) / max(float(visible.sum()), 1.0)
 
 

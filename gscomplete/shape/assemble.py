@@ -40,6 +40,19 @@ _LEAST_COPY_LOGIT = -2.0
 """Copies in cells that the network finds emptier than this are left out ..."""
 _MOST_COPY_IN_FRONT = 0.5
 """... and those that more than this share of the views sees to be in front of P."""
+_LEAST_SYMMETRY_SCORE = 0.75
+"""Score of the first mirror image, by the network's output, from which on its splats are used;
+below it the network's surface is all there is."""
+_LOGIT_BESIDE = 0.0
+"""Cells of the network's surface beside mirrored splats count as filled from this logit on."""
+_SYMMETRY_SCORES = (0.1, 0.3)
+"""Little is missing where no mirror image of P scores more than the first: none adds anything
+that the network predicts. From the second on that says nothing."""
+_MOST_MIRRORED_SHARE = 0.7
+"""Most of the new splats that are mirrored ones."""
+_GAP_SPACINGS = 3.0
+"""Where P and mirrored splats leave gaps wider than so many spacings of splats, the network's
+surface closes them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,11 +61,6 @@ class AssembleSettings:
 
     count: int = 20_000
     """Most new splats."""
-    min_symmetry_score: float = 0.75
-    """Score of the first mirror image, by the network's output, from which on its splats are used;
-    below it the network's surface is all there is."""
-    occupancy_threshold_beside: float = 0.0
-    """Cells of the network's surface beside mirrored splats count as filled from this logit on."""
     occupancy_threshold_low: float = -1.0
     """Without mirrored splats: from this logit on where much is missing; the network is never
     confident of thin walls there, and some excess is accepted for them ..."""
@@ -60,18 +68,11 @@ class AssembleSettings:
     """... and from this one on where little is missing, so that what is complete stays as it is. On
     135 parts of 15 real objects that no benchmark uses, IoU is .009 above that of -1 everywhere:
     .023 on those that lack little, .001 on the others."""
-    threshold_symmetry_scores: tuple[float, float] = (0.1, 0.3)
-    """Little is missing where no mirror image of P scores more than the first: none adds anything
-    that the network predicts. From the second on that says nothing ..."""
     threshold_missing_shares: tuple[float, float] = (0.2, 0.3)
-    """... or where no more of the surface than the first share lies beyond P's cells and those
-    beside them (were more counted as P's, scattered splats would pass for a surface); from
-    the second on that says nothing. Between them levels are interpolated; the higher one counts."""
-    mirrored_share: float = 0.7
-    """Most of the new splats that are mirrored ones."""
-    gap_spacings: float = 3.0
-    """Where P and mirrored splats leave gaps wider than so many spacings of splats, the network's
-    surface closes them."""
+    """Little is missing, too, where no more of the surface than the first share lies beyond P's
+    cells and those beside them (were more counted as P's, scattered splats would pass for a
+    surface); from the second on that says nothing. Between them levels are interpolated; the
+    higher one counts."""
     reach: float = 1.5 * CELL_SIDE
     """Surface this near to P's splats or mirrored ones is theirs; cells blur it by as much."""
 
@@ -98,8 +99,8 @@ def assemble_splats(
         generator: chooses where splats sit.
     """
     copies = None
-    most = int(settings.mirrored_share * settings.count)
-    if most and prediction.symmetry_score >= settings.min_symmetry_score:
+    most = int(_MOST_MIRRORED_SHARE * settings.count)
+    if most and prediction.symmetry_score >= _LEAST_SYMMETRY_SCORE:
         copies = _new_copies(prediction, partial, most, generator)
     if copies is None or not len(copies):
         level = _surface_logit(prediction, settings)
@@ -109,8 +110,8 @@ def assemble_splats(
     beside = SurfaceSettings(
         settings.count - len(copies),
         near_partial=settings.reach,
-        gap_spacings=settings.gap_spacings,
-        filled_logit=settings.occupancy_threshold_beside,
+        gap_spacings=_GAP_SPACINGS,
+        filled_logit=_LOGIT_BESIDE,
         least_spacing=min(max(median_spacing(copies.means), _LEAST_SPACING), _MOST_SPACING),
     )
     surface = surface_splats(prediction.output, prediction.seen, partial, beside, generator, copies)
@@ -128,7 +129,7 @@ def _surface_logit(prediction: Prediction, settings: AssembleSettings) -> float:
         return by_share
     return max(
         by_share,
-        float(np.interp(prediction.symmetry_score, settings.threshold_symmetry_scores, levels)),
+        float(np.interp(prediction.symmetry_score, _SYMMETRY_SCORES, levels)),
     )
 
 

@@ -28,6 +28,16 @@ from gscomplete.shape.voxels import CELL_SIDE, sample_volume
 from gscomplete.splats import Splats
 from gscomplete.splats.filters import thinned
 
+_SHARPNESS = 8.0
+"""Factor on the network's logits: mixing happens only where sources change."""
+_PREFERENCE = 1.0
+"""What each mirror image is behind the likelier one before it, in logits: where the network
+cannot tell two of them apart, a mean of both is the one colour that is surely wrong."""
+_NEIGHBOURS = 8
+"""A colour is a mean over this many splats of a source: scans are noisy."""
+_OUTWARD = 2.0 * CELL_SIDE
+"""So far outside new splats the nearest colours are searched: icing, not the dough under it."""
+
 
 @dataclass(frozen=True, slots=True)
 class ColorSettings:
@@ -36,18 +46,8 @@ class ColorSettings:
     reach: float = 0.06
     """A source counts in full where it has a splat this near; beyond it loses, the farther the
     more, so that the nearest is taken where none is near."""
-    sharpness: float = 8.0
-    """Factor on the network's logits: mixing happens only where sources change."""
-    preference: float = 1.0
-    """What each mirror image is behind the likelier one before it, in logits: where the network
-    cannot tell two of them apart, a mean of both is the one colour that is surely wrong."""
-    neighbours: int = 8
-    """A colour is a mean over this many splats of a source: scans are noisy."""
     max_splats: int = 40_000
     """Most splats of P searched."""
-    outward: float = 2.0 * CELL_SIDE
-    """So far outside new splats the nearest colours are searched: icing, not the dough under
-    it."""
     height_weight: float = 3.0
     """How much farther away a splat counts for being higher or lower than for being beside: rims,
     bands and stripes go round what stands upright, and go on round it. On most objects it makes no
@@ -85,9 +85,9 @@ def source_colors(
         color, distance = known.near(place)
         found.append(color)
         beyond = distance / chosen.reach - 1.0
-        behind = chosen.preference * max(source - 1, 0)
+        behind = _PREFERENCE * max(source - 1, 0)
         logits.append(pointing[:, source] - _FAR_PENALTY * beyond.clamp_min(0) - behind)
-    shares = (chosen.sharpness * torch.stack(logits, dim=1)).softmax(dim=1)
+    shares = (_SHARPNESS * torch.stack(logits, dim=1)).softmax(dim=1)
     return (shares[:, :, None] * torch.stack(found, dim=1)).sum(dim=1)
 
 
@@ -108,7 +108,7 @@ def nearest_colors(
         settings: knobs; None = defaults.
     """
     chosen = settings or ColorSettings()
-    outside = points + chosen.outward * normals
+    outside = points + _OUTWARD * normals
     return _Known(colored, generator, chosen).near(outside.numpy())[0]
 
 
@@ -121,7 +121,7 @@ class _Known:
         self._means = looked_at.means.float().numpy()
         self._stretch = np.array([1.0, 1.0, settings.height_weight], np.float32)
         self._tree = cKDTree(self._means * self._stretch)
-        self._nearest = range(1, min(settings.neighbours, len(looked_at)) + 1)
+        self._nearest = range(1, min(_NEIGHBOURS, len(looked_at)) + 1)
 
     def near(self, places: NDArray[np.float32]) -> tuple[Tensor, Tensor]:  # [N, 3] -> [N, 3], [N]
         """Return the mean colour of the nearest splats, near ones first, and how far the first is.

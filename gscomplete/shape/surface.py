@@ -10,6 +10,7 @@ Conventions
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,6 +41,8 @@ _FLATNESS = 0.1
 _RIM_NEIGHBOURS = 12
 _LEAST_GAP = 0.004
 """Object sizes; narrower gaps do not show."""
+_ROUNDING = 1e-3
+"""A splat is at least as far away as across the surface, but for rounding; this is more."""
 _ONE_SIDED = 0.7
 """Of a point beyond the rim, the ``one_sidedness`` of P's nearest splats is larger."""
 _COPY_REACH = 1.2
@@ -226,12 +229,18 @@ def is_missing(
     """Mark the points of a surface that others do not have: away from them, or beyond their rim.
 
     Beyond the rim the nearest splats all lie to one side, within the surface all around. Only
-    points near others are asked about that.
+    points near others are asked about that, and of these only those that the answer can matter to.
     """
     tree = cKDTree(others.numpy())
-    distance, _ = query_nearest(tree, points.numpy())
+    # What is farther comes back as infinitely far, in a fraction of the time of looking it up.
+    within = math.nextafter(settings.near_partial, math.inf)
+    distance, _ = query_nearest(tree, points.numpy(), within=within)
     missing = torch.from_numpy(distance > settings.near_partial)
-    close = torch.nonzero(~missing)[:, 0]
+    widest = math.inf
+    if settings.gap_spacings is not None:
+        widest = max(settings.gap_spacings * median_spacing(others), _LEAST_GAP)
+    asked = distance > min(settings.near_rim, (1.0 - _ROUNDING) * widest)
+    close = torch.nonzero(~missing & torch.from_numpy(asked))[:, 0]
     if not len(close):
         return missing
     points, normals = points[close], normals[close]
@@ -242,9 +251,7 @@ def is_missing(
     offsets = offsets - along * normals[:, None]
     one_sided = torch.from_numpy(one_sidedness(offsets.numpy()) > _ONE_SIDED)
     missing[close] = one_sided & (torch.from_numpy(distance[:, 0]) > settings.near_rim)
-    if settings.gap_spacings is not None:
-        widest = settings.gap_spacings * median_spacing(others)
-        missing[close] |= offsets.norm(dim=2).amin(dim=1) > max(widest, _LEAST_GAP)
+    missing[close] |= offsets.norm(dim=2).amin(dim=1) > widest
     return missing
 
 

@@ -10,6 +10,7 @@ Conventions
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -27,6 +28,7 @@ def query_nearest(
     tree: cKDTree,
     points: NDArray[Any],  # [N, D]
     k: int | Sequence[int] = 1,
+    within: float = math.inf,
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:  # [N], or [N, K] for a sequence or k > 1
     """Return distances and indices of the nearest points of a tree, as ``cKDTree.query`` does.
 
@@ -34,11 +36,17 @@ def query_nearest(
         tree: of M points of D dimensions.
         points: where to ask.
         k: how many neighbours, or which ones, the nearest being 1.
+        within: points that are not nearer than this count as infinitely far, which saves looking
+            for them.
     """
+
+    def ask(rows: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+        return tree.query(rows, k=k, distance_upper_bound=within)
+
     threads = min(torch.get_num_threads(), len(points) // _FEWEST_ROWS)
     if threads <= 1:
-        return tree.query(points, k=k)
+        return ask(points)
     with ThreadPoolExecutor(threads) as pool:
-        parts = pool.map(lambda rows: tree.query(rows, k=k), np.array_split(points, threads))
+        parts = pool.map(ask, np.array_split(points, threads))
         distances, indices = zip(*parts, strict=True)
     return np.concatenate(distances), np.concatenate(indices)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NoReturn
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -15,3 +16,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return program.main(arguments)
 
     return run_guarded("splatcomplete-data", load_and_run, "nothing was done")
+
+
+def run_process() -> NoReturn:
+    """Run the command line of this process, and end it."""
+    from gscomplete.cli import guard
+
+    guard.run_process(main)

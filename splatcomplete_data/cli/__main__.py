@@ -1,7 +1,5 @@
 """Run the command as ``python -m splatcomplete_data.cli``."""
 
-import sys
+from splatcomplete_data.cli import run_process
 
-from splatcomplete_data.cli import main
-
-sys.exit(main())
+run_process()

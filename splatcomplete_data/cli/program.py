@@ -13,7 +13,12 @@ from typing import Annotated, Any
 
 import tyro
 
-from gscomplete.cli.guard import let_threads_sleep, print_version, run_guarded
+from gscomplete.cli.guard import (
+    keep_freed_memory,
+    let_threads_sleep,
+    print_version,
+    run_guarded,
+)
 from gscomplete.util.parse import with_new_names
 
 let_threads_sleep()  # the commands load PyTorch, and with it the OpenMP runtime
@@ -74,6 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if hint is not None:
             sys.stderr.write(f"splatcomplete-data: {hint}\n")
         raise
+    keep_freed_memory()
     return run_guarded(
         "splatcomplete-data",
         lambda: _run(options),

@@ -68,7 +68,7 @@ def _inset_triangle(
     the edges of an acute corner would shorten them.
     """
     inradius = 2.0 * area / (lengths[0] + lengths[1] + lengths[2])
-    if inradius < 0.4 * side:
+    if inradius <= 0.4 * side:  # equal where the area is rounded to 0
         return
     depth = min(depth, inradius * 0.35)
     shift = np.zeros(3)  # barycentric weight of the corner opposite an edge, on the moved edge

@@ -45,6 +45,10 @@ MOST_OVERHANG = 0.5
 """Farther than this, in spacings, no splat reaches beyond an edge of its surface."""
 FAINT = 0.02
 """Blended surface with a smaller alpha is dropped."""
+_NORMAL_PER_TANGENT = 0.02
+"""Thickness over the smaller tangent standard deviation."""
+_FOLD_DEG = 35.0
+"""Angle between two triangles from which their edge is a fold."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,14 +60,10 @@ class ConvertSettings:
     sigma_per_cell: float = 0.5
     """Tangent standard deviation over the cell's side. At 0.5 the thinnest place between four
     splats has an alpha of 0.84; below 0.45 holes show, above 0.6 texture blurs."""
-    normal_per_tangent: float = 0.02
-    """Thickness over the smaller tangent standard deviation."""
     opacity: float = 0.99
     """Opacity of every splat, in (0, 1)."""
     inset: float = 0.3
     """How far borders and folds are moved inwards, over the cell's side."""
-    fold_deg: float = 35.0
-    """Angle between two triangles from which their edge is a fold."""
     seed: int = 0
     """Seed of ``random`` and ``poisson``; the others draw no random numbers."""
 
@@ -192,7 +192,7 @@ def _even_cells(
     settings: ConvertSettings,
 ) -> tuple[Cells, StepRecord]:
     """Cut every triangle into its cells; those of tiny triangles get the size they stand for."""
-    marked = marked_edges(vertices, normals, settings.fold_deg)
+    marked = marked_edges(vertices, normals, _FOLD_DEG)
     marked[allotment.tiny_area > 0] = 0
     cells = _empty(allotment.total)
     cut_into_cells(
@@ -303,7 +303,7 @@ def _splats(
     scales = np.empty((count, 3), np.float32)
     _place(vertices, cells.triangle, cells.weights, cells.axes, means, quaternions)
     scales[:, :2] = cells.sizes * np.float32(settings.sigma_per_cell)
-    flatness = 1.0 if settings.mode == "random" else settings.normal_per_tangent
+    flatness = 1.0 if settings.mode == "random" else _NORMAL_PER_TANGENT
     scales[:, 2] = scales[:, :2].min(axis=1) * np.float32(flatness)
     return Splats(
         torch.from_numpy(means),

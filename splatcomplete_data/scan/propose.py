@@ -24,7 +24,7 @@ from splatcomplete_data.points import median_spacing, points_to_splats, thin_to_
 from splatcomplete_data.scan.clean import Surroundings
 from splatcomplete_data.scan.cloud import PointCloud
 from splatcomplete_data.scan.make import Part, PartSettings, make_part
-from splatcomplete_data.scan.segments import SegmentSettings, segment
+from splatcomplete_data.scan.segments import VOTES, segment
 
 _LEAST_SHARE = 0.004
 _FEWEST_POINTS = 50
@@ -74,10 +74,9 @@ def propose_clusters(
     part = make_part(cloud, wanted, source, around)
     kept = part.cloud.select(np.flatnonzero(part.reason < 0))
     spacing = median_spacing(cloud.points, 20_000)
-    knobs = SegmentSettings()
     eye = None if around.viewpoint is None else np.asarray(around.viewpoint)
     up = None if around.up is None else np.asarray(around.up)
-    labels = segment(kept.points, kept.colors, spacing, knobs.sizes[1], knobs, viewpoint=eye, up=up)
+    labels = segment(kept.points, kept.colors, spacing, VOTES[1], viewpoint=eye, up=up)
     sizes = np.bincount(labels)
     least = max(_FEWEST_POINTS, round(_LEAST_SHARE * len(kept)))
     number = min(int((sizes >= least).sum()), _MOST_CLUSTERS)

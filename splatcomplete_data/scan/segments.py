@@ -17,7 +17,6 @@ Conventions
 from __future__ import annotations
 
 import heapq
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,24 +31,13 @@ _FOLD_DEG = 15.0
 """Concave angle between two patches at which their contact's score is 0."""
 _COLOR_WEIGHT = 1.0
 """What a difference of two patches' colours beyond 0.15 takes from a contact's score."""
+_LEAST_CONTACT = -0.3
+"""Patches whose contact has a lower score stay apart."""
 
 
-@dataclass(frozen=True, slots=True)
-class SegmentSettings:
-    """Knobs of the separation; chosen on nine labelled table-top scenes (docs/benchmarks.md)."""
-
-    sizes: tuple[tuple[float, float], ...] = (
-        (3.7, 11.0),
-        (4.3, 12.3),
-        (4.9, 12.3),
-        (4.3, 14.8),
-        (4.0, 13.5),
-    )
-    """Sides of cubes and patches of every vote, in spacings."""
-    least_score: float = -0.3
-    """Patches whose contact has a lower score stay apart."""
-
-
+# Chosen on nine labelled table-top scenes (docs/benchmarks.md).
+VOTES = ((3.7, 11.0), (4.3, 12.3), (4.9, 12.3), (4.3, 14.8), (4.0, 13.5))
+"""Sides of cubes and patches of every vote, in spacings."""
 _NORMAL_REACH = 2.5
 """Radius about a cube in which its normal is measured, in cubes."""
 _STEP = 1.9
@@ -66,7 +54,6 @@ def object_at(
     colors: NDArray[np.floating],  # [N, 3] sRGB
     seed: FloatArray,  # [3]
     spacing_file: float,
-    settings: SegmentSettings | None = None,
     *,
     viewpoint: FloatArray | None = None,  # [3]
     up: FloatArray | None = None,  # [3]
@@ -78,17 +65,15 @@ def object_at(
         colors: their colours.
         seed: a place on the object.
         spacing_file: the cloud's spacing, file units.
-        settings: knobs; None = defaults.
         viewpoint: where the scanner stood; None = unknown.
         up: what is up; it turns normals where the viewpoint is unknown; None = +z.
     """
-    chosen = settings or SegmentSettings()
     nearest = int(np.square(points - seed).sum(axis=1).argmin())
     votes = np.zeros(len(points), np.int64)
-    for size in chosen.sizes:
-        labels = segment(points, colors, spacing_file, size, chosen, viewpoint=viewpoint, up=up)
+    for size in VOTES:
+        labels = segment(points, colors, spacing_file, size, viewpoint=viewpoint, up=up)
         votes += labels == labels[nearest]
-    return votes > len(chosen.sizes) / 2
+    return votes > len(VOTES) / 2
 
 
 def beyond_boxes(
@@ -96,7 +81,6 @@ def beyond_boxes(
     colors: NDArray[np.floating],  # [N, 3] sRGB
     is_inside: BoolArray,  # [N]
     spacing_file: float,
-    settings: SegmentSettings | None = None,
     *,
     viewpoint: FloatArray | None = None,
     up: FloatArray | None = None,
@@ -110,14 +94,12 @@ def beyond_boxes(
         colors: their colours.
         is_inside: which of them the boxes keep.
         spacing_file: the cloud's spacing, file units.
-        settings: knobs; None = defaults.
         viewpoint: where the scanner stood; None = unknown.
         up: as for ``object_at``.
     """
-    chosen = settings or SegmentSettings()
     votes = np.zeros(len(points), np.int64)
-    for size in chosen.sizes:
-        labels = segment(points, colors, spacing_file, size, chosen, viewpoint=viewpoint, up=up)
+    for size in VOTES:
+        labels = segment(points, colors, spacing_file, size, viewpoint=viewpoint, up=up)
         inside, total = (
             np.bincount(labels[is_inside], minlength=labels.max() + 1),
             np.bincount(labels),
@@ -125,7 +107,7 @@ def beyond_boxes(
         is_beyond = inside < _MOSTLY * total
         is_beyond[int(inside.argmax())] = False
         votes += is_beyond[labels]
-    return votes > len(chosen.sizes) / 2
+    return votes > len(VOTES) / 2
 
 
 def segment(
@@ -133,7 +115,6 @@ def segment(
     colors: NDArray[np.floating],  # [N, 3] sRGB
     spacing_file: float,
     size: tuple[float, float],
-    settings: SegmentSettings,
     *,
     viewpoint: FloatArray | None = None,
     up: FloatArray | None = None,
@@ -145,7 +126,6 @@ def segment(
         colors: their colours.
         spacing_file: the cloud's spacing, file units.
         size: sides of cubes and of patches, in spacings.
-        settings: knobs.
         viewpoint: where the scanner stood; None = unknown.
         up: as for ``object_at``.
     """
@@ -155,7 +135,7 @@ def segment(
     normals = _normals(means, counts, _NORMAL_REACH * side)
     _turn_normals(normals, means, pairs, viewpoint, up)
     patch = _patches(means, hues, normals, pairs, patch_side)
-    joined = _join(patch, pairs, means, hues, normals, counts, settings)
+    joined = _join(patch, pairs, means, hues, normals, counts)
     labels = joined[patch][cube]
     sizes = np.bincount(labels)
     rank = np.empty(len(sizes), np.int64)
@@ -273,7 +253,6 @@ def _join(
     hues: FloatArray,
     normals: FloatArray,
     counts: FloatArray,
-    settings: SegmentSettings,
 ) -> IntArray:  # [patches]
     """Join patches while contacts are convex enough; return the number of each patch's object."""
     number = int(patch.max()) + 1
@@ -294,9 +273,7 @@ def _join(
     score = np.where(is_concave, 1.0 - angle / _FOLD_DEG, 1.0)
     unlike = np.linalg.norm(hue[i] - hue[j], axis=1) - _LIKE_COLORS
     score -= _COLOR_WEIGHT * np.maximum(unlike, 0.0)
-    return _agglomerate(
-        number, contacts, np.clip(score, _LEAST_SCORE, 1.0), lengths, settings.least_score
-    )
+    return _agglomerate(number, contacts, np.clip(score, _LEAST_SCORE, 1.0), lengths)
 
 
 def _agglomerate(
@@ -304,7 +281,6 @@ def _agglomerate(
     contacts: IntArray,  # [K, 2]
     scores: FloatArray,  # [K]
     lengths: IntArray,  # [K]
-    least_score: float,
 ) -> IntArray:  # [number]
     """Join the pair with the best mean score over its contact, again and again."""
     near: list[dict[int, tuple[float, float]]] = [{} for _ in range(number)]
@@ -321,7 +297,7 @@ def _agglomerate(
         minus_score, a, b, version_a, version_b = heapq.heappop(heap)
         if (version[a], version[b]) != (version_a, version_b):
             continue
-        if -minus_score < least_score:
+        if -minus_score < _LEAST_CONTACT:
             break
         parent[b] = a
         version[a] += 1

@@ -8,7 +8,7 @@ import pytest
 from gscomplete.batch.manifest import Item
 from gscomplete.cli import main
 from gscomplete.cli.batch_job import CompleteJob, identity_of
-from gscomplete.cli.complete import HowToComplete
+from gscomplete.cli.complete_options import HowToComplete
 from tests.builders.batch_jobs import ToyJob
 
 

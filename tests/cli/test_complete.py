@@ -3,7 +3,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from gscomplete.cli.complete import CompleteOptions
+from gscomplete.cli.complete_options import CompleteOptions
 from gscomplete.cli.request import request_of
 from gscomplete.errors import UserError
 

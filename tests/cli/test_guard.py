@@ -1,6 +1,7 @@
 """Commands and recipes as processes: what is set before PyTorch, and readers that go away."""
 
 import os
+import platform
 import signal
 import subprocess
 import sys
@@ -131,3 +132,50 @@ def test_a_signal_that_is_ignored_stays_ignored() -> None:
         assert run_guarded("mug", lambda: os.kill(os.getpid(), signal.SIGHUP) or 0, "") == 0
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another allocator")
+def test_freed_memory_is_kept_for_the_next_request():
+    """A large array made again and again is cleared once, not page by page each time."""
+    code = (
+        "import resource, sys\n"
+        "import numpy as np\n"
+        "from gscomplete.cli.guard import keep_freed_memory\n"
+        "if sys.argv[1] == 'kept': keep_freed_memory()\n"
+        "def faults():\n"
+        "    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt\n"
+        "before = faults()\n"
+        "for _ in range(10): [np.ones(3_000_000, np.uint8) for _ in range(8)]\n"
+        "print(faults() - before)\n"
+    )
+    kept, given_back = (
+        int(subprocess.check_output([sys.executable, "-c", code, how])) for how in ("kept", "")
+    )
+    assert kept < 0.3 * given_back
+
+
+def test_a_process_that_ends_early_has_told_and_tidied_everything() -> None:
+    code = (
+        "import atexit, sys\n"
+        "from gscomplete.cli.guard import run_process\n"
+        "atexit.register(print, 'tidied')\n"
+        "def main():\n"
+        "    sys.stdout.write('told ')\n"
+        "    return 3\n"
+        "run_process(main)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (3, "told tidied\n", "")
+
+
+def test_a_process_waits_for_its_threads() -> None:
+    code = (
+        "import threading, time\n"
+        "from gscomplete.cli.guard import run_process\n"
+        "def late():\n"
+        "    time.sleep(0.3)\n"
+        "    print('late', flush=True)\n"
+        "run_process(lambda: threading.Thread(target=late).start() or 4)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout) == (4, "late\n")

@@ -6,7 +6,12 @@ import pytest
 import torch
 
 from gscomplete.framing.guess import guess_framing
-from gscomplete.framing.input_view import InputViewSettings, hidden_share, refine_input_view
+from gscomplete.framing.input_view import (
+    DEPTH_TOLERANCE,
+    InputViewSettings,
+    hidden_share,
+    refine_input_view,
+)
 from gscomplete.splats import concatenate, transform_splats
 from gscomplete.splats.transform import Similarity
 from gscomplete.views import ViewDistribution
@@ -72,4 +77,4 @@ def test_a_layer_within_the_tolerance_hides_nothing(far: float) -> None:
     share = hidden_share(
         board, concatenate([board, before]), ViewDistribution(0.0, 0.0, 0.0), InputViewSettings()
     )
-    assert share < 0.01 if far < InputViewSettings().depth_tolerance else share > 0.95
+    assert share < 0.01 if far < DEPTH_TOLERANCE else share > 0.95

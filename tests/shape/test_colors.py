@@ -3,6 +3,7 @@ import dataclasses
 import pytest
 import torch
 
+from gscomplete.shape import colors
 from gscomplete.shape.colors import ColorSettings, nearest_colors, source_colors
 from gscomplete.shape.network import ShapeOutput
 from gscomplete.shape.partial_voxels import voxelize_partial
@@ -56,13 +57,14 @@ def test_the_colour_of_the_network_is_never_mixed_in():
     torch.testing.assert_close(taken, red[: len(taken)], atol=1e-4, rtol=0)
 
 
-def test_of_two_sources_trusted_alike_only_the_likelier_is_taken():
+def test_of_two_sources_trusted_alike_only_the_likelier_is_taken(monkeypatch):
     points = hidden_points()
     both, _ = colors_at(points, pointing_at(1, 3))
     first, _ = colors_at(points, pointing_at(1))
     near = (both - first).abs().amax(dim=1) < 0.02
     assert float(near.float().mean()) > 0.9
-    mixed, _ = colors_at(points, pointing_at(1, 3), settings=ColorSettings(preference=0.0))
+    monkeypatch.setattr(colors, "_PREFERENCE", 0.0)
+    mixed, _ = colors_at(points, pointing_at(1, 3))
     assert float((mixed - first).abs().mean()) > float((both - first).abs().mean())
 
 
@@ -83,7 +85,7 @@ def test_a_few_splats_are_enough(count):
     torch.testing.assert_close(taken, torch.full((5, 3), 0.7), atol=1e-4, rtol=0)
 
 
-def test_of_two_layers_the_outer_one_gives_its_colour_to_what_lies_between_them():
+def test_of_two_layers_the_outer_one_gives_its_colour_to_what_lies_between_them(monkeypatch):
     inner = ball()
     normals = torch.nn.functional.normalize(inner.means, dim=1)
     outer = dataclasses.replace(
@@ -93,8 +95,8 @@ def test_of_two_layers_the_outer_one_gives_its_colour_to_what_lies_between_them(
     shown, points = concatenate([white, outer]), inner.means * 1.02
     generator = torch.Generator().manual_seed(0)
     assert float(nearest_colors(shown, points, normals, generator).mean()) < 0.1
-    straight = ColorSettings(outward=0.0)
-    assert float(nearest_colors(shown, points, normals, generator, straight).mean()) > 0.6
+    monkeypatch.setattr(colors, "_OUTWARD", 0.0)
+    assert float(nearest_colors(shown, points, normals, generator).mean()) > 0.6
 
 
 def test_a_gap_takes_the_colours_of_its_two_sides():

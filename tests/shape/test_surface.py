@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import torch
+from scipy.spatial import cKDTree
 
 from gscomplete.render import render
 from gscomplete.shape.network import ShapeOutput
@@ -8,6 +9,7 @@ from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.surface import (
     SurfaceSettings,
     is_missing,
+    median_spacing,
     on_copies,
     surface_splats,
 )
@@ -20,6 +22,7 @@ from gscomplete.shape.voxels import (
     sample_volume,
 )
 from gscomplete.splats import concatenate
+from gscomplete.splats.rim import one_sidedness
 from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.views import ViewDistribution
 from tests.builders.objects import ball, half
@@ -155,3 +158,30 @@ def test_gaps_are_told_from_surface_that_is_there():
     assert is_missing(points, normals, there, closed).tolist() == [True, True, False]
     wide = SurfaceSettings(near_partial=0.045, gap_spacings=4.0)
     assert is_missing(points, normals, there, wide).tolist() == [False, False, False]
+
+
+def _is_missing_asking_all(points, normals, others, settings):
+    """``is_missing`` as its description reads: every point is asked everything."""
+    distance, index = cKDTree(others.numpy()).query(points.numpy(), k=12)
+    near = torch.from_numpy(distance[:, 0])
+    ways = others[torch.from_numpy(index)] - points[:, None]
+    ways = ways - (ways * normals[:, None]).sum(dim=2, keepdim=True) * normals[:, None]
+    beyond = torch.from_numpy(one_sidedness(ways.numpy()) > 0.7) & (near > settings.near_rim)
+    if settings.gap_spacings is not None:
+        widest = max(settings.gap_spacings * median_spacing(others), 0.004)
+        beyond |= ways.norm(dim=2).amin(dim=1) > widest
+    return (near > settings.near_partial) | beyond
+
+
+@pytest.mark.parametrize("spacings", [None, 0.5, 3.0])
+@pytest.mark.parametrize("count", [40, 700, 6000])
+def test_points_that_are_not_asked_everything_get_the_same_answer(spacings, count):
+    draw = torch.Generator().manual_seed(count)
+    normals = torch.nn.functional.normalize(torch.randn(8000, 3, generator=draw), dim=1)
+    points = normals * (0.4 + 0.02 * torch.randn(8000, 1, generator=draw))
+    others = torch.nn.functional.normalize(torch.randn(count, 3, generator=draw), dim=1) * 0.4
+    others = others[others[:, 0] < 0.2]
+    settings = SurfaceSettings(gap_spacings=spacings)
+    found = is_missing(points, normals, others, settings)
+    assert torch.equal(found, _is_missing_asking_all(points, normals, others, settings))
+    assert 0 < int(found.sum()) < len(found)

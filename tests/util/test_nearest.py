@@ -25,6 +25,13 @@ def test_answers_are_those_of_one_thread(k, threads, monkeypatch):
         assert np.array_equal(found, expected)
 
 
+def test_what_is_not_within_reach_is_infinitely_far():
+    tree, points = cKDTree(RNG.random((50, 3))), RNG.random((9_000, 3))
+    every, _ = tree.query(points)
+    near, _ = query_nearest(tree, points, within=0.1)
+    assert np.array_equal(near, np.where(every < 0.1, every, np.inf))
+
+
 def test_no_points_have_no_neighbours():
     distances, indices = query_nearest(cKDTree(np.zeros((1, 3))), np.zeros((0, 3)))
     assert len(distances) == len(indices) == 0
@@ -36,7 +43,7 @@ def test_an_interrupt_leaves_no_thread_behind(monkeypatch):
     reading = []
 
     class SlowTree:
-        def query(self, rows, k):
+        def query(self, rows, k, distance_upper_bound):
             reading.append(rows)
             time.sleep(0.3)
             reading.pop()

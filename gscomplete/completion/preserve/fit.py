@@ -21,6 +21,7 @@ from torch import Tensor
 
 from gscomplete.completion.settings import HardPreservationSettings
 from gscomplete.evaluate.metrics import NOTHING_ALPHA
+from gscomplete.fitting.row_adam import RowAdam
 from gscomplete.render import PreparedFrozen, Render, join_prepared, render
 from gscomplete.splats import Splats
 from gscomplete.util.same_bits import fixed_mean, fixed_sigmoid, fixed_sum
@@ -130,14 +131,13 @@ def fit_round(
     means = splats.means.clone().requires_grad_()
     largest = splats.scales.log()
     log_scales = largest.clone().requires_grad_()
-    adam = torch.optim.Adam(
-        [
-            {"params": [logits], "lr": _OPACITY_RATE},
-            {"params": [means], "lr": _MEANS_RATE},
-            {"params": [log_scales], "lr": settings.scales_rate},
-        ],
-        eps=1e-15,
-        foreach=False,
+    adam = RowAdam(
+        {"opacity_logits": logits, "means": means, "log_scales": log_scales},
+        {
+            "opacity_logits": _OPACITY_RATE,
+            "means": _MEANS_RATE,
+            "log_scales": settings.scales_rate,
+        },
     )
     for _ in range(settings.steps):
         moving = dataclasses.replace(
@@ -150,7 +150,6 @@ def fit_round(
         change = problem.change(drawn, picked)
         error = relative_error(*problem.inside(drawn, inside), problem.watched, settings)
         loss = weight * error + settings.keep_weight / settings.color_bound * change
-        adam.zero_grad(set_to_none=True)
         loss.backward()
         adam.step()
         with torch.no_grad():

@@ -13,6 +13,8 @@ Conventions
 from __future__ import annotations
 
 import contextlib
+import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -35,7 +37,7 @@ from gscomplete.priors.embedded.inputs import images_to_color_alpha, input_map, 
 from gscomplete.priors.embedded.model import INPUT_CHANNELS, VIEWS, FourViewDenoiser
 from gscomplete.priors.embedded.rays import ring_numbers
 from gscomplete.priors.embedded.text import Tokenizer
-from gscomplete.priors.embedded.weights import PriorConfig, load_weights, weights_digest
+from gscomplete.priors.embedded.weights import PriorConfig, read_weights, weights_digest
 from gscomplete.shape.assemble import (
     AssembleSettings,
     assemble_splats,
@@ -110,7 +112,7 @@ class EmbeddedPrior:
 
     def __init__(
         self,
-        model: FourViewDenoiser,
+        model: FourViewDenoiser | Callable[[], FourViewDenoiser],
         config: PriorConfig,
         device: torch.device | str = "cpu",
         precision: Precision = "auto",
@@ -119,7 +121,7 @@ class EmbeddedPrior:
         """Wrap a denoiser and a shape network.
 
         Args:
-            model: in evaluation mode.
+            model: in evaluation mode, or what makes it when it is first asked.
             config: what goes with it.
             device: where it runs.
             precision: of the network; ``auto`` = bfloat16 where hardware has it.
@@ -127,11 +129,13 @@ class EmbeddedPrior:
         """
         self.views: PriorViews = config.views
         self._device = torch.device(device)
-        self._model = model.to(self._device)
+        self._given_model = model
         self._shape = shape  # always on the CPU: one pass of a second
         self._tokenizer = Tokenizer(config.words, config.model.text_length)
         self._bfloat16 = _is_bfloat16(precision, self._device)
         self._shape_bfloat16 = _is_bfloat16(precision, torch.device("cpu"))
+        if self._device.type != "cpu":
+            _ = self._model  # a device that cannot be used is told before anything else is done
 
     @classmethod
     def from_folder(cls, folder: Path, device: torch.device | str = "cpu") -> EmbeddedPrior:
@@ -140,10 +144,17 @@ class EmbeddedPrior:
         Raises:
             UserError: the weights are missing or damaged.
         """
-        model, shape, config = load_weights(folder)
-        prior = cls(model, config, device, shape=shape)
+        stored = read_weights(folder)
+        prior = cls(stored.denoiser, stored.config, device, shape=stored.shape())
         prior.identity = EmbeddedIdentity(weights_digest(folder))
         return prior
+
+    @functools.cached_property
+    def _model(self) -> FourViewDenoiser:
+        """The denoiser on its device; a default completion never asks it."""
+        given = self._given_model
+        model = given if isinstance(given, FourViewDenoiser) else given()
+        return model.to(self._device)
 
     def default_guidance(self, *, sees_input: bool) -> Guidance:
         """Return the scales for P in sight or withheld; see :class:`base.Prior`."""

@@ -146,20 +146,57 @@ def save_weights(
     write_json(folder / CONFIG_FILE, config)
 
 
-def load_weights(folder: Path) -> tuple[FourViewDenoiser, ShapeCompleter | None, PriorConfig]:
-    """Read the networks in float32 on the CPU.
+@dataclass(frozen=True, slots=True)
+class StoredWeights:
+    """The networks of a folder as they are stored; what is not asked for is never made."""
+
+    folder: Path
+    config: PriorConfig
+    _tensors: dict[str, dict[str, Tensor]]
+
+    def denoiser(self) -> FourViewDenoiser:
+        """Make the denoiser, in float32 on the CPU.
+
+        Raises:
+            UserError: the tensors are not those of the configuration.
+        """
+        return self._made(FourViewDenoiser, self.config.model, WEIGHTS_FILE)
+
+    def shape(self) -> ShapeCompleter | None:
+        """Make the shape network, in float32 on the CPU; None = there is none.
+
+        Raises:
+            UserError: the tensors are not those of the configuration.
+        """
+        if self.config.shape is None:
+            return None
+        return self._made(_shape_network, self.config.shape.model, SHAPE_FILE)
+
+    def _made(self, make: Callable[[Config], Network], config: Config, name: str) -> Network:
+        return _filled(make, config, self.folder / name, self._tensors[name])
+
+
+def read_weights(folder: Path) -> StoredWeights:
+    """Read the files of a folder.
 
     Raises:
         UserError: a file is missing, damaged, of another version, or does not belong to the others.
     """
     _require(folder / CONFIG_FILE)
     config = _read_config(folder / CONFIG_FILE)
+    names = (WEIGHTS_FILE,) if config.shape is None else (WEIGHTS_FILE, SHAPE_FILE)
     digest = words_digest(config.words)
-    denoiser = _load(FourViewDenoiser, config.model, folder / WEIGHTS_FILE, digest)
-    if config.shape is None:
-        return denoiser, None, config
-    shape = _load(_shape_network, config.shape.model, folder / SHAPE_FILE, digest)
-    return denoiser, shape, config
+    return StoredWeights(folder, config, {name: _packed(folder / name, digest) for name in names})
+
+
+def load_weights(folder: Path) -> tuple[FourViewDenoiser, ShapeCompleter | None, PriorConfig]:
+    """Make all networks of a folder.
+
+    Raises:
+        UserError: as from :func:`read_weights` and the networks of what it returns.
+    """
+    stored = read_weights(folder)
+    return stored.denoiser(), stored.shape(), stored.config
 
 
 def weights_digest(folder: Path) -> str:
@@ -207,8 +244,8 @@ def _shape_network(config: ShapeModelConfig) -> ShapeCompleter:
     return ShapeCompleter(config, COARSE_CELLS)
 
 
-def _load(make: Callable[[Config], Network], config: Config, path: Path, digest: str) -> Network:
-    """Make a network and fill it from a file, for evaluation."""
+def _packed(path: Path, digest: str) -> dict[str, Tensor]:
+    """Read the tensors of a file that goes with the words of a digest."""
     _require(path)
     try:
         with safe_open(path, framework="pt") as file:
@@ -221,6 +258,13 @@ def _load(make: Callable[[Config], Network], config: Config, path: Path, digest:
             f"{path}: {_DIGEST}: expected {digest} as in {CONFIG_FILE}, found "
             f"{metadata.get(_DIGEST)}; the files are not of one export"
         )
+    return packed
+
+
+def _filled(
+    make: Callable[[Config], Network], config: Config, path: Path, packed: dict[str, Tensor]
+) -> Network:
+    """Make a network of stored tensors, for evaluation."""
     try:
         _check_sizes(path, config, max(max(t.shape, default=1) for t in packed.values()))
         model = make(config)

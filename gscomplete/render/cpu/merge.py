@@ -119,9 +119,10 @@ def join_entries(
     active: Any,  # [A]
     joined_start: Any,
     joined_entries: Any,  # [E] int32, written
-    joined_slots: Any,  # [E] int32, written
+    joined_slots: Any,  # [E] int32, written; or [0], where nobody needs them
 ) -> None:
     """Write the joined lists of the active tiles."""
+    with_slots = joined_slots.shape[0] > 0
     for k in numba.prange(active.shape[0]):
         tile = active[k]
         old, old_stop = frozen_start[tile], frozen_start[tile + 1]
@@ -129,9 +130,11 @@ def join_entries(
         for e in range(joined_start[tile], joined_start[tile + 1]):
             if new == new_stop or (old < old_stop and frozen_entries[old] < in_front[entries[new]]):
                 joined_entries[e] = frozen_entries[old]
-                joined_slots[e] = -1
+                if with_slots:
+                    joined_slots[e] = -1
                 old += 1
             else:
                 joined_entries[e] = entries[new] + frozen_total
-                joined_slots[e] = slots[new]
+                if with_slots:
+                    joined_slots[e] = slots[new]
                 new += 1

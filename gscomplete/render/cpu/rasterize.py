@@ -46,10 +46,13 @@ class _Rasterize(torch.autograd.Function):
         shifts = np.empty((len(cameras), 0, 2), np.float32)
         if offsets is not None:
             shifts = offsets.detach().contiguous().numpy()
+        with_slots = any(ctx.needs_input_grad)
         views = []
         for v in range(len(cameras)):
             camera = one_view.camera_numbers(cameras, v, settings)
-            lists = one_view.list_tiles(frozen_arrays, arrays, shifts[v], camera, settings)
+            lists = one_view.list_tiles(
+                frozen_arrays, arrays, shifts[v], camera, settings, with_slots=with_slots
+            )
             kept = None if prepared is None else prepared[v].lists
             views.append(one_view.draw(lists, kept, camera, settings, images[v].numpy()))
         ctx.arrays, ctx.views, ctx.settings = arrays, views, settings

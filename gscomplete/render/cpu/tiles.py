@@ -36,6 +36,10 @@ MARGIN = 1e-3
 CHUNKS = 16
 """The ordered splats are binned in this many runs; fixed, so lists never depend on threads."""
 
+KEPT_ROWS = 3
+"""Tile rows of a splat whose tiles are kept from counting to filling; taller ones are rare."""
+SPAN = 2 + 2 * KEPT_ROWS
+
 _JIT: dict[str, Any] = {"cache": True, "error_model": "numpy"}
 _RADIX_BITS = 11
 _SWEEPS = 4
@@ -150,6 +154,7 @@ def count_entries(
     tiles_y: int,
     alpha_min: float,
     exact: bool,  # lists by ellipse; else by pixel box
+    spans: Any,  # [M, SPAN] int32, written: which tiles; see ``fill_entries``
     per_chunk: Any,  # [CHUNKS, tiles] int32, zeros, written
     per_rank: Any,  # [M] int32, written
 ) -> None:
@@ -163,10 +168,14 @@ def count_entries(
             first_x, last_x, first_y, last_y, full = _tile_box(row, tiles_x, tiles_y)
             narrow = exact and not full
             reach = _reach(row, log_alpha_min) if narrow else 0.0
+            spans[rank, 0], spans[rank, 1] = first_y, last_y
             entries = 0
             for ty in range(first_y, last_y):
                 if narrow:
                     first_x, last_x = _row_tiles(row, reach, ty, tiles_x)
+                if ty - first_y < KEPT_ROWS:
+                    spans[rank, 2 + 2 * (ty - first_y)] = first_x
+                    spans[rank, 3 + 2 * (ty - first_y)] = last_x
                 for tx in range(first_x, last_x):
                     per_chunk[chunk, ty * tiles_x + tx] += 1
                 entries += max(last_x - first_x, 0)
@@ -210,34 +219,43 @@ def fill_entries(
     tiles_y: int,
     alpha_min: float,
     exact: bool,
+    spans: Any,  # [M, SPAN] first and last tile row, then first and last tile of the first rows
     cursor: Any,  # [CHUNKS, tiles] write positions from place_entries, advanced
     first: int,
     slot_start: Any,
     entries: Any,  # [E] int32 ranks, written
-    slots: Any,  # [E] int32 slot or -1 for frozen, written
+    slots: Any,  # [E] int32 slot or -1 for frozen, written; or [0], where nobody needs them
 ) -> None:
     """Write every tile's list of ranks, and the gradient slot of every entry."""
     log_alpha_min = math.log(alpha_min)
     total = order.shape[0]
     size = (total + CHUNKS - 1) // CHUNKS
+    with_slots = slots.shape[0] > 0
     for chunk in numba.prange(CHUNKS):
         for rank in range(chunk * size, min(total, chunk * size + size)):
             splat = order[rank]
-            row = ranked[rank]
-            first_x, last_x, first_y, last_y, full = _tile_box(row, tiles_x, tiles_y)
-            narrow = exact and not full
-            reach = _reach(row, log_alpha_min) if narrow else 0.0
+            first_y, last_y = spans[rank, 0], spans[rank, 1]
+            narrow, reach = False, 0.0
+            first_x, last_x = 0, 0
+            if last_y - first_y > KEPT_ROWS:
+                first_x, last_x, _, _, full = _tile_box(ranked[rank], tiles_x, tiles_y)
+                narrow = exact and not full
+                reach = _reach(ranked[rank], log_alpha_min) if narrow else 0.0
             slot = slot_start[splat - first] if splat >= first else -1
             for ty in range(first_y, last_y):
-                if narrow:
-                    first_x, last_x = _row_tiles(row, reach, ty, tiles_x)
+                if ty - first_y < KEPT_ROWS:
+                    first_x = spans[rank, 2 + 2 * (ty - first_y)]
+                    last_x = spans[rank, 3 + 2 * (ty - first_y)]
+                elif narrow:
+                    first_x, last_x = _row_tiles(ranked[rank], reach, ty, tiles_x)
                 for tx in range(first_x, last_x):
                     place = cursor[chunk, ty * tiles_x + tx]
                     cursor[chunk, ty * tiles_x + tx] = place + 1
                     entries[place] = rank
-                    slots[place] = slot
-                    if slot >= 0:
-                        slot += 1
+                    if with_slots:
+                        slots[place] = slot
+                        if slot >= 0:
+                            slot += 1
 
 
 @numba.njit(parallel=True, **_JIT)

@@ -39,7 +39,7 @@ class TileLists:
     keys: Any  # [M] uint64 depth keys, ascending
     tile_start: Any  # [tiles + 1]
     entries: Any  # [E] ranks, tile by tile
-    slots: Any  # [E] gradient row of the entry, -1 for frozen splats
+    slots: Any  # [E] gradient row of the entry, -1 for frozen splats; [0] where there are none
     slot_start: Any  # [N + 1]
 
 
@@ -101,8 +101,18 @@ def list_tiles(
     offsets: Any,  # [N, 2] pixels, or [0, 2] for none
     camera: Any,
     settings: RenderSettings,
+    *,
+    with_slots: bool,
 ) -> TileLists:
     """Project both sets, order them by depth and list them tile by tile.
+
+    Args:
+        frozen: splats that get no gradient; None = none.
+        trainable: the others.
+        offsets: added to the projected centres of the trainable ones.
+        camera: as ``layout`` lists it.
+        settings: constants of the image formation.
+        with_slots: whether gradients will be asked for.
 
     Raises:
         UserError: the lists are longer than int32 can number.
@@ -125,10 +135,11 @@ def list_tiles(
     tiles_x, tiles_y = _grid(camera)
     shape = tiles_x, tiles_y, settings.alpha_min, settings.exact_tile_lists
     cursor = np.zeros((tiles.CHUNKS, tiles_x * tiles_y), np.int32)
+    spans = np.empty((len(order), tiles.SPAN), np.int32)
     per_rank = np.empty(len(order), np.int32)
     tile_start = np.empty(tiles_x * tiles_y + 1, np.int64)
     slot_start = np.empty(total - first + 1, np.int64)
-    tiles.count_entries(rows, *shape, cursor, per_rank)
+    tiles.count_entries(rows, *shape, spans, cursor, per_rank)
     tiles.place_entries(cursor, per_rank, order, first, total - first, tile_start, slot_start)
     if tile_start[-1] > MAX_ENTRIES:
         raise UserError(
@@ -138,8 +149,8 @@ def list_tiles(
             "smaller picture"
         )
     entries = np.empty(tile_start[-1], np.int32)
-    slots = np.empty(tile_start[-1], np.int32)
-    tiles.fill_entries(rows, order, *shape, cursor, first, slot_start, entries, slots)
+    slots = np.empty(tile_start[-1] if with_slots else 0, np.int32)
+    tiles.fill_entries(rows, order, *shape, spans, cursor, first, slot_start, entries, slots)
     return TileLists(packed[first:], rows, keys, tile_start, entries, slots, slot_start)
 
 
@@ -197,7 +208,8 @@ def prepare(
 ) -> FrozenLists:
     """Draw the frozen set alone and keep what drawing others with it needs."""
     nothing = tuple(array[:0] for array in frozen)
-    lists = list_tiles(frozen, nothing, np.empty((0, 2), np.float32), camera, settings)
+    no_offsets = np.empty((0, 2), np.float32)
+    lists = list_tiles(frozen, nothing, no_offsets, camera, settings, with_slots=False)
     done = draw(lists, None, camera, settings, image).done
     cut_start = np.empty(len(lists.tile_start), np.int32)
     entries, ranks = merge.cut_lists(
@@ -267,7 +279,8 @@ def _join(lists: TileLists, prepared: FrozenLists, settings: RenderSettings) -> 
         tile_start,
     )
     entries = np.empty(tile_start[-1], np.int32)
-    slots = np.empty(tile_start[-1], np.int32)
+    with_slots = len(lists.slots) == len(lists.entries)
+    slots = np.empty(tile_start[-1] if with_slots else 0, np.int32)
     merge.join_entries(
         prepared.tile_start,
         prepared.entries,

@@ -50,6 +50,15 @@ _UPRIGHT = 0.7
 _SIDE = 0.15
 _MOST_AWAY = 0.03
 """A region whose rim is no nearer to P does not belong to it."""
+_MOST_BELOW_SHARE = 0.5
+"""The side that the object stands on, which captures and scans cannot see, may be this share of the
+surface and still a gap."""
+_NARROW = 0.03
+"""Narrower slits are closed whatever is seen through them, if anything is."""
+_MOST_ABOVE = 0.2
+"""Wider regions that face up are mouths of vessels: tops are what captures see best."""
+_LEAST_BACKS = 0.5
+"""Of what is seen through a wider region, at least this share must be backs of surfaces."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,16 +68,7 @@ class FillSettings:
     count: int = 20_000
     """Most new splats."""
     most_share: float = 0.15
-    """Regions with a larger share of the surface are missing parts, not gaps ..."""
-    most_below_share: float = 0.5
-    """... but the side that the object stands on, which captures and scans cannot see, may be
-    this share."""
-    narrow: float = 0.03
-    """Narrower slits are closed whatever is seen through them, if anything is."""
-    most_above: float = 0.2
-    """Wider regions that face up are mouths of vessels: tops are what captures see best."""
-    least_backs: float = 0.5
-    """Of what is seen through a wider region, at least this share must be backs of surfaces."""
+    """Regions with a larger share of the surface are missing parts, not gaps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,23 +197,23 @@ def find_regions(
         width, share = 2 * float(distance[rows].max()), len(rows) / len(cells)
         up = float(outward[:, 2].mean())
         is_below = up < -_UPRIGHT
-        most = settings.most_below_share if is_below else settings.most_share
+        most = _MOST_BELOW_SHARE if is_below else settings.most_share
         verdict: Verdict = "closed"
         if float(distance[rows].min()) > _MOST_AWAY:
             verdict = "away from P"
         elif share > most:
             verdict = "too large"
-        elif _is_opening(width, up, backs, settings):
+        elif _is_opening(width, up, backs):
             verdict = "opening"
         regions.append(Region(part, outward, width, share, is_below, backs, verdict))
     return sorted(regions, key=lambda region: -region.share)
 
 
-def _is_opening(width: float, up: float, backs: float | None, settings: FillSettings) -> bool:
+def _is_opening(width: float, up: float, backs: float | None) -> bool:
     """Tell whether a region is meant to be open."""
-    if width > settings.most_above and up > _UPRIGHT:
+    if width > _MOST_ABOVE and up > _UPRIGHT:
         return True
-    return width > settings.narrow and (backs is None or backs < settings.least_backs)
+    return width > _NARROW and (backs is None or backs < _LEAST_BACKS)
 
 
 def _components(points: NDArray[np.float32]) -> NDArray[np.int64]:  # [N, 3] -> [N]

@@ -49,6 +49,11 @@ _PLACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 """Components that are stored, by the largest."""
 
 Pixels = NDArray[np.uint8]
+_DAMAGES = (
+    *(OSError, zipfile.BadZipFile, Image.DecompressionBombError, SyntaxError, NotImplementedError),
+    *(ValueError, OverflowError, KeyError, TypeError, IndexError),
+)
+"""What a damaged file raises."""
 
 
 def read_sog(path: Path) -> Splats:
@@ -63,9 +68,7 @@ def read_sog(path: Path) -> Splats:
             return _read(_Source(folder / META_FILE, None))
         with zipfile.ZipFile(path) as archive:
             return _read(_Source(path, archive))
-    except (OSError, ValueError, SyntaxError, KeyError, TypeError, IndexError) as error:
-        raise UserError(f"{path}: cannot read it as SOG ({error})") from error
-    except (zipfile.BadZipFile, NotImplementedError, Image.DecompressionBombError) as error:
+    except _DAMAGES as error:
         raise UserError(f"{path}: cannot read it as SOG ({error})") from error
 
 

@@ -28,7 +28,7 @@ from gscomplete.batch.manifest import plan
 from gscomplete.batch.run import LEDGER_FILE, STATE_FOLDER
 from gscomplete.batch.work import input_signatures, option_key
 from gscomplete.cli.batch_job import ITEM_FIELDS, identity_of
-from gscomplete.cli.complete import HowToComplete
+from gscomplete.cli.complete_options import HowToComplete
 from recipes.entry_point import start
 
 _START_S = 6.0

@@ -44,6 +44,16 @@ from recipes.train_embedded_prior.procedural.world import (
 from splatcomplete_data.mesh.discs import DiscSettings, discs_at
 
 Family = Callable[[Assembly], Description]
+ABSTRACT_SHARE = 0.3
+"""Share of abstract shapes in the stream, which teach surfaces rather than templates."""
+_TILTED_SHARE = 0.08
+"""Share of objects that are tilted a little."""
+_LYING_SHARE = 0.03
+"""Share of objects that lie on their side."""
+_WARPED_SHARE = 0.6
+"""Share of objects that are deformed as a whole."""
+_COLOR_NOISE = 0.02
+"""Largest standard deviation of the colour noise per splat (drawn per object)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,16 +64,6 @@ class GeneratorSettings:
     """Fewest splats of an object."""
     most_splats: int = 11000
     """Most splats of an object."""
-    abstract_share: float = 0.3
-    """Share of abstract shapes in the stream, which teach surfaces rather than templates."""
-    tilted_share: float = 0.08
-    """Share of objects that are tilted a little."""
-    lying_share: float = 0.03
-    """Share of objects that lie on their side."""
-    warped_share: float = 0.6
-    """Share of objects that are deformed as a whole."""
-    color_noise: float = 0.02
-    """Largest standard deviation of the colour noise per splat (drawn per object)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,11 +101,10 @@ ABSTRACT = _named(abstract.FAMILIES)
 FAMILIES = {**CONCRETE, **ABSTRACT}
 
 
-def family_of(seed: int, index: int, settings: GeneratorSettings | None = None) -> str:
+def family_of(seed: int, index: int) -> str:
     """Return the family that ``make_object`` draws."""
-    chosen = settings or GeneratorSettings()
     rng = np.random.default_rng((seed, index, 1))
-    names = list(ABSTRACT if rng.random() < chosen.abstract_share else CONCRETE)
+    names = list(ABSTRACT if rng.random() < ABSTRACT_SHARE else CONCRETE)
     return names[int(rng.integers(len(names)))]
 
 
@@ -113,7 +112,7 @@ def make_object(
     seed: int, index: int, settings: GeneratorSettings | None = None
 ) -> ProceduralObject:
     """Make an object of a random family."""
-    return make_object_of(family_of(seed, index, settings), seed, index, settings)
+    return make_object_of(family_of(seed, index), seed, index, settings)
 
 
 def make_object_of(
@@ -131,12 +130,12 @@ def make_object_of(
     count = int(rng.integers(chosen.fewest_splats, chosen.most_splats + 1))
     samples = sample_quads(assembly.quads, count, rng)
     shaping = np.random.default_rng((seed, index, 3))
-    if shaping.random() < chosen.warped_share:
+    if shaping.random() < _WARPED_SHARE:
         samples = warped(samples, draw_warp(shaping))
     colors = bake(sample_light(rng), samples, _colors(assembly, samples))
-    noise = rng.uniform(0, chosen.color_noise)
+    noise = rng.uniform(0, _COLOR_NOISE)
     colors += noise * rng.standard_normal(colors.shape, dtype=np.float32)
-    turn = _pose(rng, chosen)
+    turn = _pose(rng)
     points, scale = into_unit_box(samples.points @ turn.T)
     discs = DiscSettings(opacity=float(rng.uniform(0.95, 0.99)))
     spacing = samples.spacing * np.float32(scale)
@@ -168,14 +167,14 @@ def _colors(assembly: Assembly, samples: SurfaceSamples) -> FloatArray:  # [N, 3
     return colors
 
 
-def _pose(rng: np.random.Generator, settings: GeneratorSettings) -> FloatArray:  # [3, 3]
+def _pose(rng: np.random.Generator) -> FloatArray:  # [3, 3]
     """Draw a yaw over the full circle, and rarely a tilt or a fall to the side."""
     yaw, tilt_axis, tilt = (float(value) for value in rng.uniform(0, 360, 3))
     turn = turn_about("z", yaw)
     kind = rng.random()
-    if kind < settings.lying_share:
+    if kind < _LYING_SHARE:
         return turn @ turn_about("x", 90.0 if tilt < 180 else -90.0)
-    if kind < settings.lying_share + settings.tilted_share:
+    if kind < _LYING_SHARE + _TILTED_SHARE:
         lean = turn_about("z", tilt_axis) @ turn_about("x", tilt / 18.0)
         return lean @ turn
     return turn

@@ -47,6 +47,9 @@ _ADVICE = (
     "--sfm-lens-per-photo if zoom or camera changed"
 )
 
+_FEWEST_REGISTERED = 0.5
+"""With a smaller share of photos registered the result is refused."""
+
 
 @dataclass(frozen=True, slots=True)
 class SfmSettings:
@@ -64,8 +67,6 @@ class SfmSettings:
     """Which pairs of photos are compared."""
     overlap: int = 12
     """Neighbours compared in sequential matching."""
-    fewest_registered: float = 0.5
-    """With a smaller share of photos registered the result is refused."""
     seed: int = 0
     """Seed of COLMAP's random sampling."""
 
@@ -104,7 +105,7 @@ def find_poses(
         request = _request(images, work, settings, groups, len(names))
         _run_colmap({**request, "model": str(model), "poses": None}, progress)
     registered = len(image_names(model)) if registry.is_file() else 0
-    fewest = max(FEWEST_PHOTOS, round(settings.fewest_registered * len(names)))
+    fewest = max(FEWEST_PHOTOS, round(_FEWEST_REGISTERED * len(names)))
     left_out = left_out_note(images)
     if registered < fewest:
         raise UserError(

@@ -15,7 +15,11 @@ from gscomplete.fitting.densify import GradientStatistics, halves_of
 from gscomplete.splats import concatenate
 from gscomplete.util.randomness import generator_for
 from splatcomplete_data.multiview.training.parameters import PhotoParameters
-from splatcomplete_data.multiview.training.settings import GrowthSettings
+from splatcomplete_data.multiview.training.settings import (
+    PRUNE_EXTENT,
+    SPLIT_EXTENT,
+    GrowthSettings,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,14 +51,14 @@ def grow(
         statistics: gradients since the last round.
         settings: thresholds and the cap.
         extent: of the scene, in world units.
-        prune_large: whether splats larger than ``prune_extent`` are removed, too.
+        prune_large: whether splats larger than ``PRUNE_EXTENT`` are removed, too.
         seed: seed of the run.
         step: number of the step, so that a resumed run divides alike.
     """
     splats = parameters.splats().detach()
     largest = splats.scales.amax(dim=1)
     transparent = splats.opacities < settings.prune_opacity
-    large = ~transparent & (largest > settings.prune_extent * extent) & prune_large
+    large = ~transparent & (largest > PRUNE_EXTENT * extent) & prune_large
     stays = ~(transparent | large)
     if not bool(stays.any()):
         transparent, large = torch.zeros_like(stays), torch.zeros_like(stays)
@@ -63,7 +67,7 @@ def grow(
     room = settings.max_splats - int(stays.sum())
     ranked = torch.argsort(mean, descending=True, stable=True)[: max(room, 0)]
     chosen = ranked[mean[ranked] > settings.gradient]
-    wide = largest[chosen] > settings.split_extent * extent
+    wide = largest[chosen] > SPLIT_EXTENT * extent
     halves = halves_of(splats.select(chosen[wide]), generator_for(seed, step, "split"))
     clones = splats.select(chosen[~wide])
     keep = stays.clone()

@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 
 from gscomplete.fitting.parameters import SplatParameters
-from gscomplete.fitting.row_adam import MOMENTS
 from gscomplete.splats import Splats
 
 
@@ -52,6 +51,4 @@ class PhotoParameters(SplatParameters):
         logits = self._values["opacity_logits"]
         with torch.no_grad():
             logits.clamp_(max=math.log(limit / (1 - limit)))
-        for key in MOMENTS:
-            if key in self._adam.state.get(logits, {}):
-                self._adam.state[logits][key].zero_()
+        self._adam.forget("opacity_logits")

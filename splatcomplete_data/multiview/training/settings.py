@@ -26,6 +26,14 @@ class LearningRates:
     """Of the bands above."""
 
 
+SPLIT_EXTENT = 0.01
+"""Splats larger than this share of the extent are split, smaller ones cloned."""
+PRUNE_EXTENT = 0.1
+"""Splats larger than this share of the extent are removed (after the first opacity reset)."""
+RESET_OPACITY = 0.01
+"""Opacities are lowered to this."""
+
+
 @dataclass(frozen=True, slots=True)
 class GrowthSettings:
     """Where splats are added and removed."""
@@ -40,18 +48,12 @@ class GrowthSettings:
     """Steps between two divisions; fewer in runs shorter than 18 times this, but at least 10."""
     gradient: float = 2e-4
     """Splats whose mean screen gradient is larger are divided (loss per half image)."""
-    split_extent: float = 0.01
-    """Splats larger than this share of the extent are split, smaller ones cloned."""
     prune_opacity: float = 0.005
     """Splats below this opacity are removed."""
-    prune_extent: float = 0.1
-    """Splats larger than this share of the extent are removed (after the first opacity reset)."""
     reset_share: float | None = 0.1
     """Opacities are lowered every this share of the steps while splats are divided, and at most
     every 600 steps, which is what they need to recover; None = never. What is needed recovers,
     floaters do not."""
-    reset_opacity: float = 0.01
-    """Opacities are lowered to this."""
 
 
 @dataclass(frozen=True, slots=True)

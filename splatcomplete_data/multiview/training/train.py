@@ -28,7 +28,7 @@ from gscomplete.views import Cameras
 from splatcomplete_data.multiview.photos.images import View
 from splatcomplete_data.multiview.training.growth import GrowthReport, grow
 from splatcomplete_data.multiview.training.parameters import PhotoParameters
-from splatcomplete_data.multiview.training.settings import TrainingSettings
+from splatcomplete_data.multiview.training.settings import RESET_OPACITY, TrainingSettings
 from splatcomplete_data.multiview.training.ssim import Reference, ssim_map
 
 CHECK_EVERY = 100
@@ -245,7 +245,7 @@ class Training:
             )
             self._statistics = GradientStatistics(len(self.parameters), self._device)
         if reset_every and number % reset_every == 0 and number + reset_every <= steps:
-            self.parameters.lower_opacities(growth.reset_opacity)
+            self.parameters.lower_opacities(RESET_OPACITY)
         return report
 
     def state(self) -> dict[str, Tensor]:

@@ -8,7 +8,8 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 
-from gscomplete.cli.complete import CompleteOptions, run
+from gscomplete.cli.complete import run
+from gscomplete.cli.complete_options import CompleteOptions
 from gscomplete.errors import UserError
 from gscomplete.shape.fill.close import Filled, close_gaps
 from gscomplete.shape.fill.facing import look_around, outward_normals

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gscomplete.errors import UserError
+from gscomplete.splats.filters import usable_rows
 from gscomplete.splats.rotations import rotation_matrices
 from splatcomplete_data.mesh import convert
 from splatcomplete_data.mesh.allot import allot_by_spacing
@@ -92,6 +93,14 @@ def test_the_count_is_met_and_the_sphere_has_no_hole(count: int) -> None:
     points /= np.linalg.norm(points, axis=1, keepdims=True)
     distance = np.linalg.norm(points[:, None] - made.splats.means.numpy()[None], axis=2).min(axis=1)
     assert distance.max() < 1.6 * made.spacing
+
+
+def test_a_triangle_whose_area_is_rounded_to_nothing_is_cut() -> None:
+    """Its edges are exact opposites once 1e-25 is added to 769."""
+    needle = [[-1.7e-25, 2.3e-41, 0], [-0.5, -1.7e-25, -769], [2.3e-41, 2.3e-41, 0]]
+    plate = [[0, 0, 2], [100, 0, 2], [0, 100, 2]]
+    made = convert_mesh(mesh_of(np.array([needle, plate])), 200)
+    assert usable_rows(made.splats)[0].all()
 
 
 def test_slivers_wires_and_specks_are_not_lost() -> None:

@@ -6,7 +6,7 @@ import pytest
 from splatcomplete_data.cuts.boxes import CropBox
 from splatcomplete_data.scan.clean import CleanSettings, Surroundings
 from splatcomplete_data.scan.make import PartSettings, make_part
-from splatcomplete_data.scan.segments import SegmentSettings, object_at, segment
+from splatcomplete_data.scan.segments import VOTES, object_at, segment
 from tests.builders.table_top import EYE, SPACING, box, table_top
 
 FRONT = box((-0.1, -0.05), (0.2, 0.12, 0.12))
@@ -43,12 +43,11 @@ def test_a_box_leaves_out_the_neighbour_that_goes_on_beyond():
 def test_numbers_do_not_depend_on_the_order_of_points():
     standing = PAIR.select(np.flatnonzero(PAIR.labels > 0))
     shuffled = np.random.default_rng(0).permutation(len(standing))
-    knobs = SegmentSettings()
     for cloud, order in (
         (standing, np.arange(len(standing))),
         (standing.select(shuffled), shuffled),
     ):
-        labels = segment(cloud.points, cloud.colors, SPACING, knobs.sizes[1], knobs, viewpoint=EYE)
+        labels = segment(cloud.points, cloud.colors, SPACING, VOTES[1], viewpoint=EYE)
         assert labels.min() == 0
         back = np.empty_like(labels)
         back[order] = labels

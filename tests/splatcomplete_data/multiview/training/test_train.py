@@ -14,6 +14,7 @@ from splatcomplete_data.multiview.photos.images import View, load_views
 from splatcomplete_data.multiview.photos.transforms_json import read_transforms
 from splatcomplete_data.multiview.training.initial import random_points, splats_from_points
 from splatcomplete_data.multiview.training.settings import (
+    PRUNE_EXTENT,
     GrowthSettings,
     LearningRates,
     TrainingSettings,
@@ -118,7 +119,7 @@ def test_a_short_run_divides_its_splats_and_keeps_them(capture, nudge):
     start = dataclasses.replace(start, means=start.means + nudge * noise)
     growth = GrowthSettings(max_splats=4000)
     settings = TrainingSettings(steps=180, growth=growth)
-    assert float(start.scales.min()) > settings.growth.prune_extent * 3.0
+    assert float(start.scales.min()) > PRUNE_EXTENT * 3.0
     training = Training(views, start, 3.0, settings)
     reports = [training.step() for _ in range(settings.steps)]
     rounds = [report.step + 1 for report in reports if report.growth is not None]
