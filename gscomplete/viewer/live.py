@@ -15,7 +15,7 @@ from pathlib import Path
 
 from gscomplete.errors import UserError
 from gscomplete.fitting.checkpoint import FILE_NAME, load_checkpoint
-from gscomplete.fitting.raw_splats import splats_of_state
+from gscomplete.fitting.parameters import splats_of_state
 from gscomplete.fitting.step_loop import CHECKPOINTS
 from gscomplete.folders import read_run_folder
 from gscomplete.splats import Splats

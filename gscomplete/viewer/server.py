@@ -262,7 +262,7 @@ def _add_box(viewer: Viewer, name: str, handle: Any, *, hint: str, initial: bool
 
     @box.on_update
     def _(_event: Any) -> None:
-        handle.visible = box.value
+        viewer.drawn[name].visible = box.value
 
     viewer.drawn[name] = handle
     viewer.boxes[name] = box

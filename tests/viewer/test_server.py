@@ -67,6 +67,8 @@ def test_a_layer_takes_the_place_of_the_one_before(viewer):
     show_layer(viewer, Layer("new", random_splats(7, seed=5), ""))
     assert len(viewer.drawn["new"].centers) == 7
     assert not viewer.drawn["new"].visible
+    viewer.boxes["new"].value = True
+    assert viewer.drawn["new"].visible
     viewer.coloring.value = "tints"
     assert len(viewer.drawn["new"].rgbs) == 7
 
