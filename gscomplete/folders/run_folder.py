@@ -72,7 +72,14 @@ class RunFolder:
 
 
 def alternative_file(number: int) -> str:
-    """Return where a run keeps the new splats of a guess that was drawn beside its result."""
+    """Return where a run keeps the new splats of a guess that was drawn beside its result.
+
+    Args:
+        number: of the guess, from 0, in the order of ``run.json``.
+
+    Returns:
+        The path within the run folder.
+    """
     return f"{ALTERNATIVES_FOLDER}/{number}.ply"
 
 
