@@ -11,6 +11,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-done
 DEMO_OUT ?= runs/demo
+SAMPLE := recipes/demo/partial.ply --prompt "$$(cat recipes/demo/prompt.txt)"
 
 .PHONY: setup demo test lint bench clean FORCE
 
@@ -20,6 +21,11 @@ $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet "$(TORCH)"
 	$(BIN)/pip install --quiet $(if $(LOCKED),--constraint $(LOCK)) --editable ".[$(EXTRAS)]"
+	@echo "Compiling kernels, for which the first completion would wait"
+	rm -rf $(VENV)/first $(VENV)/steps
+	-$(BIN)/gscomplete complete $(SAMPLE) --out $(VENV)/first > /dev/null
+	-$(BIN)/gscomplete complete $(SAMPLE) --preset distill --steps 2 --out $(VENV)/steps > /dev/null
+	rm -rf $(VENV)/first $(VENV)/steps
 	touch $(STAMP)
 
 # What is asked for by name is installed whatever is there already.
@@ -31,7 +37,7 @@ FORCE:
 # A partial object made by our own generator (recipes/demo), completed with the embedded prior.
 demo: setup
 	rm -rf $(DEMO_OUT)
-	$(BIN)/gscomplete complete recipes/demo/partial.ply --prompt "$$(cat recipes/demo/prompt.txt)" --out $(DEMO_OUT)
+	$(BIN)/gscomplete complete $(SAMPLE) --out $(DEMO_OUT)
 	@echo "Look at $(DEMO_OUT)/preview.png and $(DEMO_OUT)/turntable.webp"
 
 lint: setup

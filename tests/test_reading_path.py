@@ -37,8 +37,8 @@ LEVELS = (
     ("views",),
     ("render",),
     ("folders", "fitting", "framing", "shape"),
-    ("evaluate", "priors", "viewer"),
-    ("report", "completion"),
+    ("evaluate", "priors"),
+    ("report", "viewer", "completion"),
     ("batch",),
     ("cli",),
 )

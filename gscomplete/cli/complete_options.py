@@ -43,7 +43,8 @@ class HowToComplete:
     """What to lead away from, "" = nothing; None = the prior's default."""
     preset: Literal["default", "fast", "reconstruct", "distill", "paper"] = "default"
     """default: best of time and quality for the prior. fast: less care. reconstruct: rounds of
-    denoised views that the splats are fitted to. distill: the paper's method in fewer steps.
+    denoised views that the splats are fitted to. distill: score distillation in fewer steps
+    than the paper's, with the embedded prior from its guess.
     paper: the paper's settings to the letter (6,000 steps); its sphere of new splats is about
     P's box centre, here about the (guessed) centre of the complete object."""
     steps: int | None = None

@@ -14,7 +14,11 @@ from gscomplete.errors import UserError
 
 @dataclass(frozen=True)
 class ViewOptions:
-    """Look at a run (P and what was added, each shown or hidden) or at splat files in a browser.
+    """Look at a run or at splat files in a browser.
+
+    Of a run: P and what was added, each shown or hidden; the alternatives that it kept, to choose
+    from; the cameras of c and V with what was added to P's appearance there in red. A run that goes
+    on is followed from checkpoint to checkpoint.
 
     Example: gscomplete view runs/mug. On another machine, forward the port first:
     ssh -L 8080:localhost:8080 MACHINE. Ctrl-C ends it.
@@ -34,8 +38,9 @@ class ViewOptions:
 
 def run(options: ViewOptions) -> int:
     """Serve the page until interrupted; return the exit code."""
-    from gscomplete.viewer.layers import read_scene
-    from gscomplete.viewer.server import serve
+    from gscomplete.viewer.layers import live_layer, read_scene
+    from gscomplete.viewer.live import Progress, follow
+    from gscomplete.viewer.server import serve, show_layer
     from gscomplete.views import parse_up
 
     if not options.paths:
@@ -45,7 +50,24 @@ def run(options: ViewOptions) -> int:
     if not 1 <= options.port <= 65535:
         raise UserError(f"--port: expected 1 to 65535, found {options.port}")
     scene = read_scene(options.paths, parse_up(options.up) or "Z", options.most_splats)
-    server = serve(scene, options.host, options.port).server
+    viewer = serve(scene, options.host, options.port)
+    server, stop = viewer.server, threading.Event()
+
+    def show(progress: Progress) -> None:
+        """Show a step of a run that goes on."""
+        show_layer(viewer, live_layer(progress.splats, options.most_splats))
+        viewer.status.content = f"the run goes on: step {progress.step}"
+
+    def show_end() -> None:
+        """Show the result of a run that has finished."""
+        for layer in read_scene(options.paths, "Z", options.most_splats).layers:
+            if not layer.is_alternative:
+                show_layer(viewer, layer)
+        viewer.status.content = "the run has finished"
+
+    if scene.running is not None:
+        arguments = (scene.running, show, show_end, stop)
+        threading.Thread(target=follow, args=arguments, daemon=True).start()
     try:
         for layer in scene.layers:
             print(f"{layer.name}: {layer.note}")
@@ -54,5 +76,6 @@ def run(options: ViewOptions) -> int:
     except KeyboardInterrupt:
         pass
     finally:
+        stop.set()
         server.stop()
     return 0

@@ -204,7 +204,7 @@ class Optimisation:
         """Return the prior's own guidance with what the settings ask for in its place."""
         asked = {
             name: getattr(self.settings, name)
-            for name in ("text_scale", "input_scale", "rescale")
+            for name in ("text_scale", "input_scale", "rescale", "rescale_about")
             if getattr(self.settings, name) is not None
         }
         sees = self.settings.see_input and self._prior.sees_input

@@ -17,6 +17,7 @@ from gscomplete.completion.settings import (
     CompletionSettings,
     HardPreservationSettings,
     TimestepStage,
+    annealed_timesteps,
 )
 from gscomplete.errors import UserError
 from gscomplete.fitting.settings import DensifySettings, LearningRates
@@ -24,8 +25,8 @@ from gscomplete.priors.base import Prior
 
 PresetName = Literal["default", "fast", "reconstruct", "distill", "paper"]
 """``default``: the best of time and quality for the prior. ``fast``: less care.
-``reconstruct``: iterative reconstruction. ``distill``: the paper's method in fewer steps, for small
-priors. ``paper``: its settings."""
+``reconstruct``: iterative reconstruction. ``distill``: score distillation in fewer steps than the
+paper's, from the prior's guess where it has one. ``paper``: the paper's settings."""
 
 PAPER = CompletionSettings()
 """The paper's settings (sections 3.1 to 3.3); where the sphere stands: see above."""
@@ -33,13 +34,19 @@ PAPER = CompletionSettings()
 DISTILL = dataclasses.replace(
     PAPER,
     steps=600,
+    timesteps=annealed_timesteps(950.0, 150.0, 40.0),
     min_scale_px=0.5,
     max_scale=0.1,
     learning_rates=LearningRates(means=4e-3, means_final=4e-4, sh=2e-2, log_scales=1e-2),
     densify=DensifySettings(every=25, growth=0.2, max_new=20_000, split_scale=0.03, final_from=0.8),
     checkpoint_every=100,
 )
-"""The paper's method for a prior of 64 pixels: fewer and larger steps, sizes bound to a pixel."""
+"""The paper's method in fewer and larger steps, sizes bound to a pixel. Noise falls from nearly all
+to little: where a prior keeps what it is shown, the paper's first stage keeps the sphere (fog)."""
+
+LATENT = dataclasses.replace(DISTILL, steps=2000, rescale_about="background", checkpoint_every=500)
+"""For priors that see colours alone over black or white. Chosen on priors of known strength
+(``recipes.known_priors``): contrast that is pulled back about zero fills what is empty with fog."""
 
 RECONSTRUCT = dataclasses.replace(
     DISTILL,
@@ -78,6 +85,24 @@ DEFAULT = dataclasses.replace(
 """The first guess of a prior with a shape network, held to P's appearance where P is dense: steps
 of a small denoiser make it no better in shape, and dirtier (the time/quality benchmark)."""
 
+REFINE = dataclasses.replace(
+    DEFAULT,
+    mode="distill",
+    steps=80,
+    timesteps=annealed_timesteps(900.0, 300.0, 50.0),
+    learning_rates=LearningRates(
+        means=2e-4,
+        means_final=5e-5,
+        quaternions=1e-4,
+        log_scales=1e-3,
+        opacity_logits=1e-2,
+        sh=1e-2,
+    ),
+    densify=dataclasses.replace(DISTILL.densify, until=0.0),
+)
+"""Score distillation from the first guess, in small steps: colours agree with each other, haze
+goes, the shape stays."""
+
 FILL = dataclasses.replace(DEFAULT, start="fill", hard_preservation=None)
 """P's gaps are closed and nothing else is done: what is seen through a gap changes, and is meant
 to."""
@@ -111,6 +136,8 @@ a sphere, from nearly pure noise."""
 SETTINGS: dict[str, CompletionSettings] = {
     "paper": PAPER,
     "distill": DISTILL,
+    "latent": LATENT,
+    "refine": REFINE,
     "reconstruct": RECONSTRUCT,
     "guess": DEFAULT,
     "small guess": FAST,
@@ -148,4 +175,6 @@ def preset(name: PresetName, prior: Prior, *, text_only: bool = False) -> Comple
     chosen = SETTINGS[table[name]]
     if not text_only:
         return chosen
-    return dataclasses.replace(TEXT_ONLY if chosen.start == "guess" else chosen, see_input=False)
+    if chosen.start == "guess":
+        chosen = DISTILL if chosen.mode == "distill" else TEXT_ONLY
+    return dataclasses.replace(chosen, see_input=False)

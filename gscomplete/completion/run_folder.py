@@ -2,7 +2,8 @@
 
 A run folder holds ``completed.ply`` (P's records first and byte for byte), ``run.json`` (everything
 that decided the result, and what came of it), ``preview.png``, ``turntable.webp``, ``log.jsonl``
-(one line per step) and ``checkpoints/``. All but the log are written atomically.
+(one line per step), ``checkpoints/`` and, where asked for, ``alternatives/`` (the new splats of
+other guesses). All but the log are written atomically.
 """
 
 from __future__ import annotations
@@ -27,8 +28,9 @@ from gscomplete.evaluate.report import evaluate
 from gscomplete.fitting.checkpoint import FILE_NAME, check_fits, load_checkpoint
 from gscomplete.fitting.finite import NonFiniteError
 from gscomplete.fitting.step_loop import CHECKPOINTS, LOG_FILE, require_same_identity, run_steps
-from gscomplete.folders.run_folder import OUTPUT_FILE, RUN_FILE
+from gscomplete.folders import OUTPUT_FILE, RUN_FILE, alternative_file
 from gscomplete.priors.base import Prior
+from gscomplete.splats import transform_splats, write_splats
 from gscomplete.splats.formats.any_file import read_splat_file
 from gscomplete.splats.ply import SplatFile, require_appendable
 from gscomplete.util import jsonio
@@ -217,7 +219,7 @@ def _way_back(folder: Path) -> str:
 
 
 def _draw_alternatives(run: Run, completed: Completed) -> list[str]:
-    """Draw the guesses that the user asked for; return the options that give them."""
+    """Draw and keep the guesses that the user asked for; return the options that give them."""
     request, prepared = run.request, run.prepared
     found = guess_alternatives(
         prepared.prior,
@@ -235,6 +237,11 @@ def _draw_alternatives(run: Run, completed: Completed) -> list[str]:
         request.completion.prompt,
     )
     save_image(sheet, request.out / ALTERNATIVES_FILE)
+    for number, alternative in enumerate(found):
+        placed = transform_splats(alternative.splats, prepared.frame.file_from_object)
+        path = request.out / alternative_file(number)
+        path.parent.mkdir(exist_ok=True)
+        write_splats(path, placed)
     return [alternative.option for alternative in found]
 
 

@@ -16,6 +16,7 @@ from typing import Literal
 
 from gscomplete.errors import UserError
 from gscomplete.fitting.settings import DensifySettings, LearningRates
+from gscomplete.priors.base import RescaleCenter
 from gscomplete.shape.mirror_plane import Mirror
 
 Mode = Literal["distill", "reconstruct"]
@@ -54,6 +55,25 @@ class TimestepStage:
                 f"timesteps: expected 0 <= low <= high <= {LAST_TIMESTEP:g}, found {self.low} to "
                 f"{self.high}"
             )
+
+
+def annealed_timesteps(
+    first: float, last: float, width: float, stages: int = 20
+) -> tuple[TimestepStage, ...]:
+    """Return stages whose middle falls evenly from the first to the last.
+
+    Args:
+        first: middle of the first stage.
+        last: middle of the last stage.
+        width: half of what each stage spans.
+        stages: how many.
+    """
+    found = []
+    for k in range(stages):
+        middle = first + (last - first) * k / (stages - 1)
+        low, high = max(middle - width, 0.0), min(middle + width, LAST_TIMESTEP)
+        found.append(TimestepStage((k + 1) / stages, low, high))
+    return tuple(found)
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,6 +197,8 @@ class CompletionSettings:
     """Guidance towards the renders of P; None = the prior's own default."""
     rescale: float | None = None
     """Guidance rescale; None = the prior's own default."""
+    rescale_about: RescaleCenter | None = None
+    """What the rescale leaves as it is; None = the prior's own default."""
     see_input: bool = True
     """Show the renders of P to priors that can see them; False = text only."""
     resolution_px: int | None = None

@@ -27,6 +27,8 @@ from gscomplete.views import Cameras, ViewDistribution
 
 LIGHT_GREY = (0.78, 0.78, 0.78)
 """Background of pictures made for people."""
+_ERROR_GAIN = 4.0
+"""Differences of colours are drawn this much larger."""
 _INK = (40, 40, 40)
 _PAPER = (245, 245, 245)
 _MARGIN_PX = 4
@@ -74,6 +76,19 @@ def to_image(color: Tensor) -> Image.Image:  # [H, W, 3] in [0, 1]
         (color.detach().cpu().clamp(0.0, 1.0) * 255.0 + 0.5).to(torch.uint8).numpy()
     )
     return Image.fromarray(pixels)
+
+
+def error_picture(
+    ours: Tensor,  # [H, W, 3]
+    theirs: Tensor,  # [H, W, 3]
+    mask: Tensor,  # [H, W]
+) -> Image.Image:
+    """Draw differences where P is: white = none, red = large; light grey where P is not."""
+    error = (_ERROR_GAIN * (ours - theirs).abs().mean(dim=-1) * mask).clamp(0, 1)[..., None]
+    red = torch.tensor([0.8, 0.05, 0.05])
+    inside = (1 - error) * torch.ones(3) + error * red
+    weight = mask[..., None].clamp(0, 1)
+    return to_image(weight * inside + (1 - weight) * torch.tensor(LIGHT_GREY))
 
 
 def contact_sheet(

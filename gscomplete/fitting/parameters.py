@@ -126,6 +126,18 @@ class SplatParameters:
         return RowAdam(self._values, rates, fused=self.fused)
 
 
+def splats_of_state(state: dict[str, Tensor]) -> Splats:
+    """Return the activated splats of a completion's checkpoint, in the object frame."""
+    value = {name.removeprefix("value."): tensor for name, tensor in state.items()}
+    return Splats(
+        value["means"],
+        torch.nn.functional.normalize(value["quaternions"], dim=1),
+        value["log_scales"].exp(),
+        fixed_sigmoid(value["opacity_logits"]),
+        value["sh"],
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Bounds:
     """What every new splat keeps to, in object-frame units."""

@@ -9,7 +9,13 @@ from gscomplete.folders.object_folder import (
     object_folder_of,
     read_object_folder,
 )
-from gscomplete.folders.run_folder import OUTPUT_FILE, RUN_FILE, RunFolder, read_run_folder
+from gscomplete.folders.run_folder import (
+    OUTPUT_FILE,
+    RUN_FILE,
+    RunFolder,
+    alternative_file,
+    read_run_folder,
+)
 
 __all__ = [
     "COMPLETE_FILE",
@@ -20,6 +26,7 @@ __all__ = [
     "Drawable",
     "ObjectFolder",
     "RunFolder",
+    "alternative_file",
     "drawable_of",
     "object_folder_of",
     "read_object_folder",

@@ -16,7 +16,7 @@ import torch
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, read_splats
-from gscomplete.util.file_names import OUTPUT_FILE, RUN_FILE
+from gscomplete.util.file_names import ALTERNATIVES_FOLDER, OUTPUT_FILE, RUN_FILE
 from gscomplete.util.jsonio import read_json
 from gscomplete.views import ObjectFrame, ViewDistribution
 
@@ -45,6 +45,13 @@ class RunFolder:
         found = self.content["input"].get("object")
         return Path(found) if isinstance(found, str) else None
 
+    def alternatives(self) -> list[tuple[str, Path]]:
+        """Return the guesses that were kept: the option that gives each, and its new splats."""
+        result = self.content.get("result") or {}
+        options = [str(option) for option in result.get("alternatives") or ()]
+        files = [self.folder / alternative_file(number) for number in range(len(options))]
+        return [pair for pair in zip(options, files, strict=True) if pair[1].is_file()]
+
     def read(self) -> tuple[Splats, Splats]:
         """Read P and the new splats, both in the file frame.
 
@@ -62,6 +69,18 @@ class RunFolder:
             )
         is_partial = torch.arange(len(splats)) < self.partial_count
         return splats.select(is_partial), splats.select(~is_partial)
+
+
+def alternative_file(number: int) -> str:
+    """Return where a run keeps the new splats of a guess that was drawn beside its result.
+
+    Args:
+        number: of the guess, from 0, in the order of ``run.json``.
+
+    Returns:
+        The path within the run folder.
+    """
+    return f"{ALTERNATIVES_FOLDER}/{number}.ply"
 
 
 def read_run_folder(folder: Path) -> RunFolder:

@@ -15,7 +15,7 @@ Conventions
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -81,6 +81,12 @@ class PriorViews:
         return radius_to_fit(low, self.fov_deg), radius_to_fit(high, self.fov_deg)
 
 
+RescaleCenter = Literal["zero", "background"]
+"""``zero``: of the images as the model has them, as published (Lin et al. 2023): what is pulled
+towards it is the background too, and splats answer with fog. ``background``: the colour behind the
+renders, which then stays as it is."""
+
+
 @dataclass(frozen=True, slots=True)
 class Guidance:
     """How strongly each condition pulls the denoised image away from the unconditional one.
@@ -92,6 +98,9 @@ class Guidance:
     text_scale: float = 1.0
     input_scale: float = 1.0  # unused by priors that cannot see the input, and without input
     rescale: float = 0.0  # 0 to 1: pull the contrast back to the conditional image's
+    rescale_about: RescaleCenter = "zero"
+    """What contrast is the distance from. ``background`` is heeded by priors that see colours alone
+    (latent diffusion models); those that see alpha have no background."""
 
 
 def prior_identity(prior: Prior) -> str | dict[str, Any]:

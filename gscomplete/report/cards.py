@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from PIL import Image
 
-from gscomplete.evaluate.pictures import LIGHT_GREY, to_image
+from gscomplete.evaluate.pictures import LIGHT_GREY, error_picture, to_image
 from gscomplete.evaluate.rows import Row
 from gscomplete.evaluate.subject import Subject
 from gscomplete.render import render
@@ -21,8 +21,6 @@ VIEWS_DEG = (0.0, 60.0, 180.0)
 """Azimuths of the pictures from c."""
 _PICTURE_PX = 176
 _INSET_SHARE = 0.34
-_ERROR_GAIN = 4.0
-"""Differences of colours are drawn this much larger."""
 
 
 def card_of(subject: Subject, row: Row, most_splats: int) -> dict[str, Any]:
@@ -75,16 +73,3 @@ def _picture(subject: Subject) -> str:
 def _colors(splats: Splats, cameras: Cameras) -> tuple[torch.Tensor, torch.Tensor]:
     view = render(splats, cameras, splats.means.new_tensor(LIGHT_GREY))
     return view.color, view.alpha
-
-
-def error_picture(
-    ours: torch.Tensor,  # [H, W, 3]
-    theirs: torch.Tensor,  # [H, W, 3]
-    mask: torch.Tensor,  # [H, W]
-) -> Image.Image:
-    """Draw differences where P is: white = none, red = large; light grey where P is not."""
-    error = (_ERROR_GAIN * (ours - theirs).abs().mean(dim=-1) * mask).clamp(0, 1)[..., None]
-    red = torch.tensor([0.8, 0.05, 0.05])
-    inside = (1 - error) * torch.ones(3) + error * red
-    weight = mask[..., None].clamp(0, 1)
-    return to_image(weight * inside + (1 - weight) * torch.tensor(LIGHT_GREY))

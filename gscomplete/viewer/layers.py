@@ -4,11 +4,14 @@ Conventions
 -----------
 * Layers are in the object frame: of the run or the object folder where there is one, else about
   the first layer's box, floaters apart.
-* A run folder gives two layers, ``P`` and ``new``; any other folder one per splat file in it.
+* A run folder gives two layers, ``P`` and ``new``, and one for each alternative that it kept, of
+  which one at a time is shown in the place of ``new``; any other folder one per splat file in it.
+* A run that has not finished gives P and what its newest checkpoint holds.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,11 +20,18 @@ import torch
 from torch import Tensor
 
 from gscomplete.errors import UserError
-from gscomplete.folders import RUN_FILE, object_folder_of, read_run_folder, splat_files_of
-from gscomplete.splats import Splats
+from gscomplete.folders import (
+    RUN_FILE,
+    RunFolder,
+    object_folder_of,
+    read_run_folder,
+    splat_files_of,
+)
+from gscomplete.splats import Splats, read_splats
 from gscomplete.splats.filters import thinned, usable_rows
 from gscomplete.splats.formats.any_file import read_any_splats
 from gscomplete.splats.transform import transform_splats
+from gscomplete.viewer.live import newest
 from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution
 
 _REACH = 0.8
@@ -36,6 +46,8 @@ class Layer:
     splats: Splats
     note: str
     """How many there are, cannot be drawn, lie outside the frame, and are shown."""
+    is_alternative: bool = False
+    """Whether it stands for ``new`` when chosen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +57,8 @@ class Scene:
     layers: tuple[Layer, ...]
     views: ViewDistribution | None
     """V, where a run or an object folder tells it."""
+    running: Path | None = None
+    """Folder of the run, while it has not finished."""
 
 
 def read_scene(paths: Sequence[Path], up: UpAxis, most_splats: int) -> Scene:
@@ -81,12 +95,42 @@ def _read_run(folder: Path, most_splats: int) -> Scene:
         UserError: the run has not finished, or its files do not fit each other.
     """
     run = read_run_folder(folder)
+    running = run.content.get("status") == "running" and not run.output.is_file()
     layers = []
-    for name, splats in zip(("P", "new"), run.read(), strict=True):
+    for name, splats in _parts_of(run) if running else zip(("P", "new"), run.read(), strict=True):
         usable, _ = usable_rows(splats)
         if bool(usable.any()):
             layers.append(_layer(name, splats, usable, run.frame, most_splats))
-    return Scene(tuple(layers), run.views)
+    for option, path in run.alternatives():
+        splats = read_splats(path).splats
+        usable, _ = usable_rows(splats)
+        if bool(usable.any()):
+            layer = _layer(option, splats, usable, run.frame, most_splats)
+            layers.append(dataclasses.replace(layer, is_alternative=True))
+    return Scene(tuple(layers), run.views, run.folder if running else None)
+
+
+def _parts_of(run: RunFolder) -> list[tuple[str, Splats]]:
+    """Return P and the newest new splats of a run that goes on, in the file frame.
+
+    Raises:
+        UserError: P is not where it was.
+    """
+    path = Path(str(run.content["input"].get("path")))
+    if not path.is_file():
+        raise UserError(f"{run.folder}: the run is running, and its input {path} is not there")
+    found = [("P", read_any_splats(path).splats)]
+    progress = newest(run.folder)
+    if progress is not None:
+        found.append(("new", transform_splats(progress.splats, run.frame.file_from_object)))
+    return found
+
+
+def live_layer(splats: Splats, most: int) -> Layer:
+    """Return the layer ``new`` of splats that are in the object frame."""
+    usable, _ = usable_rows(splats)
+    unit = ObjectFrame("Z", (0.0, 0.0, 0.0), 1.0)
+    return _layer("new", splats, usable, unit, most)
 
 
 def _layer(

@@ -5,11 +5,14 @@ Conventions
 * The page shows the object frame: z up, cameras in OpenCV axes, as viser's are.
 * viser draws splats of one colour from all sides: base colours, no spherical harmonics.
 * In tints, every layer has a hue of its own and keeps its lightness.
+* The frusta of c and of V show where what was added changes P's appearance: the pictures of
+  ``error_picture``, as insets of the paper's figures.
 """
 
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
@@ -19,7 +22,9 @@ import torch
 from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
-from gscomplete.splats import Splats
+from gscomplete.evaluate.pictures import LIGHT_GREY, error_picture
+from gscomplete.render import render
+from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.splats.transform import quaternion_from_rotation
 from gscomplete.viewer.layers import Layer, Scene
@@ -37,6 +42,7 @@ TINTS = ((0.25, 0.5, 0.95), (0.98, 0.55, 0.15), (0.3, 0.75, 0.35), (0.85, 0.3, 0
 _TINT_SHARE = 0.6
 _FRUSTUM_SCALE = 0.08
 _PICTURE_PX = 512
+_ERROR_PX = 160
 _MAGNIFIED = 32.0
 """viser keeps covariances in half precision, which ends above those of fine splats of an object of
 size 1; so the page gets everything this much larger, in a node that is this much smaller."""
@@ -49,11 +55,17 @@ class Viewer:
 
     server: viser.ViserServer
     drawn: dict[str, Any]
-    """Scene nodes by layer; ``c`` is the camera of the input view."""
+    """Scene nodes by layer; ``c`` is the camera of the input view, ``V`` those of its bounds."""
     boxes: dict[str, Any]
     """What shows and hides each of them."""
     coloring: Any
     """The list of ways to colour layers."""
+    colored: dict[str, tuple[Layer, int]]
+    """What is drawn, by layer, and its number."""
+    status: Any
+    """A line of text."""
+    choice: list[Any]
+    """The list of completions to choose from, if there are several."""
 
 
 def serve(scene: Scene, host: str, port: int) -> Viewer:
@@ -70,12 +82,19 @@ def serve(scene: Scene, host: str, port: int) -> Viewer:
     server = _listen(host, port)
     server.scene.set_up_direction("+z")
     coloring = server.gui.add_dropdown("colours", COLORS, initial_value=COLORS[0])
-    viewer = Viewer(server, {}, {}, coloring)
+    status = server.gui.add_markdown("the run goes on" if scene.running else "")
+    viewer = Viewer(server, {}, {}, coloring, {}, status, [])
     for place, layer in enumerate(scene.layers):
         _add_layer(viewer, layer, place)
+    _add_choice(viewer, scene.layers)
     start = _start_camera(scene.views)
     if scene.views is not None:
-        _add_view(viewer, scene.views)
+        _add_views(viewer, scene)
+
+    @coloring.on_update
+    def _(_event: Any) -> None:
+        for name, (layer, place) in viewer.colored.items():
+            viewer.drawn[name].rgbs = layer_colors(layer.splats, coloring.value, place)
 
     @server.on_client_connect
     def _(client: Any) -> None:
@@ -130,43 +149,111 @@ def _listen(host: str, port: int) -> viser.ViserServer:
         raise UserError(f"--host {host} --port {port}: cannot listen there: {error}") from error
 
 
+def show_layer(viewer: Viewer, layer: Layer) -> None:
+    """Draw a layer in the place of the one of its name, or as a new one."""
+    if layer.name not in viewer.drawn:
+        _add_layer(viewer, layer, len(viewer.colored))
+        return
+    place = viewer.colored[layer.name][1]
+    handle = _drawn(viewer, layer, place)
+    handle.visible = viewer.boxes[layer.name].value
+    viewer.drawn[layer.name] = handle
+
+
 def _add_layer(viewer: Viewer, layer: Layer, place: int) -> None:
     """Draw a layer, with a box to show or hide it."""
+    handle = _drawn(viewer, layer, place)
+    _add_box(viewer, layer.name, handle, hint=layer.note, initial=not layer.is_alternative)
+
+
+def _drawn(viewer: Viewer, layer: Layer, place: int) -> Any:
+    """Draw a layer under its number; what was there goes."""
     splats = layer.splats
-    handle = viewer.server.scene.add_gaussian_splats(
+    viewer.colored[layer.name] = (layer, place)
+    return viewer.server.scene.add_gaussian_splats(
         f"/layers/{place}",  # not the name: a node below another one would hide with it
         centers=_MAGNIFIED * splats.means.detach().float().cpu().numpy(),
         covariances=(_MAGNIFIED**2 * covariances(splats)).clip(-_LARGEST_HALF, _LARGEST_HALF),
-        rgbs=layer_colors(splats, COLORS[0], place),
+        rgbs=layer_colors(splats, viewer.coloring.value, place),
         opacities=splats.opacities.detach().float().cpu().numpy()[:, None],
         scale=1.0 / _MAGNIFIED,
     )
-    _add_box(viewer, layer.name, handle, hint=layer.note, initial=True)
 
-    @viewer.coloring.on_update
+
+def _add_choice(viewer: Viewer, layers: Sequence[Layer]) -> None:
+    """Let the page show one completion at a time: the result, or an alternative."""
+    names = [layer.name for layer in layers if layer.is_alternative]
+    if not names or "new" not in viewer.boxes:
+        return
+    choice = viewer.server.gui.add_dropdown("completion", ("new", *names), initial_value="new")
+    viewer.choice.append(choice)
+
+    @choice.on_update
     def _(_event: Any) -> None:
-        handle.rgbs = layer_colors(splats, viewer.coloring.value, place)
+        for name in ("new", *names):
+            viewer.boxes[name].value = name == choice.value
 
 
-def _add_view(viewer: Viewer, views: ViewDistribution) -> None:
-    """Draw the camera of c, hidden at first, with a button that looks from there."""
+def _add_views(viewer: Viewer, scene: Scene) -> None:
+    """Draw the cameras of c and of V's bounds, hidden at first, with a button that looks from c."""
+    assert scene.views is not None
+    views = scene.views
     camera = views.input_camera(_PICTURE_PX)
-    rotation = camera.camera_from_world[0, :3, :3].double().T.contiguous()
-    w, x, y, z = quaternion_from_rotation(rotation).tolist()
-    frustum = viewer.server.scene.add_camera_frustum(
-        "/c",
-        fov=camera_fov(camera),
-        aspect=1.0,
-        scale=_FRUSTUM_SCALE,
-        wxyz=(w, x, y, z),
-        position=tuple(camera.positions[0].tolist()),
-    )
-    _add_box(viewer, "c", frustum, hint="camera of the input view", initial=False)
+    by_name = {layer.name: layer.splats for layer in scene.layers}
+    added = by_name.get("new") if scene.running is None else None
+    for name, cameras, hint in (
+        ("c", views.input_camera(_ERROR_PX), "camera of the input view"),
+        ("V", bounds_of(views, _ERROR_PX), "cameras at the bounds of V"),
+    ):
+        node = viewer.server.scene.add_frame(f"/{name}", show_axes=False)
+        pictures = error_pictures(by_name.get("P"), added, cameras)
+        for index, picture in enumerate(pictures):
+            rotation = cameras.camera_from_world[index, :3, :3].double().T.contiguous()
+            w, x, y, z = quaternion_from_rotation(rotation).tolist()
+            viewer.server.scene.add_camera_frustum(
+                f"/{name}/{index}",
+                fov=camera_fov(cameras),
+                aspect=1.0,
+                scale=_FRUSTUM_SCALE,
+                wxyz=(w, x, y, z),
+                position=tuple(cameras.positions[index].tolist()),
+                image=picture,
+            )
+        _add_box(viewer, name, node, hint=hint, initial=False)
     button = viewer.server.gui.add_button("look from c")
 
     @button.on_click
     def _(event: Any) -> None:
         look_from(event.client, camera)
+
+
+def bounds_of(views: ViewDistribution, size_px: int) -> Cameras:
+    """Return the cameras at the corners and the middles of the sides of V."""
+    grid = [(a, e) for a in (-1, 0, 1) for e in (-1, 0, 1) if (a, e) != (0, 0)]
+    azimuths, elevations = np.array(grid, np.float64).T
+    limits = np.clip(views.elevation_deg + elevations * views.elevation_range_deg, -89.0, 89.0)
+    return views.cameras((views.azimuth_deg + azimuths * views.azimuth_range_deg, limits), size_px)
+
+
+def error_pictures(
+    partial: Splats | None, added: Splats | None, cameras: Cameras
+) -> list[NDArray[np.uint8] | None]:
+    """Draw how far P with what was added differs from P alone, from every camera.
+
+    Args:
+        partial: P.
+        added: new splats; None = nothing to compare.
+        cameras: from where.
+    """
+    if partial is None or added is None:
+        return [None] * len(cameras)
+    alone, new = partial.with_sh_degree(0), added.with_sh_degree(0)
+    ground = alone.means.new_tensor(LIGHT_GREY)
+    with torch.no_grad():
+        theirs = render(alone, cameras, ground)
+        ours = render(concatenate([alone, new]), cameras, ground)
+    triples = zip(ours.color, theirs.color, theirs.alpha, strict=True)
+    return [np.asarray(error_picture(*triple)) for triple in triples]
 
 
 def _add_box(viewer: Viewer, name: str, handle: Any, *, hint: str, initial: bool) -> None:
@@ -175,7 +262,7 @@ def _add_box(viewer: Viewer, name: str, handle: Any, *, hint: str, initial: bool
 
     @box.on_update
     def _(_event: Any) -> None:
-        handle.visible = box.value
+        viewer.drawn[name].visible = box.value
 
     viewer.drawn[name] = handle
     viewer.boxes[name] = box

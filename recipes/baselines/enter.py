@@ -19,11 +19,13 @@ import tyro
 from gscomplete.errors import UserError
 from gscomplete.evaluate.align import AlignmentSettings, align_splats
 from gscomplete.evaluate.subject import objects_of
+from gscomplete.folders import ObjectFolder
 from gscomplete.splats import Splats, read_splats, write_splats
 from gscomplete.splats.formats.any_file import read_any_splats
 from gscomplete.splats.ply import PlyError
 from gscomplete.splats.transform import transform_splats
 from gscomplete.util import jsonio
+from recipes.baselines.here import METHODS, completed_here, read_part
 from recipes.baselines.registry import SYSTEMS
 from recipes.entry_point import start
 from splatcomplete_data.mesh.convert import convert_mesh
@@ -41,16 +43,20 @@ class Options:
     """Name in the registry; ``other`` for one that is not listed."""
     dataset: Path
     """Folder of object folders."""
-    results: Path
-    """Folder of the system's files, named after the objects."""
     out: Path
     """Folder for ID.ply; what is there already is kept."""
+    results: Path | None = None
+    """Folder of the system's files, named after the objects; None = it is made here."""
+    bank: Path | None = None
+    """With ``nearest_mesh``: the file of ``recipes.baselines.bank``."""
     count: int = 60_000
     """Splats that a mesh becomes."""
     rotations: int = 1000
     """Rotations that the alignment tries."""
     report: Path | None = None
     """Measure all that is in OUT and write this HTML page."""
+    beside: tuple[str, ...] = ()
+    """With --report: other folders of runs; NAME=FOLDER names the method."""
 
 
 def find_result(results: Path, object_id: str) -> Path | None:
@@ -82,7 +88,10 @@ def read_result(path: Path, count: int) -> Splats:
 
 
 def enter(options: Options) -> dict[str, Any]:
-    """Convert and align what there is; return what ``alignment.json`` says.
+    """Make, or convert and align, what there is.
+
+    Returns:
+        What ``alignment.json`` says; of baselines made here, why objects have none.
 
     Raises:
         UserError: the system is not registered, or there is no result at all.
@@ -90,10 +99,42 @@ def enter(options: Options) -> dict[str, Any]:
     if options.system not in SYSTEMS:
         known = ", ".join(SYSTEMS)
         raise UserError(f"SYSTEM: expected one of {known}, found {options.system!r}")
+    made_here = options.system in METHODS
+    if made_here != (options.results is None):
+        expected = "none: it is made here" if made_here else "the folder of the system's files"
+        raise UserError(f"{options.system}: --results: expected {expected}")
+    options.out.mkdir(parents=True, exist_ok=True)
+    objects = objects_of(options.dataset)
+    done = _make(options, objects) if made_here else _align(options, objects)
+    if not any(options.out.glob("*.ply")):
+        raise UserError(f"{options.results}: expected a result named after an object, found none")
+    return done
+
+
+def _make(options: Options, objects: list[ObjectFolder]) -> dict[str, Any]:
+    """Complete every object here; say which could not be and why."""
+    failures: dict[str, str] = {}
+    for known_object in objects:
+        target = options.out / f"{known_object.id}.ply"
+        if target.is_file():
+            continue
+        try:
+            part = read_part(known_object, options.bank)
+            write_splats(target, completed_here(options.system, part))
+        except UserError as error:
+            failures[known_object.id] = str(error)
+            sys.stdout.write(f"{known_object.id}: {error}\n")
+    if failures and not any(options.out.glob("*.ply")):
+        raise UserError(next(iter(failures.values())))
+    return failures
+
+
+def _align(options: Options, objects: list[ObjectFolder]) -> dict[str, Any]:
+    """Convert and align what the system made; return what ``alignment.json`` says."""
+    assert options.results is not None
     record = options.out / ALIGNMENT_FILE
     done: dict[str, Any] = jsonio.read_json(record) if record.is_file() else {}
-    options.out.mkdir(parents=True, exist_ok=True)
-    for known_object in objects_of(options.dataset):
+    for known_object in objects:
         path = find_result(options.results, known_object.id)
         target = options.out / f"{known_object.id}.ply"
         if path is None or target.is_file():
@@ -113,8 +154,6 @@ def enter(options: Options) -> dict[str, Any]:
         jsonio.write_json(record, done)
         warning = f"; {found.warning()}" if found.warning() else ""
         sys.stdout.write(f"{known_object.id}: residual {100 * found.residual:.2f} %{warning}\n")
-    if not any(options.out.glob("*.ply")):
-        raise UserError(f"{options.results}: expected a result named after an object, found none")
     return done
 
 
@@ -125,7 +164,7 @@ def main(options: Options) -> int:
         return 0
     from gscomplete.cli.report import ReportOptions, run
 
-    runs = (f"{options.system}={options.out}",)
+    runs = (f"{options.system}={options.out}", *options.beside)
     return run(ReportOptions(dataset=options.dataset, runs=runs, out=options.report))
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-Enters = Literal["mesh", "splats"]
+Enters = Literal["mesh", "splats", "made here"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,10 +26,12 @@ class System:
     gives: str
     """File that it writes."""
     enters: tuple[Enters, ...]
-    """How its file is read."""
+    """How its file is read; or that ``here`` makes it."""
     how: str
     """How to run it."""
 
+
+_HERE = "python -m recipes.baselines.enter NAME --dataset DIR --out DIR"
 
 SYSTEMS: dict[str, System] = {
     system.name: system
@@ -49,6 +51,16 @@ SYSTEMS: dict[str, System] = {
                ("mesh", "splats"), "github.com/Sm0kyWu/Amodal3R: example.py"),
         System("sam3d", "image c and its mask", "splats (.ply)", ("splats",),
                "github.com/facebookresearch/sam-3d-objects: demo.py"),
+        System("partial", "P", "P as it is", ("made here",), _HERE),
+        System("likeliest_mirror", "P, its up axis and views",
+               "P and its mirror image through the plane proposed first", ("made here",), _HERE),
+        System("best_mirror", "the same, and the truth to choose with",
+               "P and the best of three mirror images", ("made here",), _HERE),
+        System("nearest_mesh", "P, its up axis and views, a bank of meshes",
+               "the bank's object nearest to P", ("made here",),
+               f"{_HERE} --bank FILE; the file: python -m recipes.baselines.bank"),
+        System("poisson", "P, its up axis and views",
+               "P and what screened Poisson reconstruction closes it with", ("made here",), _HERE),
         System("other", "anything", "GLB, OBJ, PLY, .splat or .spz", ("mesh", "splats"),
                "any system that is not listed"),
     )

@@ -1,6 +1,6 @@
 """Compare ways to complete real objects: ``python -m recipes.real_objects.compare --out DIR``.
 
-Every object is completed (or not) in nine ways and compared with the truth from eight views:
+Every object is completed (or not) in ten ways and compared with the truth from eight views:
 
 * ``input``: P alone.
 * ``likeliest``: P and its mirror image through the plane that is proposed first.
@@ -11,6 +11,7 @@ Every object is completed (or not) in nine ways and compared with the truth from
 * ``reconstruct``: the first guess, then rounds of denoised views that splats are fitted to.
 * ``fast``: the fast preset.
 * ``default``: the default preset.
+* ``distill``: score distillation from the first guess.
 * ``alternatives``: the best of up to nine first guesses, through the likely planes of symmetry and
   through none, *chosen with the truth*: the most that someone who looks at what ``--alternatives``
   draws could get.
@@ -63,8 +64,8 @@ from recipes.real_objects.load import RealObject, load_real_object
 from recipes.results import Results
 
 Way = Literal[
-    "input", "likeliest", "mirror", "text", "reconstruct", "fast", "default", "alternatives",
-    "true_shape",
+    "input", "likeliest", "mirror", "text", "reconstruct", "fast", "default", "distill",
+    "alternatives", "true_shape",
 ]  # fmt: skip
 WAYS: tuple[Way, ...] = get_args(Way)
 OBJECTS = (
@@ -130,7 +131,7 @@ def frame_object(item: RealObject, prior: Prior) -> FramedObject:
 
 def outcome_of(framed: FramedObject, way: Way, prior: Prior, seed: int) -> Outcome:
     """Complete a part in one way."""
-    if way in ("fast", "default", "reconstruct", "text"):
+    if way in ("fast", "default", "distill", "reconstruct", "text"):
         return completed_as_run(framed, prior, settings_of(way, prior, seed))
     started = time.perf_counter()
     found: Splats | None = None
@@ -160,7 +161,7 @@ def completed_as_run(framed: FramedObject, prior: Prior, settings: CompletionSet
 
 def settings_of(way: Way, prior: Prior, seed: int) -> CompletionSettings:
     """Return the settings of a way to complete."""
-    name: PresetName = way if way in ("fast", "reconstruct") else "default"
+    name: PresetName = way if way in ("fast", "distill", "reconstruct") else "default"
     chosen = preset(name, prior, text_only=way == "text")
     return dataclasses.replace(chosen, seed=seed)
 

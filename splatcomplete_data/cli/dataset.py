@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 class BuildOptions:
     """Build all objects of a recipe.
 
-    Objects that are up to date are left alone; a build that was killed goes on where it stopped;
-    an object that fails does not stop the others. Exit code 1 if any failed.
+    Objects that are up to date are left alone: made from the same entry and sources by the same
+    code. A build that was killed goes on where it stopped; an object that fails does not stop the
+    others. Exit code 1 if any failed.
 
     Example: splatcomplete-data build recipes/splatcomplete_open/recipe.yaml --data ../shared/data
     """
@@ -43,6 +44,8 @@ class BuildOptions:
     allow_outside: Path | None = None
     """Folder below which files that the recipe, a mesh or a capture names are read beside those
     below --data and below the mesh's or capture's own folder; None = --data."""
+    any_code: bool = False
+    """Leave objects alone that another version of the code made; otherwise they are made anew."""
     json: bool = False
     """Print one JSON object on standard output and nothing else there."""
 
@@ -112,6 +115,7 @@ def run_build(options: BuildOptions) -> int:
             workers=workers,
             only=options.only,
             allow_outside=options.allow_outside,
+            any_code=options.any_code,
             on_outcome=show,
         )
     counts = Counter(outcome.status for outcome in outcomes)

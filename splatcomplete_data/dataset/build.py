@@ -5,10 +5,10 @@ Conventions
 * Every object is made by its command in a worker process that stands in the data folder, so that
   records name sources relative to it and are the same bytes wherever the data lie.
 * ``OUT/.build/ID.json`` holds a fingerprint (entry, tool version, hashes of the sources and of
-  the files that these name) and the hash of the object.json that came of it. An object whose
-  fingerprint fits and whose files are whole is left alone; so a second build does nothing, and one
-  that was killed goes on where it stopped. A killed object leaves nothing but a temporary folder,
-  which the next build removes.
+  the files that these name), a digest of the code (``code_digest``), and the hash of the
+  object.json that came of it. An object for which all fit and whose files are whole is left alone;
+  so a second build does nothing, and one that was killed goes on where it stopped. A killed object
+  leaves nothing but a temporary folder, which the next build removes.
 * ``.build/ID.json`` also says that ``OUT/ID`` is this build's to replace; it is there before the
   object is. A folder that stands there without it was made by someone else and is left alone.
 * Captures (training from photos) go to ``OUT/.build/captures``. Their fingerprint is written before
@@ -41,6 +41,7 @@ from gscomplete.util.digests import sha256_of
 from gscomplete.util.file_names import DATASET_FILE
 from gscomplete.util.folder_lock import lock_folder
 from splatcomplete_data.atomic_folder import forget_leftovers
+from splatcomplete_data.dataset.code_digest import code_digest
 from splatcomplete_data.dataset.recipe import Entry, Recipe
 from splatcomplete_data.mesh.files.side_files import side_files
 from splatcomplete_data.multiview.capture_folder import clear_capture
@@ -75,6 +76,7 @@ def build(
     workers: int,
     only: tuple[str, ...] = (),
     allow_outside: Path | None = None,
+    any_code: bool = False,
     on_outcome: Callable[[Outcome, int, int], None] = lambda outcome, done, total: None,
 ) -> list[Outcome]:
     """Build what is not up to date.
@@ -88,6 +90,7 @@ def build(
         allow_outside: folder below which files that the recipe names are read beside those below
             ``data``, and files that a mesh or capture names beside those below its own folder;
             None = ``data``.
+        any_code: leave alone what other code made of the same entry and sources.
         on_outcome: called with each outcome, and how many of how many are done.
 
     Returns:
@@ -127,10 +130,10 @@ def build(
         on_outcome(outcome, done, total)
 
     failed: dict[str, str] = {}
-    for outcome in _run_all(captures, data, out, reach, 1, {}, tell):
+    for outcome in _run_all(captures, data, out, reach, 1, {}, tell, any_code):
         if outcome.status == "failed":
             failed[outcome.id] = outcome.message
-    for outcome in _run_all(objects, data, out, reach, workers, failed, tell):
+    for outcome in _run_all(objects, data, out, reach, workers, failed, tell, any_code):
         outcomes[outcome.id] = outcome
     write_index(recipe, out)
     del lock
@@ -189,10 +192,14 @@ def fingerprint(entry: Entry, data: Path, out: Path, reach: Path | None = None) 
     return digest.hexdigest()
 
 
-def is_up_to_date(entry: Entry, data: Path, out: Path, reach: Path | None = None) -> bool:
-    """Tell whether an entry's folder is whole and made from the same things."""
+def is_up_to_date(
+    entry: Entry, data: Path, out: Path, reach: Path | None = None, *, any_code: bool = False
+) -> bool:
+    """Tell whether an entry's folder is whole and made from the same things by the same code."""
     with contextlib.suppress(UserError, OSError, KeyError, TypeError):
         state = jsonio.read_json(out / STATE_FOLDER / f"{entry.id}.json")
+        if not any_code and state["code"] != code_digest(entry.command):
+            return False
         if state["fingerprint"] != fingerprint(entry, data, out, reach):
             return False
         if entry.is_capture:
@@ -218,6 +225,7 @@ def _run_all(
     workers: int,
     failed: dict[str, str],
     tell: Callable[[Outcome], None],
+    any_code: bool,
 ) -> list[Outcome]:
     """Make entries in worker processes; one that dies fails only what it was making."""
     outcomes: list[Outcome] = []
@@ -231,7 +239,7 @@ def _run_all(
         broken = [name for name in entry.captures() if name in failed]
         if broken:
             settle(Outcome(entry.id, "failed", f"its capture {broken[0]!r} failed"))
-        elif is_up_to_date(entry, data, out, reach):
+        elif is_up_to_date(entry, data, out, reach, any_code=any_code):
             settle(Outcome(entry.id, "up to date"))
         else:
             waiting.append(entry)
@@ -260,19 +268,18 @@ def _make(entry: Entry, out_text: str, reach: Path | None = None) -> Outcome:
     said = io.StringIO()
     claimed = False
     try:
-        print_ = fingerprint(entry, Path(), out, reach)
+        print_, code = fingerprint(entry, Path(), out, reach), code_digest(entry.command)
         options = entry.options(folder, out / STATE_FOLDER / CAPTURE_FOLDER)
         if hasattr(options, "allow_outside"):
             options = dataclasses.replace(options, allow_outside=reach)
         if entry.is_capture:
-            options = _begin_capture(state_file, print_, options)
+            options = _begin_capture(state_file, print_, code, options)
         else:
             claimed = _claim(state_file, folder)
             options = dataclasses.replace(options, overwrite=True)
         _run_command(entry, options, said)
         result = "splats.ply" if entry.is_capture else RECORD_FILE
-        state: dict[str, Any] = {"fingerprint": print_, "result": sha256_of(folder / result)}
-        jsonio.write_json(state_file, state)
+        jsonio.write_json(state_file, _state(print_, code, sha256_of(folder / result)))
     except UserError as error:
         return Outcome(entry.id, "failed", str(error))
     except OSError as error:
@@ -299,11 +306,11 @@ def _claim(state: Path, folder: Path) -> bool:
             f"{folder}: expected nothing or a folder that this build made, found one that it did "
             "not make; move it away or give the entry another id"
         )
-    jsonio.write_json(state, {"fingerprint": None, "result": None})
+    jsonio.write_json(state, _state(None, None, None))
     return True
 
 
-def _begin_capture(state: Path, print_: str, options: Any) -> Any:
+def _begin_capture(state: Path, print_: str, code: str, options: Any) -> Any:
     """Note what a capture is made from, and have it resume what was made from the same things.
 
     What was made from others goes at once: were it kept until the new capture is set up, a run that
@@ -314,12 +321,18 @@ def _begin_capture(state: Path, print_: str, options: Any) -> Any:
     """
     begun = None
     with contextlib.suppress(UserError, KeyError, TypeError):
-        begun = jsonio.read_json(state)["fingerprint"]
-    goes_on = begun == print_ and options.out.is_dir() and any(options.out.iterdir())
+        begun = jsonio.read_json(state)
+        begun = begun["fingerprint"], begun["code"]
+    goes_on = begun == (print_, code) and options.out.is_dir() and any(options.out.iterdir())
     if not goes_on:
         clear_capture(options.out)
-    jsonio.write_json(state, {"fingerprint": print_, "result": None})
+    jsonio.write_json(state, _state(print_, code, None))
     return dataclasses.replace(options, resume=goes_on, overwrite=not goes_on)
+
+
+def _state(print_: str | None, code: str | None, result: str | None) -> dict[str, str | None]:
+    """Return what ``.build/ID.json`` holds; None = not yet known."""
+    return {"fingerprint": print_, "code": code, "result": result}
 
 
 def _run_command(entry: Entry, options: Any, said: io.StringIO) -> None:

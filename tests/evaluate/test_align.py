@@ -91,7 +91,7 @@ def test_colours_decide_between_poses_that_the_shape_allows():
     red = box.base_colors[:, 0] > 0.5
     assert float((placed[red, 0] > 0.15).float().mean()) > 0.97  # the red end is at the red end
     assert found.runner_up is not None
-    assert found.runner_up < 1.7
+    assert found.runner_up > 1.2
 
 
 def test_rotations_are_proper_and_leave_no_gap():

@@ -13,7 +13,7 @@ from PIL import Image
 
 from gscomplete.cli.report import ReportOptions, run
 from gscomplete.errors import UserError
-from gscomplete.report.cards import error_picture
+from gscomplete.evaluate.pictures import error_picture
 from gscomplete.report.packed_splats import unpacked
 from gscomplete.report.page import write_page
 from gscomplete.views import ObjectFrame

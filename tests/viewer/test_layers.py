@@ -1,10 +1,15 @@
 import json
+import shutil
 
 import numpy as np
 import pytest
 import torch
 
+from gscomplete.completion.settings import LearningRates
 from gscomplete.errors import UserError
+from gscomplete.fitting.checkpoint import save_checkpoint
+from gscomplete.fitting.parameters import SplatParameters
+from gscomplete.folders import alternative_file
 from gscomplete.splats import append_splats, read_splats, write_splats
 from gscomplete.viewer.layers import read_scene
 from gscomplete.views import ObjectFrame, ViewDistribution
@@ -40,10 +45,46 @@ def test_a_run_gives_p_and_what_was_added_in_its_frame(tmp_path):
     assert torch.allclose(scene.layers[0].splats.means, expected, atol=1e-6)
 
 
-def test_an_unfinished_run_is_named(tmp_path):
+def test_alternatives_stand_for_what_was_added(tmp_path):
+    options = ["--mirror=30,0.1", "--mirror=none"]
+    folder = write_run(tmp_path / "run", result={"alternatives": options})
+    for number, count in enumerate((3, 4)):
+        path = folder / alternative_file(number)
+        path.parent.mkdir(exist_ok=True)
+        write_splats(path, random_splats(count))
+    layers = read_scene([folder], "Z", 100).layers
+    assert [(layer.name, len(layer.splats)) for layer in layers[2:]] == list(
+        zip(options, (3, 4), strict=True)
+    )
+    assert [layer.is_alternative for layer in layers] == [False, False, True, True]
+    shutil.rmtree(folder / "alternatives")  # runs of before kept none
+    assert len(read_scene([folder], "Z", 100).layers) == 2
+
+
+def test_a_run_that_goes_on_shows_its_newest_checkpoint(tmp_path):
     folder = write_run(tmp_path / "run", status="running")
+    record = json.loads((folder / "run.json").read_text())
+    record["input"]["path"] = str(folder / "partial.ply")
+    (folder / "run.json").write_text(json.dumps(record))
     (folder / "completed.ply").unlink()
-    with pytest.raises(UserError, match=r"completed\.ply: no such file; the run is running"):
+    scene = read_scene([folder], "Z", 100)
+    assert scene.running == folder
+    assert [layer.name for layer in scene.layers] == ["P"]
+    parameters = SplatParameters(random_splats(6, seed=3), LearningRates())
+    state = {**parameters.state(), "step": torch.tensor(40)}
+    save_checkpoint(folder / "checkpoints", state)
+    scene = read_scene([folder], "Z", 100)
+    assert [layer.name for layer in scene.layers] == ["P", "new"]
+    expected = parameters.splats()
+    for name in ("means", "quaternions", "scales", "opacities", "sh"):
+        found = getattr(scene.layers[1].splats, name)
+        assert torch.allclose(found, getattr(expected, name), atol=1e-5), name
+
+
+def test_an_unfinished_run_is_named(tmp_path):
+    folder = write_run(tmp_path / "run", status="stopped")
+    (folder / "completed.ply").unlink()
+    with pytest.raises(UserError, match=r"completed\.ply: no such file; the run is stopped"):
         read_scene([folder], "Z", 100)
 
 

@@ -8,7 +8,17 @@ import torch
 from gscomplete.errors import UserError
 from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.viewer.layers import Layer, Scene
-from gscomplete.viewer.server import TINTS, camera_fov, covariances, layer_colors, look_from, serve
+from gscomplete.viewer.server import (
+    TINTS,
+    bounds_of,
+    camera_fov,
+    covariances,
+    error_pictures,
+    layer_colors,
+    look_from,
+    serve,
+    show_layer,
+)
 from gscomplete.views import ViewDistribution
 from tests.builders.objects import random_splats, round_splats
 
@@ -29,7 +39,7 @@ def test_the_page_is_served(viewer):
 
 def test_boxes_hide_layers_and_the_list_colours_them(viewer):
     drawn, boxes = viewer.drawn, viewer.boxes
-    assert set(drawn) == set(boxes) == {"P", "new", "c"}
+    assert set(drawn) == set(boxes) == {"P", "new", "--mirror=none", "c", "V"}
     assert drawn["new"].visible
     boxes["new"].value = False
     assert not drawn["new"].visible
@@ -42,6 +52,52 @@ def test_boxes_hide_layers_and_the_list_colours_them(viewer):
     assert not drawn["c"].visible
     boxes["c"].value = True
     assert drawn["c"].visible
+
+
+def test_one_completion_is_shown_at_a_time(viewer):
+    shown = {name: viewer.drawn[name].visible for name in ("P", "new", "--mirror=none")}
+    assert shown == {"P": True, "new": True, "--mirror=none": False}
+    viewer.choice[0].value = "--mirror=none"
+    shown = {name: viewer.drawn[name].visible for name in ("P", "new", "--mirror=none")}
+    assert shown == {"P": True, "new": False, "--mirror=none": True}
+
+
+def test_a_layer_takes_the_place_of_the_one_before(viewer):
+    viewer.boxes["new"].value = False
+    show_layer(viewer, Layer("new", random_splats(7, seed=5), ""))
+    assert len(viewer.drawn["new"].centers) == 7
+    assert not viewer.drawn["new"].visible
+    viewer.boxes["new"].value = True
+    assert viewer.drawn["new"].visible
+    viewer.coloring.value = "tints"
+    assert len(viewer.drawn["new"].rgbs) == 7
+
+
+def test_cameras_at_the_bounds_of_v():
+    views = ViewDistribution(30.0, 80.0, 40.0, 15.0)
+    cameras = bounds_of(views, 32)
+    assert len(cameras) == 8
+    x, y, z = cameras.positions.double().T
+    azimuths = torch.rad2deg(torch.atan2(y, x))
+    assert sorted({round(float(a)) for a in azimuths}) == [-10, 30, 70]
+    elevations = torch.rad2deg(torch.asin(z / views.radius))
+    assert sorted({round(float(e)) for e in elevations}) == [65, 80, 89]
+
+
+def test_errors_are_red_where_what_was_added_hides_p():
+    views = ViewDistribution(0.0, 0.0)
+    grid = torch.stack(torch.meshgrid(*[torch.linspace(-0.3, 0.3, 25)] * 2, indexing="ij"), -1)
+    sheet = torch.cat([torch.zeros(625, 1), grid.reshape(-1, 2)], 1)  # squarely before c
+    partial = round_splats(sheet, scale=0.03, color=torch.full((625, 3), 0.2))
+    hiding = round_splats(torch.tensor([[0.3, 0.1, 0.0]]), scale=0.05, color=torch.ones(1, 3))
+    camera = views.input_camera(64)
+    (red,) = error_pictures(partial, hiding, camera)
+    behind = dataclasses.replace(hiding, means=-hiding.means)
+    (white,) = error_pictures(partial, behind, camera)
+    is_red = (red[:, :, 0].astype(int) - red[:, :, 1]) > 60
+    assert 10 < is_red.sum() < 400
+    assert (white[:, :, 0].astype(int) - white[:, :, 1]).max() < 30
+    assert error_pictures(partial, None, camera) == [None]
 
 
 def test_covariances_are_the_splats_second_moments():

@@ -7,11 +7,11 @@ Conventions
   the frame that P is given in.
 * Search: rotations evenly over SO(3), scales between P's diameter being 60 and 97 % of the
   result's, P's centroid at the result's or on either side of it along its principal axes; ICP from
-  each on a few points. The best go on with more points, the last ones on exact surfaces
-  (``refine``), where the share of the result that P shows is counted instead of taken as given.
-* Geometry alone decides, except between candidates that are as good as the best: then it is the one
-  whose colours agree, up to a common brightness. What is symmetric in shape and colour is found up
-  to its symmetry.
+  each on a few points. The best go on with more points, the last ones on exact surfaces with
+  normals and colours up to a common brightness (``refine``), and from places and scales beside
+  theirs, until none of these is better.
+* Every point of P is to lie on the result; nothing is asked of the result beyond P, but in the
+  search. What is symmetric in shape and colour is found up to its symmetry.
 * Random numbers depend on the seed alone; the order of points matters no more than their sampling.
 """
 
@@ -25,14 +25,16 @@ from scipy.spatial import cKDTree
 
 from gscomplete.errors import UserError
 from gscomplete.evaluate.align.nearest_grid import FloatArray, nearest_grid
-from gscomplete.evaluate.align.refine import Candidate, Surface, refine, surface_of
+from gscomplete.evaluate.align.refine import Candidate, Surface, Target, surface_of
 from gscomplete.evaluate.align.search import even_rotations, improve
 from gscomplete.splats import Splats, usable_rows
 from gscomplete.splats.filters import near_rows
 from gscomplete.splats.transform import Similarity
 
 _DENSE, _MIDDLE, _SPARSE = 4000, 500, 64
-"""Points of either cloud in the last, the second and the first stage."""
+"""Points of either cloud for looking up, and in the second and the first stage of the search."""
+_TRIED, _COMPARED = 400, 1000
+"""Points of P that are aligned from beside a candidate, and by which candidates are compared."""
 _LOOKED_AT = 30_000
 """Points that an even choice is made from, themselves chosen at random where there are more."""
 _FEWEST = 50
@@ -44,12 +46,20 @@ _STARTS = 7
 """Candidates for a rotation: scales, each at another of seven places."""
 _ASIDE = 0.24
 """Places beside the result's centroid, in shares of its extent along a principal axis."""
-_SECOND, _THIRD = 120, 8
-"""Candidates that go on to the second and the third stage."""
+_SECOND, _THIRD, _FOURTH = 120, 24, 4
+"""Candidates that go on to the second, the third and the last stage."""
 _APART_DEG, _APART_LOG_SCALE = 8.0, 0.05
 """Candidates nearer than this in both are one."""
-_AS_GOOD = 1.7
-"""Cost over the best one's up to which colours decide: samplings of the same surface differ so."""
+_GROWTHS, _SHIFT = (0.92, 1.0, 1.08), 0.1
+"""Scales, and shifts in shares of P's longest extent along its principal axes, beside a candidate
+that it is aligned from again."""
+_MOST_ROUNDS, _LEAST_GAIN = 4, 0.03
+"""Of that, while each gains this share of the cost."""
+_LAST_POINT_SHARE = 0.03
+"""Weight of point-to-point residuals in the last steps, where they would hold surfaces back that
+slide over each other."""
+_GREY = 0.5
+"""Root mean square that colours of either cloud are brought to before the search."""
 _SOLID = 0.3
 """Opacity above which a splat counts as surface."""
 
@@ -144,29 +154,26 @@ def align_points(
     rng = np.random.default_rng([chosen.seed, 0x616C])
     complete_rows = evenly_spread(result, _DENSE, rng)
     part_rows = evenly_spread(target, _DENSE, rng)
-    complete, complete_center, complete_size = _normalised(result[complete_rows])
-    part, part_center, part_size = _normalised(target[part_rows])
-    candidates = _searched(part, complete, chosen, rng)
-    surfaces = surface_of(part), surface_of(complete)
-    some = [s.subset(rng.permutation(len(s.points))[:1400]) for s in surfaces]
-    found = [refine(c, some[0], some[1], chosen.covered, 8) for c in candidates]
-    found.sort(key=lambda candidate: candidate.cost)
-    found = _distinct(found)
-    best = found[0]
-    if colors is not None and target_colors is not None:
-        best = min(
-            (c for c in found if c.cost <= _AS_GOOD * found[0].cost),
-            key=lambda c: _color_error(
-                c, surfaces, colors[complete_rows], target_colors[part_rows]
-            ),
-        )
-    others = [candidate.cost for candidate in found if candidate is not best]
-    runner_up = min(others) / max(best.cost, 1e-30) if others else None
-    last = refine(best, *surfaces, chosen.covered, 8)
-    last = refine(last, *surfaces, covered_share(last, *surfaces), 8)
-    distance = np.sort(surfaces[1].tree.query(last.apply(part))[0])
+    _, complete_center, complete_size = _normalised(result[complete_rows])
+    _, part_center, part_size = _normalised(target[part_rows])
+    all_complete = (result - complete_center) / complete_size
+    all_part = (target - part_center) / part_size
+    candidates = _searched(all_part[part_rows], all_complete[complete_rows], chosen, rng)
+    if colors is None or target_colors is None:
+        colors = target_colors = None
+    rows = rng.permutation(len(result))[:_LOOKED_AT]
+    there = surface_of(all_complete[rows], None if colors is None else _evened(colors[rows]))
+    rows = np.union1d(rng.permutation(len(target))[:_LOOKED_AT], part_rows)
+    here = surface_of(
+        all_part[rows], None if target_colors is None else _evened(target_colors[rows])
+    )
+    part = here.subset(np.searchsorted(rows, part_rows))
+    whole = Target.of(there)
+    best, runner_up = _settled(candidates, part, whole)
+    last = whole.refine(whole.refine(best, part, 25), part, 25, _LAST_POINT_SHARE)
+    distance = np.sort(cKDTree(there.points).query(last.apply(part.points))[0])
     kept = distance[: max(1, int(0.9 * len(distance)))]
-    residual = float(np.sqrt((kept**2).mean())) / (last.scale * diameter(part))
+    residual = float(np.sqrt((kept**2).mean())) / (last.scale * diameter(part.points))
     # complete = scale R part + t in normalised coordinates, each (x - center) / size
     scale = part_size / (last.scale * complete_size)
     rotation = last.rotation.T
@@ -179,15 +186,48 @@ def align_points(
     return Alignment(similarity, residual, runner_up)
 
 
-def covered_share(at: Candidate, part: Surface, complete: Surface) -> float:
-    """Return the share of the complete cloud's points that P covers, a tenth less for safety.
+def _settled(
+    candidates: list[Candidate], part: Surface, target: Target
+) -> tuple[Candidate, float | None]:
+    """Return the best candidate, and the cost of the next over its own; None = no next.
 
-    Covered is what lies within three typical distances of P's points to the complete cloud.
+    Args:
+        candidates: of the search.
+        part: evenly spread points in random order.
+        target: the complete cloud.
     """
-    there, _ = complete.tree.query(at.apply(part.points))
-    back, _ = part.tree.query(at.undo(complete.points))
-    near = float((at.scale * back < 3.0 * np.median(there) + 1e-9).mean())
-    return float(np.clip(0.9 * near, 0.1, 1.0))
+    tried, compared = (part.subset(np.arange(n)) for n in (_TRIED, _COMPARED))
+    found = [target.refine(candidate, compared, 15) for candidate in candidates]
+    found = _distinct(sorted(found, key=_cost))[:_FOURTH]
+    found = [target.refine(_tried_beside(one, tried, target), compared, 8) for one in found]
+    found = _distinct(sorted(found, key=_cost))
+    others = [candidate.cost for candidate in found[1:]]
+    return found[0], min(others) / max(found[0].cost, 1e-30) if others else None
+
+
+def _tried_beside(start: Candidate, part: Surface, target: Target) -> Candidate:
+    """Align from scales and places beside a candidate too, again from the best while that helps."""
+    middle = part.points.mean(axis=0)
+    _, axes = np.linalg.eigh(np.cov(part.points.T))
+    shift = _SHIFT * np.ptp(part.points @ axes, axis=0).max() * axes.T
+    offsets = np.concatenate([np.zeros((1, 3)), shift, -shift])
+    best = target.refine(start, part, 6)
+    for _ in range(_MOST_ROUNDS):
+        beside = [best.beside(middle, offset, growth) for growth in _GROWTHS for offset in offsets]
+        found = min((target.refine(one, part, 6) for one in beside), key=_cost)
+        if found.cost > (1 - _LEAST_GAIN) * best.cost:
+            break
+        best = found
+    return best
+
+
+def _cost(candidate: Candidate) -> float:
+    return candidate.cost
+
+
+def _evened(colors: FloatArray) -> FloatArray:  # [n, 3]
+    """Bring colours to a common brightness; black stays black."""
+    return colors * (_GREY / max(float(np.sqrt((colors**2).mean())), 1e-6))
 
 
 def evenly_spread(
@@ -290,17 +330,3 @@ def _are_apart(a: Candidate, b: Candidate) -> bool:
     cosine = (np.trace(a.rotation.T @ b.rotation) - 1) / 2
     turned = np.degrees(np.arccos(np.clip(cosine, -1, 1))) > _APART_DEG
     return bool(turned or abs(np.log(a.scale / b.scale)) > _APART_LOG_SCALE)
-
-
-def _color_error(
-    at: Candidate,
-    surfaces: tuple[Surface, Surface],
-    colors: FloatArray,  # [n, 3] of the complete cloud's points
-    target_colors: FloatArray,  # [m, 3] of the part's
-) -> float:
-    """Return how far the colours of nearest points differ, up to a common brightness."""
-    part, complete = surfaces
-    _, row = cKDTree(complete.points).query(at.apply(part.points))
-    theirs = colors[row]
-    gain = float((theirs * target_colors).sum() / max(float((theirs**2).sum()), 1e-12))
-    return float(((gain * theirs - target_colors) ** 2).mean())

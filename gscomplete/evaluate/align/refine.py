@@ -1,31 +1,43 @@
-"""Fine alignment: trimmed ICP with scale, point to plane, on exact nearest points.
+"""Fine alignment: ICP with scale on exact nearest points, which match in normal and colour too.
 
 Conventions
 -----------
-* Candidates and costs as in ``search``: part to complete cloud, in the latter's normalised frame.
-* Residuals are taken along that cloud's normals, so that flat surface slides freely over itself
-  whatever the sampling; a small share of point-to-point keeps spheres and planes from drifting.
+* Candidates as in ``search``: part to complete cloud, in the latter's normalised frame.
+* Pairs are nearest in place, normal and colour together: the rim of a thin plate finds a rim and
+  not the plate's faces, a stripe finds a stripe. Normals have no sign; their outer products count.
+* Only the part's points have partners: what the part lacks of the complete object costs nothing.
+  A cost is the mean distance of all pairs, the farthest cut off, in the complete cloud's frame.
+* Residuals are taken along normals, so that flat surface slides over itself whatever the sampling,
+  and to a smaller share (``point_share``) from point to point, so that colours can move it.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from gscomplete.evaluate.align.nearest_grid import FloatArray
-from gscomplete.evaluate.align.search import KEPT
 
-_POINT_SHARE = 0.03
-"""Weight of point-to-point residuals."""
+_NORMAL_LENGTH, _COLOR_LENGTH = 0.035, 0.05
+"""Lengths that normals at right angles (over the root of 2), and black and white, are apart."""
+_FARTHEST = 0.06
+"""Distance in place, normal and colour beyond which a pair costs no more."""
+_AS_GOOD = 1.02
+"""Cost over the lowest met up to which a later step is the better one: samplings differ so."""
+_KERNEL = 3.0
+"""Pairs fade beyond so many medians of their distance."""
 _LARGEST_GROWTH = 0.2
 """Of the scale's logarithm in one step."""
+_LARGEST_GAIN_STEP = 1.5
+"""Factor of the brightness in one step."""
 _NEIGHBOURS = 10
 """Points that a normal is fitted to, itself among them."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class Candidate:
     """A similarity from part to complete cloud, and how well they meet."""
 
@@ -33,6 +45,8 @@ class Candidate:
     rotation: FloatArray  # [3, 3]
     translation: FloatArray  # [3]
     cost: float = np.inf
+    gain: float = 1.0
+    """Brightness of the complete cloud over the part's."""
 
     def apply(self, points: FloatArray) -> FloatArray:  # [n, 3]
         """Take points of the part to the complete cloud."""
@@ -42,87 +56,121 @@ class Candidate:
         """Take points of the complete cloud to the part."""
         return (points - self.translation) @ self.rotation / self.scale
 
+    def beside(self, place: FloatArray, offset: FloatArray, growth: float) -> Candidate:
+        """Return the candidate that takes a place of the part to where ``place + offset`` lies.
+
+        Args:
+            place: of the part, which growth leaves where it is.
+            offset: shift, in the part's frame.
+            growth: factor of the scale.
+        """
+        at = self.apply((place + offset)[None])[0]
+        scale = growth * self.scale
+        shift = at - scale * self.rotation @ place
+        return Candidate(scale, self.rotation, shift, gain=self.gain)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """A cloud with normals, ready for nearest-point queries."""
+    """A cloud with normals and colours."""
 
     points: FloatArray  # [n, 3]
     normals: FloatArray  # [n, 3]
-    tree: cKDTree
+    colors: FloatArray  # [n, 3]
 
     def subset(self, rows: np.ndarray) -> Surface:
         """Return a choice of points with the normals that all of them gave."""
-        return Surface(self.points[rows], self.normals[rows], cKDTree(self.points[rows]))
+        return Surface(self.points[rows], self.normals[rows], self.colors[rows])
 
 
-def surface_of(points: FloatArray) -> Surface:  # [n, 3]
-    """Fit a normal to every point's neighbourhood."""
-    tree = cKDTree(points)
-    _, near = tree.query(points, k=min(_NEIGHBOURS, len(points)))
+def surface_of(points: FloatArray, colors: FloatArray | None = None) -> Surface:  # [n, 3] both
+    """Fit a normal to every point's neighbourhood; without colours all are of one."""
+    _, near = cKDTree(points).query(points, k=min(_NEIGHBOURS, len(points)))
     offsets = points[near] - points[near].mean(axis=1, keepdims=True)
     _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))
-    return Surface(points, axes[:, :, 0], tree)
+    return Surface(points, axes[:, :, 0], np.ones_like(points) if colors is None else colors)
 
 
-def refine(
-    start: Candidate, part: Surface, complete: Surface, covered: float, iterations: int
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """The complete cloud, ready to be searched for partners."""
+
+    surface: Surface
+    tree: cKDTree
+
+    @staticmethod
+    def of(surface: Surface) -> Target:
+        """Index a cloud by place, normal and colour."""
+        return Target(surface, cKDTree(_joint(surface.points, surface.normals, surface.colors)))
+
+    def refine(
+        self, start: Candidate, part: Surface, iterations: int, point_share: float = 0.3
+    ) -> Candidate:
+        """Take ICP steps from a candidate; return the last one met that is as good as any."""
+        current, best, lowest = start, start, np.inf
+        for step in range(iterations + 1):
+            moved = current.apply(part.points)
+            normals = part.normals @ current.rotation.T
+            joint = _joint(moved, normals, current.gain * part.colors)
+            distance, row = self.tree.query(joint)
+            cost = float(np.minimum(distance, _FARTHEST).mean())
+            if cost <= _AS_GOOD * lowest:
+                best = dataclasses.replace(current, cost=cost)
+            lowest = min(lowest, cost)
+            if step == iterations:
+                break
+            kernel = _KERNEL * float(np.median(distance)) + 1e-9
+            weights = np.exp(-0.5 * (distance / kernel) ** 2) / len(distance)
+            partners = self.surface.subset(row)
+            gain = _gain(part.colors, partners.colors, weights, current.gain)
+            current = _stepped(current, moved, partners, weights, gain, point_share)
+        return best
+
+
+def _joint(points: FloatArray, normals: FloatArray, colors: FloatArray) -> FloatArray:  # [n, 12]
+    """Return places whose distances count place, normal (without sign) and colour."""
+    x, y, z = normals.T
+    root = np.sqrt(2.0)
+    outer = np.stack([x * x, y * y, z * z, root * x * y, root * x * z, root * y * z], axis=1)
+    return np.concatenate([points, _NORMAL_LENGTH * outer, _COLOR_LENGTH * colors], axis=1)
+
+
+def _gain(mine: FloatArray, theirs: FloatArray, weights: FloatArray, before: float) -> float:
+    """Return the brightness of the partners over the part's, by least squares."""
+    ours = float((weights[:, None] * mine**2).sum())
+    found = float((weights[:, None] * mine * theirs).sum()) / max(ours, 1e-12)
+    return float(np.clip(found, before / _LARGEST_GAIN_STEP, before * _LARGEST_GAIN_STEP))
+
+
+def _stepped(
+    at: Candidate,
+    moved: FloatArray,
+    partners: Surface,
+    weights: FloatArray,
+    gain: float,
+    point_share: float,
 ) -> Candidate:
-    """Take ICP steps from a candidate; return the best one met."""
-    current, best = start, start
-    for step in range(iterations + 1):
-        pairs = _Pairs(current, part, complete, covered)
-        if step == 0 or pairs.cost < best.cost:
-            best = Candidate(current.scale, current.rotation, current.translation, pairs.cost)
-        elif pairs.cost > 1.5 * best.cost:
-            break
-        if step < iterations:
-            current = pairs.stepped(current)
-    return best
-
-
-class _Pairs:
-    """Nearest points of both directions, the farthest left out."""
-
-    def __init__(self, at: Candidate, part: Surface, complete: Surface, covered: float) -> None:
-        moved = at.apply(part.points)
-        there, row = complete.tree.query(moved)
-        back, column = part.tree.query(at.undo(complete.points))
-        back = back * at.scale
-        kept = np.argsort(there)[: max(4, int(KEPT * len(there)))]
-        seen = np.argsort(back)[: max(4, int(covered * len(back)))]
-        self.cost = float((there[kept] ** 2).mean() + (back[seen] ** 2).mean())
-        self.source = np.concatenate([moved[kept], moved[column[seen]]])
-        target_rows = np.concatenate([row[kept], seen])
-        self.target = complete.points[target_rows]
-        self.normals = complete.normals[target_rows]
-        weights = np.repeat([1.0 / len(kept), 1.0 / len(seen)], [len(kept), len(seen)])
-        distance = np.concatenate([there[kept], back[seen]])
-        spread = 3.0 * float(np.median(distance)) + 1e-9
-        self.weights = weights * np.exp(-0.5 * (distance / spread) ** 2)
-
-    def stepped(self, at: Candidate) -> Candidate:
-        """Solve for a small rotation, growth and shift about the pairs' centre (Gauss-Newton)."""
-        center = np.average(self.source, axis=0, weights=self.weights)
-        arm, gap = self.source - center, self.target - self.source
-        n, w = self.normals, self.weights
-        rows = np.concatenate([np.cross(arm, n), (arm * n).sum(1, keepdims=True), n], axis=1)
-        matrix = (rows * w[:, None]).T @ rows
-        right = (rows * w[:, None]).T @ (gap * n).sum(1)
-        full = np.zeros((len(arm), 3, 7))
-        full[:, 0, 1], full[:, 0, 2] = arm[:, 2], -arm[:, 1]
-        full[:, 1, 0], full[:, 1, 2] = -arm[:, 2], arm[:, 0]
-        full[:, 2, 0], full[:, 2, 1] = arm[:, 1], -arm[:, 0]
-        full[:, :, 3] = arm
-        full[:, [0, 1, 2], [4, 5, 6]] = 1.0
-        flat, heavy = full.reshape(-1, 7), np.repeat(_POINT_SHARE * w, 3)[:, None]
-        matrix += (flat * heavy).T @ flat + 1e-12 * np.eye(7)
-        right += (flat * heavy).T @ gap.reshape(-1)
-        solved = np.linalg.solve(matrix, right)
-        turn = _rotation(solved[:3])
-        growth = float(np.exp(np.clip(solved[3], -_LARGEST_GROWTH, _LARGEST_GROWTH)))
-        shift = growth * turn @ (at.translation - center) + center + solved[4:]
-        return Candidate(growth * at.scale, turn @ at.rotation, shift)
+    """Solve for a small rotation, growth and shift about the pairs' centre (Gauss-Newton)."""
+    center = np.average(moved, axis=0, weights=weights)
+    arm, gap = moved - center, partners.points - moved
+    n = partners.normals
+    rows = np.concatenate([np.cross(arm, n), (arm * n).sum(1, keepdims=True), n], axis=1)
+    matrix = (rows * weights[:, None]).T @ rows
+    right = (rows * weights[:, None]).T @ (gap * n).sum(1)
+    full = np.zeros((len(arm), 3, 7))
+    full[:, 0, 1], full[:, 0, 2] = arm[:, 2], -arm[:, 1]
+    full[:, 1, 0], full[:, 1, 2] = -arm[:, 2], arm[:, 0]
+    full[:, 2, 0], full[:, 2, 1] = arm[:, 1], -arm[:, 0]
+    full[:, :, 3] = arm
+    full[:, [0, 1, 2], [4, 5, 6]] = 1.0
+    flat, heavy = full.reshape(-1, 7), np.repeat(point_share * weights, 3)[:, None]
+    matrix += (flat * heavy).T @ flat + 1e-12 * np.eye(7)
+    right += (flat * heavy).T @ gap.reshape(-1)
+    solved = np.linalg.solve(matrix, right)
+    turn = _rotation(solved[:3])
+    growth = float(np.exp(np.clip(solved[3], -_LARGEST_GROWTH, _LARGEST_GROWTH)))
+    shift = growth * turn @ (at.translation - center) + center + solved[4:]
+    return Candidate(growth * at.scale, turn @ at.rotation, shift, gain=gain)
 
 
 def _rotation(vector: FloatArray) -> FloatArray:  # [3] -> [3, 3]

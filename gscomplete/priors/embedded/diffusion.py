@@ -21,6 +21,8 @@ from torch import Tensor
 
 NUM_TIMESTEPS = 1000
 SNR_CAP = 5.0
+TRANSPARENT = -1.0
+"""Every channel of an image where nothing is: premultiplied RGBA in [-1, 1]."""
 
 
 def alpha_sigma(timestep: Tensor) -> tuple[Tensor, Tensor]:
@@ -86,7 +88,8 @@ def guided_x0(
         input_scale: pull towards P.
         text_scale: pull towards the prompt.
         rescale: fraction (0 to 1) by which the standard deviation of the result is brought back
-            to that of the fully conditional image (Lin et al. 2023), per ring.
+            to that of the fully conditional image (Lin et al. 2023), per ring. Contrast is the
+            distance from ``TRANSPARENT``: about zero, what is empty would turn to fog.
     """
     factors: dict[tuple[bool, bool], float] = {}
     top = text_scale if has_text else 0.0
@@ -110,7 +113,7 @@ def guided_x0(
         ratio = images[full].std(dim=dims, keepdim=True) / result.std(dim=dims, keepdim=True).clamp(
             min=1e-6
         )
-        result = result * (1 - rescale + rescale * ratio)
+        result = TRANSPARENT + (result - TRANSPARENT) * (1 - rescale + rescale * ratio)
     return result
 
 

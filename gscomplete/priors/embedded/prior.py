@@ -102,7 +102,7 @@ class EmbeddedPrior:
         "default": "guess",
         "fast": "small guess",
         "reconstruct": "reconstruct",
-        "distill": "distill",
+        "distill": "refine",
         "paper": "paper",
     }
     """Which settings of ``completion.presets`` a preset stands for with this prior."""

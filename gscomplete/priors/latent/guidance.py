@@ -67,7 +67,13 @@ def guided_noise(conditional: Tensor, unconditional: Tensor, scale: float) -> Te
     return unconditional + scale * (conditional - unconditional)
 
 
-def rescaled(guided: Tensor, conditional: Tensor, rescale: float, group: int) -> Tensor:
+def rescaled(
+    guided: Tensor,
+    conditional: Tensor,
+    rescale: float,
+    group: int,
+    center: Tensor | None = None,
+) -> Tensor:
     """Pull the contrast of guided latents back to the conditional ones' (Lin et al. 2023).
 
     Args:
@@ -76,9 +82,13 @@ def rescaled(guided: Tensor, conditional: Tensor, rescale: float, group: int) ->
         rescale: fraction f; 0 = leave as is.
         group: images whose standard deviation is taken together (unbiased, over all views,
             channels and pixels).
+        center: [..., C, h, w] what contrast is the distance from; None = zero, as published.
     """
     if rescale == 0:
         return guided
+    if center is not None:
+        away = rescaled(guided - center, conditional - center, rescale, group)
+        return center + away
     flat = guided.reshape(-1, group * guided[0].numel())
     ratio = (conditional.reshape_as(flat).std(dim=1, keepdim=True) + 1e-8) / (
         flat.std(dim=1, keepdim=True) + 1e-8

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import torch
 import torch.nn.functional as F
@@ -79,6 +79,14 @@ class LatentPrior:
     """A :class:`gscomplete.priors.base.Prior` on a latent diffusion model."""
 
     sees_input = False
+    presets: ClassVar[dict[str, str]] = {
+        "default": "latent",
+        "fast": "text only",
+        "reconstruct": "text only",
+        "distill": "latent",
+        "paper": "paper",
+    }
+    """Which settings of ``completion.presets`` a preset stands for."""
 
     def __init__(
         self,
@@ -148,7 +156,8 @@ class LatentPrior:
             noisy = self._denoiser.schedule.add_noise(latents.detach(), noise, at)
             guided, conditional = self._predict(noisy, at, conditioning, views.cameras, scales)
             if self._settings.loss == "x0":
-                target = self._clean(noisy, guided, conditional, at, scales)
+                center = self._rescale_center(background, latents, scales)
+                target = self._clean(noisy, guided, conditional, at, scales, center)
         if self._settings.loss == "epsilon":
             return epsilon_loss(latents, guided, noise)
         return x0_loss(latents, target)
@@ -168,6 +177,7 @@ class LatentPrior:
         background = draw_background(self._settings.background, generator)
         latents = self._encode(views, background, generator)
         schedule, scales = self._denoiser.schedule, guidance or self._guidance
+        center = self._rescale_center(background, latents, scales)
         start = self._checked(min(timestep, self.num_timesteps - 1))
         noise = _randn_like(latents, generator)
         pure = timestep >= self.num_timesteps - 1
@@ -175,7 +185,7 @@ class LatentPrior:
         times = [round(start * (1 - k / num_steps)) for k in range(num_steps)]
         for now, then in zip(times, [*times[1:], None], strict=True):
             guided, conditional = self._predict(noisy, now, conditioning, views.cameras, scales)
-            clean = self._clean(noisy, guided, conditional, now, scales)
+            clean = self._clean(noisy, guided, conditional, now, scales, center)
             if then is not None:
                 a, s = schedule.scales(now)
                 noisy = schedule.add_noise(clean, (noisy - a * clean) / s, then)
@@ -221,15 +231,32 @@ class LatentPrior:
         return guided_noise(outputs[0], outputs[1], scales.text_scale), outputs[0]
 
     def _clean(
-        self, noisy: Tensor, guided: Tensor, conditional: Tensor, timestep: int, scales: Guidance
-    ) -> Tensor:
+        self,
+        noisy: Tensor,  # [4, C, h, w]
+        guided: Tensor,
+        conditional: Tensor,
+        timestep: int,
+        scales: Guidance,
+        center: Tensor | None,  # [1, C, h, w]
+    ) -> Tensor:  # [4, C, h, w]
         """Return the guided, rescaled x0."""
         schedule = self._denoiser.schedule
         clean = schedule.clean_of(guided, noisy, timestep)
         if scales.rescale == 0 or guided is conditional:
             return clean
         reference = schedule.clean_of(conditional, noisy, timestep)
-        return rescaled(clean, reference, scales.rescale, self._denoiser.group)
+        return rescaled(clean, reference, scales.rescale, self._denoiser.group, center)
+
+    @torch.no_grad()
+    def _rescale_center(
+        self, background: Tensor, latents: Tensor, scales: Guidance
+    ) -> Tensor | None:  # [1, C, h, w]
+        """Return the latents of the background alone; None where contrast is that about zero."""
+        if scales.rescale == 0 or scales.rescale_about == "zero":
+            return None
+        side = latents.shape[-1] * self._codec.downsampling
+        plain = background.to(latents)[None, :, None, None].expand(1, 3, side, side)
+        return self._codec.encode(plain * 2 - 1, None)
 
     def _checked(self, timestep: float) -> int:
         if not 0 <= timestep <= self.num_timesteps - 1:

@@ -103,6 +103,18 @@ def test_rescaling_against_a_plain_loop(group):
         torch.testing.assert_close(found[part], expected)
 
 
+def test_rescaling_about_a_background_leaves_the_background_as_it_is():
+    """About zero it is pulled to grey, and splats answer with fog."""
+    background = torch.full((1, 4, 8, 8), -0.9)
+    conditional = background.repeat(4, 1, 1, 1)
+    conditional[:, :, 2:5, 2:5] = 0.5
+    guided = background + 3.0 * (conditional - background)
+    found = rescaled(guided, conditional, 1.0, 4, background)
+    torch.testing.assert_close(found, conditional)
+    grey = rescaled(guided, conditional, 1.0, 4)
+    assert float((grey - conditional)[:, :, 0, 0].abs().min()) > 0.3
+
+
 def test_full_rescaling_gives_the_conditional_contrast():
     guided, conditional = 50 * randn(4, 4, 8, 8), randn(4, 4, 8, 8, seed=1)
     assert float(rescaled(guided, conditional, 1.0, 4).std()) == pytest.approx(

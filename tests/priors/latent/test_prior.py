@@ -80,8 +80,12 @@ def twin(views: FourViews, timestep: int, scales: Guidance, loss: str) -> torch.
             target = latents - (e - noise)
         else:
             clean, conditional = (noisy - s * e) / a, (noisy - s * predicted[0]) / a
-            ratio = conditional.std() / clean.std()
-            target = clean * (scales.rescale * ratio + 1 - scales.rescale)
+            center = torch.zeros(1, 4, 4, 4).double()
+            if scales.rescale_about == "background":
+                plain = background.expand(1, 32, 32, 3).permute(0, 3, 1, 2)
+                center = reference.vae_moments(vae, plain * 2 - 1, groups=4)[0] * 0.18215
+            ratio = (conditional - center).std() / (clean - center).std()
+            target = center + (clean - center) * (scales.rescale * ratio + 1 - scales.rescale)
     return 0.5 * (latents - target).square().sum() / 4
 
 
@@ -90,6 +94,7 @@ def twin(views: FourViews, timestep: int, scales: Guidance, loss: str) -> torch.
     [
         ("x0", 490, None),
         ("x0", 980, Guidance(7.5, rescale=0.9)),
+        ("x0", 490, Guidance(50.0, rescale=0.5, rescale_about="background")),
         ("x0", 20, Guidance(50.0)),
         ("epsilon", 300, Guidance(100.0)),
     ],

@@ -1,4 +1,4 @@
-"""Two hundred steps of the paper's settings through the real loop, with a reduced-width MVDream."""
+"""The paper's settings and the default ones through the real loop, with a reduced-width MVDream."""
 
 import dataclasses
 
@@ -8,8 +8,9 @@ import torch
 pytest.importorskip("diffusers", reason="the extra gscomplete[mvdream] is not installed")
 pytest.importorskip("transformers", reason="the extra gscomplete[mvdream] is not installed")
 
-from gscomplete.completion.presets import PAPER, preset
+from gscomplete.completion.presets import LATENT, PAPER, preset
 from gscomplete.fitting.settings import DensifySettings
+from gscomplete.priors.base import Guidance
 from gscomplete.priors.mvdream.prior import mvdream_prior
 from gscomplete.priors.mvdream.weights import open_weights
 from gscomplete.views import ViewDistribution
@@ -32,12 +33,36 @@ def make(tmp_path_factory):
     weights = open_weights(write_original(tmp_path_factory.mktemp("weights")))
     prior = mvdream_prior(weights, torch.device("cpu"), views=TINY_VIEWS)
     conditioning, partial = prior.condition("a red ball"), half(ball(600, 0.45))
-    return lambda: steps_of(partial, prior, conditioning, ViewDistribution(0.0, 10.0), SETTINGS)
+    views = ViewDistribution(0.0, 10.0)
+    return lambda settings=SETTINGS: steps_of(partial, prior, conditioning, views, settings)
 
 
-def test_the_default_preset_of_this_prior_is_the_paper(make):
+def test_presets_of_this_prior(make):
     prior = make()._prior
-    assert preset("default", prior) == PAPER == preset("paper", prior)
+    assert preset("default", prior) == LATENT
+    assert preset("paper", prior) == PAPER
+    assert LATENT.steps <= PAPER.steps // 2
+
+
+def test_the_default_settings_reach_the_prior_as_they_are(make, monkeypatch):
+    """Contrast is pulled back about the background, noise falls, guidance is MVDream's."""
+    seen = []
+    job = make(dataclasses.replace(LATENT, steps=6, new_splats=100, warmup_steps=2))
+    original = job._prior.distill
+
+    def distill(views, timestep, *arguments):
+        seen.append((timestep, arguments[-1]))
+        return original(views, timestep, *arguments)
+
+    monkeypatch.setattr(job._prior, "distill", distill)
+    while not job.finished:
+        job.step()
+    times = [timestep for timestep, _ in seen]
+    assert len(times) == 6
+    assert times[0] > 800
+    assert times[-1] < 300
+    scales = {guidance for _, guidance in seen}
+    assert scales == {Guidance(50.0, rescale=0.5, rescale_about="background")}
 
 
 def test_200_steps_are_finite_move_only_new_splats_and_resume_exactly(make):

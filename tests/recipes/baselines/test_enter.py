@@ -45,8 +45,9 @@ def test_a_result_is_converted_aligned_and_measured(tmp_path, capsys):
     (tmp_path / "made_up").mkdir()
     mesh.export(tmp_path / "made_up/chair.glb")
     options = Options(
-        "other", tmp_path / "open", tmp_path / "made_up", tmp_path / "out", 5000, rotations=300
-    )
+        "other", tmp_path / "open", tmp_path / "out", tmp_path / "made_up", count=5000,
+        rotations=300,
+    )  # fmt: skip
     done = enter(options)
     assert done["chair"]["warning"] == ""
     assert json.loads((tmp_path / "out/alignment.json").read_text()) == done
@@ -81,7 +82,7 @@ def test_files_are_found_by_the_objects_name(tmp_path):
 
 def test_an_unknown_system_is_named(tmp_path):
     with pytest.raises(UserError, match="SYSTEM: expected one of mvdream"):
-        enter(Options("mine", tmp_path, tmp_path, tmp_path / "out"))
+        enter(Options("mine", tmp_path, tmp_path / "out", tmp_path))
     assert {"mvdream", "trellis", "instantmesh", "triposg", "amodal3r", "sam3d", "trellis2"} < set(
         SYSTEMS
     )

@@ -59,6 +59,24 @@ def test_a_second_build_does_nothing(built: tuple[Path, Path, Path]) -> None:
     assert record["source"]["file"] == "box.ply"  # relative: the same bytes wherever data lie
 
 
+def test_what_other_code_made_is_made_anew_unless_it_is_to_stay(
+    built: tuple[Path, Path, Path], tmp_path: Path
+) -> None:
+    out, path, data = tmp_path / "out", built[1], built[2]
+    shutil.copytree(built[0], out)
+    state = out / ".build/box.json"
+    made = state.read_text()
+    older = {**json.loads(made), "code": "of another version"}
+    unknown = {name: older[name] for name in ("fingerprint", "result")}  # of builds before it
+    statuses = []
+    for before, any_code in ((older, True), (older, False), (unknown, False)):
+        state.write_text(json.dumps(before))
+        outcomes = build(read_recipe(path), data, out, workers=1, only=("box",), any_code=any_code)
+        statuses += [outcome.status for outcome in outcomes]
+    assert statuses == ["up to date", "built", "built"]
+    assert state.read_text() == made
+
+
 def test_validate_names_every_fault(
     built: tuple[Path, Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -214,8 +232,8 @@ def test_captures_resume_only_what_was_made_from_the_same_things(tmp_path: Path)
     state, folder = tmp_path / "state.json", tmp_path / "capture"
     options = ImagesOptions(images=tmp_path, out=folder)
 
-    def begun(print_: str) -> tuple[bool, bool]:
-        now = _begin_capture(state, print_, options)
+    def begun(print_: str, code: str = "a") -> tuple[bool, bool]:
+        now = _begin_capture(state, print_, code, options)
         return now.resume, now.overwrite
 
     assert begun("one") == (False, True)
@@ -223,6 +241,8 @@ def test_captures_resume_only_what_was_made_from_the_same_things(tmp_path: Path)
     assert begun("one") == (False, True)  # killed before anything was there
     (folder / "sfm").mkdir()
     assert begun("one") == (True, False)
+    assert begun("one", "b") == (False, True)
+    (folder / "sfm").mkdir()
     assert begun("two") == (False, True)
     assert list(folder.iterdir()) == []  # what is resumed next time is made from "two"
     (folder / "capture.json").write_text("{}")

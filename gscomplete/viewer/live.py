@@ -1,0 +1,80 @@
+"""A run that has not finished: what its newest checkpoint holds, again and again.
+
+Conventions
+-----------
+* Checkpoints hold new splats in the object frame; ``completed.ply`` ends the following.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from gscomplete.errors import UserError
+from gscomplete.fitting.checkpoint import FILE_NAME, load_checkpoint
+from gscomplete.fitting.parameters import splats_of_state
+from gscomplete.fitting.step_loop import CHECKPOINTS
+from gscomplete.folders import read_run_folder
+from gscomplete.splats import Splats
+
+_POLL_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """New splats of a run at one of its steps."""
+
+    step: int
+    splats: Splats
+    """Object frame."""
+
+
+def newest(folder: Path) -> Progress | None:
+    """Return what the newest checkpoint of a run folder holds; None = there is none as yet.
+
+    Raises:
+        UserError: it cannot be read.
+    """
+    state = load_checkpoint(folder / CHECKPOINTS)
+    if state is None:
+        return None
+    try:
+        return Progress(int(state["step"]), splats_of_state(state))
+    except (KeyError, ValueError) as error:
+        path = folder / CHECKPOINTS / FILE_NAME
+        raise UserError(f"{path}: expected the splats of a completion ({error})") from error
+
+
+def follow(
+    folder: Path,
+    on_progress: Callable[[Progress], None],
+    on_end: Callable[[], None],
+    stop: threading.Event,
+    poll_s: float = _POLL_S,
+) -> None:
+    """Tell of every new checkpoint until the run has finished or ``stop`` is set.
+
+    Args:
+        folder: the run folder.
+        on_progress: is given what is newest.
+        on_end: is called once, when ``completed.ply`` is there.
+        stop: set by whoever ends the following.
+        poll_s: seconds between looks.
+    """
+    path, seen = folder / CHECKPOINTS / FILE_NAME, 0
+    while not stop.is_set():
+        # a file that is being replaced, or a folder that is being made anew, is read next time
+        with contextlib.suppress(UserError, OSError):
+            if read_run_folder(folder).output.is_file():
+                on_end()
+                return
+            now = path.stat().st_mtime_ns
+            if now != seen:
+                found = newest(folder)
+                if found is not None:
+                    seen = now
+                    on_progress(found)
+        stop.wait(poll_s)

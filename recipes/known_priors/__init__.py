@@ -1,0 +1,1 @@
+"""Score distillation judged apart from its prior: priors that know the answer."""

@@ -1,0 +1,177 @@
+"""Score distillation against priors that know the answer: ``--meshes PACK --out DIR``.
+
+``python -m recipes.known_priors --meshes PACK --out runs/known`` completes parts of real meshes in
+every way that is named, with every prior that is named, and measures the method apart from any
+weights: settings for priors whose weights are not at hand (MVDream) are chosen here. An interrupted
+study goes on where it stopped.
+
+Conventions
+-----------
+* Priors: ``exact``, renders of the truth; ``blurred``, blurred and noisier as t grows;
+  ``plausible``, several complete objects of the same P, weighted by how near the render is;
+  ``biased``, an object that is larger and of another colour than P where V sees it;
+  ``mvdream-like``, colours alone over black or white, 32 x 32 latents, guidance that overshoots.
+* Ways are settings by name (``known_priors.ways``); a call is one denoising of a ring of four.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+
+from gscomplete.completion.pipeline import Request, finish, prepare
+from gscomplete.completion.settings import CompletionSettings
+from gscomplete.evaluate.bootstrap import bootstrap_interval
+from gscomplete.framing.decide import FramingRequest
+from gscomplete.splats import Splats, concatenate, write_splats
+from recipes.entry_point import start
+from recipes.known_priors.measure import errors_of
+from recipes.known_priors.objects import KnownObject, believed, known_objects
+from recipes.known_priors.priors import MVDREAM_VIEWS, Kind, KnownPrior
+from recipes.known_priors.ways import TABLE_2, WAYS
+from recipes.results import Results
+
+
+@dataclass(frozen=True)
+class Options:
+    """Judge score distillation apart from its prior."""
+
+    meshes: Path
+    """Folder of the pack of meshes."""
+    out: Path
+    """Folder for ``results.json``; an interrupted study goes on from it."""
+    priors: tuple[Kind, ...] = get_args(Kind)
+    """Which priors."""
+    ways: tuple[str, ...] = ("paper", "distill")
+    """Which settings, by name."""
+    steps: tuple[int, ...] = (600,)
+    """Optimiser steps, each for all ways."""
+    objects: int = 12
+    """Parts, half of them scans, half of them halves."""
+    seeds: tuple[int, ...] = (0,)
+    resolution_px: int = 256
+    """Side of the prior's images."""
+    keep: bool = False
+    """Keep completions as splat files."""
+
+
+def completed(
+    item: KnownObject, prior: KnownPrior, settings: CompletionSettings
+) -> tuple[Splats, float]:
+    """Complete a part in its true frame; return the new splats and the seconds of the steps."""
+    angles = (item.views.azimuth_deg, item.views.elevation_deg)
+    framing = FramingRequest("Z", angles, center_file=(0.0, 0.0, 0.0), size_file=1.0)
+    prepared = prepare(item.partial, Request("", settings, framing), prior)
+    started = time.perf_counter()
+    while not prepared.steps.finished:
+        prepared.steps.step()
+    return finish(prepared, item.partial).new, time.perf_counter() - started
+
+
+def main(options: Options) -> None:
+    """Complete, measure, print."""
+    results = Results(options.out / "results.json", {"resolution_px": options.resolution_px})
+    items = known_objects(options.meshes, options.objects, MVDREAM_VIEWS)
+    tasks = [
+        (seed, steps, kind, way, item)
+        for seed in options.seeds
+        for steps in options.steps
+        for kind in options.priors
+        for way in options.ways
+        for item in items
+    ]
+    for seed, steps, kind, way, item in track(tasks, "runs", console=Console(file=sys.stderr)):
+        key = f"{kind}/{way}/{steps}/{seed}/{item.name}"
+        if key in results.rows:
+            continue
+        objects = believed(item, kind)
+        prior = KnownPrior(kind, objects, options.resolution_px)
+        settings = dataclasses.replace(WAYS[way], steps=steps, seed=seed)
+        new, seconds = completed(item, prior, settings)
+        row = errors_of(item, new, objects)
+        results.rows[key] = row | {
+            "part": item.kind,
+            "calls": prior.calls,
+            "new_splats": len(new),
+            "seconds": seconds,
+        }
+        results.save()
+        if options.keep:
+            name = f"{kind}.{way}.{steps}.{item.name.replace('/', '_')}.ply"
+            write_splats(options.out / name, concatenate([item.partial, new.with_sh_degree(0)]))
+    sys.stdout.write(table(results.rows) + table_2(results.rows))
+
+
+_COLUMNS = (
+    ("silhouette_iou", "IoU", ".3f"),
+    ("hidden_iou", "hidden", ".3f"),
+    ("hidden_color_psnr_db", "PSNR", ".1f"),
+    ("fog", "fog", ".4f"),
+    ("e_color_v", "E_color", ".5f"),
+    ("e_depth_v", "E_depth", ".5f"),
+    ("calls", "calls", ".0f"),
+    ("new_splats", "splats", ".0f"),
+    ("seconds", "s", ".0f"),
+)
+
+
+def table(rows: dict[str, dict[str, Any]]) -> str:
+    """Show means over objects and seeds by prior, way and steps."""
+    groups: dict[tuple[str, str, int], list[dict[str, Any]]] = {}
+    for key, row in rows.items():
+        kind, way, steps = key.split("/")[:3]
+        groups.setdefault((kind, way, int(steps)), []).append(row)
+    heads = "".join(f"{label:>9}" for _, label, _ in _COLUMNS)
+    lines = [f"{'prior':14}{'way':16}{'steps':>6}{'n':>4}{heads}   IoU 95 %"]
+    for (kind, way, steps), found in sorted(groups.items()):
+        cells = ""
+        for name, _, form in _COLUMNS:
+            known = [row[name] for row in found if row[name] is not None]
+            cells += f"{np.mean(known):9{form}}" if known else f"{'-':>9}"
+        low, high = bootstrap_interval([row["silhouette_iou"] for row in found])
+        lines.append(f"{kind:14}{way:16}{steps:6}{len(found):4}{cells}   {low:.3f}-{high:.3f}")
+    return "\n".join(lines) + "\n"
+
+
+def table_2(rows: dict[str, dict[str, Any]]) -> str:
+    """Show E_color by row of the paper's Table 2: mean and spread over seeds, and as a ratio.
+
+    Empty where no prior has more than one of the rows.
+    """
+    lines = []
+    priors = sorted({(key.split("/")[0], key.split("/")[2]) for key in rows})
+    for kind, steps in priors:
+        means = {way: _seed_means(rows, kind, way, steps) for way in TABLE_2}
+        if not means["paper"] or not any(means[way] for way in TABLE_2[:-1]):
+            continue
+        full = float(np.mean(means["paper"]))
+        for way in TABLE_2:
+            if means[way]:
+                mean, spread = float(np.mean(means[way])), float(np.std(means[way]))
+                lines.append(
+                    f"{kind}, {steps} steps, {way}: E_color {mean:.5f} +- {spread:.5f} over "
+                    f"{len(means[way])} seeds, {mean / full:.1f} times paper's"
+                )
+    return "\n".join(lines) + "\n" if lines else ""
+
+
+def _seed_means(rows: dict[str, dict[str, Any]], kind: str, way: str, steps: str) -> list[float]:
+    """Return E_color averaged over objects, one number per seed."""
+    by_seed: dict[str, list[float]] = {}
+    for key, row in rows.items():
+        found = key.split("/")
+        if found[:3] == [kind, way, steps]:
+            by_seed.setdefault(found[3], []).append(row["e_color_v"])
+    return [float(np.mean(values)) for values in by_seed.values()]
+
+
+if __name__ == "__main__":
+    start(main, Options, __doc__)

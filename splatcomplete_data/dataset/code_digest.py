@@ -1,0 +1,84 @@
+"""Which code an object was made by: a digest of the modules that its command runs.
+
+Conventions
+-----------
+* Counted are the modules of this package and of ``gscomplete`` that a command imports, directly or
+  through others, within functions too; so a change of the scan code leaves meshes up to date.
+* Comments, docstrings and layout do not count: they change no result.
+* Other packages count by nothing: their versions are the environment's business.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import gscomplete
+import splatcomplete_data
+
+_ROOTS = {
+    package.__name__: Path(package.__path__[0]) for package in (gscomplete, splatcomplete_data)
+}
+
+
+@functools.cache
+def code_digest(command: str) -> str:
+    """Return the digest of the code behind a command of ``splatcomplete-data``, in hexadecimal."""
+    waiting, found = [f"splatcomplete_data.cli.{command}"], dict[str, str]()
+    while waiting:
+        module = waiting.pop()
+        if module in found:
+            continue
+        found[module], needed = _read(module)
+        waiting += needed
+    lines = "".join(f"{module} {digest}\n" for module, digest in sorted(found.items()))
+    return hashlib.sha256(lines.encode()).hexdigest()
+
+
+@functools.cache
+def _read(module: str) -> tuple[str, tuple[str, ...]]:
+    """Return the digest of a module and the modules of ours that it imports."""
+    path = _file_of(module)
+    assert path is not None
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    needed = set()
+    for node in ast.walk(_WithoutTypes().visit(tree)):
+        if isinstance(node, ast.Import):
+            needed |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module is not None:
+            needed |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+        body = getattr(node, "body", None)
+        if isinstance(body, list) and body and _is_text(body[0]):
+            node.body = body[1:]  # type: ignore[attr-defined]
+    digest = hashlib.sha256(ast.dump(tree).encode()).hexdigest()
+    return digest, tuple(sorted(name for name in needed if _file_of(name) is not None))
+
+
+class _WithoutTypes(ast.NodeTransformer):
+    """Leaves out what only type checkers read."""
+
+    def visit_If(self, node: ast.If) -> Any:
+        """Drop the body of ``if TYPE_CHECKING``."""
+        is_types = isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+        return node.orelse or None if is_types else self.generic_visit(node)
+
+
+def _is_text(statement: ast.AST) -> bool:
+    """Tell whether a statement is a text: a docstring, at the head of a body."""
+    is_constant = isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)
+    return is_constant and isinstance(statement.value.value, str)  # type: ignore[attr-defined]
+
+
+def _file_of(module: str) -> Path | None:
+    """Return the file of a module of ours; None = it is none."""
+    root, _, rest = module.partition(".")
+    if root not in _ROOTS:
+        return None
+    place = _ROOTS[root].joinpath(*rest.split(".")) if rest else _ROOTS[root]
+    for path in (place.with_suffix(".py"), place / "__init__.py"):
+        if path.is_file():
+            return path
+    return None
