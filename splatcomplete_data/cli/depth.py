@@ -19,7 +19,7 @@ from splatcomplete_data.cli.common import (
     stages,
     store_object,
 )
-from splatcomplete_data.cli.points import PointOptions, made_from_points
+from splatcomplete_data.cli.points import PointOptions, PointSource, made_from_points
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,18 +127,15 @@ def make(options: DepthOptions, enter: StageCallback = ignore_stage) -> ObjectDr
     image = None if str(options.image) == "-" else options.image
     enter("reading", 0.0)
     view = load_single_view(image, options.depth, settings)
-    return made_from_points(
-        options,
+    found = PointSource(
         view.cloud,
-        source_of(options),
-        "singleview",
         view.up,
-        viewpoint=(0.0, 0.0, 0.0),
         is_up_known=True,
         is_picture_up=True,
+        viewpoint=(0.0, 0.0, 0.0),
         scene=view.scene,
         steps=view.steps,
         notes=view.notes,
-        details={"camera": jsonio.to_json(view.camera), "depth": options.depth.as_posix()},
-        enter=enter,
     )
+    details = {"camera": jsonio.to_json(view.camera), "depth": options.depth.as_posix()}
+    return made_from_points(options, found, source_of(options), "singleview", details, enter)

@@ -106,19 +106,32 @@ def part_settings(options: PointOptions) -> PartSettings:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class PointSource:
+    """Points in the frame of the file that they come from, and what is known of them."""
+
+    cloud: PointCloud
+    up: UpAxis
+    """Up axis of the source's frame; Z after levelling."""
+    is_up_known: bool
+    """Whether ``up`` is what the source says, not only assumed."""
+    is_picture_up: bool
+    """Whether ``up`` is a picture's: its camera may look down."""
+    viewpoint: tuple[float, float, float] | None
+    """Where the scanner stood; None = unknown."""
+    scene: NDArray[np.float64] | None  # [M, 3]
+    """All that was scanned, where ``cloud`` is a choice of it; None = it is all."""
+    steps: tuple[StepRecord, ...]
+    """What was done before."""
+    notes: tuple[str, ...]
+    """What was noticed before."""
+
+
 def made_from_points(
     options: PointOptions,
-    cloud: PointCloud,
+    found: PointSource,
     source: Path,
     subset: Subset,
-    default_up: UpAxis,
-    *,
-    viewpoint: tuple[float, float, float] | None,
-    is_up_known: bool,
-    is_picture_up: bool = False,
-    scene: NDArray[np.float64] | None = None,  # [M, 3]
-    steps: tuple[StepRecord, ...],
-    notes: tuple[str, ...],
     details: dict[str, object],
     enter: StageCallback = ignore_stage,
 ) -> ObjectDraft:
@@ -126,16 +139,9 @@ def made_from_points(
 
     Args:
         options: the flags.
-        cloud: the points.
+        found: the points.
         source: the source file.
         subset: its kind.
-        default_up: up axis of the source's frame; Z after levelling.
-        viewpoint: where the scanner stood in the source's frame; None = unknown.
-        is_up_known: whether ``default_up`` is what the source says, not only assumed.
-        is_picture_up: whether ``default_up`` is a picture's: its camera may look down.
-        scene: all that was scanned, where ``cloud`` is a choice of it; None = it is all.
-        steps: what was done before.
-        notes: what was noticed before.
         details: what only this kind of source has.
         enter: told when a stage begins.
 
@@ -153,21 +159,21 @@ def made_from_points(
     from splatcomplete_data.scan.picture import removed_sheet
 
     settings = part_settings(options)
-    enter(f"cleaning {len(cloud):,} points", 0.2)
-    source_up = framing_request(options, default_up).up
-    is_up_told = is_up_known or options.up != "auto"
+    enter(f"cleaning {len(found.cloud):,} points", 0.2)
+    source_up = framing_request(options, found.up).up
+    is_up_told = found.is_up_known or options.up != "auto"
     around = Surroundings(
-        viewpoint,
+        found.viewpoint,
         axis_direction(source_up) if is_up_told else None,
-        scene,
-        is_picture_up and options.up == "auto",
+        found.scene,
+        found.is_picture_up and options.up == "auto",
     )
-    part = make_part(cloud, settings, str(source), around)
+    part = make_part(found.cloud, settings, str(source), around)
     moved = part.file_from_source
     up: UpAxis = source_up if part.turn is None else "Z"
-    eye = viewpoint
-    if viewpoint is not None and moved is not None:
-        x, y, z = moved.apply(torch.tensor(viewpoint, dtype=torch.float64)).tolist()
+    eye = found.viewpoint
+    if eye is not None and moved is not None:
+        x, y, z = moved.apply(torch.tensor(eye, dtype=torch.float64)).tolist()
         eye = (x, y, z)
     view = (30.0, 25.0)
     if eye is not None:
@@ -184,8 +190,8 @@ def made_from_points(
         part.splats,
         None,
         up,
-        (*steps, *part.steps),
-        (*notes, *part.warnings, *far, size),
+        (*found.steps, *part.steps),
+        (*found.notes, *part.warnings, *far, size),
         boxes=settings.boxes,
         splat_size=part.sigma,
         camera_position_file=eye,

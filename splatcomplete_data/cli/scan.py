@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
 
@@ -21,16 +21,7 @@ from splatcomplete_data.cli.common import (
     stages,
     store_object,
 )
-from splatcomplete_data.cli.points import PointOptions, made_from_points
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from gscomplete.views import UpAxis
-    from splatcomplete_data.objects import StepRecord
-    from splatcomplete_data.scan.cloud import PointCloud
-    from splatcomplete_data.scan.pcd import Position
+from splatcomplete_data.cli.points import PointOptions, PointSource, made_from_points
 
 CLUSTERS_FILE = "clusters.png"
 """Picture of --propose."""
@@ -87,40 +78,10 @@ def make(options: ScanOptions, enter: StageCallback = ignore_stage) -> ObjectDra
         UserError: the file cannot be read, a flag is wrong, or a step keeps nothing.
     """
     enter("reading", 0.0)
-    source = _read(options)
-    return made_from_points(
-        options,
-        source.cloud,
-        options.file,
-        "lidar",
-        source.up,
-        viewpoint=source.viewpoint,
-        is_up_known=source.is_up_known,
-        is_picture_up=source.is_up_known,
-        scene=source.scene,
-        steps=source.steps,
-        notes=source.notes,
-        details={},
-        enter=enter,
-    )
+    return made_from_points(options, _read(options), options.file, "lidar", {}, enter)
 
 
-@dataclass(frozen=True, slots=True)
-class _Source:
-    """A scan, and what is known of it."""
-
-    cloud: PointCloud
-    viewpoint: Position | None
-    up: UpAxis
-    is_up_known: bool
-    """Whether ``up`` is that of the depth picture that the scan is."""
-    scene: NDArray[np.float64] | None  # [M, 3]
-    """All points, where ``cloud`` holds those of a label; None = it holds all."""
-    steps: tuple[StepRecord, ...]
-    notes: tuple[str, ...]
-
-
-def _read(options: ScanOptions) -> _Source:
+def _read(options: ScanOptions) -> PointSource:
     """Read the scan, keep a label, and find where the scanner stood.
 
     Raises:
@@ -154,7 +115,8 @@ def _read(options: ScanOptions) -> _Source:
         why = "VIEWPOINT" if scan.up is None else "picture"
         notes = (*notes, f"the scanner stood at {place}, as the file's {why} says")
     up = up_of_mesh_file(options.file) if scan.up is None else scan.up
-    return _Source(cloud, eye, up, scan.up is not None, scene, tuple(steps), notes)
+    is_known = scan.up is not None  # it is that of the depth picture that the scan is
+    return PointSource(cloud, up, is_known, is_known, eye, scene, tuple(steps), notes)
 
 
 def _propose(options: ScanOptions) -> int:

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from gscomplete.errors import UserError
 from gscomplete.evaluate.align import AlignmentSettings, align_points, align_splats
 from gscomplete.evaluate.align.align import diameter, evenly_spread
-from gscomplete.evaluate.align.nearest import CELLS, REACH, nearest_grid
+from gscomplete.evaluate.align.nearest_grid import CELLS, REACH, nearest_grid
 from gscomplete.evaluate.align.search import even_rotations
 from gscomplete.splats.transform import Similarity, transform_splats
 from tests.builders.objects import round_splats

@@ -24,7 +24,7 @@ import torch
 from scipy.spatial import cKDTree
 
 from gscomplete.errors import UserError
-from gscomplete.evaluate.align.nearest import FloatArray, nearest_grid
+from gscomplete.evaluate.align.nearest_grid import FloatArray, nearest_grid
 from gscomplete.evaluate.align.refine import Candidate, Surface, Target, surface_of
 from gscomplete.evaluate.align.search import even_rotations, improve
 from gscomplete.splats import Splats, usable_rows

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from gscomplete.evaluate.align.nearest import FloatArray
+from gscomplete.evaluate.align.nearest_grid import FloatArray
 
 _NORMAL_LENGTH, _COLOR_LENGTH = 0.035, 0.05
 """Lengths that normals at right angles (over the root of 2), and black and white, are apart."""

@@ -17,7 +17,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from gscomplete.evaluate.align.nearest import CELLS, REACH, FloatArray, NearestGrid
+from gscomplete.evaluate.align.nearest_grid import CELLS, REACH, FloatArray, NearestGrid
 
 KEPT = 0.9
 """Share of the part's points that pairs are made of: what another system left out has none."""
