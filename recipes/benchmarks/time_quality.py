@@ -1,4 +1,4 @@
-"""Which settings are worth their time: ``python -m recipes.benchmarks.time_quality --out DIR``.
+"""Run time against error of settings: ``python -m recipes.benchmarks.time_quality --out DIR``.
 
 Completes held-out procedural objects with a range of settings and writes, for each, the mean time
 against the mean errors of hidden and seen regions. Settings are chosen here, never on the real

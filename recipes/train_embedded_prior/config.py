@@ -57,13 +57,13 @@ class ShapeDataConfig:
     """Share of sets whose frame and input view are guessed from P, as runs guess them; the others
     have the true frame with a small error."""
     no_copy_share: float = 0.08
-    """Share of sets without mirror images, whatever they are worth."""
+    """Share of sets without mirror images, whatever their score."""
     best_copy_share: float = 0.5
     """Share of the others whose first mirror image is the best by the truth of the candidates; in
     the rest it is the likeliest. (Showing any of them, as runs ask before they choose, was tried in
     30 % of the sets: the network's answers then told right planes from wrong ones less well.)"""
-    least_worth: float = 0.05
-    """Where the best by the truth is worth less, no mirror images are shown either."""
+    least_score: float = 0.05
+    """Where the best by the truth scores less, no mirror images are shown either."""
     frame_jitter: float = 0.04
     """Standard deviation of the error of frames that are not guessed, object sizes."""
     mesh_share: float = 0.7

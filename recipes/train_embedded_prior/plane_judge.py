@@ -6,9 +6,9 @@ training goes on from the last checkpoint there.
 
 Conventions
 -----------
-* What a plane is worth is said in ``copies``.
-* One answer of the judge learns the softmax of worths times ``sharpness`` by cross entropy, the
-  other the worths themselves by squared error; runs use the former only.
+* The score of a plane is defined in ``copies``.
+* One answer of the judge learns the softmax of true scores times ``sharpness`` by cross entropy,
+  the other the true scores themselves by squared error; runs use the former only.
 * Random numbers are a function of (seed, step). The first file of objects is held out.
 """
 
@@ -82,9 +82,9 @@ class JudgeConfig:
     decay_from: float = 0.4
     """Share of the steps after which the learning rate falls, as a cosine, to 0."""
     sharpness: float = 10.0
-    """Factor on the planes' worths in the target."""
-    worth_weight: float = 3.0
-    """Of the squared error of worths."""
+    """Factor on the planes' true scores in the target."""
+    score_weight: float = 3.0
+    """Of the squared error of true scores."""
     average: float = 0.998
     """Decay of the average of the weights that is exported."""
     checkpoint_every: int = 200
@@ -100,7 +100,7 @@ class JudgedSets:
     volumes: FoldedVolumes
     features: Tensor  # [B P, F]
     ranked: Tensor  # [B P] the ranker's logits
-    worths: Tensor  # [B P]
+    true_scores: Tensor  # [B P]
 
 
 def batch_of(sets: PlaneSets, config: JudgeConfig, step: int) -> JudgedSets:
@@ -113,11 +113,11 @@ def batch_of(sets: PlaneSets, config: JudgeConfig, step: int) -> JudgedSets:
         drawn.append(_planes(sets, int(index), chosen, rng))
     fine = torch.cat([one.volumes.fine for one in drawn])
     coarse = torch.cat([one.volumes.coarse for one in drawn])
-    features, ranked, worths = (
+    features, ranked, true_scores = (
         torch.cat([getattr(one, name) for one in drawn])
-        for name in ("features", "ranked", "worths")
+        for name in ("features", "ranked", "true_scores")
     )
-    return JudgedSets(FoldedVolumes(fine, coarse), features, ranked, worths)
+    return JudgedSets(FoldedVolumes(fine, coarse), features, ranked, true_scores)
 
 
 def _planes(
@@ -132,7 +132,7 @@ def _planes(
         sets: objects.
         index: of the object.
         chosen: which of its planes.
-        rng: for changes that leave worths as they are; None = none.
+        rng: for changes that leave true scores as they are; None = none.
     """
     cells = colored_cells(unpack_cells(sets.cells[index]))
     if rng is not None:
@@ -149,7 +149,7 @@ def _planes(
         FoldedVolumes(fine, coarse),
         torch.from_numpy(sets.features[index, chosen]),
         torch.from_numpy(sets.logits[index, chosen]),
-        torch.from_numpy(sets.worths[index, chosen]),
+        torch.from_numpy(sets.true_scores[index, chosen]),
     )
 
 
@@ -192,12 +192,12 @@ class JudgeTraining:
         for group in self.optimizer.param_groups:
             group["lr"] = learning_rate(config, self.step)
         with cpu_precision(bfloat16=True):
-            logits, worths = self.judge(batch.volumes, batch.features, batch.ranked)
+            logits, predicted = self.judge(batch.volumes, batch.features, batch.ranked)
         by_object = (config.batch_objects, config.planes)
-        target = (config.sharpness * batch.worths).view(by_object).softmax(dim=1)
+        target = (config.sharpness * batch.true_scores).view(by_object).softmax(dim=1)
         guess = logits.float().view(by_object).log_softmax(dim=1)
         loss = -(guess * target).sum(dim=1).mean()
-        loss = loss + config.worth_weight * (worths.float() - batch.worths).square().mean()
+        loss = loss + config.score_weight * (predicted.float() - batch.true_scores).square().mean()
         self.optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self.judge.parameters(), 1.0)
@@ -254,14 +254,14 @@ def open_run(config: JudgeConfig) -> None:
 
 
 @torch.no_grad()
-def worth_of_choice(judge: FineSymmetryScorer, sets: PlaneSets) -> tuple[float, float, float]:
-    """Return the mean worths of the judge's first planes, the ranker's, and the best judged."""
+def score_of_choice(judge: FineSymmetryScorer, sets: PlaneSets) -> tuple[float, float, float]:
+    """Return mean true scores of the judge's first planes, the ranker's, and the best judged."""
     found = []
     for index in range(len(sets)):
         one = _planes(sets, index, np.arange(JUDGED), None)
         with cpu_precision(bfloat16=True):
             logits, _ = judge(one.volumes, one.features, one.ranked)
-        found.append((one.worths[logits.argmax()], one.worths[0], one.worths.max()))
+        found.append((one.true_scores[logits.argmax()], one.true_scores[0], one.true_scores.max()))
     first, ranked, best = np.array(found).mean(axis=0).tolist()
     return first, ranked, best
 
@@ -283,8 +283,8 @@ def train(config: JudgeConfig) -> int:
             _LOG.info("step %d, %.1f min: loss %.3f", training.step, minutes, smoothed)
     judge = training.average.eval()
     held_out = sets.first(FILE_OBJECTS)
-    _LOG.info("held out: worth of the judge's plane %.3f, of the ranker's %.3f, of the best %.3f",
-              *worth_of_choice(judge, held_out))  # fmt: skip
+    _LOG.info("held out: score of the judge's plane %.3f, of the ranker's %.3f, of the best %.3f",
+              *score_of_choice(judge, held_out))  # fmt: skip
     judge.save(config.out)
     _LOG.info("%s", config.out)
     return 0

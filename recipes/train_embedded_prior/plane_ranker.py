@@ -4,8 +4,8 @@ It comes before the shape network, whose training sets hold the copies that it c
 
 Conventions
 -----------
-* What a plane is worth is said in ``copies``.
-* The ranker learns the softmax of the planes' worths times ``sharpness`` by cross entropy.
+* The score of a plane is defined in ``copies``.
+* The ranker learns the softmax of the planes' true scores times ``sharpness`` by cross entropy.
 * Object k is that of the shape network's sets of another seed; every fifth is held out.
 """
 
@@ -54,18 +54,18 @@ class RankerConfig:
     weight_decay: float = 1e-2
     dropout: float = 0.1
     sharpness: float = 16.0
-    """Factor on the planes' worths in the target."""
+    """Factor on the planes' true scores in the target."""
     workers: int = 2
     """Processes that make objects."""
 
 
 def _measured(task: tuple[int, int]) -> tuple[FloatArray, FloatArray]:  # (seed, index)
-    """Return the planes' features and worths for one object."""
+    """Return the planes' features and true scores for one object."""
     torch.set_num_threads(1)
     posed, _ = posed_object(task)
     look = voxelize_partial(posed.partial, posed.distribution)
     features = plane_features(look.samples(), look.evidence)
-    return features, Truth.of(posed.partial, posed.whole).plane_worths()
+    return features, Truth.of(posed.partial, posed.whole).plane_scores()
 
 
 def measured_planes(config: RankerConfig) -> tuple[Tensor, Tensor]:  # [N, A, O, F], [N, A, O]
@@ -76,23 +76,23 @@ def measured_planes(config: RankerConfig) -> tuple[Tensor, Tensor]:  # [N, A, O,
         made = pool.map(_measured, tasks, chunksize=8)
         console = Console(file=sys.stderr)
         found = list(track(made, "objects", total=len(tasks), console=console))
-    features, worths = zip(*found, strict=True)
-    return torch.from_numpy(np.stack(features)), torch.from_numpy(np.stack(worths))
+    features, true_scores = zip(*found, strict=True)
+    return torch.from_numpy(np.stack(features)), torch.from_numpy(np.stack(true_scores))
 
 
-def fit(config: RankerConfig, features: Tensor, worths: Tensor) -> CoarseSymmetryScorer:
+def fit(config: RankerConfig, features: Tensor, true_scores: Tensor) -> CoarseSymmetryScorer:
     """Train the ranker.
 
     Args:
         config: knobs.
         features: [N, A, O, F].
-        worths: [N, A, O].
+        true_scores: [N, A, O].
     """
     torch.manual_seed(config.seed)
     center = features.mean(dim=(0, 1, 2))
     spread = features.std(dim=(0, 1, 2)).clamp_min(1e-3)
     inputs = ((features - center) / spread).flatten(1, 2)
-    targets = (config.sharpness * worths.flatten(1)).softmax(dim=1)
+    targets = (config.sharpness * true_scores.flatten(1)).softmax(dim=1)
     hidden = config.width
     network = nn.Sequential(
         nn.Linear(len(FEATURES), hidden), nn.SiLU(), nn.Dropout(config.dropout),
@@ -119,24 +119,24 @@ def fit(config: RankerConfig, features: Tensor, worths: Tensor) -> CoarseSymmetr
     return CoarseSymmetryScorer({name: value.float().numpy() for name, value in tensors.items()})
 
 
-def worth_of_choice(
-    ranker: CoarseSymmetryScorer, features: Tensor, worths: Tensor
+def score_of_choice(
+    ranker: CoarseSymmetryScorer, features: Tensor, true_scores: Tensor
 ) -> tuple[float, float]:
-    """Return the mean worth of the planes that the ranker puts first, and of the best ones."""
+    """Return the mean score of the planes that the ranker puts first, and of the best ones."""
     first = torch.from_numpy(ranker(features.numpy())).flatten(1).argmax(dim=1)
-    flat = worths.flatten(1)
+    flat = true_scores.flatten(1)
     return float(flat[torch.arange(len(flat)), first].mean()), float(flat.amax(dim=1).mean())
 
 
 def main(config: RankerConfig) -> int:
     """Run from the command line."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    features, worths = measured_planes(config)
+    features, true_scores = measured_planes(config)
     held_out = torch.arange(len(features)) % _HELD_OUT_EVERY == 0
-    ranker = fit(config, features[~held_out], worths[~held_out])
+    ranker = fit(config, features[~held_out], true_scores[~held_out])
     for name, rows in (("trained on", ~held_out), ("held out", held_out)):
-        found, best = worth_of_choice(ranker, features[rows], worths[rows])
-        _LOG.info("%s: worth of the first plane %.3f, of the best %.3f", name, found, best)
+        found, best = score_of_choice(ranker, features[rows], true_scores[rows])
+        _LOG.info("%s: score of the first plane %.3f, of the best %.3f", name, found, best)
     ranker.save(config.out)
     _LOG.info("%s", config.out)
     return 0

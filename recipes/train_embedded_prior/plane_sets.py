@@ -1,4 +1,4 @@
-"""What those who rank and judge planes learn from: parts, planes, what the planes are worth.
+"""What those who rank and judge planes learn from: parts, planes, true scores of planes.
 
 Conventions
 -----------
@@ -50,10 +50,10 @@ class PlaneSets:
     planes: NDArray[np.int16]  # [N, K, 2] angle, offset
     features: FloatArray  # [N, K, F]
     logits: FloatArray  # [N, K] the ranker's
-    worths: FloatArray  # [N, K]
+    true_scores: FloatArray  # [N, K]
 
     def __len__(self) -> int:
-        return len(self.worths)
+        return len(self.true_scores)
 
     def first(self, count: int) -> PlaneSets:
         """Return the first objects."""
@@ -65,10 +65,10 @@ def planes_of(posed: PosedObject, rng: np.random.Generator) -> PlaneSets:
     """Measure the planes of one object."""
     look = voxelize_partial(posed.partial, posed.distribution)
     features = plane_features(look.samples(), look.evidence)
-    worths = Truth.of(posed.partial, posed.whole).plane_worths()
+    true_scores = Truth.of(posed.partial, posed.whole).plane_scores()
     logits = packaged_coarse_scorer()(features)
     likely = distinct_planes(logits, JUDGED)
-    planes = np.concatenate([likely, distinct_planes(worths, BEST_PLANES)])
+    planes = np.concatenate([likely, distinct_planes(true_scores, BEST_PLANES)])
     a, o = planes.T
     return PlaneSets(
         pack_cells(look.volume, _MOST_CELLS, rng)[None],
@@ -76,7 +76,7 @@ def planes_of(posed: PosedObject, rng: np.random.Generator) -> PlaneSets:
         planes.astype(np.int16)[None],
         features[a, o][None],
         logits[a, o][None],
-        worths[a, o][None],
+        true_scores[a, o][None],
     )
 
 

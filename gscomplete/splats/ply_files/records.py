@@ -6,7 +6,7 @@ Conventions
 * Records are moved in blocks that fit the processor's cache (``threads``): a column of a large
   record table costs as much memory traffic as the whole table. Arrays are allocated once.
 * Records of float32 values only, which is what files hold but for rare ones, go through compiled
-  loops (``kernels``) when there are enough of them to be worth loading those; all others
+  loops (``kernels``) when there are enough of them to pay for loading those; all others
   through numpy. Both give the same bits.
 """
 

@@ -1,8 +1,8 @@
-"""What mirror images of P are worth by the truth.
+"""Scores of mirror images of P by the truth.
 
 Conventions
 -----------
-* A copy is worth the share of the missing surface that it covers, less half the share of it that is
+* The score of a copy: the share of the missing surface that it covers, less half its share that is
   new and not on the whole's surface: 1 is perfect, 0 is no copy at all.
 * Distances are in the cells of ``grid``; a surface is met within 1, missed beyond 1.5.
 """
@@ -52,20 +52,20 @@ class Truth:
         points = part[0][rng.permutation(len(part[0]))[:_SAMPLES]]
         return cls(to_part, to_whole, missing, points)
 
-    def map_worth(self, symmetry: SymmetryMap) -> float:
-        """Return what the copy by one map is worth."""
+    def map_score(self, symmetry: SymmetryMap) -> float:
+        """Return the score of the copy by one map."""
         back, copies = symmetry.undo(self.missing), symmetry.apply(self.points)
-        return float(self._worths(back[None], copies[None])[0])
+        return float(self._true_scores(back[None], copies[None])[0])
 
-    def plane_worths(self) -> FloatArray:  # [A, O]
-        """Return what the copies through all planes of ``planes`` are worth."""
+    def plane_scores(self) -> FloatArray:  # [A, O]
+        """Return the scores of the copies through all planes of ``planes``."""
         rows = [
-            self._worths(_mirrored(self.missing, normal), _mirrored(self.points, normal))
+            self._true_scores(_mirrored(self.missing, normal), _mirrored(self.points, normal))
             for normal in plane_normals()
         ]
         return np.stack(rows)
 
-    def _worths(
+    def _true_scores(
         self,
         back: FloatArray,  # [K, M, 3] missing points, mapped back to where P should have them
         copies: FloatArray,  # [K, N, 3]
@@ -74,8 +74,8 @@ class Truth:
             return np.zeros(len(back), np.float32)
         covered = _at(self.to_part, back) <= 1.0
         wrong = (_at(self.to_whole, copies) > 1.5) & (_at(self.to_part, copies) > 1.5)
-        worth = covered.mean(axis=1) - WRONG_WEIGHT * wrong.mean(axis=1)
-        return worth.astype(np.float32)
+        score = covered.mean(axis=1) - WRONG_WEIGHT * wrong.mean(axis=1)
+        return score.astype(np.float32)
 
 
 def _mirrored(points: FloatArray, normal: FloatArray) -> FloatArray:  # [N, 3] -> [O, N, 3]

@@ -152,9 +152,9 @@ class ShapeSetMaker:
         first = 0
         if rng.random() < self.data.best_copy_share:
             truth = Truth.of(posed.partial, posed.whole)
-            worths = [truth.map_worth(plane) for plane in planes]
-            first = int(np.argmax(worths))
-            if worths[first] < self.data.least_worth:
+            true_scores = [truth.map_score(plane) for plane in planes]
+            first = int(np.argmax(true_scores))
+            if true_scores[first] < self.data.least_score:
                 return look.with_copies(no_symmetries())
         return look.with_copies(look.input_symmetries(planes, first))
 

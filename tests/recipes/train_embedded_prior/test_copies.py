@@ -10,29 +10,29 @@ from tests.builders.shape_network import mirrors
 MIDDLE = OFFSETS.index(0.0)
 
 
-def test_a_copy_is_worth_what_it_shows_of_the_missing():
+def test_a_copy_scores_what_it_shows_of_the_missing():
     truth = Truth.of(half(ball()), ball())
-    worth = truth.plane_worths()
-    assert worth.shape == (ANGLES, len(OFFSETS))
-    assert worth[0, MIDDLE] > 0.9  # the cut itself: all of the other half
-    assert abs(worth[ANGLES // 2, MIDDLE]) < 0.1  # a copy onto P shows nothing and harms nothing
-    assert worth[0, MIDDLE + 12] < 0.0  # a copy in front of P is nothing but wrong
+    score = truth.plane_scores()
+    assert score.shape == (ANGLES, len(OFFSETS))
+    assert score[0, MIDDLE] > 0.9  # the cut itself: all of the other half
+    assert abs(score[ANGLES // 2, MIDDLE]) < 0.1  # a copy onto P shows nothing and harms nothing
+    assert score[0, MIDDLE + 12] < 0.0  # a copy in front of P is nothing but wrong
 
 
-def test_maps_are_worth_what_their_planes_are():
+def test_maps_score_as_their_planes_do():
     truth = Truth.of(half(ball()), ball())
-    worth = truth.plane_worths()
+    score = truth.plane_scores()
     across, along, turned = mirrors()
     # Points on the border of two cells may fall on the other side.
-    assert truth.map_worth(across) == pytest.approx(worth[0, MIDDLE], abs=0.02)
-    assert truth.map_worth(along) == pytest.approx(worth[ANGLES // 2, MIDDLE], abs=0.02)
-    assert truth.map_worth(turned) > 0.9
+    assert truth.map_score(across) == pytest.approx(score[0, MIDDLE], abs=0.02)
+    assert truth.map_score(along) == pytest.approx(score[ANGLES // 2, MIDDLE], abs=0.02)
+    assert truth.map_score(turned) > 0.9
 
 
-def test_nothing_missing_is_worth_nothing():
-    worth = Truth.of(ball(), ball()).plane_worths()
-    assert not worth.any()
-    assert np.isfinite(worth).all()
+def test_nothing_missing_scores_nothing():
+    score = Truth.of(ball(), ball()).plane_scores()
+    assert not score.any()
+    assert np.isfinite(score).all()
 
 
 def test_distances_are_to_the_nearest_filled_cell():

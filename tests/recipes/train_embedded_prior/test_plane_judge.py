@@ -14,7 +14,7 @@ from recipes.train_embedded_prior.plane_judge import (
     batch_of,
     learning_rate,
     open_run,
-    worth_of_choice,
+    score_of_choice,
 )
 from recipes.train_embedded_prior.plane_sets import (
     BEST_PLANES,
@@ -27,7 +27,7 @@ from recipes.train_embedded_prior.plane_sets import (
 
 
 def simple_sets(count: int = FILE_OBJECTS + 8) -> PlaneSets:
-    """Small blobs in the middle; a plane is worth more the nearer it is to the middle."""
+    """Small blobs in the middle; a plane scores more the nearer it is to the middle."""
     rng = np.random.default_rng(0)
     cells = rng.integers(1, 256, (count, 60, 7))
     cells[..., :3] = rng.integers(20, 28, (count, 60, 3))
@@ -35,8 +35,8 @@ def simple_sets(count: int = FILE_OBJECTS + 8) -> PlaneSets:
     angles, places = (rng.integers(n, size=(count, planes)) for n in (ANGLES, len(OFFSETS)))
     chosen = np.stack([angles, places], axis=-1)
     offsets = np.array(OFFSETS)[chosen[..., 1]]
-    worths = (1 - np.abs(offsets) / 0.45).astype(np.float32)
-    worths[:, JUDGED:] = 1.0
+    true_scores = (1 - np.abs(offsets) / 0.45).astype(np.float32)
+    true_scores[:, JUDGED:] = 1.0
     chosen[:, JUDGED:, 1] = OFFSETS.index(0.0)
     return PlaneSets(
         cells.astype(np.uint8),
@@ -44,7 +44,7 @@ def simple_sets(count: int = FILE_OBJECTS + 8) -> PlaneSets:
         chosen.astype(np.int16),
         rng.normal(size=(count, planes, len(FEATURES))).astype(np.float32),
         np.zeros((count, planes), np.float32),
-        worths,
+        true_scores,
     )
 
 
@@ -87,7 +87,7 @@ def test_a_judge_learns_where_planes_should_be(tmp_path):
     training = JudgeTraining(config, torch.from_numpy(sets.features))
     losses = [training.advance(batch_of(sets, config, step)) for step in range(config.steps)]
     assert np.mean(losses[-5:]) < 0.5 * np.mean(losses[:5])
-    first, ranked, best = worth_of_choice(training.average.eval(), sets.first(24))
+    first, ranked, best = score_of_choice(training.average.eval(), sets.first(24))
     assert first > ranked + 0.8 * (best - ranked) > ranked
 
 
@@ -106,6 +106,6 @@ def test_planes_of_an_object_are_measured_alike_again():
         np.testing.assert_array_equal(one, other)
     sets = joined(made)
     assert len(sets) == 2
-    assert sets.worths.shape == (2, JUDGED + BEST_PLANES)
-    assert sets.worths[0, JUDGED] == sets.worths[0].max()
+    assert sets.true_scores.shape == (2, JUDGED + BEST_PLANES)
+    assert sets.true_scores[0, JUDGED] == sets.true_scores[0].max()
     assert (sets.cells[0, :, 6] > 0).any()

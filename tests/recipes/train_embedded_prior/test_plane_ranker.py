@@ -2,19 +2,19 @@ import numpy as np
 import torch
 
 from gscomplete.shape.symmetry_features import ANGLES, FEATURES
-from recipes.train_embedded_prior.plane_ranker import RankerConfig, fit, worth_of_choice
+from recipes.train_embedded_prior.plane_ranker import RankerConfig, fit, score_of_choice
 
 
-def test_a_ranker_learns_to_prefer_worthy_planes():
-    """Worth follows one feature: a ranker that learns finds it among noise on new objects."""
+def test_a_ranker_learns_to_prefer_planes_of_high_score():
+    """The score follows one feature: a ranker that learns finds it among noise on new objects."""
     generator = torch.Generator().manual_seed(0)
     features = torch.randn(24, ANGLES, 5, len(FEATURES), generator=generator)
-    worths = features[..., 3].tanh()
+    true_scores = features[..., 3].tanh()
     config = RankerConfig(steps=200, width=16, batch_objects=8)
-    ranker = fit(config, features[:16], worths[:16])
-    found, best = worth_of_choice(ranker, features[16:], worths[16:])
-    mean = float(worths[16:].mean())
+    ranker = fit(config, features[:16], true_scores[:16])
+    found, best = score_of_choice(ranker, features[16:], true_scores[16:])
+    mean = float(true_scores[16:].mean())
     assert found > mean + 0.8 * (best - mean)
-    again = fit(config, features[:16], worths[:16])
+    again = fit(config, features[:16], true_scores[:16])
     assert ranker.digest() == again.digest()
     assert all(np.isfinite(value).all() for value in ranker.tensors.values())

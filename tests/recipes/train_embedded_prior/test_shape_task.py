@@ -45,7 +45,7 @@ def test_sets_are_a_function_of_seed_and_index(tmp_path):
 
 
 def test_what_is_shown_follows_the_shares(tmp_path):
-    """No copies are shown in the share asked for, and where the best is worth too little."""
+    """No copies are shown in the share asked for, and where the best scores too little."""
     spec = ShapeTask(tiny_shape_run(tmp_path), stub_source, WORDS).spec
 
     def shown(**changes):
@@ -57,9 +57,9 @@ def test_what_is_shown_follows_the_shares(tmp_path):
     volumes, scores = shown(no_copy_share=1.0)
     assert (scores == 0).all()
     assert all((volume == volumes[0]).all() for volume in volumes)
-    volumes, scores = shown(no_copy_share=0.0, best_copy_share=1.0, least_worth=2.0)
+    volumes, scores = shown(no_copy_share=0.0, best_copy_share=1.0, least_score=2.0)
     assert (scores == 0).all()
-    volumes, scores = shown(no_copy_share=0.0, best_copy_share=1.0, least_worth=-2.0)
+    volumes, scores = shown(no_copy_share=0.0, best_copy_share=1.0, least_score=-2.0)
     assert scores[0] > 0
     assert (volumes[1] != volumes[0]).any()
 
