@@ -28,7 +28,8 @@ def test_runs_and_records_what_decided_it(arguments, tmp_path, capsys):
     content = json.loads((tmp_path / "run/run.json").read_text())
     identity = content["identity"]
     assert identity["settings"]["mode"] == "distill"
-    assert identity["settings"]["timesteps"][0]["low"] == 392.0
+    assert identity["settings"]["timesteps"][0]["low"] == 910.0
+    assert identity["settings"]["rescale_about"] == "background"
     assert identity["prior"]["name"] == "mvdream"
     assert identity["prior"]["settings"]["guidance"] == 50.0
     assert len(identity["prior"]["weights"]) == 32
@@ -37,6 +38,13 @@ def test_runs_and_records_what_decided_it(arguments, tmp_path, capsys):
     assert completed.n_rows == read_splats(SAMPLE).n_rows + content["result"]["new_splats"]
     assert main([*arguments, "--resume", "--diffusion.loss", "epsilon"]) == 2
     assert "cannot resume with another prior" in capsys.readouterr().err
+
+
+def test_the_paper_s_settings_are_asked_for_by_name(arguments, tmp_path, capsys):
+    assert main([*arguments, "--preset", "paper"]) == 0, capsys.readouterr().err
+    settings = json.loads((tmp_path / "run/run.json").read_text())["identity"]["settings"]
+    assert settings["timesteps"][0]["low"] == 392.0
+    assert settings["rescale_about"] is None  # MVDream's own: about zero
 
 
 def test_a_full_gpu_is_one_line(arguments, monkeypatch, capsys):
