@@ -57,22 +57,22 @@ class TimestepStage:
             )
 
 
-def annealed_timesteps(
-    first: float, last: float, width: float, stages: int = 20
-) -> tuple[TimestepStage, ...]:
+_ANNEALED_STAGES = 20
+
+
+def annealed_timesteps(first: float, last: float, width: float) -> tuple[TimestepStage, ...]:
     """Return stages whose middle falls evenly from the first to the last.
 
     Args:
         first: middle of the first stage.
         last: middle of the last stage.
         width: half of what each stage spans.
-        stages: how many.
     """
     found = []
-    for k in range(stages):
-        middle = first + (last - first) * k / (stages - 1)
+    for k in range(_ANNEALED_STAGES):
+        middle = first + (last - first) * k / (_ANNEALED_STAGES - 1)
         low, high = max(middle - width, 0.0), min(middle + width, LAST_TIMESTEP)
-        found.append(TimestepStage((k + 1) / stages, low, high))
+        found.append(TimestepStage((k + 1) / _ANNEALED_STAGES, low, high))
     return tuple(found)
 
 

@@ -13,7 +13,8 @@ stopped.
 * ``every 4th``: ``reconstruct`` with the preservation loss at every fourth step, four times as
   heavy.
 * ``coarse first``: ``reconstruct`` with half the steps at half the resolution.
-* ``fewer steps``: ``distill`` with a quarter of its steps, four times as large.
+* ``from sphere``: score distillation that starts in a sphere.
+* ``fewer steps``: the same with a quarter of its steps, four times as large.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ import torch
 from rich.console import Console
 from rich.progress import track
 
-from gscomplete.completion.presets import DEFAULT, DISTILL, FAST, PAPER, RECONSTRUCT
+from gscomplete.completion.presets import DEFAULT, DISTILL, FAST, PAPER, RECONSTRUCT, REFINE
 from gscomplete.completion.settings import CompletionSettings, HardPreservationSettings
 from gscomplete.evaluate.pictures import save_image
 from gscomplete.fitting.settings import LearningRates
@@ -74,7 +75,8 @@ def ways() -> dict[str, CompletionSettings]:
         "random views": change(RECONSTRUCT, preservation_views=None),
         "every 4th": change(RECONSTRUCT, preservation_every=4, preservation_weight=8.0),
         "coarse first": change(RECONSTRUCT, coarse_until=0.5),
-        "distill": DISTILL,
+        "distill": REFINE,
+        "from sphere": DISTILL,
         "fewer steps": change(DISTILL, steps=DISTILL.steps // 4, learning_rates=faster),
         "paper": PAPER,
     }

@@ -29,13 +29,15 @@ from rich.progress import track
 
 from gscomplete.completion.pipeline import Request, finish, prepare
 from gscomplete.completion.settings import CompletionSettings
+from gscomplete.errors import UserError
 from gscomplete.evaluate.bootstrap import bootstrap_interval
 from gscomplete.framing.decide import FramingRequest
+from gscomplete.priors.mvdream.prior import MVDREAM_VIEWS
 from gscomplete.splats import Splats, concatenate, write_splats
 from recipes.entry_point import start
 from recipes.known_priors.measure import errors_of
 from recipes.known_priors.objects import KnownObject, believed, known_objects
-from recipes.known_priors.priors import MVDREAM_VIEWS, Kind, KnownPrior
+from recipes.known_priors.priors import STRENGTHS, Kind, KnownPrior
 from recipes.known_priors.ways import TABLE_2, WAYS
 from recipes.results import Results
 
@@ -77,8 +79,21 @@ def completed(
 
 
 def main(options: Options) -> None:
-    """Complete, measure, print."""
-    results = Results(options.out / "results.json", {"resolution_px": options.resolution_px})
+    """Complete, measure, print.
+
+    Raises:
+        UserError: a way is not known, or the rows that are there were made otherwise.
+    """
+    for way in options.ways:
+        if way not in WAYS:
+            raise UserError(f"--ways: expected some of {', '.join(WAYS)}; found {way!r}")
+    made_with = {
+        "resolution_px": options.resolution_px,
+        "objects": options.objects,  # how a part is cut depends on its place in the list
+        "strengths": STRENGTHS,
+        "ways": WAYS,
+    }
+    results = Results(options.out / "results.json", made_with)
     items = known_objects(options.meshes, options.objects, MVDREAM_VIEWS)
     tasks = [
         (seed, steps, kind, way, item)

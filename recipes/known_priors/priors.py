@@ -20,9 +20,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from gscomplete.priors.base import Conditioning, FourViews, Guidance, PriorViews
-from gscomplete.priors.latent.guidance import NoiseSchedule, rescaled, x0_loss
+from gscomplete.priors.base import Conditioning, FourViews, Guidance
+from gscomplete.priors.latent.guidance import NoiseSchedule, ddim, rescaled, x0_loss
 from gscomplete.priors.latent.prior import draw_background, matte
+from gscomplete.priors.mvdream.prior import MVDREAM_VIEWS
 from gscomplete.render import render
 from gscomplete.splats import Splats
 from gscomplete.views import Cameras
@@ -31,10 +32,6 @@ Kind = Literal["exact", "blurred", "plausible", "biased", "mvdream-like"]
 
 SHARPNESS = 200.0
 """Independent numbers that an image of an object amounts to."""
-MVDREAM_VIEWS = PriorViews(
-    fov_deg=40.0, extent_range=(1.3, 1.6), elevation_range_deg=(0.0, 30.0), resolution_px=256
-)
-"""MVDream's framing and resolution."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,12 +138,11 @@ class KnownPrior:
         start = round(min(timestep, self.num_timesteps - 1))
         noise = torch.randn(images.shape, generator=generator)
         noisy = self._schedule.add_noise(images, noise, start)
-        times = [round(start * (1 - k / num_steps)) for k in range(num_steps)]
-        for now, then in zip(times, [*times[1:], None], strict=True):
-            clean = self._denoised(noisy, now, views.cameras, background, scales, generator)
-            if then is not None:
-                a, s = self._schedule.scales(now)
-                noisy = self._schedule.add_noise(clean, (noisy - a * clean) / s, then)
+
+        def clean_at(x_t: Tensor, now: int) -> Tensor:
+            return self._denoised(x_t, now, views.cameras, background, scales, generator)
+
+        clean = ddim(self._schedule, clean_at, noisy, start, num_steps)
         unit = (clean * 0.5 + 0.5).clamp(0, 1)
         if not self._strength.sees_alpha:
             return matte(unit)

@@ -12,7 +12,9 @@ Conventions
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import torch
@@ -60,6 +62,31 @@ class NoiseSchedule:
         """Return x0, the clean latents that predicted noise implies."""
         a, s = self.scales(timestep)
         return (noisy - s * noise) / a
+
+
+def ddim(
+    schedule: NoiseSchedule,
+    clean_at: Callable[[Tensor, int], Tensor],
+    noisy: Tensor,
+    start: int,
+    num_steps: int,
+) -> Tensor:
+    """Denoise deterministically from a timestep to a clean image (Song et al. 2021).
+
+    Args:
+        schedule: how much of the image is left at every timestep.
+        clean_at: denoiser, (x_t, timestep) to x0.
+        noisy: x_t at ``start``.
+        start: timestep.
+        num_steps: calls of the denoiser, evenly spaced.
+    """
+    times = [round(start * (1 - k / num_steps)) for k in range(num_steps)]
+    clean = clean_at(noisy, start)
+    for now, then in pairwise(times):
+        a, s = schedule.scales(now)
+        noisy = schedule.add_noise(clean, (noisy - a * clean) / s, then)
+        clean = clean_at(noisy, then)
+    return clean
 
 
 def guided_noise(conditional: Tensor, unconditional: Tensor, scale: float) -> Tensor:

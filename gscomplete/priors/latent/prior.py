@@ -24,6 +24,7 @@ from torch import Tensor
 from gscomplete.priors.base import Conditioning, FourViews, Guidance, PriorViews
 from gscomplete.priors.latent.guidance import (
     NoiseSchedule,
+    ddim,
     epsilon_loss,
     guided_noise,
     rescaled,
@@ -182,13 +183,12 @@ class LatentPrior:
         noise = _randn_like(latents, generator)
         pure = timestep >= self.num_timesteps - 1
         noisy = noise if pure else schedule.add_noise(latents, noise, start)
-        times = [round(start * (1 - k / num_steps)) for k in range(num_steps)]
-        for now, then in zip(times, [*times[1:], None], strict=True):
-            guided, conditional = self._predict(noisy, now, conditioning, views.cameras, scales)
-            clean = self._clean(noisy, guided, conditional, now, scales, center)
-            if then is not None:
-                a, s = schedule.scales(now)
-                noisy = schedule.add_noise(clean, (noisy - a * clean) / s, then)
+
+        def clean_at(x_t: Tensor, now: int) -> Tensor:
+            guided, conditional = self._predict(x_t, now, conditioning, views.cameras, scales)
+            return self._clean(x_t, guided, conditional, now, scales, center)
+
+        clean = ddim(schedule, clean_at, noisy, start, num_steps)
         images = (self._codec.decode(clean) * 0.5 + 0.5).clamp(0, 1)
         color, alpha = matte(images)
         return color.to(views.color.device), alpha.to(views.color.device)
