@@ -120,25 +120,15 @@ def make(options: PartialOptions) -> tuple[PartialOptions, ObjectDraft]:
 
 def _scanner(cuts: Sequence[Cut], frame: ObjectFrame) -> tuple[float, float, float] | None:
     """Return where the one scanner stood, in the file frame; None = there were none or several."""
-    import math
-
     import torch
 
-    from splatcomplete_data.cuts.named import SCAN_DISTANCE, ScanCut
+    from splatcomplete_data.cuts.named import ScanCut
 
     places = {place for cut in cuts if isinstance(cut, ScanCut) for place in cut.directions_deg}
     if len(places) != 1:
         return None
-    azimuth, elevation = map(math.radians, places.pop())
-    level = SCAN_DISTANCE * math.cos(elevation)
-    eye = [
-        level * math.cos(azimuth),
-        level * math.sin(azimuth),
-        SCAN_DISTANCE * math.sin(elevation),
-    ]
-    x, y, z = (
-        frame.object_from_file.inverse().apply(torch.tensor(eye, dtype=torch.float64)).tolist()
-    )
+    (eye,) = torch.from_numpy(ScanCut((places.pop(),)).eyes)
+    x, y, z = frame.object_from_file.inverse().apply(eye).tolist()
     return x, y, z
 
 

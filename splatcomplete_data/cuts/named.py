@@ -18,13 +18,20 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, transform_splats
 from gscomplete.views import ObjectFrame
 from splatcomplete_data.cuts.boxes import CropBox, inside_boxes
 from splatcomplete_data.cuts.discs_in_depth import seen_discs
-from splatcomplete_data.cuts.geometry import PartialCut, by_plane, crop, looking_rotation
+from splatcomplete_data.cuts.geometry import (
+    PartialCut,
+    by_plane,
+    crop,
+    eyes_at,
+    looking_rotation,
+)
 from splatcomplete_data.objects import StepRecord
 
 SCAN_DISTANCE = 2.2
@@ -77,11 +84,15 @@ class ScanCut:
     directions_deg: tuple[tuple[float, float], ...]
     """Azimuth and elevation of every viewpoint."""
 
+    @property
+    def eyes(self) -> NDArray[np.float64]:  # [V, 3]
+        """Where the scanner stands, object frame."""
+        azimuths, elevations = np.deg2rad(np.array(self.directions_deg, np.float64)).T
+        return eyes_at(azimuths, elevations, SCAN_DISTANCE)
+
     def apply(self, complete: Splats) -> PartialCut:
         """Return what is kept of splats in the object frame."""
-        azimuths, elevations = np.deg2rad(np.array(self.directions_deg, np.float64)).T
-        level = np.cos(elevations)
-        eyes = np.stack([level * np.cos(azimuths), level * np.sin(azimuths), np.sin(elevations)], 1)
+        eyes = self.eyes
         # two pixels a splat: finer ones show nothing more
         typical = float(complete.scales.amax(dim=1).median())
         grid_px = int(np.clip(SCAN_WIDTH / max(1.3 * typical, 1e-9), 64, MAX_SCAN_GRID_PX))
@@ -92,9 +103,9 @@ class ScanCut:
             math.tan(math.radians(_SCAN_FOV_DEG / 2)), 1.05 * reach / (SCAN_DISTANCE - reach)
         )
         seen = np.zeros(len(complete), np.bool_)
-        for eye in SCAN_DISTANCE * eyes:
+        for eye in eyes:
             seen |= seen_discs(complete, eye, looking_rotation(eye, middle), grid_px, half)
-        details = {"views": len(eyes), "eyes": (SCAN_DISTANCE * eyes).round(3).tolist()}
+        details = {"views": len(eyes), "eyes": eyes.round(3).tolist()}
         return PartialCut(torch.from_numpy(seen), "visibility", details)
 
 

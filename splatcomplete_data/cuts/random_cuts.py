@@ -23,6 +23,7 @@ from splatcomplete_data.cuts.geometry import (
     by_box,
     by_plane,
     by_visibility,
+    eyes_at,
     splat_points,
 )
 
@@ -117,15 +118,8 @@ def _scan_from(
 ) -> PartialCut:
     """See the object from views at random elevations (degrees) and one random distance."""
     elevation = np.radians(rng.uniform(bounds[0], bounds[1], len(azimuth)))
-    eyes = np.stack(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-        ],
-        axis=1,
-    )
-    return by_visibility(splats, eyes * rng.uniform(1.6, 2.6), fov_deg=30.0)
+    eyes = eyes_at(azimuth, elevation) * rng.uniform(1.6, 2.6)
+    return by_visibility(splats, eyes, fov_deg=30.0)
 
 
 def _drawn_kind(weights: Sequence[float], rng: np.random.Generator) -> int:
