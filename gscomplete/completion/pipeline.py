@@ -58,6 +58,9 @@ from gscomplete.util.stages import stage
 from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution, radius_to_fit
 from gscomplete.views.distribution import AZIMUTH_RANGE_DEG, ELEVATION_RANGE_DEG
 
+MAX_WORKING_SPLATS = 250_000
+"""Most splats of P that are drawn while optimising; all are in the output."""
+
 
 @dataclass(frozen=True, slots=True)
 class Request:
@@ -261,7 +264,7 @@ def prepare(
         notes += tuple(f"{name}: {warning}" for warning in given.warnings)
     else:
         splats, name = given, "P"
-    working = working_set(splats, settings.max_working_splats, name)
+    working = working_set(splats, MAX_WORKING_SPLATS, name)
     notes += describe_suspects(working.splats)
     with stage("frame"):
         framing = framing_for(working.splats, framing_request, prior)
@@ -326,9 +329,9 @@ def finish(prepared: Prepared, given: SplatFile | Splats) -> Completed:
     new = prepared.steps.new_splats.to("cpu")
     notes = prepared.notes
     colors, bounds = None, None
-    if settings.seam_colors is not None:
+    if settings.match_seam_colors:
         with stage("seam"):
-            new, colors = match_seam_colors(new, partial, settings.seam_colors)
+            new, colors = match_seam_colors(new, partial)
         notes += (colors.summary,)
     if settings.hard_preservation is not None:
         with stage("preservation"):
