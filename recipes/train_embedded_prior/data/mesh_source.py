@@ -31,7 +31,7 @@ from recipes.train_embedded_prior.procedural.objects import into_unit_box
 from recipes.train_embedded_prior.procedural.quads import FloatArray, turn_about
 from recipes.train_embedded_prior.procedural.sampling import SurfaceSamples
 from recipes.train_embedded_prior.procedural.warps import draw_warp, warped
-from splatcomplete_data.mesh.discs import DiscSettings, discs_at, sample_triangles
+from splatcomplete_data.mesh.discs import discs_at, sample_triangles
 from splatcomplete_data.mesh.discs import triangle_areas_and_normals as areas_and_normals
 
 _SOURCE_WEIGHTS = {
@@ -125,9 +125,9 @@ def mesh_splats(mesh: PackMesh, entry: PackEntry, rng: np.random.Generator) -> S
     samples = _reshaped(samples, rng)
     turn = _turn(rng)
     points, scale = into_unit_box(samples.points @ turn.T)
-    discs = DiscSettings(opacity=float(rng.uniform(0.95, 0.99)))
+    opacity = float(rng.uniform(0.95, 0.99))
     return discs_at(
-        points, samples.normals @ turn.T, colors.clip(0, 1), samples.spacing * scale, discs
+        points, samples.normals @ turn.T, colors.clip(0, 1), samples.spacing * scale, opacity
     )
 
 

@@ -41,7 +41,7 @@ from recipes.train_embedded_prior.procedural.world import (
     things,
     vehicles,
 )
-from splatcomplete_data.mesh.discs import DiscSettings, discs_at
+from splatcomplete_data.mesh.discs import discs_at
 
 Family = Callable[[Assembly], Description]
 ABSTRACT_SHARE = 0.3
@@ -137,9 +137,9 @@ def make_object_of(
     colors += noise * rng.standard_normal(colors.shape, dtype=np.float32)
     turn = _pose(rng)
     points, scale = into_unit_box(samples.points @ turn.T)
-    discs = DiscSettings(opacity=float(rng.uniform(0.95, 0.99)))
+    opacity = float(rng.uniform(0.95, 0.99))
     spacing = samples.spacing * np.float32(scale)
-    splats = discs_at(points, samples.normals @ turn.T, colors.clip(0, 1), spacing, discs)
+    splats = discs_at(points, samples.normals @ turn.T, colors.clip(0, 1), spacing, opacity)
     words = caption(description, np.random.default_rng((seed, index, 2)))
     return ProceduralObject(splats, words, family)
 
