@@ -64,8 +64,6 @@ class MixedSource:
     folder: Path
     mesh_share: float = 0.7
     """Share of training sets made from meshes."""
-    most_meshes: int | None = None
-    """Train on so many meshes of the pack, chosen at random; None = all."""
 
     def __call__(self, seed: int, index: int) -> TrainingObject:
         """Make object ``index`` of a seed."""
@@ -73,7 +71,7 @@ class MixedSource:
         if rng.random() >= self.mesh_share:
             return procedural_source(seed, index)
         split = "validation" if seed >= HELD_OUT_SEED_OFFSET else "train"
-        entries, shares = _entries(self.folder, split, self.most_meshes)
+        entries, shares = _entries(self.folder, split)
         entry = entries[int(np.searchsorted(shares, rng.random(), side="right"))]
         splats = mesh_splats(read_mesh(self.folder, entry), entry, rng)
 
@@ -84,18 +82,15 @@ class MixedSource:
 
     def captions(self) -> list[str]:
         """Return the captions of the meshes to train on."""
-        return [entry.caption for entry in _entries(self.folder, "train", self.most_meshes)[0]]
+        return [entry.caption for entry in _entries(self.folder, "train")[0]]
 
 
 @functools.lru_cache(maxsize=4)
 def _entries(
-    folder: Path, split: str, most: int | None
+    folder: Path, split: str
 ) -> tuple[list[PackEntry], FloatArray]:  # entries, cumulative shares [N]
     """Return a split's entries and the ends of their shares of a draw from [0, 1)."""
     entries = [entry for entry in read_manifest(folder) if entry.split == split]
-    if most is not None and split == "train":
-        order = np.random.default_rng(len(entries)).permutation(len(entries))
-        entries = [entries[int(k)] for k in np.sort(order[:most])]
     weights = [_SOURCE_WEIGHTS.get(entry.source, _OTHER_WEIGHT) for entry in entries]
     ends = np.cumsum(weights) / np.sum(weights)
     ends[-1] = 1.0
