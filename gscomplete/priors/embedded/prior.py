@@ -47,7 +47,7 @@ from gscomplete.shape.assemble import (
 from gscomplete.shape.mirror_plane import ChosenMirror, Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter
 from gscomplete.shape.partial_voxels import voxelize_partial
-from gscomplete.shape.predict import predict
+from gscomplete.shape.predict import predict, prompt_note
 from gscomplete.shape.symmetry_choice import score_planes
 from gscomplete.splats import Splats
 from gscomplete.util.same_bits import fixed_sum
@@ -199,13 +199,15 @@ class EmbeddedPrior:
             distribution,
             conditioning.tokens,
             ends_in_plane=cut is not None,
+            no_tokens=conditioning.negative_tokens,
             bfloat16=self._shape_bfloat16,
             mirror_plane=mirror,
         )
         settings = AssembleSettings(count=count)
         with stage("surface"):
             assembled = assemble_splats(prediction, partial, settings, generator)
-        return FirstGuess(assembled.splats, (*notes, mirror_note(prediction, assembled.mirrored)))
+        told = (prompt_note(prediction), mirror_note(prediction, assembled.mirrored))
+        return FirstGuess(assembled.splats, (*notes, *(note for note in told if note)))
 
     def likely_mirrors(
         self, partial: Splats, distribution: ViewDistribution, conditioning: Conditioning
