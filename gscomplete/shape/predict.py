@@ -24,8 +24,6 @@ from gscomplete.views import ViewDistribution
 
 ORIENTATIONS = 8
 """Four quarter turns, each mirrored or not."""
-_NEXT_TO_NOTHING = 0.02
-"""Share of the filled cells that no one sees: one cell in fifty."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,16 +93,6 @@ def differing_share(
     """Return how many of the cells that either fills are filled by one alone."""
     either = int(((one > 0) | (other > 0)).sum())
     return int(((one > 0) != (other > 0)).sum()) / max(either, 1)
-
-
-def prompt_note(prediction: Prediction) -> str | None:
-    """Tell users how much of the guess their prompt decides; None = there is no prompt."""
-    share = prediction.prompt_share
-    if share is None:
-        return None
-    if share < _NEXT_TO_NOTHING:
-        return f"prompt: changes next to nothing of the shape ({share:.1%}): P decides it"
-    return f"prompt: changes {share:.0%} of the guessed shape"
 
 
 def predict_occupancy(

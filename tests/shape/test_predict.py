@@ -1,5 +1,3 @@
-import dataclasses
-
 import pytest
 import torch
 
@@ -8,7 +6,6 @@ from gscomplete.shape.predict import (
     differing_share,
     predict,
     predict_occupancy,
-    prompt_note,
     turned,
     turned_back,
 )
@@ -61,10 +58,6 @@ def test_what_the_prompt_changes_is_counted_and_told(model):
     assert asked.prompt_share == pytest.approx(expected)
     same = predict(model, partial, views, other, ends_in_plane=True, no_tokens=other)
     assert same.prompt_share is None
-    assert prompt_note(same) is None
-    told = [prompt_note(dataclasses.replace(asked, prompt_share=s)) for s in (0.0199, 0.25)]
-    assert "next to nothing" in told[0]
-    assert "25%" in told[1]
 
 
 def test_cells_that_differ_are_counted_against_those_that_either_fills():

@@ -41,13 +41,13 @@ from gscomplete.priors.embedded.weights import PriorConfig, read_weights, weight
 from gscomplete.shape.assemble import (
     AssembleSettings,
     assemble_splats,
-    mirror_note,
     mirror_plane_of,
+    notes_of,
 )
 from gscomplete.shape.mirror_plane import ChosenMirror, Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter
 from gscomplete.shape.partial_voxels import voxelize_partial
-from gscomplete.shape.predict import predict, prompt_note
+from gscomplete.shape.predict import predict
 from gscomplete.shape.symmetry_choice import score_planes
 from gscomplete.splats import Splats
 from gscomplete.util.same_bits import fixed_sum
@@ -206,8 +206,7 @@ class EmbeddedPrior:
         settings = AssembleSettings(count=count)
         with stage("surface"):
             assembled = assemble_splats(prediction, partial, settings, generator)
-        told = (prompt_note(prediction), mirror_note(prediction, assembled.mirrored))
-        return FirstGuess(assembled.splats, (*notes, *(note for note in told if note)))
+        return FirstGuess(assembled.splats, notes + notes_of(prediction, assembled.mirrored))
 
     def likely_mirrors(
         self, partial: Splats, distribution: ViewDistribution, conditioning: Conditioning
