@@ -3,6 +3,7 @@
 Conventions
 -----------
 * Exit code 0: everything found was measured; 1: a completion is missing or could not be measured.
+* With ``--keep`` a completion that was measured before, from the same files, is not measured again.
 * A method is named after its folder of runs, or its file; ``NAME=PATH`` gives another name.
 """
 
@@ -10,16 +11,17 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from gscomplete.errors import UserError
 
 if TYPE_CHECKING:
+    from gscomplete.evaluate.kept import Kept
     from gscomplete.evaluate.report import EvaluationSettings
     from gscomplete.evaluate.rows import Row
     from gscomplete.evaluate.subject import Subject
@@ -45,7 +47,9 @@ class EvaluateOptions:
     """Folder of object folders, instead of PATHS."""
     runs: tuple[str, ...] = ()
     """With --dataset: folders with one completion an object, each a method; NAME=FOLDER names it.
-    In it, ID or ID_completed is a run folder, ID.ply a splat file."""
+    In it, ID or ID_completed is a run folder, ID.ply (or another format) a splat file."""
+    keep: Path | None = None
+    """With --dataset: keep what is measured in this folder; the same command goes on from it."""
     views: int = 16
     """Views of V averaged over."""
     truth_views: int = 12
@@ -64,33 +68,45 @@ class EvaluateOptions:
 
 def run(options: EvaluateOptions) -> int:
     """Measure; return the exit code."""
-    from gscomplete.evaluate.tables import csv_text, latex, markdown
+    from gscomplete.evaluate.tables import markdown, unavailable_of
     from gscomplete.util import jsonio
-    from gscomplete.util.atomic import atomic_path
 
     jobs = list_jobs(options)
-    failures: list[str] = []
-    rows = list(measured_rows(jobs, settings_of(options), failures))
-    for failure in failures:
-        print(f"gscomplete: not measured: {failure}", file=sys.stderr)
+    failures: list[Failure] = []
+    rows = [found.row for found in measured(jobs, options, failures)]
+    tell(failures)
     if not rows:
         raise UserError("expected completions to measure, found none")
+    write_tables(rows, options.csv, options.markdown, options.latex)
+    if options.json:
+        told = [failure.text() for failure in failures]
+        print(json.dumps({"rows": [jsonio.to_json(row) for row in rows], "failures": told}))
+    else:
+        print(markdown(rows, per_object=options.dataset is None))
+        for name, why in unavailable_of(rows):
+            print(f"{name}: unavailable: {why}")
+    return 1 if failures else 0
+
+
+def write_tables(
+    rows: Sequence[Row], csv: Path | None, markdown: Path | None, latex: Path | None
+) -> None:
+    """Write the tables that have a file.
+
+    Raises:
+        UserError: a folder cannot be written.
+    """
+    from gscomplete.evaluate import tables
+    from gscomplete.util.atomic import atomic_path
+
     for path, text in (
-        (options.csv, csv_text(rows)),
-        (options.markdown, markdown(rows, per_object=True)),
-        (options.latex, latex(rows)),
+        (csv, tables.csv_text(rows)),
+        (markdown, tables.markdown(rows, per_object=True)),
+        (latex, tables.latex(rows)),
     ):
         if path is not None:
             with atomic_path(path) as temporary:
                 temporary.write_text(text, encoding="utf-8")
-    if options.json:
-        content = {"rows": [jsonio.to_json(row) for row in rows], "failures": failures}
-        print(json.dumps(content))
-    else:
-        print(markdown(rows, per_object=options.dataset is None))
-        for name, why in sorted({pair for row in rows for pair in row.unavailable.items()}):
-            print(f"{name}: unavailable: {why}")
-    return 1 if failures else 0
 
 
 def settings_of(options: EvaluateOptions) -> EvaluationSettings:
@@ -121,6 +137,26 @@ class Job:
     object: str
 
 
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """A completion that was not measured."""
+
+    method: str
+    object: str
+    reason: str
+
+    def text(self) -> str:
+        """Return what JSON says of it."""
+        return f"{self.method}: {self.object}: {self.reason}"
+
+
+def tell(failures: Sequence[Failure]) -> None:
+    """Tell on standard error what was not measured, a line for every method and reason."""
+    for method, reason in dict.fromkeys((f.method, f.reason) for f in failures):
+        names = ", ".join(f.object for f in failures if (f.method, f.reason) == (method, reason))
+        print(f"gscomplete: not measured: {method}: {names}: {reason}", file=sys.stderr)
+
+
 def list_jobs(options: EvaluateOptions) -> list[Job]:
     """List what is to be measured.
 
@@ -132,8 +168,9 @@ def list_jobs(options: EvaluateOptions) -> list[Job]:
     if (options.dataset is None) == (not options.paths):
         raise UserError("expected either run folders and splat files, or --dataset with --runs")
     if options.dataset is None:
-        if options.runs:
-            raise UserError("--runs: expected together with --dataset")
+        for name, value in (("--runs", options.runs), ("--keep", options.keep)):
+            if value:
+                raise UserError(f"{name}: expected together with --dataset")
         jobs = [named(str(path)) for path in options.paths]
         return [Job(path, method, options.object, path.name) for method, path in jobs]
     if not options.runs:
@@ -161,46 +198,69 @@ def named(text: str) -> tuple[str, Path]:
     return plain.stem if plain.suffix == ".ply" else plain.resolve().name, plain
 
 
-def measured_rows(
-    jobs: list[Job], settings: EvaluationSettings, failures: list[str]
-) -> Iterator[Row]:
-    """Measure one completion after another; what cannot be measured goes to ``failures``."""
-    for _, row in measured_subjects(jobs, settings, failures):
-        yield row
+def measured(
+    jobs: list[Job],
+    options: EvaluateOptions,
+    failures: list[Failure],
+    draw: Callable[[Subject, Row], dict[str, Any]] | None = None,
+    drawn_with: Any = None,
+) -> Iterator[Kept]:
+    """Measure one completion after another, with a bar on standard error.
 
+    Args:
+        jobs: as ``list_jobs`` gives them.
+        options: how to measure, and where to keep it.
+        failures: is given what cannot be measured.
+        draw: makes a page's card; None = there is no page.
+        drawn_with: JSON values that decide the card.
 
-def measured_subjects(
-    jobs: list[Job], settings: EvaluationSettings, failures: list[str]
-) -> Iterator[tuple[Subject, Row]]:
-    """Measure one completion after another, with a bar on standard error."""
+    Raises:
+        UserError: an option is out of range, or the only job cannot be measured.
+    """
     from rich.console import Console
     from rich.progress import track
 
+    from gscomplete.evaluate.kept import KeptResults
+    from gscomplete.util import jsonio
+
+    settings = settings_of(options)
+    kept = None
+    if options.keep is not None:
+        kept = KeptResults(options.keep, [jsonio.to_json(settings), drawn_with])
+    for job in track(jobs, "measuring", console=Console(file=sys.stderr), disable=len(jobs) == 1):
+        if job.path is None:
+            failures.append(Failure(job.method, job.object, "no finished completion"))
+            continue
+        sources = [path for path in (job.path, job.owner) if path is not None]
+        found = None if kept is None else kept.find(job.method, job.object, sources)
+        if found is None:
+            try:
+                found = _measure(job.path, job, settings, draw)
+            except UserError as error:
+                if len(jobs) == 1:
+                    raise
+                failures.append(Failure(job.method, job.object, str(error)))
+                continue
+            if kept is not None:
+                kept.add(job.method, job.object, sources, found)
+        yield found
+
+
+def _measure(
+    path: Path,
+    job: Job,
+    settings: EvaluationSettings,
+    draw: Callable[[Subject, Row], dict[str, Any]] | None,
+) -> Kept:
+    """Measure a completion, and draw it if there is a page."""
+    from gscomplete.evaluate.kept import Kept
     from gscomplete.evaluate.report import evaluate
     from gscomplete.evaluate.rows import row_of
     from gscomplete.evaluate.subject import read_subject
 
-    for job in track(jobs, "measuring", console=Console(file=sys.stderr), disable=len(jobs) == 1):
-        if job.path is None:
-            failures.append(f"{job.method}: {job.object}: no finished completion")
-            continue
-        try:
-            subject = read_subject(job.path, job.method, job.owner)
-            report = evaluate(
-                subject.completed,
-                subject.partial,
-                subject.views,
-                truth=subject.truth,
-                settings=settings,
-            )
-        except UserError as error:
-            if len(jobs) == 1:
-                raise
-            failures.append(f"{job.method}: {job.object}: {error}")
-            continue
-        yield (
-            subject,
-            row_of(
-                report, job.method, subject.object, subject.subset, subject.seconds, subject.notes
-            ),
-        )
+    subject = read_subject(path, job.method, job.owner)
+    report = evaluate(
+        subject.completed, subject.partial, subject.views, truth=subject.truth, settings=settings
+    )
+    row = row_of(report, job.method, subject.object, subject.subset, subject.seconds, subject.notes)
+    return Kept(row, None if draw is None else draw(subject, row))

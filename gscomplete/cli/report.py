@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-import sys
+import functools
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from gscomplete.cli.evaluate import EvaluateOptions, list_jobs, measured_subjects, settings_of
+from gscomplete.cli.evaluate import (
+    EvaluateOptions,
+    Failure,
+    list_jobs,
+    measured,
+    tell,
+    write_tables,
+)
 from gscomplete.errors import UserError
 
 
@@ -32,13 +39,21 @@ class ReportOptions:
     """Folder of object folders, instead of PATHS."""
     runs: tuple[str, ...] = ()
     """With --dataset: folders with one completion an object; NAME=FOLDER names the method."""
+    keep: Path | None = None
+    """With --dataset: keep what is measured in this folder; the same command goes on from it."""
     out: Path = Path("report.html")
     """The page; replaced if it exists."""
     title: str = "Completions"
     """Heading of the page."""
-    most_splats: int = 12_000
-    """Of a completion with more, an even choice is put into the page, widened to match; 24 bytes
-    each."""
+    csv: Path | None = None
+    """Write every row here, too."""
+    markdown: Path | None = None
+    """Write the tables here as Markdown, every object included."""
+    latex: Path | None = None
+    """Write the table here as LaTeX (booktabs)."""
+    most_splats: int = 6000
+    """Of an input with more, and of what is added to it, an even choice is put into the page,
+    widened to match; 23 bytes each."""
     views: int = 16
     """Views of V averaged over."""
     truth_views: int = 12
@@ -59,20 +74,22 @@ def run(options: ReportOptions) -> int:
         object=options.object,
         dataset=options.dataset,
         runs=options.runs,
+        keep=options.keep,
         views=options.views,
         truth_views=options.truth_views,
         size_px=options.size_px,
     )
-    settings = settings_of(asked)
-    failures: list[str] = []
+    failures: list[Failure] = []
     rows, cards = [], []
-    for subject, row in measured_subjects(list_jobs(asked), settings, failures):
-        rows.append(row)
-        cards.append(card_of(subject, row, options.most_splats))
-    for failure in failures:
-        print(f"gscomplete: not measured: {failure}", file=sys.stderr)
+    draw = functools.partial(card_of, most_splats=options.most_splats)
+    for found in measured(list_jobs(asked), asked, failures, draw, options.most_splats):
+        assert found.card is not None
+        rows.append(found.row)
+        cards.append(found.card)
+    tell(failures)
     if not rows:
         raise UserError("expected completions to show, found none")
+    write_tables(rows, options.csv, options.markdown, options.latex)
     write_page(options.out, options.title, rows, cards)
     size = options.out.stat().st_size / 2**20
     print(f"written: {options.out} ({len(rows)} completions, {size:.1f} MB)")

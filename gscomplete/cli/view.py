@@ -40,7 +40,7 @@ def run(options: ViewOptions) -> int:
     """Serve the page until interrupted; return the exit code."""
     from gscomplete.viewer.layers import live_layer, read_scene
     from gscomplete.viewer.live import Progress, follow
-    from gscomplete.viewer.server import serve, show_layer
+    from gscomplete.viewer.server import add_choice, serve, show_layer
     from gscomplete.views import parse_up
 
     if not options.paths:
@@ -58,15 +58,17 @@ def run(options: ViewOptions) -> int:
         show_layer(viewer, live_layer(progress.splats, options.most_splats))
         viewer.status.content = f"the run goes on: step {progress.step}"
 
-    def show_end() -> None:
-        """Show the result of a run that has finished."""
+    def show_result(is_finished: bool) -> None:
+        """Show the result of a run, and when it has finished its alternatives."""
         for layer in read_scene(options.paths, "Z", options.most_splats).layers:
-            if not layer.is_alternative:
-                show_layer(viewer, layer)
-        viewer.status.content = "the run has finished"
+            show_layer(viewer, layer)
+        add_choice(viewer)
+        viewer.status.content = (
+            "the run has finished" if is_finished else "the result is there; it is being measured"
+        )
 
     if scene.running is not None:
-        arguments = (scene.running, show, show_end, stop)
+        arguments = (scene.running, show, show_result, stop)
         threading.Thread(target=follow, args=arguments, daemon=True).start()
     try:
         for layer in scene.layers:

@@ -27,6 +27,8 @@ from gscomplete.views import Cameras, ViewDistribution
 
 LIGHT_GREY = (0.78, 0.78, 0.78)
 """Background of pictures made for people."""
+ERROR_INK = (0.8, 0.05, 0.05)
+"""Colour of large errors."""
 _ERROR_GAIN = 4.0
 """Differences of colours are drawn this much larger."""
 _INK = (40, 40, 40)
@@ -78,15 +80,23 @@ def to_image(color: Tensor) -> Image.Image:  # [H, W, 3] in [0, 1]
     return Image.fromarray(pixels)
 
 
+def errors_on(
+    ours: Tensor,  # [H, W, 3]
+    theirs: Tensor,  # [H, W, 3]
+    mask: Tensor,  # [H, W]
+) -> Tensor:  # [H, W]
+    """Return how red differences are drawn: 0 = there is none, or P is not there; 1 = large."""
+    return (_ERROR_GAIN * (ours - theirs).abs().mean(dim=-1) * mask).clamp(0, 1)
+
+
 def error_picture(
     ours: Tensor,  # [H, W, 3]
     theirs: Tensor,  # [H, W, 3]
     mask: Tensor,  # [H, W]
 ) -> Image.Image:
     """Draw differences where P is: white = none, red = large; light grey where P is not."""
-    error = (_ERROR_GAIN * (ours - theirs).abs().mean(dim=-1) * mask).clamp(0, 1)[..., None]
-    red = torch.tensor([0.8, 0.05, 0.05])
-    inside = (1 - error) * torch.ones(3) + error * red
+    error = errors_on(ours, theirs, mask)[..., None]
+    inside = (1 - error) * torch.ones(3) + error * torch.tensor(ERROR_INK)
     weight = mask[..., None].clamp(0, 1)
     return to_image(weight * inside + (1 - weight) * torch.tensor(LIGHT_GREY))
 

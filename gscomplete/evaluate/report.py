@@ -25,6 +25,7 @@ from gscomplete.evaluate.metrics import (
     preservation_of_renders,
     truth_errors_of_renders,
 )
+from gscomplete.evaluate.patches import patch_distance
 from gscomplete.evaluate.perceptual import Unavailable, clip_similarity, lpips_error
 from gscomplete.evaluate.ssim import ssim_map
 from gscomplete.render import Render, render
@@ -52,6 +53,8 @@ class TruthPictures:
     """Mean SSIM over the hidden region; None if it is empty."""
     haarpsi: float
     """Mean HaarPSI of the views, over all pixels that either covers."""
+    patches: float | None
+    """Distance of the patches of the hidden region, as of colours; None if it is empty."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,6 +136,7 @@ def truth_pictures_of_renders(completed: Render, partial: Render, truth: Render)
     return TruthPictures(
         float(alike[hidden].mean()) if bool(hidden.any()) else None,
         float(haarpsi(completed.color, truth.color, either).mean()),
+        patch_distance(completed.color, truth.color, hidden),
     )
 
 
@@ -166,6 +170,10 @@ def report_table(report: EvaluationReport, title: str = "Evaluation") -> Table:
         table.add_row("hidden colour PSNR (dB)", "", "-" if psnr is None else f"{psnr:.1f}")
         table.add_row("hidden SSIM", "", "-" if ssim is None else _number(ssim))
         table.add_row("HaarPSI to the truth", "", _number(report.truth_pictures.haarpsi))
+        patches = report.truth_pictures.patches
+        table.add_row(
+            "distance of hidden patches", "", "-" if patches is None else _number(patches)
+        )
     if report.truth_surface is not None:
         table.add_row("hidden-surface F-score at 1 %", "", _number(report.truth_surface.f_score_1))
         table.add_row("hidden-surface F-score at 3 %", "", _number(report.truth_surface.f_score_3))

@@ -63,6 +63,7 @@ MEASURES: tuple[Measure, ...] = (
     Measure("hidden_ssim", "hidden SSIM", "SSIM", False, 3, _pictures("hidden_ssim")),
     Measure("haarpsi_truth", "HaarPSI truth", r"$S_\text{HaarPSI}^\text{truth}$", False, 3,
             _pictures("haarpsi")),
+    Measure("hidden_patches", "hidden patches", "patches", True, 3, _pictures("patches")),
     Measure("chamfer", "chamfer", "chamfer", True, 4, _surface("chamfer")),
     Measure("f_score_1", "F 1 %", r"$F_{1\%}$", False, 3, _surface("f_score_1")),
     Measure("f_score_3", "F 3 %", r"$F_{3\%}$", False, 3, _surface("f_score_3")),

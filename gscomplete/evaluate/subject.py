@@ -4,10 +4,10 @@ Conventions
 -----------
 * Where the object folder is known, its frame, V and truth are taken, the same for every method;
   else the run's own.
-* A run's O holds P's splats. Another system's result, a splat file, is taken as it is; it does not
-  hold P.
+* A run's O holds P's splats. Another system's result, a splat file, is taken as it is; it holds P
+  if its first splats lie where P's do.
 * In a folder of runs, the completion of the object ``ID`` is ``ID`` or ``ID_completed`` (a run
-  folder) or ``ID.ply`` (a splat file in P's file frame).
+  folder) or ``ID.ply`` (a splat file of any format, in P's file frame).
 """
 
 from __future__ import annotations
@@ -26,10 +26,12 @@ from gscomplete.folders import (
     read_run_folder,
 )
 from gscomplete.splats import Splats, concatenate, read_splats, usable_rows
-from gscomplete.splats.formats.any_file import read_any_splats
+from gscomplete.splats.formats.any_file import READ, read_any_splats
 from gscomplete.splats.transform import transform_splats
 from gscomplete.views import ObjectFrame, ViewDistribution
 
+_SAME_PLACE = 1e-4
+"""Splats nearer than this, in object sizes, lie at the same place: float32 turned to and fro."""
 _TIMINGS = ("prepare_s", "optimise_s", "finish_s")
 """Stages of a run that completing takes: no files, no pictures."""
 
@@ -87,8 +89,8 @@ def find_completion(runs: Path, object_id: str) -> Path | None:
         if (runs / name / RUN_FILE).is_file():
             run = read_run_folder(runs / name)
             return run.folder if run.output.is_file() else None
-    file = runs / f"{object_id}.ply"
-    return file if file.is_file() else None
+    files = (runs / f"{object_id}.{kind}" for kind in READ)
+    return next((file for file in files if file.is_file()), None)
 
 
 def objects_of(dataset: Path) -> list[ObjectFolder]:
@@ -144,18 +146,28 @@ def _read_run(folder: Path, method: str, owner: Path | None) -> Subject:
 def _read_result(path: Path, method: str, known: ObjectFolder) -> Subject:
     to_object = known.frame.object_from_file
     truth = _truth(known)
+    partial = transform_splats(_drawable(read_splats(known.partial).splats), to_object)
+    completed = transform_splats(_drawable(read_any_splats(path).splats), to_object)
     return Subject(
         method,
         known.id,
         known.subset,
         known.prompt,
-        transform_splats(_drawable(read_splats(known.partial).splats), to_object),
-        transform_splats(_drawable(read_any_splats(path).splats), to_object),
+        partial,
+        completed,
         None if truth is None else transform_splats(truth, to_object),
         known.views,
         known.frame,
-        holds_partial=False,
+        holds_partial=_begins_with(completed, partial),
     )
+
+
+def _begins_with(completed: Splats, partial: Splats) -> bool:
+    """Tell whether a completion's first splats are P's."""
+    if len(completed) < len(partial):
+        return False
+    away = (completed.means[: len(partial)] - partial.means).abs()
+    return bool((away < _SAME_PLACE).all())
 
 
 def _truth(known: ObjectFolder) -> Splats | None:

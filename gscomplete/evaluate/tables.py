@@ -4,7 +4,8 @@ Conventions
 -----------
 * A mean is over the objects for which the number is known, and says how many these are; with it
   comes its 95 % bootstrap interval over objects. A method that failed on an object is not charged
-  for it but has a smaller count: ``compared_rows`` keeps the objects that all methods have.
+  for it but has a smaller count; a group of its own (``compared_rows``) holds the objects that all
+  methods have, over which alone means compare.
 * Numbers that no row has leave their column out.
 """
 
@@ -49,9 +50,12 @@ def mean_of(rows: Sequence[Row], name: str) -> Mean | None:
 
 
 def groups_of(rows: Sequence[Row]) -> list[tuple[str, list[Row]]]:
-    """Return all rows, and where there are several subsets, those of each."""
+    """Return all rows, those of objects that all methods have, and those of each subset."""
     subsets = sorted({row.subset for row in rows if row.subset is not None})
     groups = [("all", list(rows))]
+    compared = compared_rows(rows)
+    if 0 < len(compared) < len(rows):
+        groups.append(("with every method", compared))
     if len(subsets) > 1:
         groups += [(name, [row for row in rows if row.subset == name]) for name in subsets]
     return groups
@@ -60,6 +64,13 @@ def groups_of(rows: Sequence[Row]) -> list[tuple[str, list[Row]]]:
 def methods_of(rows: Sequence[Row]) -> list[str]:
     """Return the methods in the order of their first rows."""
     return list(dict.fromkeys(row.method for row in rows))
+
+
+def unavailable_of(rows: Sequence[Row]) -> list[tuple[str, str]]:
+    """Return which measures the machine, not the object, stands in the way of, and why."""
+    labels = {m.name: m.label for m in MEASURES}
+    pairs = {(labels[name], why) for row in rows for name, why in row.unavailable.items()}
+    return sorted(pairs)
 
 
 def measures_of(rows: Sequence[Row]) -> list[Measure]:

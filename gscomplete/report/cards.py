@@ -24,8 +24,15 @@ _INSET_SHARE = 0.34
 
 
 def card_of(subject: Subject, row: Row, most_splats: int) -> dict[str, Any]:
-    """Return the card as JSON values."""
-    count, data = packed(subject.completed, _is_new(subject), most_splats)
+    """Return the card as JSON values.
+
+    Args:
+        subject: the completion.
+        row: its numbers.
+        most_splats: of the input, and of what the completion adds, at most so many are shown.
+    """
+    begin = len(subject.partial) if subject.holds_partial else 0
+    added = subject.completed.select(torch.arange(len(subject.completed)) >= begin)
     return {
         "method": row.method,
         "object": row.object,
@@ -41,14 +48,10 @@ def card_of(subject: Subject, row: Row, most_splats: int) -> dict[str, Any]:
         "azimuth_deg": subject.views.azimuth_deg,
         "elevation_deg": subject.views.elevation_deg,
         "picture": _picture(subject),
-        "splats": {"count": count, "data": data},
+        "input": packed(subject.partial, most_splats),
+        "added": packed(added, most_splats),
+        "holds_input": subject.holds_partial,
     }
-
-
-def _is_new(subject: Subject) -> torch.Tensor:  # [N] bool
-    """Mark what a completion added: in a run P comes first; another system's result is all new."""
-    place = torch.arange(len(subject.completed))
-    return place >= (len(subject.partial) if subject.holds_partial else 0)
 
 
 def _picture(subject: Subject) -> str:

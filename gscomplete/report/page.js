@@ -1,5 +1,6 @@
 "use strict";
 const page = JSON.parse(document.getElementById("data").textContent);
+const several = new Set(page.cards.map((card) => card.method)).size > 1;
 let splatView = null;
 
 function make(tag, attributes = {}, ...children) {
@@ -52,7 +53,7 @@ function objectsTable() {
     return cell;
   }));
   fill();
-  return make("div", { class: "scroll" }, make("table", { id: "objects" }, make("thead", {}, head), body));
+  return make("div", { class: "scroll long" }, make("table", { id: "objects" }, make("thead", {}, head), body));
 }
 
 function openViewer(card, shot, tools) {
@@ -63,14 +64,24 @@ function openViewer(card, shot, tools) {
     return;
   }
   for (const button of document.querySelectorAll(".tools .extra")) button.remove();
-  splatView.spin = false; splatView.show = "all"; splatView.tint = 0;
+  const full = card.holds_input ? "all" : "new";
+  splatView.spin = false; splatView.show = full; splatView.tint = 0;
   shot.append(splatView.canvas);
-  splatView.load(card.splats, page.packing, card.azimuth_deg, card.elevation_deg);
-  const extra = (label, act) => tools.append(make("button", { class: "extra", onclick: (e) => { act(e.target); splatView.draw(); } }, label));
-  for (const [label, show] of [["input", "input"], ["added", "new"], ["both", "all"]]) extra(label, () => { splatView.show = show; });
-  extra("tints", () => { splatView.tint = 1 - splatView.tint; });
-  extra("turntable", () => { splatView.spin = !splatView.spin; });
-  extra("pictures", () => { splatView.spin = false; splatView.canvas.remove(); for (const b of tools.querySelectorAll(".extra")) b.remove(); });
+  splatView.load([page.inputs[card.input], card.added], page.packing, card.azimuth_deg, card.elevation_deg);
+  const extra = (label, act, pressed) => {
+    const button = make("button", { class: "extra", "aria-pressed": String(pressed), onclick: () => { act(button); splatView.draw(); } }, label);
+    tools.append(button);
+    return button;
+  };
+  const shows = (card.holds_input ? [["completion", "all"], ["input", "input"], ["added", "new"]] : [["completion", "new"], ["input", "input"]])
+    .map(([label, show]) => extra(label, (pressed) => {
+      splatView.show = show;
+      for (const other of shows) other.setAttribute("aria-pressed", String(other === pressed));
+    }, show === full));
+  const toggle = (label, flip) => extra(label, (button) => button.setAttribute("aria-pressed", String(Boolean(flip()))), false);
+  toggle("tints", () => { splatView.tint = 1 - splatView.tint; return splatView.tint; });
+  toggle("turntable", () => { splatView.spin = !splatView.spin; return splatView.spin; });
+  extra("pictures", () => { splatView.spin = false; splatView.canvas.remove(); for (const b of tools.querySelectorAll(".extra")) b.remove(); }, false);
 }
 
 function pairs(title, values) {
@@ -92,15 +103,37 @@ function cardElement(card, index) {
   if (card.settings) made.settings = card.settings;
   for (const [name, source] of Object.entries(card.sources || {})) made[`${name} from`] = source;
   const keys = [card.subset, card.method, card.seconds === null ? null : `${card.seconds.toFixed(1)} s`].filter(Boolean).join(" \u00b7 ");
-  return make("article", { class: "card", id: `card-${index}` }, make("h3", {}, card.object),
-    make("p", { class: "soft" }, `\u201c${card.prompt}\u201d \u00b7 ${keys}`), shot, tools,
+  const head = several ? [make("h4", {}, card.method), make("p", { class: "soft" }, summary(card))]
+    : [make("h3", {}, card.object), make("p", { class: "soft" }, `\u201c${card.prompt}\u201d \u00b7 ${keys}`)];
+  return make("article", { class: "card", id: `card-${index}` }, ...head, shot, tools,
     pairs("numbers", numbers), pairs("options", made), pairs("timings (s)", card.timings),
     card.notes.length ? make("details", {}, make("summary", { class: "warn" }, `notes and warnings (${card.notes.length})`),
       make("ul", {}, ...card.notes.map((note) => make("li", {}, note)))) : null,
     pairs("unavailable", card.unavailable));
 }
 
+function summary(card) { // the numbers that tell methods of an object apart
+  const told = page.measures.filter((m) => ["e_color_v", "silhouette_iou", "hidden_psnr_db"].includes(m.name))
+    .map((m) => `${m.label} ${shown(card.values[m.name], m)}`);
+  if (card.seconds !== null) told.push(`${card.seconds.toFixed(1)} s`);
+  return told.join(" \u00b7 ");
+}
+
+function cardElements() {
+  const elements = page.cards.map(cardElement);
+  if (!several) return [make("div", { class: "cards" }, ...elements)];
+  const groups = new Map();
+  page.cards.forEach((card, index) => groups.set(card.object, [...(groups.get(card.object) || []), index]));
+  return [...groups].map(([object, members]) => {
+    const { prompt, subset } = page.cards[members[0]];
+    return make("section", { class: "object" }, make("h3", {}, object),
+      make("p", { class: "soft" }, `\u201c${prompt}\u201d${subset ? ` \u00b7 ${subset}` : ""}`),
+      make("div", { class: "cards" }, ...members.map((index) => elements[index])));
+  });
+}
+
 document.body.append(make("h1", {}, page.title),
   make("p", { class: "soft" }, `${page.cards.length} completions \u00b7 gscomplete ${page.version} \u00b7 depths and distances in object sizes; means with 95 % bootstrap intervals over objects`),
+  ...page.unavailable.map(([label, why]) => make("p", { class: "soft" }, `${label}: unavailable: ${why}`)),
   make("h2", {}, "Means"), meansTable(), make("h2", {}, "Objects"), objectsTable(),
-  make("h2", {}, "Completions"), make("div", { class: "cards" }, ...page.cards.map(cardElement)));
+  make("h2", {}, "Completions"), ...cardElements());

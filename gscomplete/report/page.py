@@ -17,7 +17,13 @@ from typing import Any
 
 import gscomplete
 from gscomplete.evaluate.rows import MEASURES, Row
-from gscomplete.evaluate.tables import best_method, groups_of, mean_of, methods_of
+from gscomplete.evaluate.tables import (
+    best_method,
+    groups_of,
+    mean_of,
+    methods_of,
+    unavailable_of,
+)
 from gscomplete.report.packed_splats import LARGEST, REACH, SMALLEST
 from gscomplete.util.atomic import atomic_path
 
@@ -47,8 +53,9 @@ def write_page(
             if any(row.values.get(m.name) is not None for row in rows)
         ],
         "means": _means(rows),
+        "unavailable": unavailable_of(rows),
         "packing": {"reach": REACH, "smallest": SMALLEST, "largest": LARGEST},
-        "cards": list(cards),
+        **_with_shared_inputs(cards),
     }
     style, viewer, script = (asset(name) for name in _ASSETS)
     text = "\n".join(
@@ -64,6 +71,16 @@ def write_page(
     )
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def _with_shared_inputs(cards: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return cards that name their input by its place among those of all: each is there once."""
+    inputs: list[Any] = []
+    for card in cards:
+        if card["input"] not in inputs:
+            inputs.append(card["input"])
+    numbered = [card | {"input": inputs.index(card["input"])} for card in cards]
+    return {"inputs": inputs, "cards": numbered}
 
 
 def _means(rows: Sequence[Row]) -> list[dict[str, Any]]:

@@ -31,17 +31,17 @@ def write_splat_page(
         splats: finite splats in the file frame.
         frame: the object frame: its z points up on the page, and its size fits the window.
         title: of the page.
-        most_splats: of more, an even choice is shown, widened to match; 24 bytes each.
+        most_splats: of more, an even choice is shown, widened to match; 23 bytes each.
 
     Raises:
         UserError: the file cannot be written.
     """
     moved = transform_splats(splats.with_sh_degree(0), frame.object_from_file)
-    is_new = moved.opacities < 0
-    count, data = packed(moved, is_new, most_splats)
+    shown = packed(moved, most_splats)
+    count = shown["count"]
     azimuth_deg, elevation_deg = _VIEW_DEG
     content = {
-        "splats": {"count": count, "data": data},
+        "splats": shown,
         "packing": {"reach": REACH, "smallest": SMALLEST, "largest": LARGEST},
         "azimuth_deg": azimuth_deg,
         "elevation_deg": elevation_deg,

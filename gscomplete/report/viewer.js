@@ -22,10 +22,22 @@ function unpackSplats(splats, packing) {
     const c = (a, b) => r[3 * a] * r[3 * b] * s[0] * s[0] + r[3 * a + 1] * r[3 * b + 1] * s[1] * s[1]
       + r[3 * a + 2] * r[3 * b + 2] * s[2] * s[2];
     const k = 13 * n + 4 * i;
-    texels.set([...m, raw[17 * n + i], c(0, 0), c(0, 1), c(0, 2), c(1, 1), c(1, 2), c(2, 2), 0, 0,
+    texels.set([...m, 0, c(0, 0), c(0, 1), c(0, 2), c(1, 1), c(1, 2), c(2, 2), 0, 0,
       raw[k] / 255, raw[k + 1] / 255, raw[k + 2] / 255, raw[k + 3] / 255], 16 * i);
   }
-  return { n, texels, means, flags: raw.subarray(17 * n, 18 * n) };
+  return { n, texels, means };
+}
+
+function joined(parts) { // one after the other; flags say which
+  const n = parts.reduce((sum, part) => sum + part.n, 0);
+  const scene = { n, texels: new Float32Array(16 * n), means: new Float32Array(3 * n), flags: new Uint8Array(n) };
+  let at = 0;
+  parts.forEach((part, flag) => {
+    scene.texels.set(part.texels, 16 * at); scene.means.set(part.means, 3 * at);
+    for (let i = at; i < at + part.n; i++) scene.flags[i] = scene.texels[16 * i + 3] = flag;
+    at += part.n;
+  });
+  return scene;
 }
 
 const VERTEX = `#version 300 es
@@ -91,8 +103,8 @@ class SplatView {
     this.listen();
   }
 
-  load(splats, packing, azimuth, elevation) {
-    const gl = this.gl, scene = unpackSplats(splats, packing);
+  load(parts, packing, azimuth, elevation) { // the input's splats, then those added
+    const gl = this.gl, scene = joined(parts.map((splats) => unpackSplats(splats, packing)));
     const lines = Math.max(1, Math.ceil(4 * scene.n / 4096)), padded = new Float32Array(4 * 4096 * lines);
     padded.set(scene.texels);
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, 4096, lines, 0, gl.RGBA, gl.FLOAT, padded);

@@ -2,7 +2,8 @@
 
 Conventions
 -----------
-* Checkpoints hold new splats in the object frame; ``completed.ply`` ends the following.
+* Checkpoints hold new splats in the object frame. ``completed.ply`` comes before the metrics and
+  alternatives; ``run.json`` says last that the run has finished, which ends the following.
 """
 
 from __future__ import annotations
@@ -51,26 +52,34 @@ def newest(folder: Path) -> Progress | None:
 def follow(
     folder: Path,
     on_progress: Callable[[Progress], None],
-    on_end: Callable[[], None],
+    on_result: Callable[[bool], None],
     stop: threading.Event,
     poll_s: float = _POLL_S,
 ) -> None:
-    """Tell of every new checkpoint until the run has finished or ``stop`` is set.
+    """Tell of every new checkpoint, and of the result, until the run has finished or ``stop``.
 
     Args:
         folder: the run folder.
         on_progress: is given what is newest.
-        on_end: is called once, when ``completed.ply`` is there.
+        on_result: is called when ``completed.ply`` is there, and when the run has finished: then
+            with True.
         stop: set by whoever ends the following.
         poll_s: seconds between looks.
     """
-    path, seen = folder / CHECKPOINTS / FILE_NAME, 0
+    path, seen, has_result = folder / CHECKPOINTS / FILE_NAME, 0, False
     while not stop.is_set():
         # a file that is being replaced, or a folder that is being made anew, is read next time
         with contextlib.suppress(UserError, OSError):
-            if read_run_folder(folder).output.is_file():
-                on_end()
-                return
+            run = read_run_folder(folder)
+            if run.output.is_file():
+                is_finished = run.content.get("status") != "running"
+                if is_finished or not has_result:
+                    on_result(is_finished)
+                has_result = True
+                if is_finished:
+                    return
+                stop.wait(poll_s)
+                continue
             now = path.stat().st_mtime_ns
             if now != seen:
                 found = newest(folder)

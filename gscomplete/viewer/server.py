@@ -4,15 +4,14 @@ Conventions
 -----------
 * The page shows the object frame: z up, cameras in OpenCV axes, as viser's are.
 * viser draws splats of one colour from all sides: base colours, no spherical harmonics.
-* In tints, every layer has a hue of its own and keeps its lightness.
-* The frusta of c and of V show where what was added changes P's appearance: the pictures of
-  ``error_picture``, as insets of the paper's figures.
+* In tints, every layer has a hue of its own and keeps its lightness. In errors, P is grey, and red
+  where the completion that is shown changes its appearance from c or the bounds of V; their frusta
+  show the same as pictures.
 """
 
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
@@ -20,27 +19,29 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from gscomplete.errors import UserError
-from gscomplete.evaluate.pictures import LIGHT_GREY, error_picture
-from gscomplete.render import render
-from gscomplete.splats import Splats, concatenate
+from gscomplete.evaluate.pictures import ERROR_INK
+from gscomplete.splats import Splats
 from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.splats.transform import quaternion_from_rotation
 from gscomplete.viewer.layers import Layer, Scene
 from gscomplete.viewer.pages import mended_answers
-from gscomplete.views import Cameras, ViewDistribution
+from gscomplete.viewer.view_errors import bounds_of, view_errors
+from gscomplete.views import Cameras, ViewDistribution, join_cameras
 
 if TYPE_CHECKING:
     import viser
 
 FloatArray = NDArray[np.float32]
-Colors = Literal["own", "tints"]
-COLORS: tuple[Colors, ...] = ("own", "tints")
+Colors = Literal["own", "tints", "errors"]
+COLORS: tuple[Colors, ...] = ("own", "tints", "errors")
 TINTS = ((0.25, 0.5, 0.95), (0.98, 0.55, 0.15), (0.3, 0.75, 0.35), (0.85, 0.3, 0.6))
 """Of the layers in turn: blue, orange, green, pink."""
 _TINT_SHARE = 0.6
 _FRUSTUM_SCALE = 0.08
+_FRUSTUM_LINE_PX = 1.5
 _PICTURE_PX = 512
 _ERROR_PX = 160
 _MAGNIFIED = 32.0
@@ -66,6 +67,10 @@ class Viewer:
     """A line of text."""
     choice: list[Any]
     """The list of completions to choose from, if there are several."""
+    frusta: list[tuple[Cameras, list[Any]]]
+    """Cameras of c and of V, and the node of each."""
+    errors: list[Tensor]
+    """On P's splats, if there are views and a completion."""
 
 
 def serve(scene: Scene, host: str, port: int) -> Viewer:
@@ -83,18 +88,18 @@ def serve(scene: Scene, host: str, port: int) -> Viewer:
     server.scene.set_up_direction("+z")
     coloring = server.gui.add_dropdown("colours", COLORS, initial_value=COLORS[0])
     status = server.gui.add_markdown("the run goes on" if scene.running else "")
-    viewer = Viewer(server, {}, {}, coloring, {}, status, [])
+    viewer = Viewer(server, {}, {}, coloring, {}, status, [], [], [])
     for place, layer in enumerate(scene.layers):
         _add_layer(viewer, layer, place)
-    _add_choice(viewer, scene.layers)
+    add_choice(viewer)
     start = _start_camera(scene.views)
     if scene.views is not None:
-        _add_views(viewer, scene)
+        _add_views(viewer, scene.views)
 
     @coloring.on_update
     def _(_event: Any) -> None:
-        for name, (layer, place) in viewer.colored.items():
-            viewer.drawn[name].rgbs = layer_colors(layer.splats, coloring.value, place)
+        for name in viewer.colored:
+            viewer.drawn[name].rgbs = _colors(viewer, name)
 
     @server.on_client_connect
     def _(client: Any) -> None:
@@ -116,12 +121,20 @@ def camera_fov(camera: Cameras) -> float:
     return float(2.0 * torch.atan(0.5 * camera.height / camera.focal_px[0, 1]))
 
 
-def layer_colors(splats: Splats, colors: Colors, place: int) -> FloatArray:  # [N, 3]
+def layer_colors(
+    splats: Splats,
+    colors: Colors,
+    place: int,
+    errors: Tensor | None = None,  # [N] on its splats; None = there are none
+) -> FloatArray:  # [N, 3]
     """Return the colours of layer number ``place``, in [0, 1]."""
     own = splats.base_colors.detach().float().clamp(0, 1).cpu().numpy()
     if colors == "own":
         return own
     lightness = own.mean(axis=1, keepdims=True)
+    if colors == "errors":
+        red = np.zeros_like(lightness) if errors is None else errors.float().numpy()[:, None]
+        return np.float32((1 - red) * lightness + red * np.array(ERROR_INK)).clip(0, 1)
     hue = np.array(TINTS[place % len(TINTS)], np.float32)
     tinted = hue * (0.35 + 0.65 * lightness)
     return np.float32((1 - _TINT_SHARE) * lightness + _TINT_SHARE * tinted).clip(0, 1)
@@ -150,14 +163,18 @@ def _listen(host: str, port: int) -> viser.ViserServer:
 
 
 def show_layer(viewer: Viewer, layer: Layer) -> None:
-    """Draw a layer in the place of the one of its name, or as a new one."""
-    if layer.name not in viewer.drawn:
+    """Draw a layer in the place of the one of its name, or as a new one; errors with it."""
+    if layer.name == "P":
+        viewer.errors.clear()
+    if layer.name in viewer.drawn:
+        place = viewer.colored[layer.name][1]
+        handle = _drawn(viewer, layer, place)
+        handle.visible = viewer.boxes[layer.name].value
+        viewer.drawn[layer.name] = handle
+    else:
         _add_layer(viewer, layer, len(viewer.colored))
-        return
-    place = viewer.colored[layer.name][1]
-    handle = _drawn(viewer, layer, place)
-    handle.visible = viewer.boxes[layer.name].value
-    viewer.drawn[layer.name] = handle
+    if layer.name in ("P", "new"):
+        show_errors(viewer)
 
 
 def _add_layer(viewer: Viewer, layer: Layer, place: int) -> None:
@@ -174,16 +191,16 @@ def _drawn(viewer: Viewer, layer: Layer, place: int) -> Any:
         f"/layers/{place}",  # not the name: a node below another one would hide with it
         centers=_MAGNIFIED * splats.means.detach().float().cpu().numpy(),
         covariances=(_MAGNIFIED**2 * covariances(splats)).clip(-_LARGEST_HALF, _LARGEST_HALF),
-        rgbs=layer_colors(splats, viewer.coloring.value, place),
+        rgbs=_colors(viewer, layer.name),
         opacities=splats.opacities.detach().float().cpu().numpy()[:, None],
         scale=1.0 / _MAGNIFIED,
     )
 
 
-def _add_choice(viewer: Viewer, layers: Sequence[Layer]) -> None:
+def add_choice(viewer: Viewer) -> None:
     """Let the page show one completion at a time: the result, or an alternative."""
-    names = [layer.name for layer in layers if layer.is_alternative]
-    if not names or "new" not in viewer.boxes:
+    names = [name for name, (layer, _) in viewer.colored.items() if layer.is_alternative]
+    if viewer.choice or not names or "new" not in viewer.boxes:
         return
     choice = viewer.server.gui.add_dropdown("completion", ("new", *names), initial_value="new")
     viewer.choice.append(choice)
@@ -192,68 +209,62 @@ def _add_choice(viewer: Viewer, layers: Sequence[Layer]) -> None:
     def _(_event: Any) -> None:
         for name in ("new", *names):
             viewer.boxes[name].value = name == choice.value
+        show_errors(viewer)
 
 
-def _add_views(viewer: Viewer, scene: Scene) -> None:
+def show_errors(viewer: Viewer) -> None:
+    """Draw on P, and into the frusta, how far the shown completion changes P's appearance."""
+    chosen = viewer.choice[0].value if viewer.choice else "new"
+    viewer.errors.clear()
+    if not viewer.frusta or not {"P", chosen} <= set(viewer.colored):
+        return
+    partial, added = (viewer.colored[name][0].splats for name in ("P", chosen))
+    cameras = join_cameras([cameras for cameras, _ in viewer.frusta])
+    found = view_errors(partial, added, cameras)
+    handles = [handle for _, group in viewer.frusta for handle in group]
+    for handle, picture in zip(handles, found.pictures, strict=True):
+        handle.image = picture
+    viewer.errors.append(found.on_splats)
+    viewer.drawn["P"].rgbs = _colors(viewer, "P")
+
+
+def _colors(viewer: Viewer, name: str) -> FloatArray:  # [N, 3]
+    layer, place = viewer.colored[name]
+    errors = viewer.errors[0] if name == "P" and viewer.errors else None
+    return layer_colors(layer.splats, viewer.coloring.value, place, errors)
+
+
+def _add_views(viewer: Viewer, views: ViewDistribution) -> None:
     """Draw the cameras of c and of V's bounds, hidden at first, with a button that looks from c."""
-    assert scene.views is not None
-    views = scene.views
     camera = views.input_camera(_PICTURE_PX)
-    by_name = {layer.name: layer.splats for layer in scene.layers}
-    added = by_name.get("new") if scene.running is None else None
     for name, cameras, hint in (
-        ("c", views.input_camera(_ERROR_PX), "camera of the input view"),
-        ("V", bounds_of(views, _ERROR_PX), "cameras at the bounds of V"),
+        ("c", views.input_camera(_ERROR_PX), "camera of the input view, errors on P in red"),
+        ("V", bounds_of(views, _ERROR_PX), "cameras at the bounds of V, errors on P in red"),
     ):
         node = viewer.server.scene.add_frame(f"/{name}", show_axes=False)
-        pictures = error_pictures(by_name.get("P"), added, cameras)
-        for index, picture in enumerate(pictures):
+        handles = []
+        for index in range(len(cameras)):
             rotation = cameras.camera_from_world[index, :3, :3].double().T.contiguous()
             w, x, y, z = quaternion_from_rotation(rotation).tolist()
-            viewer.server.scene.add_camera_frustum(
+            frustum = viewer.server.scene.add_camera_frustum(
                 f"/{name}/{index}",
                 fov=camera_fov(cameras),
                 aspect=1.0,
                 scale=_FRUSTUM_SCALE,
+                thickness=_FRUSTUM_LINE_PX,
+                thickness_units="screen",
                 wxyz=(w, x, y, z),
                 position=tuple(cameras.positions[index].tolist()),
-                image=picture,
             )
+            handles.append(frustum)
+        viewer.frusta.append((cameras, handles))
         _add_box(viewer, name, node, hint=hint, initial=False)
+    show_errors(viewer)
     button = viewer.server.gui.add_button("look from c")
 
     @button.on_click
     def _(event: Any) -> None:
         look_from(event.client, camera)
-
-
-def bounds_of(views: ViewDistribution, size_px: int) -> Cameras:
-    """Return the cameras at the corners and the middles of the sides of V."""
-    grid = [(a, e) for a in (-1, 0, 1) for e in (-1, 0, 1) if (a, e) != (0, 0)]
-    azimuths, elevations = np.array(grid, np.float64).T
-    limits = np.clip(views.elevation_deg + elevations * views.elevation_range_deg, -89.0, 89.0)
-    return views.cameras((views.azimuth_deg + azimuths * views.azimuth_range_deg, limits), size_px)
-
-
-def error_pictures(
-    partial: Splats | None, added: Splats | None, cameras: Cameras
-) -> list[NDArray[np.uint8] | None]:
-    """Draw how far P with what was added differs from P alone, from every camera.
-
-    Args:
-        partial: P.
-        added: new splats; None = nothing to compare.
-        cameras: from where.
-    """
-    if partial is None or added is None:
-        return [None] * len(cameras)
-    alone, new = partial.with_sh_degree(0), added.with_sh_degree(0)
-    ground = alone.means.new_tensor(LIGHT_GREY)
-    with torch.no_grad():
-        theirs = render(alone, cameras, ground)
-        ours = render(concatenate([alone, new]), cameras, ground)
-    triples = zip(ours.color, theirs.color, theirs.alpha, strict=True)
-    return [np.asarray(error_picture(*triple)) for triple in triples]
 
 
 def _add_box(viewer: Viewer, name: str, handle: Any, *, hint: str, initial: bool) -> None:

@@ -23,12 +23,12 @@ from gscomplete.errors import UserError
 from gscomplete.evaluate.align.refine import Candidate, Target, surface_of
 from gscomplete.folders import ObjectFolder
 from gscomplete.framing.decide import FramingRequest
-from gscomplete.priors import load_prior
+from gscomplete.priors import Prior
 from gscomplete.shape.fill.facing import look_around, outward_normals
 from gscomplete.splats import Splats, colors_to_sh, concatenate, read_splats, usable_rows
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.util.optional import import_open3d
-from recipes.baselines.bank import nearest, read_bank
+from recipes.baselines.bank import Bank, nearest
 from recipes.real_objects.compare import FramedObject, best_by_truth, mirror_images
 from recipes.real_objects.load import RealObject
 from splatcomplete_data.mesh.discs import (
@@ -47,14 +47,18 @@ _COVERED = 2.0
 _CLOSING_SPLATS = 30_000
 
 
+class NotApplicable(UserError):
+    """A baseline needs what this object does not have: it is left out, which is no failure."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
     """P as a baseline gets it."""
 
     framed: FramedObject
     object_from_file: Similarity
-    bank: Path | None
-    """File of the objects to retrieve from; None = there is none."""
+    bank: Bank | None
+    """Objects to retrieve from; None = there are none."""
 
     @property
     def partial(self) -> Splats:
@@ -62,8 +66,13 @@ class Part:
         return self.framed.partial.with_sh_degree(0)
 
 
-def read_part(known: ObjectFolder, bank: Path | None) -> Part:
+def read_part(known: ObjectFolder, prior: Prior, bank: Bank | None) -> Part:
     """Read P and decide its frame as a completion does.
+
+    Args:
+        known: the object folder.
+        prior: whose shape network settles what P leaves open, as in a completion.
+        bank: objects to retrieve from, for ``nearest_mesh``.
 
     Raises:
         UserError: a file cannot be read, or P not drawn.
@@ -79,7 +88,7 @@ def read_part(known: ObjectFolder, bank: Path | None) -> Part:
         None if given is None else given.size_file,
         elevation_range_deg=views.elevation_range_deg,
     )
-    framing = framing_for(partial, request, load_prior("embedded"))
+    framing = framing_for(partial, request, prior)
     to_object = framing.frame.object_from_file
     item = RealObject(known.id, known.prompt, known.frame.up, partial, truth, "")
     framed = FramedObject(
@@ -95,7 +104,8 @@ def completed_here(method: str, part: Part) -> Splats:  # in P's file frame
     """Complete a part by a baseline of ``METHODS``.
 
     Raises:
-        UserError: the method needs a truth, a bank or a package that is not there.
+        NotApplicable: the method needs a truth that is not known.
+        UserError: it needs a bank or a package that is not there.
     """
     return transform_splats(METHODS[method](part), part.object_from_file.inverse())
 
@@ -109,11 +119,11 @@ def best_mirror(part: Part) -> Splats:
     """Add the best of three mirror images, chosen with the truth.
 
     Raises:
-        UserError: the truth is not known.
+        NotApplicable: the truth is not known.
     """
     best = best_by_truth(mirror_images(part.framed), part.framed)
     if best is None:
-        raise UserError(f"{part.framed.item.name}: expected a known complete object, found none")
+        raise NotApplicable("it chooses with the complete object, which is not known")
     return concatenate([part.partial, best.with_sh_degree(0)])
 
 
@@ -124,11 +134,11 @@ def nearest_mesh(part: Part) -> Splats:
         UserError: there is no bank.
     """
     if part.bank is None:
-        raise UserError("nearest: --bank: expected the file of a bank, found none")
+        raise UserError("nearest_mesh: --bank: expected the file of a bank, found none")
     splats = part.partial
     rows = np.random.default_rng(0).permutation(len(splats))
     points, colors = splats.means.numpy()[rows], splats.base_colors.numpy()[rows]
-    found = nearest(read_bank(part.bank), points, colors)
+    found = nearest(part.bank, points, colors)
     surface = surface_of(found.points.astype(np.float64), found.colors.astype(np.float64))
     few = surface_of(points[:4000].astype(np.float64), colors[:4000].astype(np.float64))
     begin = Candidate(1.0, np.eye(3), np.zeros(3))

@@ -31,7 +31,7 @@ class System:
     """How to run it."""
 
 
-_HERE = "python -m recipes.baselines.enter NAME --dataset DIR --out DIR"
+_HERE = "python -m recipes.baselines.make --dataset DIR --out DIR"
 
 SYSTEMS: dict[str, System] = {
     system.name: system

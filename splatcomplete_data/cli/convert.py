@@ -40,7 +40,7 @@ class ConvertOptions:
     """For .html: axis of the splats that points up, X, Y, Z, -X, -Y or -Z, or a direction X,Y,Z;
     auto = as the object folder says that SOURCE belongs to, else -Y."""
     most_splats: int = 500_000
-    """For .html: of more, an even choice is shown, widened to match; 24 bytes each."""
+    """For .html: of more, an even choice is shown, widened to match; 23 bytes each."""
 
 
 def run(options: ConvertOptions) -> int:

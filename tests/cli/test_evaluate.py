@@ -1,6 +1,7 @@
 """``gscomplete evaluate`` on made-up objects and runs with known answers."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -82,6 +83,27 @@ def test_a_dataset_is_measured_method_by_method(dataset, capsys, tmp_path):
     assert len((tmp_path / "t.csv").read_text().splitlines()) == 4
 
 
+def test_what_is_kept_is_measured_once_and_again_when_a_file_changes(dataset, capsys, tmp_path):
+    asked = {"dataset": dataset / "open", "runs": (f"good={tmp_path / 'runs'}",)}
+    shutil.copytree(dataset / "good", tmp_path / "runs")
+    _, first = rows_of(capsys, keep=tmp_path / "kept", **asked)
+    kept = tmp_path / "kept/good/jug.json"
+    content = json.loads(kept.read_text())
+    content["row"]["values"]["e_color_v"] = 0.5
+    kept.write_text(json.dumps(content))
+    code, again = rows_of(capsys, keep=tmp_path / "kept", **asked)
+    assert code == 0
+    assert again["good", "jug"]["values"]["e_color_v"] == 0.5
+    assert again["good", "cup"] == first["good", "cup"]
+    with (tmp_path / "runs/jug/run.json").open("a") as stream:
+        stream.write(" ")
+    _, changed = rows_of(capsys, keep=tmp_path / "kept", **asked)
+    assert changed["good", "jug"] == first["good", "jug"]
+    kept.write_text("{")
+    _, mended = rows_of(capsys, keep=tmp_path / "kept", **asked)
+    assert mended == first
+
+
 def test_the_order_of_splats_changes_nothing(dataset, capsys, tmp_path):
     """To the rounding of sums and to depths that differ by less than float32 resolves."""
     front, back = halves(ball(1500, 0.5))
@@ -117,6 +139,7 @@ def test_a_run_of_another_part_is_refused(dataset, tmp_path):
         ({}, "either run folders"),
         ({"paths": (Path("a"),), "dataset": Path("b")}, "either run folders"),
         ({"paths": (Path("a"),), "runs": ("b",)}, "--runs: expected together with --dataset"),
+        ({"paths": (Path("a"),), "keep": Path("b")}, "--keep: expected together with --dataset"),
         ({"dataset": Path("b")}, "--runs: expected at least one"),
         ({"dataset": Path("b"), "runs": ("nowhere",)}, "nowhere: --runs: expected a folder"),
         ({"dataset": Path("b"), "runs": ("x=a", "x=b")}, "a name for each"),

@@ -97,6 +97,14 @@ def test_truth_errors_equal_their_definition(seed: int) -> None:
     seen = {tuple(i) for i in torch.nonzero(partial.alpha >= 0.5).tolist()}
     hidden = (ours | real) - seen
     both = (ours & real) - seen
+    of_view = [[{i for i in cells if i[0] == view} for cells in (ours, real)] for view in (0, 1)]
+    for found, cells in (
+        (errors.silhouette_iou, lambda o, t: o & t),
+        (errors.silhouette_missed, lambda o, t: t - o),
+        (errors.silhouette_excess, lambda o, t: o - t),
+    ):
+        expected = np.mean([len(cells(o, t)) / len(o | t) for o, t in of_view])
+        assert found == pytest.approx(expected)
     assert errors.hidden_iou == pytest.approx(len(both) / len(hidden))
     assert errors.hidden_precision == pytest.approx(len(both) / len(ours - seen))
     assert errors.hidden_recall == pytest.approx(len(both) / len(real - seen))

@@ -7,6 +7,7 @@ import json
 import types
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from rich.console import Console
@@ -16,10 +17,13 @@ from gscomplete.evaluate import (
     EvaluationSettings,
     Unavailable,
     evaluate,
+    perceptual,
     preservation,
     report_table,
 )
 from gscomplete.evaluate.perceptual import clip_similarity, lpips_error
+from gscomplete.evaluate.rows import row_of
+from gscomplete.render import render
 from gscomplete.splats import Splats, concatenate
 from gscomplete.util import jsonio
 from gscomplete.views import ViewDistribution
@@ -124,6 +128,58 @@ def test_clip_of_the_installed_transformers(monkeypatch: pytest.MonkeyPatch, tmp
     other = clip_similarity(blob(0.3), here, camera, sides, str(tmp_path))
     assert isinstance(other, float)
     assert other < 100
+
+
+def test_clip_is_the_mean_cosine_with_four_sides(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With mean colours as embeddings, S_CLIP is computed a second time from the pictures."""
+    asked: list[np.ndarray] = []
+
+    def process(images: list[np.ndarray], return_tensors: str) -> dict[str, torch.Tensor]:
+        asked.extend(images)
+        means = [torch.from_numpy(image.astype(np.float64)).mean(dim=(0, 1)) for image in images]
+        return {"means": torch.stack(means) - 230.0}
+
+    network = types.SimpleNamespace(get_image_features=lambda means: means)
+    fake = types.SimpleNamespace(
+        CLIPModel=types.SimpleNamespace(from_pretrained=lambda *a, **k: network),
+        CLIPImageProcessor=types.SimpleNamespace(from_pretrained=lambda *a, **k: process),
+    )
+    monkeypatch.setattr(importlib, "import_module", lambda name: fake)
+    monkeypatch.setattr(perceptual, "_may_be_here", lambda model: True)
+    partial, complete = blob(0.2), concatenate([blob(0.2), blob(-0.2)])
+    sides = VIEWS.ring(4, 24)
+    found = clip_similarity(complete, partial, VIEWS.input_camera(24), sides)
+    cosines = []
+    white = torch.ones(3)
+    first = render(partial, VIEWS.input_camera(24), white).color[0]
+    for offset_deg in (0.0, 90.0, 180.0, 270.0):
+        around = dataclasses.replace(VIEWS, azimuth_deg=VIEWS.azimuth_deg + offset_deg)
+        picture = render(complete, around.input_camera(24), white).color[0]
+        u, v = (
+            (255 * p.clamp(0, 1)).to(torch.uint8).double().mean(dim=(0, 1)) - 230
+            for p in (first, picture)
+        )
+        cosines.append(float(u @ v / u.norm() / v.norm()))
+    assert len(asked) == 5
+    assert found == pytest.approx(100 * float(np.mean(cosines)), rel=1e-6)
+
+
+def test_the_order_of_no_splats_matters() -> None:
+    """Of P, O and the truth; to the rounding of sums and of depths that float32 cannot tell."""
+    partial, truth = blob(0.2), concatenate([blob(0.2), blob(-0.2)])
+    completed = concatenate([blob(0.2), blob(-0.1)])
+    generator = torch.Generator().manual_seed(5)
+    shuffled = [
+        splats.select(torch.randperm(len(splats), generator=generator))
+        for splats in (completed, partial, truth)
+    ]
+    rows = [
+        row_of(evaluate(o, p, VIEWS, truth=t, settings=SETTINGS), "m", "o", None).values
+        for o, p, t in ((completed, partial, truth), shuffled)
+    ]
+    for name, value in rows[0].items():
+        expected = value if value is None else pytest.approx(value, rel=1e-4, abs=1e-7)
+        assert rows[1][name] == expected, name
 
 
 def test_lpips_map_is_weighted_by_the_mask(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:

@@ -40,7 +40,7 @@ def test_compared_rows_are_of_objects_that_all_methods_have():
 def test_markdown_has_a_table_by_subset_the_best_in_bold_and_every_object():
     text = markdown(ROWS, per_object=True)
     assert [line for line in text.splitlines() if line.startswith("**")] == [
-        "**all**", "**lidar**", "**mesh**"
+        "**all**", "**with every method**", "**lidar**", "**mesh**"
     ]  # fmt: skip
     assert "| ours | 2 | **0.00150** (0.00100 to 0.00200) | 0.750 |" in text
     assert "| other_1 | 1 | 0.10000 | **0.800** |" in text

@@ -1,5 +1,7 @@
 """Splats on a page are those of the completion, to the packing's precision."""
 
+import dataclasses
+
 import numpy as np
 import torch
 
@@ -17,33 +19,27 @@ def cloud(count: int, seed: int) -> Splats:
 
 
 def test_fields_come_back():
-    old, new = cloud(40, 0), cloud(25, 1)
-    both = concatenate([old, new])
-    count, text = packed(both, torch.arange(65) >= 40, 1000)
-    found = unpacked(count, text)
-    assert count == 65
-    assert np.array_equal(found["is_new"], np.repeat([0.0, 1.0], [40, 25]))
-    assert np.abs(found["means"] - both.means.numpy()).max() < 2e-5  # 2 / 65535 / 2
-    assert np.abs(found["scales"] / both.scales.numpy() - 1).max() < 0.02  # 1 / 255 of 8.5 e-folds
-    assert np.abs(found["quaternions"] - both.quaternions.numpy()).max() < 0.5 / 127 + 1e-6
-    assert np.abs(found["colors"] - both.base_colors.numpy()).max() < 0.5 / 255 + 1e-6
-    assert np.abs(found["opacities"] - both.opacities.numpy()).max() < 0.5 / 255 + 1e-6
+    splats = cloud(65, 0)
+    found = unpacked(packed(splats, 1000))
+    assert len(found["means"]) == 65
+    assert np.abs(found["means"] - splats.means.numpy()).max() < 2e-5  # 2 / 65535 / 2
+    assert np.abs(found["scales"] / splats.scales.numpy() - 1).max() < 0.02  # 1 / 255 of 8.5
+    assert np.abs(found["quaternions"] - splats.quaternions.numpy()).max() < 0.5 / 127 + 1e-6
+    assert np.abs(found["colors"] - splats.base_colors.numpy()).max() < 0.5 / 255 + 1e-6
+    assert np.abs(found["opacities"] - splats.opacities.numpy()).max() < 0.5 / 255 + 1e-6
 
 
-def test_many_are_thinned_evenly_and_widened():
-    both = concatenate([cloud(4000, 0), cloud(2000, 1)])
-    count, text = packed(both, torch.arange(6000) >= 4000, 600)
-    found = unpacked(count, text)
-    assert count == 600
-    assert found["is_new"].sum() == 200
-    before = float(both.scales.log().mean())
+def test_many_are_thinned_and_widened():
+    splats = cloud(6000, 0)
+    found = unpacked(packed(splats, 600))
+    assert len(found["means"]) == 600
+    before = float(splats.scales.log().mean())
     assert abs(float(np.log(found["scales"]).mean()) - before - 0.5 * np.log(10)) < 0.1
 
 
 def test_faint_and_far_splats_stay_away_and_none_at_all_is_fine():
     splats = cloud(30, 0)
     far = Splats(splats.means + 5, splats.quaternions, splats.scales, splats.opacities, splats.sh)
-    count, text = packed(concatenate([splats, far]), torch.zeros(60, dtype=torch.bool), 100)
-    assert count == 30
-    assert len(unpacked(count, text)["means"]) == 30
-    assert packed(far, torch.zeros(30, dtype=torch.bool), 100) == (0, "")
+    faint = dataclasses.replace(splats, opacities=torch.full((30,), 0.01))
+    assert len(unpacked(packed(concatenate([splats, far, faint]), 100))["means"]) == 30
+    assert packed(far, 100) == {"count": 0, "data": ""}

@@ -28,8 +28,7 @@ def test_a_page_shows_splats_upright(source: Path, tmp_path: Path, capsys) -> No
     assert "http://" not in text
     assert "https://" not in text
     assert "<b>.ply" not in text
-    packed = data_of(out)["splats"]
-    splats = unpacked(packed["count"], packed["data"])
+    splats = unpacked(data_of(out)["splats"])
     drawn = some_splats(200)
     drawn = drawn.select(drawn.opacities >= 0.02)
     assert len(splats["means"]) == len(drawn)

@@ -30,7 +30,7 @@ def test_checkpoints_are_told_once_each_and_then_the_end(tmp_path):
     (tmp_path / "run.json").write_text(json.dumps(record))
     assert newest(tmp_path) is None
     save(tmp_path, 10, 4)
-    told, ended = [], []
+    told, results = [], []
 
     def hear(progress):
         told.append((progress.step, len(progress.splats)))
@@ -39,12 +39,16 @@ def test_checkpoints_are_told_once_each_and_then_the_end(tmp_path):
         else:
             (tmp_path / "completed.ply").touch()
 
-    follow(tmp_path, hear, lambda: ended.append(True), threading.Event(), poll_s=0.02)
+    def see(is_finished):
+        results.append(is_finished)
+        (tmp_path / "run.json").write_text(json.dumps(record | {"status": "finished"}))
+
+    follow(tmp_path, hear, see, threading.Event(), poll_s=0.02)
     assert told == [(10, 4), (20, 5)]
-    assert ended == [True]
+    assert results == [False, True]
 
 
 def test_following_stops_when_told_to(tmp_path):
     stop = threading.Event()
     stop.set()
-    follow(tmp_path, lambda progress: None, lambda: None, stop)
+    follow(tmp_path, lambda progress: None, lambda is_finished: None, stop)

@@ -10,10 +10,8 @@ from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.viewer.layers import Layer, Scene
 from gscomplete.viewer.server import (
     TINTS,
-    bounds_of,
     camera_fov,
     covariances,
-    error_pictures,
     layer_colors,
     look_from,
     serve,
@@ -73,31 +71,22 @@ def test_a_layer_takes_the_place_of_the_one_before(viewer):
     assert len(viewer.drawn["new"].rgbs) == 7
 
 
-def test_cameras_at_the_bounds_of_v():
-    views = ViewDistribution(30.0, 80.0, 40.0, 15.0)
-    cameras = bounds_of(views, 32)
-    assert len(cameras) == 8
-    x, y, z = cameras.positions.double().T
-    azimuths = torch.rad2deg(torch.atan2(y, x))
-    assert sorted({round(float(a)) for a in azimuths}) == [-10, 30, 70]
-    elevations = torch.rad2deg(torch.asin(z / views.radius))
-    assert sorted({round(float(e)) for e in elevations}) == [65, 80, 89]
-
-
-def test_errors_are_red_where_what_was_added_hides_p():
-    views = ViewDistribution(0.0, 0.0)
-    grid = torch.stack(torch.meshgrid(*[torch.linspace(-0.3, 0.3, 25)] * 2, indexing="ij"), -1)
-    sheet = torch.cat([torch.zeros(625, 1), grid.reshape(-1, 2)], 1)  # squarely before c
-    partial = round_splats(sheet, scale=0.03, color=torch.full((625, 3), 0.2))
-    hiding = round_splats(torch.tensor([[0.3, 0.1, 0.0]]), scale=0.05, color=torch.ones(1, 3))
-    camera = views.input_camera(64)
-    (red,) = error_pictures(partial, hiding, camera)
-    behind = dataclasses.replace(hiding, means=-hiding.means)
-    (white,) = error_pictures(partial, behind, camera)
-    is_red = (red[:, :, 0].astype(int) - red[:, :, 1]) > 60
-    assert 10 < is_red.sum() < 400
-    assert (white[:, :, 0].astype(int) - white[:, :, 1]).max() < 30
-    assert error_pictures(partial, None, camera) == [None]
+def test_errors_are_of_the_completion_that_is_shown(viewer):
+    """Before c, and so before P, or behind P where it changes next to nothing."""
+    show_layer(viewer, Layer("P", round_splats(torch.zeros(1, 3), scale=0.1), ""))
+    ((_, (at_c,)), (_, at_bounds)) = viewer.frusta
+    assert len(at_bounds) == 8
+    toward_c = viewer.frusta[0][0].positions / 6
+    white = torch.ones(1, 3)
+    reds = []
+    for place in (toward_c, -toward_c):
+        show_layer(viewer, Layer("new", round_splats(place, scale=0.05, color=white), ""))
+        picture = at_c.image.astype(int)
+        reds.append((picture[..., 0] - picture[..., 1]).max())
+    assert reds[0] > 60 > 30 > reds[1]
+    before = at_c.image
+    viewer.choice[0].value = "--mirror=none"
+    assert not np.array_equal(at_c.image, before)
 
 
 def test_covariances_are_the_splats_second_moments():
@@ -111,6 +100,9 @@ def test_tints_keep_the_order_of_lightness_and_tell_layers_apart():
     grey = torch.linspace(0.1, 0.9, 5)[:, None].expand(5, 3).contiguous()
     splats = round_splats(torch.zeros(5, 3), color=grey)
     assert np.allclose(layer_colors(splats, "own", 0), grey.numpy(), atol=1e-5)
+    errors = layer_colors(splats, "errors", 0, torch.tensor([0.0, 0.0, 1.0, 0.0, 0.0]))
+    assert np.allclose(errors[[0, 1, 3, 4]], grey[[0, 1, 3, 4]].numpy(), atol=1e-5)
+    assert errors[2].tolist() == pytest.approx([0.8, 0.05, 0.05])
     tinted = [layer_colors(splats, "tints", place) for place in range(len(TINTS))]
     for colors in tinted:
         assert (np.diff(colors.mean(axis=1)) > 0).all()

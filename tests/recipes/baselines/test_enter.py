@@ -1,6 +1,7 @@
 """A mesh of a made-up system goes through registry, conversion, alignment and measuring."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,12 +10,14 @@ from scipy.spatial.transform import Rotation
 
 from gscomplete.cli.evaluate import EvaluateOptions, run
 from gscomplete.errors import UserError
+from gscomplete.splats import write_splats
 from gscomplete.views import ObjectFrame, ViewDistribution
 from recipes.baselines.enter import Options, enter, find_result
 from recipes.baselines.registry import SYSTEMS
 from splatcomplete_data.mesh.convert import convert_mesh
 from splatcomplete_data.mesh.files.load import load_mesh
 from tests.builders.folders import write_object_folder
+from tests.builders.objects import round_splats
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -29,10 +32,14 @@ def chair() -> "trimesh.Trimesh":
     return trimesh.util.concatenate(parts)
 
 
+def chair_file(folder: Path) -> Path:
+    chair().export(folder / "true.ply")
+    return folder / "true.ply"
+
+
 def test_a_result_is_converted_aligned_and_measured(tmp_path, capsys):
     mesh = chair()
-    mesh.export(tmp_path / "true.ply")
-    complete = convert_mesh(load_mesh(tmp_path / "true.ply"), 5000).splats
+    complete = convert_mesh(load_mesh(chair_file(tmp_path)), 5000).splats
     partial = complete.select(complete.means[:, 1] + 0.5 * complete.means[:, 2] > -0.15)
     write_object_folder(
         tmp_path / "open/chair", partial, complete, frame=ObjectFrame("Z", (0.0, 0.0, 0.25), 1.2),
@@ -45,14 +52,13 @@ def test_a_result_is_converted_aligned_and_measured(tmp_path, capsys):
     (tmp_path / "made_up").mkdir()
     mesh.export(tmp_path / "made_up/chair.glb")
     options = Options(
-        "other", tmp_path / "open", tmp_path / "out", tmp_path / "made_up", count=5000,
+        "other", tmp_path / "open", tmp_path / "made_up", tmp_path / "out", count=5000,
         rotations=300,
     )  # fmt: skip
-    done = enter(options)
-    assert done["chair"]["warning"] == ""
-    assert json.loads((tmp_path / "out/alignment.json").read_text()) == done
+    assert enter(options) == {}
+    assert json.loads((tmp_path / "out/alignment.json").read_text())["chair"]["warning"] == ""
     before = (tmp_path / "out/chair.ply").stat().st_mtime_ns
-    assert enter(options) == done  # nothing is done twice
+    assert enter(options) == {}  # nothing is done twice
     assert (tmp_path / "out/chair.ply").stat().st_mtime_ns == before
     capsys.readouterr()
     asked = EvaluateOptions(
@@ -80,9 +86,30 @@ def test_files_are_found_by_the_objects_name(tmp_path):
         find_result(tmp_path, "cup")
 
 
-def test_an_unknown_system_is_named(tmp_path):
+def test_a_damaged_result_is_told_and_passed_over(tmp_path):
+    splats = convert_mesh(load_mesh(chair_file(tmp_path)), 2000).splats
+    for name in ("a", "b"):
+        write_object_folder(tmp_path / "open" / name, splats)
+    (tmp_path / "made").mkdir()
+    (tmp_path / "made/a.glb").write_bytes(b"no mesh")
+    write_splats(tmp_path / "made/b.ply", splats)
+    options = Options(
+        "other", tmp_path / "open", tmp_path / "made", tmp_path / "out", rotations=100
+    )
+    failures = enter(options)
+    assert list(failures) == ["a"]
+    assert "a.glb" in failures["a"]
+    assert (tmp_path / "out/b.ply").is_file()
+
+
+def test_wrong_systems_and_folders_are_named(tmp_path):
     with pytest.raises(UserError, match="SYSTEM: expected one of mvdream"):
-        enter(Options("mine", tmp_path, tmp_path / "out", tmp_path))
+        enter(Options("mine", tmp_path, tmp_path, tmp_path / "out"))
+    with pytest.raises(UserError, match="poisson: it is made here: python -m"):
+        enter(Options("poisson", tmp_path, tmp_path, tmp_path / "out"))
+    write_object_folder(tmp_path / "open/chair", round_splats(torch.rand(30, 3)))
+    with pytest.raises(UserError, match="expected a result named after an object, found none"):
+        enter(Options("trellis", tmp_path / "open", tmp_path, tmp_path / "out"))
     assert {"mvdream", "trellis", "instantmesh", "triposg", "amodal3r", "sam3d", "trellis2"} < set(
         SYSTEMS
     )

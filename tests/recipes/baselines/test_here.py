@@ -1,11 +1,14 @@
 """Baselines that are made here come out in P's file frame, and enter the table."""
 
+import shutil
+
 import numpy as np
 import pytest
 import torch
 
 from gscomplete.errors import UserError
 from gscomplete.folders import read_object_folder
+from gscomplete.priors import load_prior
 from gscomplete.splats import read_splats
 from gscomplete.util.optional import import_open3d
 from gscomplete.views import ObjectFrame, ViewDistribution
@@ -19,8 +22,8 @@ from recipes.baselines.bank import (
 from recipes.baselines.bank import (
     Options as BankOptions,
 )
-from recipes.baselines.enter import Options, enter, main
 from recipes.baselines.here import METHODS, completed_here, read_part
+from recipes.baselines.make import ALL, Options, main
 from recipes.baselines.registry import SYSTEMS
 from tests.builders.folders import write_object_folder
 from tests.builders.mesh_pack import write_pack
@@ -52,7 +55,7 @@ def test_the_registry_names_what_is_made_here():
 @pytest.mark.parametrize("method", ["partial", "likeliest_mirror", "best_mirror"])
 def test_p_and_its_mirror_images_begin_with_p(dataset, method):
     known = read_object_folder(dataset / "ball")
-    part = read_part(known, None)
+    part = read_part(known, load_prior("embedded"), None)
     made = completed_here(method, part)
     given = read_splats(known.partial).splats
     assert float((made.means[: len(given)] - given.means).abs().max()) < 1e-4
@@ -65,7 +68,7 @@ def test_poisson_closes_half_a_ball(dataset):
     except UserError as error:
         pytest.skip(str(error))
     known = read_object_folder(dataset / "ball")
-    part = read_part(known, None)
+    part = read_part(known, load_prior("embedded"), None)
     made = completed_here("poisson", part)
     new = made.means[len(part.partial) :].numpy()
     assert len(new) > 500
@@ -89,9 +92,9 @@ def test_the_nearest_object_of_a_bank_is_found_turned_and_moved_to_p(dataset, tm
         np.concatenate([boxes.colors, paint[None]]),
     )
     write_bank(bank, tmp_path / "b.npz")
-    made = completed_here(
-        "nearest_mesh", read_part(read_object_folder(dataset / "ball"), tmp_path / "b.npz")
-    )
+    known = read_object_folder(dataset / "ball")
+    part = read_part(known, load_prior("embedded"), read_bank(tmp_path / "b.npz"))
+    made = completed_here("nearest_mesh", part)
     away = np.linalg.norm(made.means.numpy() - [5.0, 0, 0], axis=1)
     assert np.abs(away - 0.5).mean() < 0.02
     red = made.base_colors[:, 0] > 0.5
@@ -99,21 +102,31 @@ def test_the_nearest_object_of_a_bank_is_found_turned_and_moved_to_p(dataset, tm
     assert nearest(boxes, *(x[0] for x in (boxes.points, boxes.colors))).distance < 0.15
 
 
-def test_one_command_makes_measures_and_reports(dataset, tmp_path, capsys):
-    options = Options(
-        "partial", dataset, tmp_path / "out", report=tmp_path / "page.html",
-        beside=(f"again={tmp_path / 'out'}",),
+def test_a_dataset_is_completed_by_all_methods_and_goes_on(dataset, tmp_path, capsys):
+    assert set(ALL) == set(METHODS)
+    known = read_object_folder(dataset / "ball")
+    write_object_folder(
+        tmp_path / "open/half", read_splats(known.partial).splats, frame=known.frame,
+        views=known.views,
     )  # fmt: skip
+    shutil.copytree(dataset / "ball", tmp_path / "open/ball")
+    out = tmp_path / "out"
+    options = Options(tmp_path / "open", out, ("partial", "best_mirror", "nearest_mesh"))
     assert main(options) == 0
-    page = (tmp_path / "page.html").read_text()
-    assert "again" in page
-    assert (tmp_path / "out/ball.ply").is_file()
+    told = capsys.readouterr()
+    assert "best_mirror: none of half: it chooses with the complete object" in told.out
+    assert "nearest_mesh: left out: it needs --bank" in told.err
+    made = sorted(path.relative_to(out).as_posix() for path in out.glob("*/*.ply"))
+    assert made == ["best_mirror/ball.ply", "partial/ball.ply", "partial/half.ply"]
+    (out / "partial/half.ply").unlink()
+    before = (out / "partial/ball.ply").stat().st_mtime_ns
+    (tmp_path / "open/half/partial.ply").write_bytes(b"damaged")
+    assert main(options) == 1
+    assert "none of half" in capsys.readouterr().out
+    assert (out / "partial/ball.ply").stat().st_mtime_ns == before
 
 
-def test_what_is_missing_is_said(dataset, tmp_path):
-    with pytest.raises(UserError, match="nearest: --bank: expected the file of a bank"):
-        enter(Options("nearest_mesh", dataset, tmp_path / "out"))
-    with pytest.raises(UserError, match="poisson: --results: expected none: it is made here"):
-        enter(Options("poisson", dataset, tmp_path / "out", tmp_path))
-    with pytest.raises(UserError, match="trellis: --results: expected the folder"):
-        enter(Options("trellis", dataset, tmp_path / "out"))
+def test_retrieval_needs_a_bank(dataset):
+    part = read_part(read_object_folder(dataset / "ball"), load_prior("embedded"), None)
+    with pytest.raises(UserError, match="nearest_mesh: --bank: expected the file of a bank"):
+        completed_here("nearest_mesh", part)
