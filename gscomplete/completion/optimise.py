@@ -205,14 +205,11 @@ class Optimisation:
         return self.settings.steps > 0 and self._guidance_scales().text_scale != 1.0
 
     def _guidance_scales(self) -> Guidance:
-        """Return the prior's own guidance with what the settings ask for in its place."""
-        asked = {
-            name: getattr(self.settings, name)
-            for name in ("text_scale", "input_scale", "rescale_about")
-            if getattr(self.settings, name) is not None
-        }
+        """Return the prior's own guidance, about the centre that the settings ask for."""
         sees = self.settings.see_input and self._prior.sees_input
-        return dataclasses.replace(self._prior.default_guidance(sees_input=sees), **asked)
+        own = self._prior.default_guidance(sees_input=sees)
+        center = self.settings.rescale_about
+        return own if center is None else dataclasses.replace(own, rescale_about=center)
 
     def _input_views(self, cameras: Cameras) -> FourViews | None:
         """Return P's renders for priors that can see them."""

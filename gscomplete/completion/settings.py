@@ -138,10 +138,6 @@ class CompletionSettings:
         TimestepStage(1.0, 20.0, 245.0),
     )
     """Schedule of the diffusion time (section 3.3, with T = 980)."""
-    text_scale: float | None = None
-    """Guidance towards the prompt; None = the prior's own default."""
-    input_scale: float | None = None
-    """Guidance towards the renders of P; None = the prior's own default."""
     rescale_about: RescaleCenter | None = None
     """What guidance rescale leaves as it is; None = the prior's own default."""
     see_input: bool = True
@@ -194,10 +190,6 @@ class CompletionSettings:
                 raise UserError(f"{name}: expected at least {low}, found {getattr(self, name)}")
         if not 0 < self.max_scale < math.inf:
             raise UserError(f"max_scale: expected a positive length, found {self.max_scale}")
-        for name in ("text_scale", "input_scale"):
-            value = getattr(self, name)
-            if value is not None and not math.isfinite(value):
-                raise UserError(f"{name}: expected a finite number, found {value}")
         if self.preservation_views is not None and self.preservation_views < 1:
             raise UserError(
                 f"preservation_views: expected at least 1, found {self.preservation_views}"

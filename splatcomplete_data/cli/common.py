@@ -221,7 +221,7 @@ def store_object(options: ObjectOptions, made: ObjectDraft) -> ObjectRecord:
         made.complete,
         overwrite=options.overwrite,
         partial_file=made.partial_file,
-        extra_pictures=made.extra_pictures,
+        pictures=made.extra_pictures,
     )
 
 

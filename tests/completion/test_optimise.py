@@ -212,11 +212,10 @@ def test_rates_that_make_no_sense_are_refused(rate):
         LearningRates(means_final=rate)
 
 
-def test_settings_replace_only_the_scales_they_name():
-    """An input scale alone must not reset the prior's own text scale."""
+def test_guidance_is_the_prior_s_own_but_for_what_the_rescale_is_about():
     prior = OraclePrior(TRUTH)
-    completion(dataclasses.replace(DISTILL, steps=1, input_scale=0.75), prior).step()
-    assert prior.guidance_seen == Guidance(text_scale=9.0, input_scale=0.75, rescale=0.25)
+    completion(dataclasses.replace(DISTILL, steps=1, rescale_about="background"), prior).step()
+    assert prior.guidance_seen == Guidance(9.0, rescale=0.25, rescale_about="background")
 
 
 def test_the_preservation_loss_is_unmasked_in_the_warm_up_alone(monkeypatch):

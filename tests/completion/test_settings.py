@@ -41,8 +41,7 @@ def test_stages_follow_each_other_to_the_end(ends):
 @pytest.mark.parametrize(
     ("name", "value"),
     [("max_scale", 0.0), ("max_scale", -1.0), ("max_scale", NAN), ("min_scale_px", INF),
-     ("preservation_weight", INF), ("preservation_weight", NAN), ("text_scale", NAN),
-     ("input_scale", INF)],
+     ("preservation_weight", INF), ("preservation_weight", NAN)],
 )  # fmt: skip
 def test_settings_out_of_range_are_named(name, value):
     with pytest.raises(UserError, match=f"{name}: expected .*, found {value}"):
