@@ -23,8 +23,8 @@ from gscomplete.errors import UserError
 from gscomplete.splats import Splats, transform_splats
 from gscomplete.views import ObjectFrame
 from splatcomplete_data.cuts.boxes import CropBox, inside_boxes
-from splatcomplete_data.cuts.discs_in_depth import seen_discs
 from splatcomplete_data.cuts.geometry import PartialCut, by_plane, crop, looking_rotation
+from splatcomplete_data.cuts.transmittance import seen_splats
 from splatcomplete_data.objects import StepRecord
 
 SCAN_DISTANCE = 2.2
@@ -93,7 +93,7 @@ class ScanCut:
         )
         seen = np.zeros(len(complete), np.bool_)
         for eye in SCAN_DISTANCE * eyes:
-            seen |= seen_discs(complete, eye, looking_rotation(eye, middle), grid_px, half)
+            seen |= seen_splats(complete, eye, looking_rotation(eye, middle), grid_px, half)
         details = {"views": len(eyes), "eyes": (SCAN_DISTANCE * eyes).round(3).tolist()}
         return PartialCut(torch.from_numpy(seen), "visibility", details)
 
