@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, transform_splats
@@ -79,9 +80,7 @@ class ScanCut:
 
     def apply(self, complete: Splats) -> PartialCut:
         """Return what is kept of splats in the object frame."""
-        azimuths, elevations = np.deg2rad(np.array(self.directions_deg, np.float64)).T
-        level = np.cos(elevations)
-        eyes = np.stack([level * np.cos(azimuths), level * np.sin(azimuths), np.sin(elevations)], 1)
+        eyes = self.positions()
         # two pixels a splat: finer ones show nothing more
         typical = float(complete.scales.amax(dim=1).median())
         grid_px = int(np.clip(SCAN_WIDTH / max(1.3 * typical, 1e-9), 64, MAX_SCAN_GRID_PX))
@@ -92,10 +91,17 @@ class ScanCut:
             math.tan(math.radians(_SCAN_FOV_DEG / 2)), 1.05 * reach / (SCAN_DISTANCE - reach)
         )
         seen = np.zeros(len(complete), np.bool_)
-        for eye in SCAN_DISTANCE * eyes:
+        for eye in eyes:
             seen |= seen_splats(complete, eye, looking_rotation(eye, middle), grid_px, half)
-        details = {"views": len(eyes), "eyes": (SCAN_DISTANCE * eyes).round(3).tolist()}
+        details = {"views": len(eyes), "eyes": eyes.round(3).tolist()}
         return PartialCut(torch.from_numpy(seen), "visibility", details)
+
+    def positions(self) -> NDArray[np.float64]:  # [n, 3]
+        """Return where the scanner stands, in the object frame."""
+        azimuths, elevations = np.deg2rad(np.array(self.directions_deg, np.float64)).T
+        level = np.cos(elevations)
+        out = [level * np.cos(azimuths), level * np.sin(azimuths), np.sin(elevations)]
+        return SCAN_DISTANCE * np.stack(out, axis=1)
 
 
 Cut = PlaneCut | BoxCut | ScanCut
@@ -121,6 +127,22 @@ def parse_cut(text: str, option: str = "--cut") -> Cut:
     except ValueError:
         pass
     raise UserError(f"{option}: expected {FORMS}, found {text!r}")
+
+
+def scanner_position(cuts: Sequence[Cut], frame: ObjectFrame) -> tuple[float, float, float] | None:
+    """Return where the one scanner stood, in the file frame; None = there were none or several.
+
+    Args:
+        cuts: cuts in the object frame.
+        frame: the object frame.
+    """
+    scans = [cut for cut in cuts if isinstance(cut, ScanCut)]
+    places = {place for cut in scans for place in cut.directions_deg}
+    if len(places) != 1:
+        return None
+    eye = torch.from_numpy(scans[0].positions()[0])
+    x, y, z = frame.object_from_file.inverse().apply(eye).tolist()
+    return (x, y, z)
 
 
 def apply_cuts(
