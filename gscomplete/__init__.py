@@ -15,7 +15,8 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from gscomplete.completion.pipeline import Completed, complete
+    from gscomplete.api import complete
+    from gscomplete.completion.pipeline import Completed
     from gscomplete.errors import UserError
     from gscomplete.priors import load_prior
     from gscomplete.render import render as render_splats
@@ -27,7 +28,7 @@ _HOMES = {
     "Completed": ("gscomplete.completion.pipeline", "Completed"),
     "Splats": ("gscomplete.splats", "Splats"),
     "UserError": ("gscomplete.errors", "UserError"),
-    "complete": ("gscomplete.completion.pipeline", "complete"),
+    "complete": ("gscomplete.api", "complete"),
     "load_prior": ("gscomplete.priors", "load_prior"),
     "read_splats": ("gscomplete.splats", "read_splats"),
     "render_splats": ("gscomplete.render", "render"),

@@ -42,8 +42,9 @@ class Results:
         for name, wanted in self._made_with.items():
             found = content["made_with"].get(name)
             if found != wanted:
+                where, wanted, found = _first_difference(name, wanted, found)
                 raise UserError(
-                    f"{path}: its rows were made with another {name}: expected {wanted}, found "
+                    f"{path}: its rows were made with another {where}: expected {wanted}, found "
                     f"{found}; choose another --out"
                 )
         self.rows = content["rows"]
@@ -53,3 +54,14 @@ class Results:
         content = {"made_with": self._made_with, "rows": self.rows}
         with atomic_path(self.path) as temporary:
             temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def _first_difference(name: str, wanted: Any, found: Any) -> tuple[str, Any, Any]:
+    """Return where two JSON values first differ, and what is there in each."""
+    while isinstance(wanted, dict) and isinstance(found, dict):
+        both = {**wanted, **found}
+        key = next((key for key in both if wanted.get(key) != found.get(key)), None)
+        if key is None:  # one of them says null where the other says nothing
+            break
+        name, wanted, found = f"{name}.{key}", wanted.get(key), found.get(key)
+    return name, wanted, found

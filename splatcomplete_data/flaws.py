@@ -3,12 +3,12 @@
 Conventions
 -----------
 * A pure function of (seed, index) and of the splats, which are expected in the object frame.
+* Each flaw's strength is drawn between none and its largest value.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -17,6 +17,12 @@ from torch import Tensor
 from gscomplete.splats.record import SH_C0, Splats, concatenate
 from splatcomplete_data.cuts.geometry import splat_points
 
+_CLEAN_SHARE = 0.35
+"""Share of partials left as they are."""
+_MOST_HOLES = 4
+"""Most round patches dropped."""
+_FLYING_SHARE = 0.01
+"""Largest share of flying splats added."""
 _POSITION_NOISE = 0.006
 """Largest standard deviation of positions, object frame."""
 _COLOR_NOISE = 0.06
@@ -29,21 +35,7 @@ _HOLE_RADIUS = (0.03, 0.12)
 """Radius of dropped patches, object frame."""
 
 
-@dataclass(frozen=True, slots=True)
-class FlawSettings:
-    """Knobs of ``corrupt``; each flaw's strength is drawn between none and its largest value."""
-
-    clean_share: float = 0.35
-    """Share of partials left as they are."""
-    most_holes: int = 4
-    """Most round patches dropped."""
-    flying_share: float = 0.01
-    """Largest share of flying splats added."""
-
-
-def corrupt(
-    splats: Splats, mask: Tensor, seed: int, index: int, settings: FlawSettings | None = None
-) -> Splats:
+def corrupt(splats: Splats, mask: Tensor, seed: int, index: int) -> Splats:
     """Return the kept splats with flaws of real captures.
 
     Flaws: noise of positions, colours and sizes, a shift of all colours, round holes, and a few
@@ -54,17 +46,15 @@ def corrupt(
         mask: [N] bool, what the partial keeps.
         seed: seed of the stream.
         index: which one of the stream.
-        settings: None = defaults.
     """
-    chosen = settings or FlawSettings()
     rng = np.random.default_rng((seed, index, 12))
     kept = splats.select(mask)
-    if len(kept) == 0 or rng.random() < chosen.clean_share:
+    if len(kept) == 0 or rng.random() < _CLEAN_SHARE:
         return kept
     strength = rng.random(6) ** 2
     points = splat_points(kept)
     outside = np.ones(len(points), np.bool_)
-    for _ in range(int(rng.integers(chosen.most_holes + 1))):
+    for _ in range(int(rng.integers(_MOST_HOLES + 1))):
         middle = points[int(rng.integers(len(points)))]
         radius = rng.uniform(*_HOLE_RADIUS)
         outside &= np.square(points - middle).sum(axis=1) > radius * radius
@@ -83,7 +73,7 @@ def corrupt(
     sizes = kept.scales * noise(strength[2] * _SIZE_NOISE, (len(kept), 1)).exp()
     means = kept.means + noise(strength[3] * _POSITION_NOISE)
     flawed = dataclasses.replace(kept, means=means, scales=sizes, sh=sh)
-    flying = int(strength[4] * chosen.flying_share * len(kept))
+    flying = int(strength[4] * _FLYING_SHARE * len(kept))
     if flying == 0:
         return flawed
     strays = flawed.select(torch.from_numpy(rng.integers(len(kept), size=flying)).to(mask.device))

@@ -197,9 +197,8 @@ def write_object(
     complete: Splats | None = None,
     *,
     overwrite: bool = False,
-    preview: Image.Image | None = None,
     partial_file: Path | None = None,
-    extra_pictures: Mapping[str, Image.Image] | None = None,
+    pictures: Mapping[str, Image.Image] | None = None,
 ) -> ObjectRecord:
     """Write an object folder, whole or not at all.
 
@@ -210,10 +209,10 @@ def write_object(
             ``complete`` must be given.
         complete: the complete object, in the same frame; None = not known.
         overwrite: replace an object folder that exists.
-        preview: picture for ``preview.png``; None = drawn here from six views, part above complete.
         partial_file: a splat PLY with exactly the part, copied instead of writing ``partial``
             anew (for crops that pass records on byte for byte).
-        extra_pictures: more pictures to store, by file name ending in ``.png``.
+        pictures: to store, by file name ending in ``.png``; ``preview.png`` is drawn here from six
+            views, part above complete, unless it is among them.
 
     Returns:
         The record as written.
@@ -241,9 +240,10 @@ def write_object(
                 (temporary / name).write_bytes(partial_file.read_bytes())
             else:
                 write_splats(temporary / name, splats, comments)
-        pictures = dict(extra_pictures or {})
-        pictures[PREVIEW_FILE] = preview or draw_preview(record, partial, complete)
-        for name, picture in pictures.items():
+        drawings = dict(pictures or {})
+        if PREVIEW_FILE not in drawings:
+            drawings[PREVIEW_FILE] = draw_preview(record, partial, complete)
+        for name, picture in drawings.items():
             picture.save(temporary / name, format="PNG")
         files = {path.name: file_record(path) for path in sorted(temporary.iterdir())}
         written = dataclasses.replace(record, counts=counts, files=files)

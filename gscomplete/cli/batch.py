@@ -155,17 +155,8 @@ def _plan(options: BatchOptions, items: int) -> WorkerPlan:
 
 def _with_progress(options: BatchOptions, batch: Batch, address: str | None) -> Summary:
     """Run with a progress bar on standard error."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
     from gscomplete.batch.run import Summary, run_batch
+    from gscomplete.cli.bars import progress_bar
     from gscomplete.cli.batch_job import CompleteJob
 
     if not batch.to_do:
@@ -174,17 +165,8 @@ def _with_progress(options: BatchOptions, batch: Batch, address: str | None) -> 
     how = {field.name: getattr(options, field.name) for field in dataclasses.fields(HowToComplete)}
     if workers.gpus:
         how["device"] = "cuda"  # a worker sees no GPU but its own
-    columns = (
-        TextColumn("objects"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("ETA"),
-        TimeRemainingColumn(elapsed_when_finished=False),
-        TextColumn("{task.fields[running]}"),
-    )
     since: dict[str, float] = {}
-    with Progress(*columns, console=Console(file=sys.stderr)) as progress:
+    with progress_bar("objects", "{task.fields[running]}") as progress:
         bar = progress.add_task("objects", total=len(batch.to_do), running="")
 
         def show_row(row: Row) -> None:

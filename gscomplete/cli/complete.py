@@ -89,30 +89,12 @@ def _complete(options: CompleteOptions) -> int:
 
 def _with_progress(job: Run) -> dict[str, Any]:
     """Run with a progress bar on standard error."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
+    from gscomplete.cli.bars import progress_bar
     from gscomplete.completion.run_folder import execute
 
     if job.steps.finished:
         return execute(job, lambda report: None)
-    columns = (
-        TextColumn("completing"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("ETA"),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[losses]}"),
-    )
-    with Progress(*columns, console=Console(file=sys.stderr)) as progress:
+    with progress_bar("completing", "{task.fields[losses]}") as progress:
         task = progress.add_task(
             "complete",
             total=job.steps.settings.steps,

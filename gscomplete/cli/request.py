@@ -17,11 +17,7 @@ from gscomplete.cli.complete_options import CompleteOptions, HowToComplete
 from gscomplete.completion.pipeline import Request
 from gscomplete.completion.presets import FILL, preset
 from gscomplete.completion.run_folder import RunRequest
-from gscomplete.completion.settings import (
-    CompletionSettings,
-    HardPreservationSettings,
-    SeamColorSettings,
-)
+from gscomplete.completion.settings import CompletionSettings, HardPreservationSettings
 from gscomplete.errors import UserError
 from gscomplete.folders import OBJECT_FILE, ObjectFolder, object_folder_of
 from gscomplete.framing.decide import FramingRequest
@@ -125,7 +121,7 @@ def settings_of(options: HowToComplete, prior: Prior) -> CompletionSettings:
         hard = HardPreservationSettings(color_bound=bounds[0], depth_bound=bounds[1])
         settings = dataclasses.replace(settings, hard_preservation=hard)
     if options.match_seam:
-        settings = dataclasses.replace(settings, seam_colors=SeamColorSettings())
+        settings = dataclasses.replace(settings, match_seam_colors=True)
     if options.mirror != "guess":
         settings = dataclasses.replace(settings, mirror=_mirror(options.mirror))
         _require_guess("--mirror", options, settings, prior)

@@ -22,7 +22,13 @@ from gscomplete.completion.losses import fit_loss, preservation_loss, random_bac
 from gscomplete.completion.rings import Ring, RingMemory, inside_distribution, random_ring
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.completion.start import scale_bounds
-from gscomplete.fitting.densify import GradientStatistics, prune_mask, subdivide
+from gscomplete.fitting.densify import (
+    FINAL_OPACITY,
+    PRUNE_OPACITY,
+    GradientStatistics,
+    prune_mask,
+    subdivide,
+)
 from gscomplete.fitting.finite import require_finite
 from gscomplete.fitting.parameters import BoundedParameters
 from gscomplete.priors.base import Conditioning, FourViews, Guidance, Prior
@@ -80,9 +86,7 @@ class Optimisation:
         self.step_number = 0
         self._prior, self._conditioning = prior, conditioning
         self._size_px = settings.resolution_px or prior.views.resolution_px
-        radius = settings.max_radius
-        widest = max(prior.views.mean_extent / 2, _CORNER_RADIUS)
-        self._max_radius = widest if radius is None else radius
+        self._max_radius = max(prior.views.mean_extent / 2, _CORNER_RADIUS)
         bounds = scale_bounds(prior.views, settings)
         self.parameters = BoundedParameters(start.to(self._device), settings.learning_rates, bounds)
         self._statistics = GradientStatistics(len(self.parameters), self._device)
@@ -201,14 +205,11 @@ class Optimisation:
         return self.settings.steps > 0 and self._guidance_scales().text_scale != 1.0
 
     def _guidance_scales(self) -> Guidance:
-        """Return the prior's own guidance with what the settings ask for in its place."""
-        asked = {
-            name: getattr(self.settings, name)
-            for name in ("text_scale", "input_scale", "rescale", "rescale_about")
-            if getattr(self.settings, name) is not None
-        }
+        """Return the prior's own guidance, about the centre that the settings ask for."""
         sees = self.settings.see_input and self._prior.sees_input
-        return dataclasses.replace(self._prior.default_guidance(sees_input=sees), **asked)
+        own = self._prior.default_guidance(sees_input=sees)
+        center = self.settings.rescale_about
+        return own if center is None else dataclasses.replace(own, rescale_about=center)
 
     def _input_views(self, cameras: Cameras) -> FourViews | None:
         """Return P's renders for priors that can see them."""
@@ -296,7 +297,7 @@ class Optimisation:
             subdivide(self.parameters, self._statistics, settings.densify, settings.seed, step)
         if schedules.is_prune_step(settings, step):
             late = step >= settings.densify.final_from * settings.steps
-            opacity = settings.densify.final_opacity if late else settings.densify.prune_opacity
+            opacity = FINAL_OPACITY if late else PRUNE_OPACITY
             keep, report = prune_mask(self.new_splats, opacity, self._max_radius)
             if report.total and bool(keep.any()):
                 self.parameters.edit(keep)

@@ -26,7 +26,6 @@ import gscomplete
 from gscomplete.completion.optimise import Optimisation, StepReport
 from gscomplete.completion.preserve.bounds import preserve_hard
 from gscomplete.completion.preserve.report import HardPreservationReport
-from gscomplete.completion.presets import PresetName, preset
 from gscomplete.completion.seam import SeamColorReport, match_seam_colors
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.completion.start import start_splats
@@ -38,9 +37,7 @@ from gscomplete.framing.check import (
 )
 from gscomplete.framing.decide import Framing, FramingRequest, decide_framing
 from gscomplete.framing.input_view import refine_input_view
-from gscomplete.priors import load_prior
 from gscomplete.priors.base import Conditioning, Prior, prior_identity
-from gscomplete.render.dispatch import choose_render_device
 from gscomplete.splats import (
     SplatFile,
     Splats,
@@ -52,11 +49,12 @@ from gscomplete.splats import (
 from gscomplete.splats.formats.any_file import read_splat_file
 from gscomplete.splats.suspects import describe_suspects
 from gscomplete.splats.working_set import WorkingSet, working_set
-from gscomplete.util.device import choose_device
 from gscomplete.util.jsonio import to_json
 from gscomplete.util.stages import stage
-from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution, radius_to_fit
-from gscomplete.views.distribution import AZIMUTH_RANGE_DEG, ELEVATION_RANGE_DEG
+from gscomplete.views import ObjectFrame, ViewDistribution, radius_to_fit
+
+MAX_WORKING_SPLATS = 250_000
+"""Most splats of P that are drawn while optimising; all are in the output."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,66 +171,29 @@ class Completed:
 
 def complete(
     partial: Splats | str | Path,
-    prompt: str,
-    *,
-    prior: Prior | str = "embedded",
-    preset_name: PresetName = "default",
-    settings: CompletionSettings | None = None,
-    up: UpAxis = "Z",
-    view_deg: tuple[float, float] | None = None,
-    azimuth_range_deg: float = AZIMUTH_RANGE_DEG,
-    elevation_range_deg: float = ELEVATION_RANGE_DEG,
-    center_file: tuple[float, float, float] | None = None,
-    size_file: float | None = None,
-    negative_prompt: str | None = None,
-    seed: int = 0,
-    device: str = "auto",
+    request: Request,
+    prior: Prior,
+    device: torch.device | str = "cpu",
     on_step: Callable[[StepReport], None] | None = None,
 ) -> Completed:
     """Complete a partial object made of Gaussian splats (the paper's O from P, y and V).
 
     Args:
-        partial: P: a splat file, or splats in the file frame (any scale; ``up`` points up).
-        prompt: what the complete object is, such as "a red mug".
-        prior: a loaded prior (``load_prior``; load it once to complete many), or what ``--prior``
-            takes: ``embedded``, ``mvdream``, or the path of weights.
-        preset_name: named settings: default, fast, reconstruct, distill, paper.
-        settings: every knob; None = those of ``preset_name``. Their own seed counts.
-        up: axis of the file frame that points up.
-        view_deg: azimuth and elevation of the input view c in degrees; None = guessed.
-        azimuth_range_deg: V reaches this far to either side of c.
-        elevation_range_deg: and this far above and below c.
-        center_file: centre of the complete object in file coordinates; None = guessed.
-        size_file: its largest side in file units; None = guessed.
-        negative_prompt: what to lead away from; None = the prior's default.
-        seed: same seed, same bytes.
-        device: ``cpu``, ``cuda``, ``cuda:N`` or ``auto``.
-        on_step: is told of every optimiser step; the default preset of the embedded prior has none.
+        partial: P: a splat file, or splats in the file frame.
+        request: what to make of it.
+        prior: the model that guides.
+        device: where splats are rendered and moved; the prior may run on another.
+        on_step: is told of every optimiser step.
 
     Returns:
         P and what was added, with frame, V and the reasons of what was guessed.
 
     Raises:
-        UserError: the input, an option, the prior or its weights are wrong.
+        UserError: the file or the request is wrong, or the prior cannot start.
     """
-    chosen_device = choose_device(device)
-    render_device, _ = choose_render_device(device, chosen_device)
-    if isinstance(prior, str):
-        prior = load_prior(prior, chosen_device)
-    if settings is None:
-        settings = dataclasses.replace(preset(preset_name, prior), seed=seed)
     started = time.perf_counter()
     given = partial if isinstance(partial, Splats) else read_splat_file(partial)
-    framing = FramingRequest(
-        up,
-        view_deg,
-        azimuth_range_deg,
-        center_file,
-        size_file,
-        elevation_range_deg=elevation_range_deg,
-    )
-    request = Request(prompt, settings, framing, negative_prompt)
-    prepared = prepare(given, request, prior, render_device)
+    prepared = prepare(given, request, prior, device)
     while not prepared.steps.finished:
         report = prepared.steps.step()
         if on_step is not None:
@@ -261,7 +222,7 @@ def prepare(
         notes += tuple(f"{name}: {warning}" for warning in given.warnings)
     else:
         splats, name = given, "P"
-    working = working_set(splats, settings.max_working_splats, name)
+    working = working_set(splats, MAX_WORKING_SPLATS, name)
     notes += describe_suspects(working.splats)
     with stage("frame"):
         framing = framing_for(working.splats, framing_request, prior)
@@ -326,9 +287,9 @@ def finish(prepared: Prepared, given: SplatFile | Splats) -> Completed:
     new = prepared.steps.new_splats.to("cpu")
     notes = prepared.notes
     colors, bounds = None, None
-    if settings.seam_colors is not None:
+    if settings.match_seam_colors:
         with stage("seam"):
-            new, colors = match_seam_colors(new, partial, settings.seam_colors)
+            new, colors = match_seam_colors(new, partial)
         notes += (colors.summary,)
     if settings.hard_preservation is not None:
         with stage("preservation"):

@@ -99,9 +99,9 @@ class RingMemory:
                 color.shape[2],
                 color.shape[1],
             )
-            # Checkpoints of early versions do not say when a ring was made.
-            step = int(state.get(prefix + "step", torch.tensor(-1)))
-            alpha = state[prefix + "alpha"]
+            if prefix + "step" not in state:
+                raise ValueError(f"{prefix}step: expected the step it was made at, found none")
+            step, alpha = int(state[prefix + "step"]), state[prefix + "alpha"]
             self._rings.append(Ring(cameras, color, alpha, step))
         read = tuple(f"ring.{index}." for index in range(min(len(self), self._capacity)))
         other = [name for name in state if name.startswith("ring.") and not name.startswith(read)]

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from gscomplete.completion.settings import SeamColorSettings
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.util.same_bits import fixed_power
 
@@ -48,6 +47,14 @@ _LEAST_SHARE = 0.01
 
 FloatArray = NDArray[np.float64]
 
+_REACH = 0.05
+"""New splats this near to one of P's are at the seam."""
+_SMOOTHNESS = 0.05
+"""Differences are smoothed along the seam over about this length."""
+_FADE = 0.1
+"""The correction falls to 61 % at this distance from the seam, and to 14 % at twice that."""
+_NEIGHBOURS = 16
+"""Colours are means over this many splats: patterns are to stay."""
 _ANCHORS = 64
 """Most splats at the seam that decide about one new splat."""
 _LEAST_OPACITY = 0.1
@@ -76,30 +83,27 @@ class SeamColorReport:
         )
 
 
-def match_seam_colors(
-    new: Splats, partial: Splats, settings: SeamColorSettings
-) -> tuple[Splats, SeamColorReport]:
-    """The new splats with colours that pass into P's at the seam.
+def match_seam_colors(new: Splats, partial: Splats) -> tuple[Splats, SeamColorReport]:
+    """Return the new splats with colours that pass into P's at the seam.
 
     Args:
         new: N new splats, object frame.
         partial: P, object frame.
-        settings: knobs.
     """
     drawn = partial.select(partial.opacities >= _LEAST_OPACITY)
     visible = torch.nonzero(new.opacities >= _LEAST_OPACITY)[:, 0]
     if len(drawn) == 0 or len(visible) == 0:
         return new, SeamColorReport(0, 0, 0.0, 0.0)
     places = new.means.detach().double().cpu().numpy()
-    known = _Colors(drawn, settings.neighbours)
-    ours = _Colors(new.select(visible), settings.neighbours)
-    at_seam = known.distance(places[visible.cpu().numpy()]) <= settings.reach
+    known = _Colors(drawn)
+    ours = _Colors(new.select(visible))
+    at_seam = known.distance(places[visible.cpu().numpy()]) <= _REACH
     if not at_seam.any():
         return new, SeamColorReport(0, 0, 0.0, 0.0)
     anchors = places[visible.cpu().numpy()][at_seam]
     wanted = known.mean(anchors)
     gap = wanted - ours.mean(anchors)
-    shift = _spread(gap, anchors, places, settings)
+    shift = _spread(gap, anchors, places)
     changed = torch.from_numpy(np.abs(shift).max(axis=1) > 0)
     base = new.base_colors.detach().double().cpu().clamp(0.0, 1.0)
     matched = srgb_from_oklab(oklab_from_srgb(base) + torch.from_numpy(shift)).clamp(0.0, 1.0)
@@ -107,7 +111,7 @@ def match_seam_colors(
     sh = new.sh.detach().clone()
     sh[:, 0] = torch.where(changed.to(sh.device)[:, None], band, sh[:, 0])
     result = dataclasses.replace(new, sh=sh)
-    after = wanted - _Colors(result.select(visible), settings.neighbours).mean(anchors)
+    after = wanted - _Colors(result.select(visible)).mean(anchors)
     before_mean, after_mean = (float(np.linalg.norm(g, axis=1).mean()) for g in (gap, after))
     return result, SeamColorReport(len(anchors), int(changed.sum()), before_mean, after_mean)
 
@@ -115,11 +119,11 @@ def match_seam_colors(
 class _Colors:
     """Oklab colours of splats, averaged about a point."""
 
-    def __init__(self, splats: Splats, neighbours: int) -> None:
+    def __init__(self, splats: Splats) -> None:
         self._tree = cKDTree(splats.means.detach().double().cpu().numpy())
         base = splats.base_colors.detach().double().cpu().clamp(0.0, 1.0)
         self._lab = oklab_from_srgb(base).numpy()
-        self._nearest = list(range(1, min(neighbours, len(splats)) + 1))
+        self._nearest = list(range(1, min(_NEIGHBOURS, len(splats)) + 1))
 
     def distance(self, points: FloatArray) -> FloatArray:  # [M, 3] -> [M]
         """Return the distance to the nearest splat."""
@@ -135,7 +139,6 @@ def _spread(
     gap: FloatArray,  # [A, 3]
     anchors: FloatArray,  # [A, 3]
     points: FloatArray,  # [N, 3]
-    settings: SeamColorSettings,
 ) -> FloatArray:  # [N, 3]
     """Smooth differences at the seam along it, and let them fade with the distance from it."""
     tree = cKDTree(anchors)
@@ -143,9 +146,9 @@ def _spread(
     distance, index = tree.query(points, k=nearest)
     # Relative to the nearest anchor, so that weights far from the seam do not vanish all at once.
     beyond = distance**2 - distance[:, :1] ** 2
-    weight = np.exp(-0.5 * beyond / settings.smoothness**2)
+    weight = np.exp(-0.5 * beyond / _SMOOTHNESS**2)
     weight /= weight.sum(axis=1, keepdims=True)
-    fading = np.exp(-0.5 * (distance[:, 0] / settings.fade) ** 2)
+    fading = np.exp(-0.5 * (distance[:, 0] / _FADE) ** 2)
     fading[fading < _LEAST_SHARE] = 0.0
     return fading[:, None] * (weight[:, :, None] * gap[index]).sum(axis=1)
 

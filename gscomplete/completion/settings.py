@@ -88,32 +88,10 @@ class HardPreservationSettings:
     """P's alpha from which a pixel is held to its appearance; 0 = all pixels, each by its alpha, as
     the errors are defined. Where P is a few scattered splats, its appearance is mostly that of what
     lies behind, and a completion that fills the gaps must change them."""
-    margin: float = 0.8
-    """Share of the bounds that errors over the check views are brought below, so that other views
-    of V are below the bounds too."""
-    check_views: int = 24
-    """Views of V that the errors are measured over; never those that splats are fitted to."""
-    check_px: int = 256
-    """Side of the check views: that of the evaluation, since errors grow with the resolution."""
-    max_backing: int = 30_000
-    """Most copies of P's splats tried behind its thin places; 0 = none."""
     rounds: int = 10
     """Most rounds of refitting; what is left then is faded out."""
-    fit_views: int = 10
-    """Views of V of one round."""
-    fit_px: int = 128
-    """Side of the pictures that splats are fitted to."""
     steps: int = 12
     """Optimiser steps of one round."""
-    halvings: int = 3
-    """How often it is tried to take back half of what the last round did; 0 = never."""
-    keep_weight: float = 1.0
-    """Weight of what changes in the pictures from outside V and beside P; more keeps the
-    completion better and takes more rounds."""
-    prune_opacity: float = 0.01
-    """Splats faded below this opacity are removed."""
-    scales_rate: float = 0.02
-    """Adam's step size for logarithms of scales; no scale grows."""
 
     def __post_init__(self) -> None:
         """Check ranges.
@@ -124,42 +102,11 @@ class HardPreservationSettings:
         for name in ("color_bound", "depth_bound"):
             if not 0 < getattr(self, name) < float("inf"):
                 raise UserError(f"{name}: expected a positive number, found {getattr(self, name)}")
-        if not 0 < self.margin <= 1:
-            raise UserError(f"margin: expected more than 0, at most 1, found {self.margin}")
         if not 0 <= self.mask_from < 1:
             raise UserError(f"mask_from: expected 0 to less than 1, found {self.mask_from}")
-        for name in ("check_views", "fit_views", "steps"):
-            if getattr(self, name) < 1:
-                raise UserError(f"{name}: expected at least 1, found {getattr(self, name)}")
-        for name in ("max_backing", "rounds"):
-            if not getattr(self, name) >= 0:
-                raise UserError(f"{name}: expected at least 0, found {getattr(self, name)}")
-
-
-@dataclass(frozen=True, slots=True)
-class SeamColorSettings:
-    """How colours of new splats pass into P's; lengths in object sizes."""
-
-    reach: float = 0.05
-    """New splats this near to one of P's are at the seam."""
-    smoothness: float = 0.05
-    """Differences are smoothed along the seam over about this length."""
-    fade: float = 0.1
-    """The correction falls to 61 % at this distance from the seam, and to 14 % at twice that."""
-    neighbours: int = 16
-    """Colours are means over this many splats: patterns are to stay."""
-
-    def __post_init__(self) -> None:
-        """Check ranges.
-
-        Raises:
-            UserError: a value is outside its range.
-        """
-        for name in ("reach", "smoothness", "fade"):
-            if not 0 < getattr(self, name) < float("inf"):
-                raise UserError(f"{name}: expected a positive number, found {getattr(self, name)}")
-        if self.neighbours < 1:
-            raise UserError(f"neighbours: expected at least 1, found {self.neighbours}")
+        for name, least in (("steps", 1), ("rounds", 0)):
+            if getattr(self, name) < least:
+                raise UserError(f"{name}: expected at least {least}, found {getattr(self, name)}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,14 +138,8 @@ class CompletionSettings:
         TimestepStage(1.0, 20.0, 245.0),
     )
     """Schedule of the diffusion time (section 3.3, with T = 980)."""
-    text_scale: float | None = None
-    """Guidance towards the prompt; None = the prior's own default."""
-    input_scale: float | None = None
-    """Guidance towards the renders of P; None = the prior's own default."""
-    rescale: float | None = None
-    """Guidance rescale; None = the prior's own default."""
     rescale_about: RescaleCenter | None = None
-    """What the rescale leaves as it is; None = the prior's own default."""
+    """What guidance rescale leaves as it is; None = the prior's own default."""
     see_input: bool = True
     """Show the renders of P to priors that can see them; False = text only."""
     resolution_px: int | None = None
@@ -216,18 +157,13 @@ class CompletionSettings:
     hard_preservation: HardPreservationSettings | None = None
     """Bounds on E_color and E_depth over V that hold at the end; None = whatever the preservation
     loss leaves (the paper)."""
-    seam_colors: SeamColorSettings | None = None
-    """Match new splats' colours to P's at the seam, at the end; None = leave them (the paper)."""
+    match_seam_colors: bool = False
+    """Match new splats' colours to P's at the seam, at the end; the paper leaves them."""
     min_scale_px: float = 0.0
     """Smallest scale of a new splat in pixels of the run's resolution (at the centre); splats
     smaller than a pixel's footprint turn to dust at any other resolution. 0 = no bound."""
     max_scale: float = 0.4
     """Largest scale of a new splat."""
-    max_radius: float | None = None
-    """New splats farther than this from the origin, in object sizes, are removed; None = what the
-    prior's views show, and at least the corners of the object's box."""
-    max_working_splats: int | None = 250_000
-    """Most splats of P that are drawn while optimising (all are in the output); None = all."""
     checkpoint_every: int = 500
     """Steps between checkpoints; 0 = only at the end."""
 
@@ -252,18 +188,8 @@ class CompletionSettings:
         for name, low in least.items():
             if not low <= getattr(self, name) < math.inf:
                 raise UserError(f"{name}: expected at least {low}, found {getattr(self, name)}")
-        for name in ("max_scale", "max_radius"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < math.inf:
-                raise UserError(f"{name}: expected a positive length, found {value}")
-        for name in ("text_scale", "input_scale", "rescale"):
-            value = getattr(self, name)
-            if value is not None and not math.isfinite(value):
-                raise UserError(f"{name}: expected a finite number, found {value}")
-        if self.max_working_splats is not None and self.max_working_splats < 1:
-            raise UserError(
-                f"max_working_splats: expected at least 1, found {self.max_working_splats}"
-            )
+        if not 0 < self.max_scale < math.inf:
+            raise UserError(f"max_scale: expected a positive length, found {self.max_scale}")
         if self.preservation_views is not None and self.preservation_views < 1:
             raise UserError(
                 f"preservation_views: expected at least 1, found {self.preservation_views}"

@@ -16,6 +16,10 @@ from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.util.randomness import generator_for
 
+PRUNE_OPACITY = 0.01
+"""Splats with a lower opacity are removed."""
+FINAL_OPACITY = 0.1
+"""And late, where settings say so, those below this one."""
 SPLIT_SHRINK = 1.6
 """Scales of the two halves of a split splat are divided by this (Kerbl et al. 2023)."""
 
@@ -69,7 +73,7 @@ def subdivide(
         return 0
     mean = statistics.mean()
     ranked = torch.argsort(mean, descending=True, stable=True)[:budget]
-    chosen = ranked[mean[ranked] > (settings.gradient or 0.0)]
+    chosen = ranked[mean[ranked] > 0.0]
     if len(chosen) == 0:
         return 0
     large = splats.scales[chosen].amax(dim=1) > settings.split_scale

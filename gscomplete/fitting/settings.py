@@ -47,20 +47,15 @@ class DensifySettings:
     """Fraction of all steps after which splats are no longer subdivided."""
     every: int = 50
     """Steps between subdivisions, and between prunings (which go on to the end)."""
-    gradient: float | None = None
-    """Subdivide only splats whose mean screen gradient is above this; None = the largest ones."""
     growth: float = 0.15
     """Largest share of the splats subdivided at once."""
     max_new: int = 150_000
     """Hard cap on new splats."""
     split_scale: float = 0.02
     """Splats with a larger scale are split in two smaller ones, others are cloned."""
-    prune_opacity: float = 0.01
-    """Splats with a lower opacity are removed."""
     final_from: float = 1.0
-    """From this fraction of all steps on, ``final_opacity`` takes the place of
-    ``prune_opacity``, so that what is left of failed splats does not stay as dust."""
-    final_opacity: float = 0.1
+    """From this fraction of all steps on, ``densify.FINAL_OPACITY`` takes the place of
+    ``PRUNE_OPACITY``, so that what is left of failed splats does not stay as dust."""
 
     def __post_init__(self) -> None:
         """Check ranges.
@@ -68,10 +63,10 @@ class DensifySettings:
         Raises:
             UserError: a value is outside its range.
         """
-        for name in ("until", "growth", "prune_opacity", "final_from", "final_opacity"):
+        for name in ("until", "growth", "final_from"):
             if not 0 <= getattr(self, name) <= 1:
                 raise UserError(f"densify.{name}: expected 0 to 1, found {getattr(self, name)}")
-        for name, low in (("every", 1), ("max_new", 0), ("split_scale", 0), ("gradient", 0)):
+        for name, low in (("every", 1), ("max_new", 0), ("split_scale", 0)):
             value = getattr(self, name)
-            if value is not None and not low <= value < math.inf:
+            if not low <= value < math.inf:
                 raise UserError(f"densify.{name}: expected at least {low}, found {value}")

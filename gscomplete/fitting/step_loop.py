@@ -119,10 +119,10 @@ def require_same_identity(path: Path, identity: dict[str, Any]) -> None:
         if found == value:
             continue
         if isinstance(value, dict) and isinstance(found, dict):
-            names = [name for name in value if found.get(name) != value[name]]
             detail = "; ".join(
-                f"{name}: the run has {found.get(name)!r}, asked for {value[name]!r}"
-                for name in names
+                f"{name}: the run has {found.get(name)!r}, asked for {value.get(name)!r}"
+                for name in {**value, **found}
+                if found.get(name) != value.get(name)
             )
         else:
             detail = f"the run has {found!r}, asked for {value!r}"

@@ -25,6 +25,7 @@ from gscomplete.priors.base import PriorViews
 from gscomplete.priors.latent.guidance import NoiseSchedule
 from gscomplete.priors.latent.prior import (
     VIEWS,
+    LatentModel,
     LatentPrior,
     PriorIdentity,
     default_guidance,
@@ -123,29 +124,27 @@ def load_diffusers_2d(
         "scaling_factor": float(vae.config.scaling_factor),
         "pad_id": pad_id,
     }
-    return LatentPrior(
+    encoder = PromptEncoder(
+        Tokenizer(text_config.length, pad_id),
+        lambda: load_strictly(tower, text_tensors.state()),
+        fingerprint((text_tensors.file.path,)),
+        (text_config.length, text_config.width),
+        device,
+        cache_home() / "prompts",
+    )
+    model = LatentModel(
         f"diffusers:{folder.resolve().name}",
         SingleViewDenoiser(unet, schedule, device, dtype, settings),
         codec,
-        PromptEncoder(
-            Tokenizer(text_config.length, pad_id),
-            lambda: load_strictly(tower, text_tensors.state()),
-            fingerprint((text_tensors.file.path,)),
-            (text_config.length, text_config.width),
-            device,
-            cache_home() / "prompts",
-        ),
+        encoder,
         PriorViews(40.0, (1.3, 1.6), (0.0, 30.0), size_px),
-        settings,
-        plan,
         guidance,
-        "",
-        device,
-        PriorIdentity(
-            fingerprint((unet_file, vae_tensors.file.path, text_tensors.file.path)),
-            deciding_settings(settings, guidance, "") | folder_settings,
-        ),
     )
+    identity = PriorIdentity(
+        fingerprint((unet_file, vae_tensors.file.path, text_tensors.file.path)),
+        deciding_settings(settings, guidance, "") | folder_settings,
+    )
+    return LatentPrior(model, settings, plan, device, identity)
 
 
 def read_schedule(path: Path) -> NoiseSchedule:

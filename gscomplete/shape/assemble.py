@@ -53,6 +53,8 @@ _MOST_MIRRORED_SHARE = 0.7
 _GAP_SPACINGS = 3.0
 """Where P and mirrored splats leave gaps wider than so many spacings of splats, the network's
 surface closes them."""
+_NEXT_TO_NOTHING = 0.02
+"""Share of the filled cells below which what the prompt changes is not to be seen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,13 +146,27 @@ def mirror_plane_of(symmetry: SymmetryMap) -> MirrorPlane:
     return MirrorPlane(round(math.degrees(angle), 1), round(offset, 3))
 
 
-def mirror_note(prediction: Prediction, mirrored: int) -> str:
-    """Tell users through which plane P was mirrored, as they would ask for it.
+def notes_of(prediction: Prediction, mirrored: int) -> tuple[str, ...]:
+    """Tell users what decided the guess: their prompt, and the plane that P was mirrored through.
 
     Args:
-        prediction: what the network was given.
+        prediction: what the network was given, and its answer.
         mirrored: how many of the new splats are P's own.
     """
+    prompt = _prompt_note(prediction.prompt_share)
+    return (*prompt, _mirror_note(prediction, mirrored))
+
+
+def _prompt_note(share: float | None) -> tuple[str, ...]:
+    if share is None:
+        return ()
+    if share < _NEXT_TO_NOTHING:
+        return (f"prompt: changes next to nothing of the shape ({share:.1%}): P decides it",)
+    return (f"prompt: changes {share:.0%} of the guessed shape",)
+
+
+def _mirror_note(prediction: Prediction, mirrored: int) -> str:
+    """Name the plane as users would ask for it."""
     if not _is_mirrored(prediction):
         return "not mirrored"
     plane = mirror_plane_of(prediction.seen.symmetries[0])

@@ -37,6 +37,9 @@ class Prediction:
     """Its answer, for a batch of one."""
     symmetry_score: float
     """Of the first mirror image; see ``symmetry_choice.Choice``."""
+    prompt_share: float | None
+    """Of the cells that are filled with the prompt or without it, how many are filled in one of the
+    two alone; None = no prompt."""
 
 
 def predict(
@@ -46,6 +49,7 @@ def predict(
     tokens: Tensor,  # [L]
     *,
     ends_in_plane: bool,
+    no_tokens: Tensor | None = None,  # [L]
     bfloat16: bool = False,
     mirror_plane: Mirror = "guess",
 ) -> Prediction:
@@ -57,6 +61,7 @@ def predict(
         distribution: V.
         tokens: the prompt.
         ends_in_plane: whether P was cut along a plane (``framing.cut_plane``).
+        no_tokens: no prompt, to tell what ``tokens`` change; None = it is not asked.
         bfloat16: precision of the network.
         mirror_plane: which plane of symmetry to show first.
     """
@@ -73,11 +78,23 @@ def predict(
         )
     with stage("network"):
         seen = voxels.with_copies(choice.symmetries)
-        output = predict_occupancy(model, seen, tokens, bfloat16=bfloat16)
-    return Prediction(voxels, seen, output, choice.symmetry_score)
+        answers = _answers(model, seen, tokens, ORIENTATIONS, bfloat16=bfloat16)
+        share = None
+        if no_tokens is not None and not torch.equal(tokens, no_tokens):
+            (without,) = _answers(model, seen, no_tokens, 1, bfloat16=bfloat16)
+            share = differing_share(answers[0].occupancy, without.occupancy)
+    return Prediction(voxels, seen, mean_answer(answers), choice.symmetry_score, share)
 
 
-@torch.no_grad()
+def differing_share(
+    one: Tensor,  # logits
+    other: Tensor,  # logits, of the same shape
+) -> float:  # in [0, 1]
+    """Return how many of the cells that either fills are filled by one alone."""
+    either = int(((one > 0) | (other > 0)).sum())
+    return int(((one > 0) != (other > 0)).sum()) / max(either, 1)
+
+
 def predict_occupancy(
     model: ShapeCompleter,
     seen: ShapeInputs,
@@ -98,10 +115,32 @@ def predict_occupancy(
     Returns:
         The answer for a batch of one.
     """
+    return mean_answer(_answers(model, seen, tokens, orientations, bfloat16=bfloat16))
+
+
+def mean_answer(answers: list[ShapeOutput]) -> ShapeOutput:
+    """Average answers, in their order."""
+    parts = [
+        sum(columns[1:], start=columns[0]) / len(answers)
+        for columns in zip(*((a.occupancy, a.colors, a.sources) for a in answers), strict=True)
+    ]
+    return ShapeOutput(*parts)
+
+
+@torch.no_grad()
+def _answers(
+    model: ShapeCompleter,
+    seen: ShapeInputs,
+    tokens: Tensor,  # [L]
+    orientations: int,
+    *,
+    bfloat16: bool,
+) -> list[ShapeOutput]:
+    """Return the network's answers to the first orientations, each turned back."""
     volumes = torch.from_numpy(seen.volumes)[None]
     evidence = torch.from_numpy(seen.evidence)[None]
     scores = torch.from_numpy(seen.scores)[None]
-    sums: list[Tensor] = []
+    found = []
     for index in range(orientations):
         turns, mirror = index % 4, index >= 4
         with cpu_precision(bfloat16=bfloat16):
@@ -111,13 +150,9 @@ def predict_occupancy(
                 scores,
                 tokens[None],
             )
-        parts = [
-            turned_back(part.float(), turns, mirror)
-            for part in (out.occupancy, out.colors, out.sources)
-        ]
-        sums = [a + b for a, b in zip(sums, parts, strict=True)] if sums else parts
-    occupancy, colors, sources = (part / orientations for part in sums)
-    return ShapeOutput(occupancy, colors, sources)
+        parts = (out.occupancy, out.colors, out.sources)
+        found.append(ShapeOutput(*(turned_back(part.float(), turns, mirror) for part in parts)))
+    return found
 
 
 def turned(volume: Tensor, turns: int, mirror: bool) -> Tensor:  # [..., x, y, z]

@@ -44,13 +44,15 @@ class SplatFile:
     path: Path
     splats: Splats  # activated, float32, on the CPU, in the file frame
     header: PlyHeader
+    element: Element  # the one that holds the splats
+    layout: SplatLayout  # which of its properties hold what
     payload: Payload = field(repr=False)
     warnings: tuple[str, ...]  # oddities that did not stop the reading
 
     @property
     def n_rows(self) -> int:
         """Number of vertex records."""
-        return splat_element(self.header, self.path).count
+        return self.element.count
 
     def released(self) -> SplatFile:
         """Return the file without what was decoded: its bytes are enough to append to."""
@@ -90,7 +92,7 @@ def read_splats(path: str | Path) -> SplatFile:
         warnings.append(f"integer-typed splat properties: {', '.join(layout.integer)}")
     if element.count == 0:
         warnings.append("no splats: element vertex has 0 rows")
-    return SplatFile(path, opened.splats(), header, payload, tuple(warnings))
+    return SplatFile(path, opened.splats(), header, element, layout, payload, tuple(warnings))
 
 
 def load_splats(path: str | Path) -> Splats:
@@ -204,8 +206,7 @@ def append_splats(
         ValueError: a new value is not finite or out of range (``Encoder``).
     """
     require_appendable(source)
-    element = splat_element(source.header, source.path)
-    layout = find_layout(element, source.path)
+    element, layout = source.element, source.layout
     if new.sh.shape[1] > layout.coefficients:
         raise UserError(
             f"{source.path}: has {layout.coefficients} SH coefficients per channel, cannot append "
@@ -235,9 +236,8 @@ def require_appendable(source: SplatFile) -> None:
     Raises:
         UserError: properties of splats are integers.
     """
-    layout = find_layout(splat_element(source.header, source.path), source.path)
-    if layout.integer:
-        fields = ", ".join(layout.integer)
+    if source.layout.integer:
+        fields = ", ".join(source.layout.integer)
         raise UserError(
             f"{source.path}: expected float properties, found integer-typed {fields}: new splats "
             "cannot be appended to them"

@@ -33,7 +33,6 @@ from recipes.real_objects.compare import FramedObject, best_by_truth, mirror_ima
 from recipes.real_objects.load import RealObject
 from splatcomplete_data.mesh.discs import (
     ColoredTriangles,
-    DiscSettings,
     discs_at,
     triangles_to_discs,
 )
@@ -146,7 +145,7 @@ def nearest_mesh(part: Part) -> Splats:
     placed = settled.undo(surface.points).astype(np.float32)
     spacing = float(np.median(cKDTree(placed).query(placed, k=2)[0][:, 1]))
     normals = (surface.normals @ settled.rotation).astype(np.float32)
-    return discs_at(placed, normals, found.colors, spacing, DiscSettings())
+    return discs_at(placed, normals, found.colors, spacing)
 
 
 def poisson_closing(part: Part) -> Splats:

@@ -25,7 +25,8 @@ from PIL import Image, ImageDraw
 from rich.console import Console
 from rich.progress import track
 
-from gscomplete.completion.pipeline import complete, framing_for
+from gscomplete.api import complete
+from gscomplete.completion.pipeline import framing_for
 from gscomplete.completion.presets import DEFAULT, FAST, RECONSTRUCT, TEXT_ONLY
 from gscomplete.completion.settings import CompletionSettings, TimestepStage
 from gscomplete.evaluate.metrics import against_truth, preservation

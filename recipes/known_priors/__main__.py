@@ -10,7 +10,8 @@ Conventions
 * Priors: ``exact``, renders of the truth; ``blurred``, blurred and noisier as t grows;
   ``plausible``, several complete objects of the same P, weighted by how near the render is;
   ``biased``, an object that is larger and of another colour than P where V sees it;
-  ``mvdream-like``, colours alone over black or white, 32 x 32 latents, guidance that overshoots.
+  ``mvdream-like``, colours alone over black or white, 32 x 32 latents, guidance that overshoots;
+  ``embedded``, the package's own, from words alone as MVDream is.
 * Ways are settings by name (``known_priors.ways``); a call is one denoising of a ring of four.
 """
 
@@ -21,7 +22,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from rich.console import Console
@@ -32,6 +33,8 @@ from gscomplete.completion.settings import CompletionSettings
 from gscomplete.errors import UserError
 from gscomplete.evaluate.bootstrap import bootstrap_interval
 from gscomplete.framing.decide import FramingRequest
+from gscomplete.priors import Prior, load_prior
+from gscomplete.priors.base import prior_identity
 from gscomplete.priors.mvdream.prior import MVDREAM_VIEWS
 from gscomplete.splats import Splats, concatenate, write_splats
 from recipes.entry_point import start
@@ -40,6 +43,8 @@ from recipes.known_priors.objects import KnownObject, believed, known_objects
 from recipes.known_priors.priors import STRENGTHS, Kind, KnownPrior
 from recipes.known_priors.ways import TABLE_2, WAYS
 from recipes.results import Results
+
+PriorName = Literal[Kind, "embedded"]
 
 
 @dataclass(frozen=True)
@@ -50,7 +55,7 @@ class Options:
     """Folder of the pack of meshes."""
     out: Path
     """Folder for ``results.json``; an interrupted study goes on from it."""
-    priors: tuple[Kind, ...] = get_args(Kind)
+    priors: tuple[PriorName, ...] = get_args(Kind)
     """Which priors."""
     ways: tuple[str, ...] = ("paper", "distill")
     """Which settings, by name."""
@@ -60,18 +65,18 @@ class Options:
     """Parts, half of them scans, half of them halves."""
     seeds: tuple[int, ...] = (0,)
     resolution_px: int = 256
-    """Side of the prior's images."""
+    """Side of the known priors' images."""
     keep: bool = False
     """Keep completions as splat files."""
 
 
 def completed(
-    item: KnownObject, prior: KnownPrior, settings: CompletionSettings
+    item: KnownObject, prior: Prior, settings: CompletionSettings
 ) -> tuple[Splats, float]:
     """Complete a part in its true frame; return the new splats and the seconds of the steps."""
     angles = (item.views.azimuth_deg, item.views.elevation_deg)
     framing = FramingRequest("Z", angles, center_file=(0.0, 0.0, 0.0), size_file=1.0)
-    prepared = prepare(item.partial, Request("", settings, framing), prior)
+    prepared = prepare(item.partial, Request(item.prompt, settings, framing), prior)
     started = time.perf_counter()
     while not prepared.steps.finished:
         prepared.steps.step()
@@ -87,12 +92,15 @@ def main(options: Options) -> None:
     for way in options.ways:
         if way not in WAYS:
             raise UserError(f"--ways: expected some of {', '.join(WAYS)}; found {way!r}")
-    made_with = {
+    made_with: dict[str, Any] = {
         "resolution_px": options.resolution_px,
         "objects": options.objects,  # how a part is cut depends on its place in the list
         "strengths": STRENGTHS,
         "ways": WAYS,
     }
+    embedded = load_prior("embedded") if "embedded" in options.priors else None
+    if embedded is not None:
+        made_with["embedded"] = prior_identity(embedded)
     results = Results(options.out / "results.json", made_with)
     items = known_objects(options.meshes, options.objects, MVDREAM_VIEWS)
     tasks = [
@@ -107,14 +115,21 @@ def main(options: Options) -> None:
         key = f"{kind}/{way}/{steps}/{seed}/{item.name}"
         if key in results.rows:
             continue
-        objects = believed(item, kind)
-        prior = KnownPrior(kind, objects, options.resolution_px)
-        settings = dataclasses.replace(WAYS[way], steps=steps, seed=seed)
-        new, seconds = completed(item, prior, settings)
+        settings = dataclasses.replace(WAYS[way], steps=steps, seed=seed, see_input=False)
+        if kind == "embedded":
+            assert embedded is not None
+            objects: tuple[Splats, ...] = (item.truth,)
+            new, seconds = completed(item, embedded, settings)
+            calls = None
+        else:
+            objects = believed(item, kind)
+            known = KnownPrior(kind, objects, options.resolution_px)
+            new, seconds = completed(item, known, settings)
+            calls = known.calls
         row = errors_of(item, new, objects)
         results.rows[key] = row | {
             "part": item.kind,
-            "calls": prior.calls,
+            "calls": calls,
             "new_splats": len(new),
             "seconds": seconds,
         }

@@ -23,12 +23,10 @@ from gscomplete.priors.base import PriorViews
 from gscomplete.splats import Splats, colors_to_sh, transform_splats
 from gscomplete.views import ObjectFrame, ViewDistribution, radius_to_fit
 from recipes.known_priors.priors import Kind
-from recipes.real_objects.unseen import chosen_entries, complete_object
+from recipes.real_objects.unseen import chosen_entries, complete_object, seen_from
 from recipes.train_embedded_prior.data.mesh_pack import read_mesh
-from splatcomplete_data.cuts.geometry import by_plane, by_visibility
+from splatcomplete_data.cuts.geometry import by_plane
 
-_SCAN_DISTANCE = 2.2
-_SCAN_FOV_DEG = 35.0
 _ELEVATION_DEG = 15.0
 _GROWTH = 1.08
 """How much larger the biased prior's object is."""
@@ -48,6 +46,7 @@ class KnownObject:
     truth: Splats
     hidden: Tensor  # [N] bool, splats of the truth that P lacks
     views: ViewDistribution
+    prompt: str = ""
 
 
 def known_objects(meshes: Path, count: int, lens: PriorViews) -> list[KnownObject]:
@@ -77,19 +76,18 @@ def known_objects(meshes: Path, count: int, lens: PriorViews) -> list[KnownObjec
             radius=radius,
             fov_deg=lens.fov_deg,
         )
-        found.append(KnownObject(entry.id, kind, truth.select(kept), truth, ~kept, views))
+        found.append(
+            KnownObject(entry.id, kind, truth.select(kept), truth, ~kept, views, entry.caption)
+        )
     return found
 
 
 def _kept(truth: Splats, kind: str, azimuth_deg: float) -> Tensor:  # [N] bool
     """Cut a complete object as seen from an azimuth."""
-    azimuth, elevation = math.radians(azimuth_deg), math.radians(_ELEVATION_DEG)
-    toward = (math.cos(azimuth), math.sin(azimuth), 0.0)
+    azimuth = math.radians(azimuth_deg)
     if kind == "half":
-        return by_plane(truth, toward, 0.0).mask
-    level = math.cos(elevation) * _SCAN_DISTANCE
-    eye = (toward[0] * level, toward[1] * level, math.sin(elevation) * _SCAN_DISTANCE)
-    return by_visibility(truth, [eye], fov_deg=_SCAN_FOV_DEG).mask
+        return by_plane(truth, (math.cos(azimuth), math.sin(azimuth), 0.0), 0.0).mask
+    return seen_from(truth, azimuth, math.radians(_ELEVATION_DEG))
 
 
 def believed(item: KnownObject, kind: Kind) -> tuple[Splats, ...]:

@@ -19,7 +19,7 @@ import numpy as np
 
 from gscomplete.splats import Splats
 from gscomplete.views import UpAxis
-from splatcomplete_data.cuts.geometry import PartialCut, by_visibility
+from splatcomplete_data.cuts.geometry import PartialCut, by_visibility, eyes_at
 from splatcomplete_data.cuts.named import SCAN_DISTANCE, BoxCut, PlaneCut
 
 Source = Literal["mesh", "scan", "splats"]
@@ -40,11 +40,8 @@ class ScanCut:
 
     def apply(self, complete: Splats) -> PartialCut:
         """Return what is kept of splats in the object frame."""
-        azimuths, elevation = np.deg2rad(self.from_deg), np.deg2rad(self.elevation_deg)
-        outward = SCAN_DISTANCE * np.cos(elevation)
-        height = np.full_like(azimuths, SCAN_DISTANCE * np.sin(elevation))
-        eyes = np.stack([outward * np.cos(azimuths), outward * np.sin(azimuths), height], axis=1)
-        return by_visibility(complete, eyes)
+        angles = np.deg2rad(self.from_deg), np.deg2rad(self.elevation_deg)
+        return by_visibility(complete, eyes_at(*angles, SCAN_DISTANCE))
 
 
 Cut = PlaneCut | BoxCut | ScanCut

@@ -59,8 +59,6 @@ class Options:
     """Settings of the completion."""
     text_only: bool = False
     """Withhold P's renders from the prior."""
-    ablate: bool = False
-    """Without preservation loss, warm-up and timestep schedule (row 1 of the paper's Table 2)."""
     steps: int | None = None
     """Optimiser steps; None = the preset's."""
     seed: int = 0
@@ -72,7 +70,7 @@ def settings_of(options: Options, prior: Prior) -> CompletionSettings:
     settings = dataclasses.replace(settings, seed=options.seed, checkpoint_every=0)
     if options.steps is not None:
         settings = dataclasses.replace(settings, steps=options.steps)
-    return settings.ablated() if options.ablate else settings
+    return settings
 
 
 def complete_object(

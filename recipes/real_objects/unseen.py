@@ -27,9 +27,11 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from rich.console import Console
 from rich.progress import track
 from scipy.spatial import cKDTree
+from torch import Tensor
 
 from gscomplete.evaluate.bootstrap import bootstrap_interval
 from gscomplete.evaluate.geometry import hidden_surface_errors
@@ -55,7 +57,14 @@ from recipes.train_embedded_prior.data.mesh_pack import (
     read_mesh,
 )
 from recipes.train_embedded_prior.procedural.quads import turn_about
-from splatcomplete_data.cuts.geometry import by_box, by_plane, by_visibility, splat_points
+from splatcomplete_data.cuts.geometry import (
+    by_box,
+    by_plane,
+    by_visibility,
+    eyes_at,
+    splat_points,
+)
+from splatcomplete_data.cuts.named import SCAN_DISTANCE
 from splatcomplete_data.mesh.discs import ColoredTriangles, sample_triangles, triangles_to_discs
 
 PartKind = Literal["scan", "arc", "half", "box", "complete", "middle"]
@@ -63,7 +72,7 @@ _SCANNED = ("gso", "gso-shape")
 _OTHERS = 60
 """Objects of other sources than scans, evenly spread over their list."""
 _SPLATS = 20_000
-_SCAN_DISTANCE = 2.2
+_SCAN_FOV_DEG = 35.0
 _ARC_DEG = 100.0
 _BOX_SHARE = 0.4
 _LARGEST_OFFSET = 0.12
@@ -159,17 +168,21 @@ def part_of(
         reach = np.abs(points - anchor).max(axis=1)
         side = 2.0 * float(np.quantile(reach, _BOX_SHARE))
         return splats.select(by_box(splats, anchor, (side,) * 3, keep="outside").mask)
-    turns = (0.0,) if kind == "scan" else (-_ARC_DEG / 2, 0.0, _ARC_DEG / 2)
+    turns_deg = (0.0,) if kind == "scan" else (-_ARC_DEG / 2, 0.0, _ARC_DEG / 2)
     elevation = math.radians(float(rng.uniform(5, 30)))
-    eyes = [
-        (
-            _SCAN_DISTANCE * math.cos(elevation) * math.cos(azimuth + math.radians(turn)),
-            _SCAN_DISTANCE * math.cos(elevation) * math.sin(azimuth + math.radians(turn)),
-            _SCAN_DISTANCE * math.sin(elevation),
-        )
-        for turn in turns
-    ]
-    return splats.select(by_visibility(splats, eyes, fov_deg=35.0).mask)
+    return splats.select(seen_from(splats, azimuth + np.deg2rad(turns_deg), elevation))
+
+
+def seen_from(splats: Splats, azimuth_rad: ArrayLike, elevation_rad: float) -> Tensor:  # [N] bool
+    """Mark what a scanner sees of a complete object from one azimuth or several.
+
+    Args:
+        splats: in a frame like the object frame: centred, largest side about 1.
+        azimuth_rad: [V] or a number.
+        elevation_rad: of all viewpoints.
+    """
+    eyes = eyes_at(azimuth_rad, elevation_rad, SCAN_DISTANCE)
+    return by_visibility(splats, eyes, fov_deg=_SCAN_FOV_DEG).mask
 
 
 def measure_all(framed: FramedObject, outcome: Outcome) -> dict[str, Any]:

@@ -28,7 +28,8 @@ from gscomplete.framing.decide import FramingRequest
 from gscomplete.render import render
 from gscomplete.splats import Splats, concatenate, read_splats, write_splats
 from gscomplete.views import ViewDistribution, orbit_cameras
-from recipes.stress_numerics.known_object import KnownObject, NoPrompt, Poison
+from recipes.known_priors.priors import NoText
+from recipes.stress_numerics.poisoned_prior import Poison, PoisonedPrior
 from recipes.stress_numerics.rows import Check, Row, nonfinite
 from recipes.stress_numerics.scenes import ball, with_fields
 
@@ -71,7 +72,7 @@ def _poisoned(base: CompletionSettings, poison: Poison, calls: int, step: int) -
         bad, good = folder / "bad", folder / "good"
         message = ""
         try:
-            prior = KnownObject(truth, poison, calls)
+            prior = PoisonedPrior(truth, poison, calls)
             execute(prepare(_request(partial, bad, settings), prior), lambda report: None)
         except NonFiniteError as error:
             message = str(error)
@@ -85,8 +86,10 @@ def _poisoned(base: CompletionSettings, poison: Poison, calls: int, step: int) -
         last = (step // settings.checkpoint_every) * settings.checkpoint_every
         yield Check(f"{poison}: steps lost", abs(last - int(state["step"])), 0)
         again = dataclasses.replace(_request(partial, bad, settings), resume=True)
-        execute(prepare(again, KnownObject(truth)), lambda report: None)
-        execute(prepare(_request(partial, good, settings), KnownObject(truth)), lambda report: None)
+        execute(prepare(again, PoisonedPrior(truth)), lambda report: None)
+        execute(
+            prepare(_request(partial, good, settings), PoisonedPrior(truth)), lambda report: None
+        )
         same = (bad / "completed.ply").read_bytes() == (good / "completed.ply").read_bytes()
         yield Check(f"{poison}: resumed run differs from an unbroken one", int(not same), 0)
 
@@ -104,9 +107,9 @@ def _rates(quick: bool) -> Iterator[Check]:
         raised = {k: 100 * v for k, v in dataclasses.asdict(base.learning_rates).items()}
         settings = dataclasses.replace(_settings(base), learning_rates=LearningRates(**raised))
         views = ViewDistribution(0.0, 10.0)
-        part, prior = _half(), KnownObject(ball())
-        start = start_splats(part, prior, NoPrompt(), views, settings).splats
-        job = Optimisation(part, start, prior, NoPrompt(), views, settings)
+        part, prior = _half(), PoisonedPrior(ball())
+        start = start_splats(part, prior, NoText(), views, settings).splats
+        job = Optimisation(part, start, prior, NoText(), views, settings)
         count, silent = len(job.parameters), 0
         try:
             while not job.finished:
@@ -149,7 +152,7 @@ def _refused(partial: Splats, label: str) -> Iterator[Check]:
         path, out = Path(name) / "odd.ply", Path(name) / "out"
         write_splats(path, partial)
         try:
-            prepare(_request(path, out, _settings(RECONSTRUCT)), KnownObject(ball()))
+            prepare(_request(path, out, _settings(RECONSTRUCT)), PoisonedPrior(ball()))
             told = False
         except UserError as error:
             told = str(path) in str(error)
@@ -163,7 +166,7 @@ def _kept(partial: Splats, label: str) -> Iterator[Check]:
     with tempfile.TemporaryDirectory() as name:
         path, out = Path(name) / "odd.ply", Path(name) / "out"
         write_splats(path, partial)
-        run = prepare(_request(path, out, settings), KnownObject(ball()))
+        run = prepare(_request(path, out, settings), PoisonedPrior(ball()))
         content = execute(run, lambda report: None)
         source, completed = read_splats(path), read_splats(out / "completed.ply")
         old = bytes(source.payload.records)

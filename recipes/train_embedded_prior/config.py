@@ -26,18 +26,10 @@ class DataConfig:
     extent_range: tuple[float, float] = (1.35, 1.9)
     """Visible extent at the target; the camera radius follows from it."""
     elevation_range_deg: tuple[float, float] = (-10.0, 45.0)
-    elevation_usual_deg: tuple[float, float] = (0.0, 30.0)
-    """Half of the rings are drawn from this narrower range."""
-    center_jitter: float = 0.12
-    """The target is off the object's centre by up to this along each axis."""
     mesh_share: float = 0.7
     """Share of sets made from the pack of meshes, where one is given."""
-    most_meshes: int | None = None
-    """Train on so many meshes of the pack; None = all of its training split."""
     render_px: int = 128
     """Side of the renders, area-averaged down to the model's resolution."""
-    corrupt_share: float = 0.5
-    """Share of sets whose P is disturbed the way real captures are."""
 
     def views(self, resolution_px: int) -> PriorViews:
         """Return the framing as the prior states it."""
@@ -48,32 +40,11 @@ class DataConfig:
 class ShapeDataConfig:
     """How sets of the shape network are made. Changing anything changes the data of every index."""
 
-    corrupt_share: float = 0.5
-    """Share of sets whose P is disturbed the way real captures are."""
     slight_share: float = 0.25
     """Share of sets whose P lacks little or nothing, as captures from all round do: without them
     completions spoil such parts."""
-    guess_share: float = 0.7
-    """Share of sets whose frame and input view are guessed from P, as runs guess them; the others
-    have the true frame with a small error."""
-    no_copy_share: float = 0.08
-    """Share of sets without mirror images, whatever their score."""
-    best_copy_share: float = 0.5
-    """Share of the others whose first mirror image is the best by the truth of the candidates; in
-    the rest it is the likeliest. (Showing any of them, as runs ask before they choose, was tried in
-    30 % of the sets: the network's answers then told right planes from wrong ones less well.)"""
-    least_score: float = 0.05
-    """Where the best by the truth scores less, no mirror images are shown either."""
-    frame_jitter: float = 0.04
-    """Standard deviation of the error of frames that are not guessed, object sizes."""
     mesh_share: float = 0.7
     """Share of sets made from the pack of meshes, where one is given."""
-    most_meshes: int | None = None
-    """Train on so many meshes of the pack; None = all of its training split."""
-    most_cells: int = 4096
-    """Most filled cells stored of P and of each of its mirror images."""
-    most_surface_cells: int = 6144
-    """Most surface cells stored of the whole."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,14 +67,11 @@ class RunConfig:
     seed: int = 0
     batch_sets: int = 4
     learning_rate: float = 4e-4
-    text_rate_factor: float = 4.0
-    """Learning rate of what reads the prompt, relative to the rest: each word is seen rarely."""
     warmup_steps: int = 200
     decay_share: float = 0.35
     """Share of the run, at its end, over which the learning rate falls linearly to zero."""
     betas: tuple[float, float] = (0.9, 0.98)
     weight_decay: float = 0.01
-    clip_norm: float = 1.0
     ema_decay: float = 0.999
     """Decay per step of the averaged weights, which are the ones shipped; warmed up."""
     drop_text: float = 0.1

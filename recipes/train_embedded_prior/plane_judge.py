@@ -58,6 +58,12 @@ from recipes.train_embedded_prior.plane_sets import (
 _LOG = logging.getLogger(__name__)
 _CHECKPOINT = "judge_checkpoint.safetensors"
 _RUN = "judge.json"
+_DECAY_FROM = 0.4
+"""Share of the steps after which the learning rate falls, as a cosine, to 0."""
+_SHARPNESS = 10.0
+"""Factor on the planes' true scores in the target."""
+_SCORE_WEIGHT = 3.0
+"""Of the squared error of true scores."""
 _WITHOUT_EFFECT = {"run", "out", "checkpoint_every", "workers"}
 """Options that leave the weights as they are."""
 
@@ -79,12 +85,6 @@ class JudgeConfig:
     """Of each object in a step, one of the best by the truth among them."""
     learning_rate: float = 2e-3
     weight_decay: float = 1e-2
-    decay_from: float = 0.4
-    """Share of the steps after which the learning rate falls, as a cosine, to 0."""
-    sharpness: float = 10.0
-    """Factor on the planes' true scores in the target."""
-    score_weight: float = 3.0
-    """Of the squared error of true scores."""
     average: float = 0.998
     """Decay of the average of the weights that is exported."""
     checkpoint_every: int = 200
@@ -162,7 +162,7 @@ def _swapped(sides: Tensor, which: Tensor) -> Tensor:  # [K, 2 C, u, v, z], [K]
 
 def learning_rate(config: JudgeConfig, step: int) -> float:
     """Return the learning rate of a step."""
-    done = max(step / config.steps - config.decay_from, 0.0) / (1 - config.decay_from)
+    done = max(step / config.steps - _DECAY_FROM, 0.0) / (1 - _DECAY_FROM)
     warm = min(1.0, (step + 1) / 100)
     return config.learning_rate * warm * (0.5 + 0.5 * math.cos(math.pi * done))
 
@@ -194,10 +194,10 @@ class JudgeTraining:
         with cpu_precision(bfloat16=True):
             logits, predicted = self.judge(batch.volumes, batch.features, batch.ranked)
         by_object = (config.batch_objects, config.planes)
-        target = (config.sharpness * batch.true_scores).view(by_object).softmax(dim=1)
+        target = (_SHARPNESS * batch.true_scores).view(by_object).softmax(dim=1)
         guess = logits.float().view(by_object).log_softmax(dim=1)
         loss = -(guess * target).sum(dim=1).mean()
-        loss = loss + config.score_weight * (predicted.float() - batch.true_scores).square().mean()
+        loss = loss + _SCORE_WEIGHT * (predicted.float() - batch.true_scores).square().mean()
         self.optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self.judge.parameters(), 1.0)

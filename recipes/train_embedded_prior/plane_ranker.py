@@ -35,6 +35,8 @@ from recipes.train_embedded_prior.plane_sets import posed_object
 
 _LOG = logging.getLogger(__name__)
 _HELD_OUT_EVERY = 5
+_SHARPNESS = 16.0
+"""Factor on the planes' true scores in the target."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +55,6 @@ class RankerConfig:
     learning_rate: float = 3e-3
     weight_decay: float = 1e-2
     dropout: float = 0.1
-    sharpness: float = 16.0
-    """Factor on the planes' true scores in the target."""
     workers: int = 2
     """Processes that make objects."""
 
@@ -92,7 +92,7 @@ def fit(config: RankerConfig, features: Tensor, true_scores: Tensor) -> CoarseSy
     center = features.mean(dim=(0, 1, 2))
     spread = features.std(dim=(0, 1, 2)).clamp_min(1e-3)
     inputs = ((features - center) / spread).flatten(1, 2)
-    targets = (config.sharpness * true_scores.flatten(1)).softmax(dim=1)
+    targets = (_SHARPNESS * true_scores.flatten(1)).softmax(dim=1)
     hidden = config.width
     network = nn.Sequential(
         nn.Linear(len(FEATURES), hidden), nn.SiLU(), nn.Dropout(config.dropout),

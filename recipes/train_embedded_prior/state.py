@@ -29,6 +29,9 @@ from recipes.train_embedded_prior.warm_start import fill, start_weights
 
 CHECKPOINT = "checkpoint.safetensors"
 RUN = "run.json"
+_TEXT_RATE_FACTOR = 4.0
+"""Learning rate of what reads the prompt, relative to the rest: each word is seen rarely."""
+_CLIP_NORM = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +75,7 @@ class TrainState:
         """Take one optimiser step with the gradients at hand and move the average along."""
         for group in self.optimizer.param_groups:
             group["lr"] = learning_rate * group["factor"]
-        torch.nn.utils.clip_grad_norm_(self.model.parameters(), config.clip_norm)
+        torch.nn.utils.clip_grad_norm_(self.model.parameters(), _CLIP_NORM)
         self.optimizer.step()
         self.step += 1
         decay = min(config.ema_decay, (1 + self.step) / (10 + self.step))  # young: over less
@@ -124,7 +127,7 @@ class TrainState:
 def make_optimizer(model: nn.Module, config: RunConfig) -> torch.optim.Optimizer:
     """Return AdamW; only matrices and kernels decay, and the text's part learns faster."""
     groups = []
-    for reads_text, factor in ((False, 1.0), (True, config.text_rate_factor)):
+    for reads_text, factor in ((False, 1.0), (True, _TEXT_RATE_FACTOR)):
         for is_matrix, decay in ((True, config.weight_decay), (False, 0.0)):
             parameters = [
                 parameter

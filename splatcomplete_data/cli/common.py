@@ -16,11 +16,12 @@ import json
 import math
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gscomplete.cli.bars import progress_bar
 from gscomplete.errors import UserError
 from gscomplete.util import jsonio
 from gscomplete.util.parse import parse_numbers, parse_view
@@ -221,7 +222,7 @@ def store_object(options: ObjectOptions, made: ObjectDraft) -> ObjectRecord:
         made.complete,
         overwrite=options.overwrite,
         partial_file=made.partial_file,
-        extra_pictures=made.extra_pictures,
+        pictures=made.extra_pictures,
     )
 
 
@@ -291,19 +292,7 @@ def say(options: Any, *lines: str) -> None:
 @contextlib.contextmanager
 def progress(title: str) -> Iterator[Report]:
     """Show a bar with an ETA on standard error; yield the callback that moves it."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-    from rich.progress import TimeRemainingColumn as Remaining
-
-    columns: Sequence[Any] = (
-        TextColumn(title),
-        BarColumn(),
-        TextColumn("{task.completed:,.0f}/{task.total:,.0f}"),
-        TimeElapsedColumn(),
-        TextColumn("ETA"),
-        Remaining(),
-    )
-    with Progress(*columns, console=Console(file=sys.stderr), transient=True) as bar:
+    with progress_bar(title, transient=True) as bar:
         task = bar.add_task(title, total=1)
 
         def report(done: int, total: int) -> None:
@@ -319,20 +308,8 @@ def stages(title: str) -> Iterator[StageCallback]:
     The shares that callers give are rough, and so is the ETA. Nothing is shown where standard
     error is not a terminal.
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-    from rich.progress import TimeRemainingColumn as Remaining
-
-    console = Console(file=sys.stderr)
-    columns: Sequence[Any] = (
-        TextColumn(f"{title}: {{task.description}}"),
-        BarColumn(),
-        TimeElapsedColumn(),
-        TextColumn("ETA"),
-        Remaining(),
-    )
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as bar:
+    progress = progress_bar(f"{title}: {{task.description}}", count=None, transient=True)
+    progress.disable = not progress.console.is_terminal
+    with progress as bar:
         task = bar.add_task("starting", total=1.0)
         yield lambda name, share: bar.update(task, description=name, completed=share)

@@ -13,12 +13,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from gscomplete.cli.bars import progress_bar
 from gscomplete.errors import UserError
 from splatcomplete_data.cli.common import say
 
 if TYPE_CHECKING:
     from splatcomplete_data.multiview.reconstruct import Reconstruction, Request
     from splatcomplete_data.multiview.training.train import StepReport
+
+_TITLE = "{task.description:>9}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,34 +177,10 @@ def make_request(options: ImagesOptions) -> Request:
     )
 
 
-def _columns(*last: Any) -> tuple[Any, ...]:
-    """Return the columns of a progress bar with an ETA."""
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    return (
-        TextColumn("{task.description:>9}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("ETA"),
-        TimeRemainingColumn(),
-        *last,
-    )
-
-
 @contextmanager
 def _stages() -> Iterator[Any]:
     """Show a bar for every stage of structure from motion; yield what they report to."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(*_columns(), console=Console(file=sys.stderr)) as bars:
+    with progress_bar(_TITLE) as bars:
         tasks: dict[str, Any] = {}
 
         def report(stage: str, done: int, total: int) -> None:
@@ -217,11 +196,7 @@ def _stages() -> Iterator[Any]:
 @contextmanager
 def _training_bar(job: Reconstruction) -> Iterator[Any]:
     """Show a bar for the steps; yield what they report to."""
-    from rich.console import Console
-    from rich.progress import Progress, TextColumn
-
-    columns = _columns(TextColumn("{task.fields[state]}"))
-    with Progress(*columns, console=Console(file=sys.stderr)) as bar:
+    with progress_bar(_TITLE, "{task.fields[state]}") as bar:
         task = bar.add_task(
             "training",
             total=job.request.training.steps,

@@ -152,6 +152,25 @@ def by_visibility(
     return _cut(splats, seen, "visibility", views=len(eyes), eyes=eyes.round(3).tolist())
 
 
+def eyes_at(
+    azimuth_rad: ArrayLike, elevation_rad: ArrayLike, distance: float = 1.0
+) -> NDArray[np.float64]:  # [V, 3]
+    """Return where cameras stand that look at the origin.
+
+    Args:
+        azimuth_rad: [V] or a number, from the x axis towards the y axis.
+        elevation_rad: [V] or a number, above the level of the origin.
+        distance: from the origin.
+    """
+    azimuth, elevation = np.broadcast_arrays(
+        *np.atleast_1d(np.asarray(azimuth_rad, np.float64), np.asarray(elevation_rad, np.float64))
+    )
+    level = distance * np.cos(elevation)
+    return np.stack(
+        [level * np.cos(azimuth), level * np.sin(azimuth), distance * np.sin(elevation)], axis=1
+    )
+
+
 def looking_rotation(eye: NDArray[np.float64], target: ArrayLike) -> NDArray[np.float64]:
     """Return the rotation [3, 3] into camera axes (x right, y down, z forward), z up.
 

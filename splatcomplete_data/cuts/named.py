@@ -24,7 +24,13 @@ from gscomplete.errors import UserError
 from gscomplete.splats import Splats, transform_splats
 from gscomplete.views import ObjectFrame
 from splatcomplete_data.cuts.boxes import CropBox, inside_boxes
-from splatcomplete_data.cuts.geometry import PartialCut, by_plane, crop, looking_rotation
+from splatcomplete_data.cuts.geometry import (
+    PartialCut,
+    by_plane,
+    crop,
+    eyes_at,
+    looking_rotation,
+)
 from splatcomplete_data.cuts.transmittance import seen_splats
 from splatcomplete_data.objects import StepRecord
 
@@ -78,9 +84,15 @@ class ScanCut:
     directions_deg: tuple[tuple[float, float], ...]
     """Azimuth and elevation of every viewpoint."""
 
+    @property
+    def eyes(self) -> NDArray[np.float64]:  # [V, 3]
+        """Where the scanner stands, object frame."""
+        azimuths, elevations = np.deg2rad(np.array(self.directions_deg, np.float64)).T
+        return eyes_at(azimuths, elevations, SCAN_DISTANCE)
+
     def apply(self, complete: Splats) -> PartialCut:
         """Return what is kept of splats in the object frame."""
-        eyes = self.positions()
+        eyes = self.eyes
         # two pixels a splat: finer ones show nothing more
         typical = float(complete.scales.amax(dim=1).median())
         grid_px = int(np.clip(SCAN_WIDTH / max(1.3 * typical, 1e-9), 64, MAX_SCAN_GRID_PX))
@@ -95,13 +107,6 @@ class ScanCut:
             seen |= seen_splats(complete, eye, looking_rotation(eye, middle), grid_px, half)
         details = {"views": len(eyes), "eyes": eyes.round(3).tolist()}
         return PartialCut(torch.from_numpy(seen), "visibility", details)
-
-    def positions(self) -> NDArray[np.float64]:  # [n, 3]
-        """Return where the scanner stands, in the object frame."""
-        azimuths, elevations = np.deg2rad(np.array(self.directions_deg, np.float64)).T
-        level = np.cos(elevations)
-        out = [level * np.cos(azimuths), level * np.sin(azimuths), np.sin(elevations)]
-        return SCAN_DISTANCE * np.stack(out, axis=1)
 
 
 Cut = PlaneCut | BoxCut | ScanCut
@@ -140,7 +145,7 @@ def scanner_position(cuts: Sequence[Cut], frame: ObjectFrame) -> tuple[float, fl
     places = {place for cut in scans for place in cut.directions_deg}
     if len(places) != 1:
         return None
-    eye = torch.from_numpy(scans[0].positions()[0])
+    eye = torch.from_numpy(scans[0].eyes[0])
     x, y, z = frame.object_from_file.inverse().apply(eye).tolist()
     return (x, y, z)
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -23,46 +22,32 @@ from splatcomplete_data.cuts.geometry import (
     by_box,
     by_plane,
     by_visibility,
+    eyes_at,
     splat_points,
 )
 
+_KEEP_SHARE = (0.35, 0.75)
+"""Share of splats that plane cuts keep."""
+_FEWEST_SHARE, _MOST_SHARE = 0.12, 0.92
+"""A cut that keeps less, or more, is replaced by a plane cut."""
+_KIND_SHARES = (0.42, 0.18, 0.25, 0.08, 0.07)
+"""Shares of plane, box, visibility, plane+box and plane+visibility."""
 _SCAN_ELEVATION_DEG = (-10.0, 45.0)
 """Elevations of the scanner's views."""
+_SLIGHT_KIND_SHARES = (0.25, 0.35, 0.2, 0.2)
+"""Shares of nothing cut, views from all round, a plane, and a box taken out."""
+_SLIGHT_VIEWS = (3, 6)
+"""Least and most views from all round."""
+_SLIGHT_PLANE_SHARE = (0.85, 0.98)
+"""Share of splats that planes keep."""
+_SLIGHT_FEWEST_SHARE = 0.35
+"""Of a cut that keeps less, everything is kept instead. Of doubled walls, half is out of sight."""
 _SLIGHT_VIEW_JITTER_DEG = 25.0
 """Largest difference of a view's azimuth from an even spread."""
 _SLIGHT_VIEW_ELEVATION_DEG = (-10.0, 45.0)
 """Elevations of views."""
 _SLIGHT_BOX_SIZE = (0.15, 0.35)
 """Edges of boxes, object frame."""
-
-
-@dataclass(frozen=True, slots=True)
-class CutSettings:
-    """Knobs of ``random_partial``."""
-
-    keep_share: tuple[float, float] = (0.35, 0.75)
-    """Share of splats that plane cuts keep."""
-    fewest_share: float = 0.12
-    """A cut that keeps less is replaced by a plane cut."""
-    most_share: float = 0.92
-    """A cut that keeps more is replaced by a plane cut."""
-    weights: tuple[float, float, float, float, float] = (0.42, 0.18, 0.25, 0.08, 0.07)
-    """Shares of plane, box, visibility, plane+box and plane+visibility."""
-
-
-@dataclass(frozen=True, slots=True)
-class SlightCutSettings:
-    """Knobs of ``slight_partial``."""
-
-    weights: tuple[float, float, float, float] = (0.25, 0.35, 0.2, 0.2)
-    """Shares of nothing cut, views from all round, a plane, and a box taken out."""
-    views: tuple[int, int] = (3, 6)
-    """Least and most views from all round."""
-    plane_share: tuple[float, float] = (0.85, 0.98)
-    """Share of splats that planes keep."""
-    fewest_share: float = 0.35
-    """Of a cut that keeps less, everything is kept instead. Of doubled walls, half is out of
-    sight."""
 
 
 def _random_direction(rng: np.random.Generator) -> FloatArray:  # [3]
@@ -117,15 +102,8 @@ def _scan_from(
 ) -> PartialCut:
     """See the object from views at random elevations (degrees) and one random distance."""
     elevation = np.radians(rng.uniform(bounds[0], bounds[1], len(azimuth)))
-    eyes = np.stack(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-        ],
-        axis=1,
-    )
-    return by_visibility(splats, eyes * rng.uniform(1.6, 2.6), fov_deg=30.0)
+    eyes = eyes_at(azimuth, elevation) * rng.uniform(1.6, 2.6)
+    return by_visibility(splats, eyes, fov_deg=30.0)
 
 
 def _drawn_kind(weights: Sequence[float], rng: np.random.Generator) -> int:
@@ -133,26 +111,22 @@ def _drawn_kind(weights: Sequence[float], rng: np.random.Generator) -> int:
     return int(np.searchsorted(np.cumsum(weights), rng.random(), side="right"))
 
 
-def random_partial(
-    splats: Splats, seed: int, index: int, settings: CutSettings | None = None
-) -> PartialCut:
+def random_partial(splats: Splats, seed: int, index: int) -> PartialCut:
     """Cut an object at random: planes, boxes, scanner views, or two of them.
 
     Args:
         splats: a complete object in the object frame.
         seed: seed of the stream.
         index: which cut of the stream.
-        settings: None = defaults.
 
     Raises:
         ValueError: there are no splats.
     """
     if len(splats) == 0:
         raise ValueError("random_partial: no splats to cut")
-    chosen = settings or CutSettings()
     rng = np.random.default_rng((seed, index, 11))
-    kind = _drawn_kind(chosen.weights, rng)
-    low, high = chosen.keep_share
+    kind = _drawn_kind(_KIND_SHARES, rng)
+    low, high = _KEEP_SHARE
     share = float(rng.uniform(low, high))
     cuts: list[PartialCut]
     if kind == 0:
@@ -168,7 +142,7 @@ def random_partial(
         cuts = [_random_plane(splats, rng, 0.5 + 0.5 * share), scan]
     mask = torch.stack([cut.mask for cut in cuts]).all(dim=0)
     kept = float(mask.float().mean())
-    if not chosen.fewest_share <= kept <= chosen.most_share:
+    if not _FEWEST_SHARE <= kept <= _MOST_SHARE:
         return _random_plane(splats, rng, share)
     if len(cuts) == 1:
         return cuts[0]
@@ -176,36 +150,32 @@ def random_partial(
     return PartialCut(mask, "plane+box" if kind == 3 else "plane+visibility", details)
 
 
-def slight_partial(
-    splats: Splats, seed: int, index: int, settings: SlightCutSettings | None = None
-) -> PartialCut:
+def slight_partial(splats: Splats, seed: int, index: int) -> PartialCut:
     """Take little or nothing away, as a capture from all round misses what no camera saw.
 
     Args:
         splats: a complete object in the object frame.
         seed: seed of the stream.
         index: which cut of the stream.
-        settings: None = defaults.
 
     Raises:
         ValueError: there are no splats.
     """
     if len(splats) == 0:
         raise ValueError("slight_partial: no splats to cut")
-    chosen = settings or SlightCutSettings()
     rng = np.random.default_rng((seed, index, 13))
-    kind = _drawn_kind(chosen.weights, rng)
+    kind = _drawn_kind(_SLIGHT_KIND_SHARES, rng)
     found: PartialCut | None = None
     if kind == 1:
-        count = int(rng.integers(chosen.views[0], chosen.views[1] + 1))
+        count = int(rng.integers(_SLIGHT_VIEWS[0], _SLIGHT_VIEWS[1] + 1))
         jitter = np.radians(rng.uniform(-1, 1, count) * _SLIGHT_VIEW_JITTER_DEG)
         azimuth = rng.uniform(0, 2 * math.pi) + np.arange(count) * (2 * math.pi / count) + jitter
         found = _scan_from(splats, rng, azimuth, _SLIGHT_VIEW_ELEVATION_DEG)
     elif kind == 2:
-        found = _random_plane(splats, rng, float(rng.uniform(*chosen.plane_share)))
+        found = _random_plane(splats, rng, float(rng.uniform(*_SLIGHT_PLANE_SHARE)))
     elif kind == 3:
         anchor = splat_points(splats)[int(rng.integers(len(splats)))]
         found = by_box(splats, anchor, rng.uniform(*_SLIGHT_BOX_SIZE, 3), keep="outside")
-    if found is None or found.kept < chosen.fewest_share * len(splats):
+    if found is None or found.kept < _SLIGHT_FEWEST_SHARE * len(splats):
         return PartialCut(torch.ones_like(splats.opacities, dtype=torch.bool), "nothing")
     return found

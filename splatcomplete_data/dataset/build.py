@@ -130,10 +130,19 @@ def build(
         on_outcome(outcome, done, total)
 
     failed: dict[str, str] = {}
-    for outcome in _run_all(captures, data, out, reach, 1, {}, tell, any_code):
+    for outcome in _run_all(captures, data, out, reach, 1, tell, any_code):
         if outcome.status == "failed":
             failed[outcome.id] = outcome.message
-    for outcome in _run_all(objects, data, out, reach, workers, failed, tell, any_code):
+    ready = []
+    for entry in objects:
+        broken = [name for name in entry.captures() if name in failed]
+        if broken:
+            why = f"its capture {broken[0]!r} failed"
+            outcomes[entry.id] = Outcome(entry.id, "failed", why)
+            tell(outcomes[entry.id])
+        else:
+            ready.append(entry)
+    for outcome in _run_all(ready, data, out, reach, workers, tell, any_code):
         outcomes[outcome.id] = outcome
     write_index(recipe, out)
     del lock
@@ -223,7 +232,6 @@ def _run_all(
     out: Path,
     reach: Path | None,
     workers: int,
-    failed: dict[str, str],
     tell: Callable[[Outcome], None],
     any_code: bool,
 ) -> list[Outcome]:
@@ -236,10 +244,7 @@ def _run_all(
 
     waiting = []
     for entry in entries:
-        broken = [name for name in entry.captures() if name in failed]
-        if broken:
-            settle(Outcome(entry.id, "failed", f"its capture {broken[0]!r} failed"))
-        elif is_up_to_date(entry, data, out, reach, any_code=any_code):
+        if is_up_to_date(entry, data, out, reach, any_code=any_code):
             settle(Outcome(entry.id, "up to date"))
         else:
             waiting.append(entry)

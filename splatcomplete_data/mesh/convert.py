@@ -43,6 +43,8 @@ REACH_SIGMAS = 2.0
 """A splat reaches this many standard deviations far: its opacity is 13 % of the middle's there."""
 MOST_OVERHANG = 0.5
 """Farther than this, in spacings, no splat reaches beyond an edge of its surface."""
+INSET = 0.3
+"""How far borders and folds are moved inwards, over the cell's side."""
 FAINT = 0.02
 """Blended surface with a smaller alpha is dropped."""
 _NORMAL_PER_TANGENT = 0.02
@@ -62,8 +64,6 @@ class ConvertSettings:
     splats has an alpha of 0.84; below 0.45 holes show, above 0.6 texture blurs."""
     opacity: float = 0.99
     """Opacity of every splat, in (0, 1)."""
-    inset: float = 0.3
-    """How far borders and folds are moved inwards, over the cell's side."""
     seed: int = 0
     """Seed of ``random`` and ``poisson``; the others draw no random numbers."""
 
@@ -200,7 +200,7 @@ def _even_cells(
         allotment.counts,
         areas,
         marked,
-        settings.inset,
+        INSET,
         allotment.spacing,
         cells.triangle,
         cells.weights,

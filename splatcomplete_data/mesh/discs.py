@@ -24,16 +24,11 @@ FloatArray = NDArray[np.float32]
 PointColors = Callable[[FloatArray], FloatArray]
 
 
-@dataclass(frozen=True, slots=True)
-class DiscSettings:
-    """How a surface sample becomes a disc."""
-
-    tangent_per_spacing: float = 0.6
-    """Tangent standard deviation over spacing; below about 0.5 the surface shows holes."""
-    normal_per_tangent: float = 0.05
-    """Thickness over tangent standard deviation."""
-    opacity: float = 0.97
-    """Opacity of every disc, in [0, 1]."""
+DISC_OPACITY = 0.97
+_TANGENT_PER_SPACING = 0.6
+"""Tangent standard deviation over spacing; below about 0.5 the surface shows holes."""
+_NORMAL_PER_TANGENT = 0.05
+"""Thickness over tangent standard deviation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,22 +77,21 @@ def discs_at(
     normals: FloatArray,  # [N, 3]
     colors: FloatArray,  # [N, 3] sRGB in [0, 1]
     spacing: FloatArray | float,  # [N] or one number
-    settings: DiscSettings | None = None,
+    opacity: float = DISC_OPACITY,
 ) -> Splats:
-    """Put one oriented disc at every surface point; None means the default settings."""
-    chosen = settings or DiscSettings()
+    """Put one oriented disc at every surface point."""
     count = len(points)
     tangent = np.broadcast_to(
-        np.asarray(spacing, np.float32) * np.float32(chosen.tangent_per_spacing), (count,)
+        np.asarray(spacing, np.float32) * np.float32(_TANGENT_PER_SPACING), (count,)
     )
     scales = np.empty((count, 3), np.float32)
     scales[:, 0] = scales[:, 1] = tangent
-    scales[:, 2] = tangent * chosen.normal_per_tangent
+    scales[:, 2] = tangent * _NORMAL_PER_TANGENT
     return Splats(
         means=torch.from_numpy(np.ascontiguousarray(points, np.float32)),
         quaternions=torch.from_numpy(quaternions_from_normals(normals)),
         scales=torch.from_numpy(scales),
-        opacities=torch.full((count,), chosen.opacity),
+        opacities=torch.full((count,), opacity),
         sh=colors_to_sh(torch.from_numpy(np.ascontiguousarray(colors, np.float32))),
     )
 
@@ -146,7 +140,6 @@ def triangles_to_discs(
     count: int,
     seed: int = 0,
     *,
-    settings: DiscSettings | None = None,
     point_colors: PointColors | None = None,
 ) -> Splats:
     """Cover a triangle mesh with ``count`` oriented discs.
@@ -155,7 +148,6 @@ def triangles_to_discs(
         triangles: the surface.
         count: number of splats.
         seed: seed of the sampling.
-        settings: disc shape, None = defaults.
         point_colors: colours [N, 3] as a function of points [N, 3]; None interpolates the corner
             colours.
 
@@ -170,4 +162,4 @@ def triangles_to_discs(
     else:
         colors = point_colors(points)
     spacing = float(np.sqrt(areas.sum(dtype=np.float64) / count))
-    return discs_at(points, normals[triangle], colors, spacing, settings)
+    return discs_at(points, normals[triangle], colors, spacing)

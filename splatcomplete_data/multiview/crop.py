@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
 from gscomplete.splats import usable_rows
-from gscomplete.splats.ply import SplatFile, splat_element
+from gscomplete.splats.ply import SplatFile
 from gscomplete.util.atomic import atomic_path
 from splatcomplete_data.cuts.boxes import CropBox, inside_boxes
 
@@ -52,8 +52,7 @@ def write_rows(path: Path, source: SplatFile, mask: NDArray[np.bool_]) -> None: 
     Raises:
         UserError: the file cannot be written.
     """
-    header, payload = source.header, source.payload
-    element = splat_element(header, source.path)
+    header, element, payload = source.header, source.element, source.payload
     lines = list(header.lines)
     count = int(mask.sum())
     lines[element.line] = f"element {element.name} {count}".encode() + header.newline

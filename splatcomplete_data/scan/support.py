@@ -23,6 +23,8 @@ from numpy.typing import NDArray
 BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float64]
 
+_LEAST_SHARE = 0.12
+"""A plane holds at least this share of the points that no plane holds yet."""
 _SEARCH_POINTS = 6000
 """Points that RANSAC counts."""
 _FURTHER_CANDIDATES = 3
@@ -47,8 +49,6 @@ class PlaneSettings:
 
     thickness: float = 4.0
     """Largest half thickness; planes with less noise get 3.2 standard deviations."""
-    share: float = 0.12
-    """Least share of the points that no plane holds yet."""
     seed: int = 0
     """Seed of RANSAC."""
 
@@ -188,7 +188,7 @@ def find_plane(
         normal = np.linalg.eigh(np.cov((points[inside] - center).T))[1][:, 0]
         plane = np.append(normal, -normal @ center)
     inside = np.abs(points @ plane[:3] + plane[3]) <= thickness
-    return (plane, inside) if inside.mean() >= settings.share else None
+    return (plane, inside) if inside.mean() >= _LEAST_SHARE else None
 
 
 def _is_level(plane: SupportPlane) -> bool:

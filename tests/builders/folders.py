@@ -11,7 +11,13 @@ from gscomplete.splats import Splats, append_splats, read_splats
 from gscomplete.splats.transform import transform_splats
 from gscomplete.views import ObjectFrame, ViewDistribution
 from splatcomplete_data.cuts.boxes import CropBox
-from splatcomplete_data.objects import ObjectRecord, SourceRecord, StepRecord, write_object
+from splatcomplete_data.objects import (
+    PREVIEW_FILE,
+    ObjectRecord,
+    SourceRecord,
+    StepRecord,
+    write_object,
+)
 
 
 def object_record(**changes: object) -> ObjectRecord:
@@ -44,7 +50,8 @@ def write_object_folder(
         "views": ViewDistribution(30.0, 10.0, 40.0, 12.0),
     }
     record = ObjectRecord(**(values | changes))
-    write_object(folder, record, partial, complete, preview=Image.new("RGB", (4, 4)))
+    pictures = {PREVIEW_FILE: Image.new("RGB", (4, 4))}
+    write_object(folder, record, partial, complete, pictures=pictures)
     return folder
 
 

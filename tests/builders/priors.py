@@ -1,13 +1,11 @@
 """Priors that know the answer, and remember how they were asked."""
 
 from gscomplete.priors.base import Guidance
-from recipes.stress_numerics.known_object import KnownObject
+from recipes.stress_numerics.poisoned_prior import PoisonedPrior
 
 
-class OraclePrior(KnownObject):
-    """Asks for guidance of its own and keeps what it was given."""
-
-    name = "oracle"
+class OraclePrior(PoisonedPrior):
+    """Knows one object, asks for guidance of its own and keeps what it was given."""
 
     guidance_seen: Guidance | None = None
 

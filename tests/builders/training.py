@@ -30,37 +30,24 @@ def stub_source(seed: int, index: int) -> TrainingObject:
     return TrainingObject(splats, caption, lambda disturb, slight: splats if slight else kept)
 
 
+_SHORT: dict[str, object] = {
+    "minutes": None,
+    "steps": 4,
+    "warmup_steps": 2,
+    "replicas": 1,
+    "workers": 0,
+    "evaluation_sets": 0,
+    "shard_sets": 2,
+    "precision": "float32",
+}
+
+
 def tiny_run(out: Path, **changes: object) -> TrainConfig:
-    options: dict[str, object] = {
-        "minutes": None,
-        "steps": 4,
-        "batch_sets": 2,
-        "warmup_steps": 2,
-        "replicas": 1,
-        "workers": 0,
-        "evaluation_sets": 0,
-        "shard_sets": 2,
-        "precision": "float32",
-        "data": DATA,
-        "model": TINY,
-    }
+    options = _SHORT | {"batch_sets": 2, "data": DATA, "model": TINY}
     return TrainConfig(out=out, **(options | changes))  # type: ignore[arg-type]
 
 
 def tiny_shape_run(out: Path, **changes: object) -> ShapeTrainConfig:
-    options: dict[str, object] = {
-        "minutes": None,
-        "steps": 4,
-        "batch_sets": 3,
-        "fresh_sets": 2,
-        "warmup_steps": 2,
-        "replicas": 1,
-        "workers": 0,
-        "evaluation_sets": 0,
-        "shard_sets": 2,
-        "precision": "float32",
-        "model": ShapeModelConfig(
-            vocabulary_size=2 + len(WORDS), widths=(8, 8, 16), blocks=(1, 1, 1), embedding=8
-        ),
-    }
+    model = ShapeModelConfig(2 + len(WORDS), widths=(8, 8, 16), blocks=(1, 1, 1), embedding=8)
+    options = _SHORT | {"batch_sets": 3, "fresh_sets": 2, "model": model}
     return ShapeTrainConfig(out=out, **(options | changes))  # type: ignore[arg-type]

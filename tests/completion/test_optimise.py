@@ -212,11 +212,10 @@ def test_rates_that_make_no_sense_are_refused(rate):
         LearningRates(means_final=rate)
 
 
-def test_settings_replace_only_the_scales_they_name():
-    """A rescale alone must not reset the prior's own text scale."""
+def test_guidance_is_the_prior_s_own_but_for_what_the_rescale_is_about():
     prior = OraclePrior(TRUTH)
-    completion(dataclasses.replace(DISTILL, steps=1, rescale=0.75), prior).step()
-    assert prior.guidance_seen == Guidance(text_scale=9.0, rescale=0.75)
+    completion(dataclasses.replace(DISTILL, steps=1, rescale_about="background"), prior).step()
+    assert prior.guidance_seen == Guidance(9.0, rescale=0.25, rescale_about="background")
 
 
 def test_the_preservation_loss_is_unmasked_in_the_warm_up_alone(monkeypatch):
@@ -260,11 +259,11 @@ def test_step_sizes_and_pruning_follow_the_progress(monkeypatch):
         return prune_mask(splats, opacity, radius)
 
     monkeypatch.setattr("gscomplete.completion.optimise.prune_mask", spy)
-    densify = DensifySettings(every=2, final_from=0.5, final_opacity=0.2, prune_opacity=0.01)
+    densify = DensifySettings(every=2, final_from=0.5)
     settings = {**QUICK, "steps": 12, "densify": densify}
     job = completion(dataclasses.replace(DISTILL, **settings))
     step = job.parameters.step
     monkeypatch.setattr(job.parameters, "step", lambda at: progress.append(at) or step(at))
     finish(job)
     assert progress == pytest.approx([k / 12 for k in range(12)])
-    assert limits == [0.01, 0.01, 0.2, 0.2, 0.2]  # after steps 2, 4, 6, 8 and 10
+    assert limits == [0.01, 0.01, 0.1, 0.1, 0.1]  # after steps 2, 4, 6, 8 and 10

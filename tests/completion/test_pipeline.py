@@ -5,8 +5,9 @@ import dataclasses
 import pytest
 import torch
 
+from gscomplete.api import complete
 from gscomplete.completion import run_folder
-from gscomplete.completion.pipeline import Request, complete, finish, prepare
+from gscomplete.completion.pipeline import Request, finish, prepare
 from gscomplete.completion.presets import DEFAULT, DISTILL, RECONSTRUCT
 from gscomplete.errors import UserError
 from gscomplete.framing.decide import FramingRequest

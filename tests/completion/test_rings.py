@@ -1,5 +1,6 @@
 """Rings of views and the memory of their targets."""
 
+import pytest
 import torch
 
 from gscomplete.completion.rings import Ring, RingMemory, inside_distribution, random_ring
@@ -37,6 +38,16 @@ def test_a_memory_is_restored_as_it_was():
         assert torch.equal(again[k].alpha, memory[k].alpha)
         for name in ("camera_from_world", "focal_px", "center_px"):
             assert torch.equal(getattr(again[k].cameras, name), getattr(memory[k].cameras, name))
+
+
+@pytest.mark.parametrize("name", ["step", "alpha", "focal_px"])
+def test_a_ring_that_lacks_something_is_refused(name):
+    memory = RingMemory(3)
+    memory.add(ring(1))
+    state = memory.tensors
+    del state[f"ring.0.{name}"]
+    with pytest.raises(ValueError, match=rf"ring\.0\.{name}: expected"):
+        memory.restore(state)
 
 
 def test_targets_keep_their_mean_at_another_size():

@@ -14,12 +14,8 @@ from gscomplete.completion.seam import (
     oklab_from_srgb,
     srgb_from_oklab,
 )
-from gscomplete.completion.settings import SeamColorSettings
-from gscomplete.errors import UserError
 from gscomplete.splats import Splats, colors_to_sh, concatenate
 from tests.builders.objects import round_splats
-
-SETTINGS = SeamColorSettings()
 
 
 def strip(start: float, stop: float, color: torch.Tensor) -> Splats:
@@ -49,7 +45,7 @@ def test_oklab_of_known_colours():
 
 
 def test_the_difference_goes_at_the_seam_and_fades_away_from_it():
-    matched, report = match_seam_colors(NEW, PARTIAL, SETTINGS)
+    matched, report = match_seam_colors(NEW, PARTIAL)
     off = (matched.base_colors - torch.tensor([0.8, 0.3, 0.2])).norm(dim=1)
     near, middle, far = (NEW.means[:, 0] < 0.02, (NEW.means[:, 0] - 0.15).abs() < 0.01,
                          NEW.means[:, 0] > 0.5)  # fmt: skip
@@ -62,7 +58,7 @@ def test_the_difference_goes_at_the_seam_and_fades_away_from_it():
 
 def test_only_base_colours_change():
     new = dataclasses.replace(NEW, sh=torch.cat([NEW.sh, torch.ones(len(NEW), 3, 3)], dim=1))
-    matched, _ = match_seam_colors(new, PARTIAL, SETTINGS)
+    matched, _ = match_seam_colors(new, PARTIAL)
     assert torch.equal(matched.sh[:, 1:], new.sh[:, 1:])
     for name, value in matched.fields():
         if name != "sh":
@@ -72,9 +68,7 @@ def test_only_base_colours_change():
 def test_a_pattern_stays():
     # Stripes narrower than the neighbourhood keep their contrast while their mean moves.
     stripes = torch.where((torch.arange(len(NEW)) % 2 == 0)[:, None], 0.4, 0.6).expand(-1, 3)
-    matched, _ = match_seam_colors(
-        dataclasses.replace(NEW, sh=colors_to_sh(stripes)), PARTIAL, SETTINGS
-    )
+    matched, _ = match_seam_colors(dataclasses.replace(NEW, sh=colors_to_sh(stripes)), PARTIAL)
     near = matched.base_colors[NEW.means[:, 0] < 0.02]
     contrast = oklab_from_srgb(near[1::2]) - oklab_from_srgb(near[::2])
     before = oklab_from_srgb(torch.full((1, 3), 0.6)) - oklab_from_srgb(torch.full((1, 3), 0.4))
@@ -83,7 +77,7 @@ def test_a_pattern_stays():
 
 def test_equal_colours_stay_equal():
     same = strip(0.0, 0.3, torch.tensor([0.8, 0.3, 0.2]))
-    matched, report = match_seam_colors(same, PARTIAL, SETTINGS)
+    matched, report = match_seam_colors(same, PARTIAL)
     assert torch.allclose(matched.sh, same.sh, atol=1e-5)
     assert report.difference_before < 1e-6
 
@@ -93,30 +87,24 @@ def test_without_a_seam_nothing_changes(shift):
     new = NEW.select(torch.zeros(0, dtype=torch.long))
     if shift is not None:
         new = dataclasses.replace(NEW, means=NEW.means + shift)
-    matched, report = match_seam_colors(new, PARTIAL, SETTINGS)
+    matched, report = match_seam_colors(new, PARTIAL)
     assert torch.equal(matched.sh, new.sh)
     assert report.changed == report.seam_splats == 0
 
 
-@pytest.mark.parametrize(("field", "value"), [("reach", 0.0), ("neighbours", 0)])
-def test_settings_out_of_range_are_refused(field, value):
-    with pytest.raises(UserError, match=field):
-        SeamColorSettings(**{field: value})
-
-
 def test_faint_splats_have_no_say():
     green = torch.tensor([0.1, 0.9, 0.1])
-    expected, _ = match_seam_colors(NEW, PARTIAL, SETTINGS)
+    expected, _ = match_seam_colors(NEW, PARTIAL)
     dust = strip(-0.05, 0.05, green)
     dust = dataclasses.replace(dust, opacities=torch.full((len(dust),), 0.09))
-    matched, _ = match_seam_colors(NEW, concatenate([PARTIAL, dust]), SETTINGS)
+    matched, _ = match_seam_colors(NEW, concatenate([PARTIAL, dust]))
     assert torch.equal(matched.sh, expected.sh)
-    matched, report = match_seam_colors(concatenate([NEW, dust]), PARTIAL, SETTINGS)
+    matched, report = match_seam_colors(concatenate([NEW, dust]), PARTIAL)
     assert torch.equal(matched.sh[: len(NEW)], expected.sh)
     assert report.seam_splats < len(NEW)
 
 
-def test_the_shift_is_the_weighted_mean_of_the_differences_at_the_seam():
+def test_the_shift_is_the_weighted_mean_of_the_differences_at_the_seam(monkeypatch):
     """Two pairs at the seam, 0.04 apart, and one new splat 0.03 and 0.05 from them."""
     places = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.04, 0.0]])
     colors = torch.tensor([[0.8, 0.3, 0.2], [0.3, 0.4, 0.7]])
@@ -129,8 +117,9 @@ def test_the_shift_is_the_weighted_mean_of_the_differences_at_the_seam():
         means=torch.cat([places, torch.tensor([[0.03, 0.0, 0.0]])]),
         sh=colors_to_sh(own),
     )
-    settings = SeamColorSettings(reach=0.01, smoothness=0.04, fade=0.05, neighbours=1)
-    matched, report = match_seam_colors(new, partial, settings)
+    for name, value in {"REACH": 0.01, "SMOOTHNESS": 0.04, "FADE": 0.05, "NEIGHBOURS": 1}.items():
+        monkeypatch.setattr(f"gscomplete.completion.seam._{name}", value)
+    matched, report = match_seam_colors(new, partial)
     assert report.seam_splats == 2
     gap = oklab_from_srgb(colors) - oklab_from_srgb(own[:2])
     squared = torch.tensor([0.03**2, 0.05**2], dtype=torch.float64)

@@ -64,8 +64,6 @@ def test_splats_that_nothing_pulls_are_left_alone():
     job = parameters(10)
     settings = DensifySettings(growth=1.0)
     assert subdivide(job, GradientStatistics(10), settings, seed=0, step=0) == 0
-    at_the_limit = dataclasses.replace(settings, gradient=0.5)
-    assert subdivide(job, pulled(torch.full((10,), 0.5)), at_the_limit, seed=0, step=0) == 0
 
 
 def test_only_a_share_of_the_splats_is_divided_at_once():

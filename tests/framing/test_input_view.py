@@ -5,10 +5,10 @@ import dataclasses
 import pytest
 import torch
 
+from gscomplete.framing import input_view
 from gscomplete.framing.guess import guess_framing
 from gscomplete.framing.input_view import (
     DEPTH_TOLERANCE,
-    InputViewSettings,
     hidden_share,
     refine_input_view,
 )
@@ -34,7 +34,7 @@ def test_the_wrong_side_gives_way_to_the_right_one() -> None:
 
 def test_what_the_note_says_of_hidden_shares_is_so() -> None:
     settled, note = refine_input_view(PART, REST, WRONG)
-    shares = [hidden_share(PART, WHOLE, v, InputViewSettings()) for v in (WRONG, settled)]
+    shares = [hidden_share(PART, WHOLE, v) for v in (WRONG, settled)]
     assert shares[0] > 0.5 > 0.05 > shares[1]
     assert f"hides {100 * shares[0]:.0f} % of P, from here {100 * shares[1]:.0f} %" in note
 
@@ -55,15 +55,16 @@ def test_nothing_new_changes_nothing() -> None:
     assert refine_input_view(PART, PART.select(torch.arange(0)), WRONG) == (WRONG, "")
 
 
-def test_a_choice_of_p_s_splats_is_enough() -> None:
-    few = InputViewSettings(max_splats=len(PART) // 3)
-    assert refine_input_view(PART, REST, WRONG, few)[0] == refine_input_view(PART, REST, WRONG)[0]
+def test_a_choice_of_p_s_splats_is_enough(monkeypatch) -> None:
+    all_of_them, _ = refine_input_view(PART, REST, WRONG)
+    monkeypatch.setattr(input_view, "_MAX_SPLATS", len(PART) // 3)
+    assert refine_input_view(PART, REST, WRONG)[0] == all_of_them
 
 
-def test_views_that_show_p_badly_are_not_asked() -> None:
-    only_best = InputViewSettings(least_score=1.0)
+def test_views_that_show_p_badly_are_not_asked(monkeypatch) -> None:
+    monkeypatch.setattr(input_view, "_LEAST_SCORE", 1.0)
     best = guess_framing(PART)
-    settled, _ = refine_input_view(PART, REST, WRONG, only_best)
+    settled, _ = refine_input_view(PART, REST, WRONG)
     assert settled.azimuth_deg == best.view_azimuth_deg
 
 
@@ -74,7 +75,5 @@ def test_a_layer_within_the_tolerance_hides_nothing(far: float) -> None:
         torch.cartesian_prod(torch.zeros(1), line, line), scale=0.015, opacity=0.99
     )
     before = dataclasses.replace(board, means=board.means + torch.tensor([far, 0.0, 0.0]))
-    share = hidden_share(
-        board, concatenate([board, before]), ViewDistribution(0.0, 0.0, 0.0), InputViewSettings()
-    )
+    share = hidden_share(board, concatenate([board, before]), ViewDistribution(0.0, 0.0, 0.0))
     assert share < 0.01 if far < DEPTH_TOLERANCE else share > 0.95

@@ -9,7 +9,7 @@ from gscomplete.render import render
 from gscomplete.shape.assemble import (
     AssembleSettings,
     assemble_splats,
-    mirror_note,
+    notes_of,
     select_consistent,
 )
 from gscomplete.shape.network import ShapeOutput
@@ -33,7 +33,7 @@ def predicted(symmetry_score: float, *, confidence: float = 200.0) -> Prediction
     distance = torch.from_numpy(np.linalg.norm(cell_centers(CELLS), axis=-1))
     nothing = torch.zeros(1, SOURCES + 1, *(COARSE_CELLS,) * 3)
     output = ShapeOutput((confidence * (0.42 - distance))[None], nothing[:, :3], nothing)
-    return Prediction(voxels, voxels.with_copies(mirrors()), output, symmetry_score)
+    return Prediction(voxels, voxels.with_copies(mirrors()), output, symmetry_score, None)
 
 
 def put_together(prediction: Prediction, **changes: object):
@@ -151,14 +151,23 @@ def test_what_the_network_leaves_empty_is_not_mirrored():
     assert len(put_together(dataclasses.replace(prediction, output=empty))) == 0
 
 
-def test_the_note_tells_the_plane_as_users_ask_for_it():
-    assert mirror_note(predicted(0.9), 7) == (
-        "mirrored by P's own splats through the upright plane 0.0,0.000 (--mirror)"
+def test_notes_tell_the_plane_as_users_ask_for_it():
+    assert notes_of(predicted(0.9), 7) == (
+        "mirrored by P's own splats through the upright plane 0.0,0.000 (--mirror)",
     )
-    assert "as a hint" in mirror_note(predicted(0.9), 0)
+    assert "as a hint" in notes_of(predicted(0.9), 0)[0]
     prediction = predicted(0.0)
     alone = prediction.voxels.with_copies(no_symmetries())
-    assert mirror_note(dataclasses.replace(prediction, seen=alone), 0) == "not mirrored"
+    assert notes_of(dataclasses.replace(prediction, seen=alone), 0) == ("not mirrored",)
+
+
+def test_notes_tell_how_much_the_prompt_decides():
+    told = [
+        notes_of(dataclasses.replace(predicted(0.9), prompt_share=share), 0)[0]
+        for share in (0.0199, 0.25)
+    ]
+    assert "next to nothing of the shape (2.0%)" in told[0]
+    assert told[1] == "prompt: changes 25% of the guessed shape"
 
 
 def test_where_no_mirrored_splat_is_left_the_networks_surface_is_all():

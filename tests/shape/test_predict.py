@@ -2,7 +2,13 @@ import pytest
 import torch
 
 from gscomplete.shape.partial_voxels import voxelize_partial
-from gscomplete.shape.predict import predict, predict_occupancy, turned, turned_back
+from gscomplete.shape.predict import (
+    differing_share,
+    predict,
+    predict_occupancy,
+    turned,
+    turned_back,
+)
 from gscomplete.shape.symmetry_choice import choose_symmetries
 from gscomplete.views import ViewDistribution
 from tests.builders.objects import ball, half
@@ -38,3 +44,23 @@ def test_the_answer_is_to_what_was_chosen(model):
         assert (found.shift == expected.shift).all()
     again = predict_occupancy(model, guess.seen, tokens)
     assert torch.equal(guess.output.occupancy, again.occupancy)
+
+
+def test_what_the_prompt_changes_is_counted_and_told(model):
+    partial, views = half(ball()), ViewDistribution(0.0, 10.0)
+    one, other = torch.tensor([2, 3]), torch.tensor([1, 0])
+    asked = predict(model, partial, views, one, ends_in_plane=True, no_tokens=other)
+    filled = [
+        predict_occupancy(model, asked.seen, tokens, orientations=1).occupancy > 0
+        for tokens in (one, other)
+    ]
+    expected = float((filled[0] ^ filled[1]).sum() / (filled[0] | filled[1]).sum())
+    assert asked.prompt_share == pytest.approx(expected)
+    same = predict(model, partial, views, other, ends_in_plane=True, no_tokens=other)
+    assert same.prompt_share is None
+
+
+def test_cells_that_differ_are_counted_against_those_that_either_fills():
+    one, other = torch.tensor([1.0, 1.0, -1.0, -1.0]), torch.tensor([1.0, -1.0, 1.0, -1.0])
+    assert differing_share(one, other) == pytest.approx(2 / 3)
+    assert differing_share(-one.abs(), -one.abs()) == 0.0

@@ -24,7 +24,7 @@ Conventions
   all of V) come back bit for bit.
 * Check views are never fitted to: they are other members of V's low-discrepancy sequence than
   the views of the rounds, of which every round has its own.
-* Errors over check views are held below ``margin`` times the bounds, for the views in between.
+* Errors over check views are held below ``MARGIN`` times the bounds, for the views in between.
 * All is a function of (splats, P, V, settings, seed).
 """
 
@@ -39,6 +39,7 @@ import torch
 from torch import Tensor
 
 from gscomplete.completion.preserve.fit import (
+    MARGIN,
     RoundProblem,
     fit_round,
     masked_errors,
@@ -59,8 +60,22 @@ from gscomplete.util.randomness import generator_for
 from gscomplete.util.same_bits import fixed_sum
 from gscomplete.views import Cameras, ViewDistribution, join_cameras
 
+_CHECK_VIEWS = 24
+"""Views of V that the errors are measured over; never those that splats are fitted to."""
+_CHECK_PX = 256
+"""Side of the check views: that of the evaluation, since errors grow with the resolution."""
 _FIRST_CHECK_VIEW = 10_000
 """Place in V's sequence of the first check view; rounds use the places from 1 on."""
+_FIT_VIEWS = 10
+"""Views of V of one round."""
+_FIT_PX = 128
+"""Side of the pictures that splats are fitted to."""
+_MAX_BACKING = 30_000
+"""Most copies of P's splats tried behind its thin places."""
+_HALVINGS = 3
+"""How often it is tried to take back half of what the last round did."""
+_PRUNE_OPACITY = 0.01
+"""Splats faded below this opacity are removed."""
 _WATCHED_SHARE = 0.5
 """Refitting watches errors above this share of what is aimed at, not only those above it."""
 _FAINT = 0.05
@@ -130,7 +145,7 @@ def preserve_hard(
         found, fadings = work.check(current), fadings + 1
         if not (last_resort or work.above(found)):
             current, found = work.no_further_than_needed(previous, current, found)
-    kept = _still_visible(start, current, settings.prune_opacity)
+    kept = _still_visible(start, current, _PRUNE_OPACITY)
     count = len(original)
     return HardPreservation(
         current.select(kept),
@@ -165,9 +180,9 @@ class _Work:
         self._partial, self._distribution = partial, distribution
         self._settings, self._seed, self._original = settings, seed, original
         self._background = partial.means.new_tensor(MID_GREY)
-        checked = self._views(_FIRST_CHECK_VIEW, settings.check_views, settings.check_px)
+        checked = self._views(_FIRST_CHECK_VIEW, _CHECK_VIEWS, _CHECK_PX)
         self._check = prepare_frozen(partial, checked)
-        self._outside = outside_cameras(distribution, settings.fit_px)
+        self._outside = outside_cameras(distribution, _FIT_PX)
 
     @torch.no_grad()
     def check(self, splats: Splats) -> CheckedErrors:
@@ -183,26 +198,23 @@ class _Work:
         """Return the errors, in units of what is aimed at, that are above a share of that."""
         settings = self._settings
         relative = {
-            "color": found.color / (settings.margin * settings.color_bound),
-            "depth": found.depth / (settings.margin * settings.depth_bound),
+            "color": found.color / (MARGIN * settings.color_bound),
+            "depth": found.depth / (MARGIN * settings.depth_bound),
         }
         return {name: value for name, value in relative.items() if value > share}
 
     def backed(self, splats: Splats, found: CheckedErrors) -> tuple[Splats, CheckedErrors]:
         """Back P's thin places with copies of its own splats, if that makes the errors smaller."""
-        settings = self._settings
-        if settings.max_backing == 0:
-            return splats, found
         generator = generator_for(self._seed, 0, "backing")
-        copies = thinned(self._partial, settings.max_backing, generator)
-        camera = self._distribution.input_camera(settings.check_px)
+        copies = thinned(self._partial, _MAX_BACKING, generator)
+        camera = self._distribution.input_camera(_CHECK_PX)
         away = camera.camera_from_world[0, 2, :3].to(copies.means)
         copies = dataclasses.replace(
             copies.with_sh_degree(splats.sh_degree),
             means=copies.means + _BACKING_DISTANCE * away,
         )
         faint = dataclasses.replace(copies, opacities=torch.full_like(copies.opacities, _FAINT))
-        prepared = prepare_frozen(self._partial, self._round_views(0, settings.fit_px))
+        prepared = prepare_frozen(self._partial, self._round_views(0, _FIT_PX))
         watched = tuple(self.above(found))
         gain = -self._contributions(concatenate([splats, faint]), prepared, watched)[len(splats) :]
         helpful = largest_share(gain.clamp_min(0.0), _ACTIVE_SHARE)
@@ -214,7 +226,7 @@ class _Work:
     def refit(self, splats: Splats, found: CheckedErrors, round_: int) -> Splats:
         """Let the splats that contribute fade, move and shrink for some steps."""
         settings = self._settings
-        cameras = self._round_views(round_, settings.fit_px)
+        cameras = self._round_views(round_, _FIT_PX)
         prepared = prepare_frozen(self._partial, cameras)
         watched = tuple(self.above(found, _WATCHED_SHARE))
         contributions = self._contributions(splats, prepared, watched)
@@ -240,7 +252,7 @@ class _Work:
         """Go back from splats within the bounds towards those before, by halving."""
         low, high = 0.0, 1.0
         best = near
-        for _ in range(self._settings.halvings):
+        for _ in range(_HALVINGS):
             if self.above(found, _CLOSE_SHARE):
                 break
             middle = 0.5 * (low + high)
@@ -258,7 +270,7 @@ class _Work:
         """Fade the largest contributors, as many as the excess asks for; or clear them."""
         prepared = self._check
         if not entirely:
-            views = self._round_views(rounds + sweep, self._settings.check_px)
+            views = self._round_views(rounds + sweep, _CHECK_PX)
             prepared = prepare_frozen(self._partial, views)
         too_large = self.above(found)
         contributions = self._contributions(splats, prepared, too_large)
@@ -271,7 +283,7 @@ class _Work:
             chosen &= largest_share(contributions.clamp_min(0.0), _FADED_SHARE)
         share = torch.where(chosen, 0.0 if entirely else _FADE, 1.0)
         opacities = splats.opacities * share
-        opacities = torch.where(chosen & (opacities < self._settings.prune_opacity), 0.0, opacities)
+        opacities = torch.where(chosen & (opacities < _PRUNE_OPACITY), 0.0, opacities)
         return dataclasses.replace(splats, opacities=opacities), chosen
 
     def _views(self, first: int, count: int, size_px: int) -> Cameras:
@@ -280,8 +292,7 @@ class _Work:
 
     def _round_views(self, round_: int, size_px: int) -> Cameras:
         """Return the views of one round, which no other round has."""
-        count = self._settings.fit_views
-        return self._views(1 + round_ * count, count, size_px)
+        return self._views(1 + round_ * _FIT_VIEWS, _FIT_VIEWS, size_px)
 
     @torch.no_grad()
     def _as_it_was(self, cameras: Cameras) -> Render:

@@ -28,6 +28,9 @@ from gscomplete.util.same_bits import fixed_mean, fixed_sigmoid, fixed_sum
 from gscomplete.views import Cameras, ViewDistribution
 from gscomplete.views.distribution import MAX_ELEVATION_DEG
 
+MARGIN = 0.8
+"""Share of the bounds that errors over the check views are brought below, so that other views of V
+are below the bounds too."""
 _OUTSIDE_VIEWS = 8
 """Views from outside V whose pictures are kept."""
 _OUTSIDE_RISE_DEG = 25.0
@@ -38,6 +41,11 @@ _OPACITY_RATE = 0.3
 """Adam's step size for logits of opacities."""
 _MEANS_RATE = 3e-3
 """Adam's step size for positions, in object sizes."""
+_SCALES_RATE = 0.02
+"""Adam's step size for logarithms of scales; no scale grows."""
+_KEEP_WEIGHT = 1.0
+"""Weight of what changes in the pictures from outside V and beside P; more keeps the completion
+better and takes more rounds."""
 
 
 def masked_errors(
@@ -62,8 +70,8 @@ def relative_error(
     """Return the sum of the watched errors ("color", "depth"), each in units of its aim."""
     color, depth = masked_errors(drawn, target, settings.mask_from)
     terms = {
-        "color": color / (settings.margin * settings.color_bound),
-        "depth": depth / (settings.margin * settings.depth_bound),
+        "color": color / (MARGIN * settings.color_bound),
+        "depth": depth / (MARGIN * settings.depth_bound),
     }
     return torch.stack([terms[name] for name in watched]).sum()
 
@@ -136,7 +144,7 @@ def fit_round(
         {
             "opacity_logits": _OPACITY_RATE,
             "means": _MEANS_RATE,
-            "log_scales": settings.scales_rate,
+            "log_scales": _SCALES_RATE,
         },
     )
     for _ in range(settings.steps):
@@ -149,7 +157,7 @@ def fit_round(
         drawn = render(moving, frozen.cameras, frozen=frozen)
         change = problem.change(drawn, picked)
         error = relative_error(*problem.inside(drawn, inside), problem.watched, settings)
-        loss = weight * error + settings.keep_weight / settings.color_bound * change
+        loss = weight * error + _KEEP_WEIGHT / settings.color_bound * change
         loss.backward()
         adam.step()
         with torch.no_grad():

@@ -49,7 +49,7 @@ class HardPreservationReport:
     """Kept splats with a smaller scale."""
     dropped: dict[str, int]
     """Splats removed for each reason: ``faded_away`` (their opacity fell below
-    ``prune_opacity``) or ``in_the_way`` (the last resort)."""
+    ``bounds._PRUNE_OPACITY``) or ``in_the_way`` (the last resort)."""
     added: int
     """Backing splats behind P's surface, after the rows that were given."""
     rounds: int

@@ -41,8 +41,8 @@ from gscomplete.priors.embedded.weights import PriorConfig, read_weights, weight
 from gscomplete.shape.assemble import (
     AssembleSettings,
     assemble_splats,
-    mirror_note,
     mirror_plane_of,
+    notes_of,
 )
 from gscomplete.shape.mirror_plane import ChosenMirror, Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter
@@ -199,13 +199,14 @@ class EmbeddedPrior:
             distribution,
             conditioning.tokens,
             ends_in_plane=cut is not None,
+            no_tokens=conditioning.negative_tokens,
             bfloat16=self._shape_bfloat16,
             mirror_plane=mirror,
         )
         settings = AssembleSettings(count=count)
         with stage("surface"):
             assembled = assemble_splats(prediction, partial, settings, generator)
-        return FirstGuess(assembled.splats, (*notes, mirror_note(prediction, assembled.mirrored)))
+        return FirstGuess(assembled.splats, notes + notes_of(prediction, assembled.mirrored))
 
     def likely_mirrors(
         self, partial: Splats, distribution: ViewDistribution, conditioning: Conditioning

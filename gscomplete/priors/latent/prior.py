@@ -76,6 +76,26 @@ class PriorIdentity:
     settings: dict[str, Any]
 
 
+@dataclass(frozen=True, slots=True)
+class LatentModel:
+    """A latent diffusion model as published: its networks, and how it is used."""
+
+    name: str
+    """For reports."""
+    denoiser: Denoiser
+    """Predicts noise."""
+    codec: LatentCodec
+    """Pixels to latents."""
+    encoder: PromptEncoder
+    """Prompts to embeddings."""
+    views: PriorViews
+    """Framing that the input renders must have."""
+    guidance: Guidance
+    """The default."""
+    negative_prompt: str = ""
+    """The default."""
+
+
 class LatentPrior:
     """A :class:`gscomplete.priors.base.Prior` on a latent diffusion model."""
 
@@ -91,38 +111,26 @@ class LatentPrior:
 
     def __init__(
         self,
-        name: str,
-        denoiser: Denoiser,
-        codec: LatentCodec,
-        encoder: PromptEncoder,
-        views: PriorViews,
+        model: LatentModel,
         settings: LatentPriorSettings,
         plan: MemoryPlan,
-        guidance: Guidance,
-        negative_prompt: str,
         device: torch.device,
         identity: PriorIdentity,
     ) -> None:
-        """Put the parts together.
+        """Take a model.
 
         Args:
-            name: for reports.
-            denoiser: predicts noise.
-            codec: pixels to latents.
-            encoder: prompts to embeddings.
-            views: framing that the prior's input renders must have.
+            model: its networks are on ``device``.
             settings: knobs.
             plan: what is traded for memory.
-            guidance: the default.
-            negative_prompt: the default.
             device: where the networks run.
             identity: what decides a run's result.
         """
-        self.name, self.views, self.identity = name, views, identity
-        self.num_timesteps = len(denoiser.schedule)
-        self._denoiser, self._codec, self._encoder = denoiser, codec, encoder
-        self._settings, self._plan, self._guidance = settings, plan, guidance
-        self._negative_prompt, self._device = negative_prompt, device
+        self.name, self.views, self.identity = model.name, model.views, identity
+        self.num_timesteps = len(model.denoiser.schedule)
+        self._denoiser, self._codec, self._encoder = model.denoiser, model.codec, model.encoder
+        self._settings, self._plan, self._guidance = settings, plan, model.guidance
+        self._negative_prompt, self._device = model.negative_prompt, device
 
     def default_guidance(self, *, sees_input: bool) -> Guidance:
         """Return the settings' scales, whatever is seen; see :class:`base.Prior`."""

@@ -22,6 +22,7 @@ from gscomplete.priors.base import Guidance, PriorViews
 from gscomplete.priors.latent.guidance import NoiseSchedule
 from gscomplete.priors.latent.prior import (
     VIEWS,
+    LatentModel,
     LatentPrior,
     PriorIdentity,
     default_guidance,
@@ -169,21 +170,12 @@ def mvdream_prior(
         cache,
     )
     guidance = default_guidance(settings, GUIDANCE_SCALE)
-    return LatentPrior(
-        "mvdream",
-        denoiser,
-        prepare_codec(weights.vae(), device, settings, plan),
-        encoder,
-        views,
-        settings,
-        plan,
-        guidance,
-        NEGATIVE_PROMPT,
-        device,
-        PriorIdentity(
-            weights.fingerprint(), deciding_settings(settings, guidance, NEGATIVE_PROMPT)
-        ),
+    codec = prepare_codec(weights.vae(), device, settings, plan)
+    model = LatentModel("mvdream", denoiser, codec, encoder, views, guidance, NEGATIVE_PROMPT)
+    identity = PriorIdentity(
+        weights.fingerprint(), deciding_settings(settings, guidance, NEGATIVE_PROMPT)
     )
+    return LatentPrior(model, settings, plan, device, identity)
 
 
 def load_mvdream(

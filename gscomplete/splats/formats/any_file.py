@@ -26,9 +26,8 @@ from gscomplete.errors import UserError
 from gscomplete.splats.compressed_ply import read_compressed_ply
 from gscomplete.splats.filters import usable_rows
 from gscomplete.splats.formats import dot_splat, glb, ksplat, sog, spz, usd
-from gscomplete.splats.ply import SplatFile, read_splats, splat_element, write_splats
-from gscomplete.splats.ply_files.header import Element, PlyError, read_header
-from gscomplete.splats.ply_files.layout import find_layout
+from gscomplete.splats.ply import SplatFile, read_splats, write_splats
+from gscomplete.splats.ply_files.header import PlyError, read_header
 from gscomplete.splats.record import Splats
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.util.atomic import atomic_path
@@ -240,11 +239,10 @@ def axes_note(path: Path) -> str | None:
 
 def _beside_splats(file: SplatFile) -> tuple[str, ...]:
     """Name what a PLY file holds that is no splat value: properties, elements, comments."""
-    element = splat_element(file.header, file.path)
-    layout = find_layout(element, file.path)
+    element, layout = file.element, file.layout
     left = []
     unused = [name for name in layout.foreign if name not in _NORMALS]
-    unused += _NORMALS if _has_normals(file, element) else ()
+    unused += _NORMALS if _has_normals(file) else ()
     if unused:
         left.append(f"properties {', '.join(unused)}")
     if layout.dropped_bands:
@@ -259,8 +257,9 @@ def _beside_splats(file: SplatFile) -> tuple[str, ...]:
     return tuple(left)
 
 
-def _has_normals(file: SplatFile, element: Element) -> bool:
+def _has_normals(file: SplatFile) -> bool:
     """Tell whether a file's normals say anything: most are zeros, and are written as such."""
+    element = file.element
     places = [element.names.index(name) for name in _NORMALS if name in element.names]
     if not places or element.count == 0:
         return False

@@ -28,6 +28,12 @@ from recipes.train_embedded_prior.config import DataConfig
 
 HELD_OUT_SEED_OFFSET = 1_000_003
 """Added to the seed for sets that training never sees."""
+DISTURBED_SHARE = 0.5
+"""Share of sets whose P is disturbed the way real captures are."""
+_USUAL_ELEVATION_DEG = (0.0, 30.0)
+"""Half of the rings are drawn from this narrower range."""
+_CENTER_JITTER = 0.12
+"""The target is off the object's centre by up to this along each axis, object frame."""
 
 
 class TakesPart(Protocol):
@@ -97,7 +103,7 @@ class SetMaker:
         item = self._source(self._seed, index)
         rng = np.random.default_rng((self._seed, index, 1))
         cameras, ring = sample_ring(self._data, rng)
-        disturb = bool(rng.random() < self._data.corrupt_share)
+        disturb = bool(rng.random() < DISTURBED_SHARE)
         partial = item.partial(disturb=disturb, slight=False)
         stored = np.zeros((), self.dtype)
         stored["images"] = self._render_images(item.splats, cameras)
@@ -122,10 +128,10 @@ def sample_ring(data: DataConfig, rng: np.random.Generator) -> tuple[Cameras, np
     """Draw a ring of four cameras and its numbers (elevation_deg, radius, fov_deg)."""
     extent = rng.uniform(*data.extent_range)
     usual = rng.random() < 0.5
-    span = data.elevation_usual_deg if usual else data.elevation_range_deg
+    span = _USUAL_ELEVATION_DEG if usual else data.elevation_range_deg
     elevation_deg = rng.uniform(*span)
     azimuth_deg = rng.uniform(0, 360)
-    target = rng.uniform(-data.center_jitter, data.center_jitter, 3)
+    target = rng.uniform(-_CENTER_JITTER, _CENTER_JITTER, 3)
     radius = radius_to_fit(extent, data.fov_deg)
     cameras = orbit_cameras(
         azimuth_deg + 90.0 * torch.arange(4, dtype=torch.float64),

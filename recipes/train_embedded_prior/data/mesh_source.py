@@ -31,7 +31,7 @@ from recipes.train_embedded_prior.procedural.objects import into_unit_box
 from recipes.train_embedded_prior.procedural.quads import FloatArray, turn_about
 from recipes.train_embedded_prior.procedural.sampling import SurfaceSamples
 from recipes.train_embedded_prior.procedural.warps import draw_warp, warped
-from splatcomplete_data.mesh.discs import DiscSettings, discs_at, sample_triangles
+from splatcomplete_data.mesh.discs import discs_at, sample_triangles
 from splatcomplete_data.mesh.discs import triangle_areas_and_normals as areas_and_normals
 
 _SOURCE_WEIGHTS = {
@@ -64,8 +64,6 @@ class MixedSource:
     folder: Path
     mesh_share: float = 0.7
     """Share of training sets made from meshes."""
-    most_meshes: int | None = None
-    """Train on so many meshes of the pack, chosen at random; None = all."""
 
     def __call__(self, seed: int, index: int) -> TrainingObject:
         """Make object ``index`` of a seed."""
@@ -73,7 +71,7 @@ class MixedSource:
         if rng.random() >= self.mesh_share:
             return procedural_source(seed, index)
         split = "validation" if seed >= HELD_OUT_SEED_OFFSET else "train"
-        entries, shares = _entries(self.folder, split, self.most_meshes)
+        entries, shares = _entries(self.folder, split)
         entry = entries[int(np.searchsorted(shares, rng.random(), side="right"))]
         splats = mesh_splats(read_mesh(self.folder, entry), entry, rng)
 
@@ -84,18 +82,15 @@ class MixedSource:
 
     def captions(self) -> list[str]:
         """Return the captions of the meshes to train on."""
-        return [entry.caption for entry in _entries(self.folder, "train", self.most_meshes)[0]]
+        return [entry.caption for entry in _entries(self.folder, "train")[0]]
 
 
 @functools.lru_cache(maxsize=4)
 def _entries(
-    folder: Path, split: str, most: int | None
+    folder: Path, split: str
 ) -> tuple[list[PackEntry], FloatArray]:  # entries, cumulative shares [N]
     """Return a split's entries and the ends of their shares of a draw from [0, 1)."""
     entries = [entry for entry in read_manifest(folder) if entry.split == split]
-    if most is not None and split == "train":
-        order = np.random.default_rng(len(entries)).permutation(len(entries))
-        entries = [entries[int(k)] for k in np.sort(order[:most])]
     weights = [_SOURCE_WEIGHTS.get(entry.source, _OTHER_WEIGHT) for entry in entries]
     ends = np.cumsum(weights) / np.sum(weights)
     ends[-1] = 1.0
@@ -125,9 +120,9 @@ def mesh_splats(mesh: PackMesh, entry: PackEntry, rng: np.random.Generator) -> S
     samples = _reshaped(samples, rng)
     turn = _turn(rng)
     points, scale = into_unit_box(samples.points @ turn.T)
-    discs = DiscSettings(opacity=float(rng.uniform(0.95, 0.99)))
+    opacity = float(rng.uniform(0.95, 0.99))
     return discs_at(
-        points, samples.normals @ turn.T, colors.clip(0, 1), samples.spacing * scale, discs
+        points, samples.normals @ turn.T, colors.clip(0, 1), samples.spacing * scale, opacity
     )
 
 

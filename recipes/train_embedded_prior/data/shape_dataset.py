@@ -42,12 +42,29 @@ from gscomplete.util.jsonio import dumps
 from gscomplete.views import ObjectFrame, ViewDistribution
 from recipes.train_embedded_prior.config import ShapeDataConfig
 from recipes.train_embedded_prior.data.copies import Truth
-from recipes.train_embedded_prior.data.dataset import Source
+from recipes.train_embedded_prior.data.dataset import DISTURBED_SHARE, Source
 from recipes.train_embedded_prior.data.solids import solid_cells
 
 _QUICK_FRAMING = FramingSettings(azimuths=12, elevations_deg=(15.0,), size_px=32, max_splats=3000)
 """The guess of runs at an eighth of its cost."""
 TEXT_LENGTH = 16
+MOST_CELLS = 4096
+"""Most filled cells stored of P and of each of its mirror images."""
+MOST_SURFACE_CELLS = 6144
+"""Most surface cells stored of the complete object."""
+_GUESS_SHARE = 0.7
+"""Share of sets whose frame and input view are guessed from P, as runs guess them; the others have
+the true frame with a small error."""
+_FRAME_JITTER = 0.04
+"""Standard deviation of the error of frames that are not guessed, object sizes."""
+_NO_COPY_SHARE = 0.08
+"""Share of sets without mirror images, whatever their score."""
+_BEST_COPY_SHARE = 0.5
+"""Share of the others whose first mirror image is the best by the truth of the candidates; in the
+rest it is the likeliest. (Taking any of them, as runs ask before they choose, was tried in 30 % of
+the sets: the network's answers then told right planes from wrong ones less well.)"""
+_LEAST_SCORE = 0.05
+"""Where the best by the truth scores less, there are no mirror images either."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,16 +85,16 @@ class ShapeBatch:
         )
 
 
-def set_dtype(data: ShapeDataConfig) -> np.dtype:
+def set_dtype() -> np.dtype:
     """Record layout of one stored set."""
     return np.dtype(
         [
-            ("cells", "u1", (SOURCES, data.most_cells, 7)),
+            ("cells", "u1", (SOURCES, MOST_CELLS, 7)),
             ("evidence", "u1", (3, COARSE_CELLS, COARSE_CELLS, COARSE_CELLS)),
             ("scores", "f4", (COPIES,)),
             ("tokens", "i2", (TEXT_LENGTH,)),
             ("solid", "u1", (CELLS**3 // 8,)),
-            ("surface", "u1", (data.most_surface_cells, 7)),
+            ("surface", "u1", (MOST_SURFACE_CELLS, 7)),
         ]
     )
 
@@ -128,16 +145,16 @@ class ShapeSetMaker:
         rng = np.random.default_rng((self.seed, index, 2))
         posed = self.posed(index, rng)
         seen = self._shown(posed, rng)
-        stored = np.zeros((), set_dtype(self.data))
+        stored = np.zeros((), set_dtype())
         for n, volume in enumerate(seen.volumes):
-            stored["cells"][n] = pack_cells(volume, self.data.most_cells, rng)
+            stored["cells"][n] = pack_cells(volume, MOST_CELLS, rng)
         stored["evidence"] = np.round(seen.evidence * 255)
         stored["scores"] = seen.scores
         stored["tokens"] = self.tokenizer.encode(posed.caption).numpy()
         whole = splat_arrays(posed.whole)
         stored["solid"] = np.packbits(solid_cells(whole[0], whole[1]))
         surface = fill_colored(*whole, CELLS)
-        stored["surface"] = pack_cells(surface, self.data.most_surface_cells, rng)
+        stored["surface"] = pack_cells(surface, MOST_SURFACE_CELLS, rng)
         return stored
 
     def _shown(self, posed: PosedObject, rng: np.random.Generator) -> ShapeInputs:
@@ -146,22 +163,22 @@ class ShapeSetMaker:
         Runs choose among the same candidates by the network's answers, better than the likeliest.
         """
         look = voxelize_partial(posed.partial, posed.distribution)
-        if rng.random() < self.data.no_copy_share:
+        if rng.random() < _NO_COPY_SHARE:
             return look.with_copies(no_symmetries())
         planes = candidate_planes(look, CANDIDATES, bfloat16=True)
         first = 0
-        if rng.random() < self.data.best_copy_share:
+        if rng.random() < _BEST_COPY_SHARE:
             truth = Truth.of(posed.partial, posed.whole)
             true_scores = [truth.map_score(plane) for plane in planes]
             first = int(np.argmax(true_scores))
-            if true_scores[first] < self.data.least_score:
+            if true_scores[first] < _LEAST_SCORE:
                 return look.with_copies(no_symmetries())
         return look.with_copies(look.input_symmetries(planes, first))
 
     def posed(self, index: int, rng: np.random.Generator) -> PosedObject:
         """Return object ``index`` and a part of it in a frame as a run would guess it."""
         item = self.source(self.seed, index)
-        disturb = bool(rng.random() < self.data.corrupt_share)
+        disturb = bool(rng.random() < DISTURBED_SHARE)
         slight = np.random.default_rng((self.seed, index, 3)).random() < self.data.slight_share
         partial = item.partial(disturb=disturb, slight=bool(slight))
         frame, distribution = self._frame(partial, rng)
@@ -179,9 +196,9 @@ class ShapeSetMaker:
         """Guess the frame and the view, or take the true frame with an error."""
         guess = guess_framing(partial, _QUICK_FRAMING)
         center, size = np.array(guess.center), guess.size
-        if rng.random() >= self.data.guess_share:
-            center = rng.normal(scale=self.data.frame_jitter, size=3)
-            size = float(np.exp(rng.normal(scale=self.data.frame_jitter)))
+        if rng.random() >= _GUESS_SHARE:
+            center = rng.normal(scale=_FRAME_JITTER, size=3)
+            size = float(np.exp(rng.normal(scale=_FRAME_JITTER)))
         elevation = float(rng.choice([0.0, 15.0, 30.0]))
         x, y, z = center.tolist()
         return ObjectFrame("Z", (x, y, z), size), ViewDistribution(

@@ -21,7 +21,13 @@ from numpy.typing import NDArray
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.rotations import rotation_matrices
 from recipes.train_embedded_prior.procedural.quads import FloatArray
-from splatcomplete_data.cuts.geometry import by_box, by_plane, by_visibility, splat_points
+from splatcomplete_data.cuts.geometry import (
+    by_box,
+    by_plane,
+    by_visibility,
+    eyes_at,
+    splat_points,
+)
 from splatcomplete_data.cuts.random_cuts import random_partial, slight_partial
 from splatcomplete_data.flaws import corrupt
 
@@ -77,9 +83,7 @@ def user_part(splats: Splats, seed: int, index: int, *, disturb: bool, slight: b
 def _eyes(azimuth: NDArray[np.floating], rng: np.random.Generator) -> FloatArray:  # [V] -> [V, 3]
     """Place scanners at one distance and about one elevation."""
     elevation = np.radians(rng.uniform(-5, 40) + rng.uniform(-6, 6, len(azimuth)))
-    level = np.cos(elevation)
-    unit = [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)]
-    return (np.stack(unit, axis=1) * rng.uniform(1.4, 2.8)).astype(np.float32)
+    return (eyes_at(azimuth, elevation) * rng.uniform(1.4, 2.8)).astype(np.float32)
 
 
 def _normal(rng: np.random.Generator) -> FloatArray:  # [3]

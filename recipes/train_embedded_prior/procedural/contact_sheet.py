@@ -25,6 +25,8 @@ from splatcomplete_data.cuts.random_cuts import random_partial
 from splatcomplete_data.flaws import corrupt
 
 LOG = logging.getLogger(__name__)
+_PER_ROW = 3
+"""Families side by side."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +45,6 @@ class SheetSettings:
     """Seed of the objects."""
     first: int = 0
     """Index of the first sample."""
-    per_row: int = 3
-    """Families side by side."""
     partial: bool = False
     """Draw random partials of the objects instead."""
 
@@ -62,13 +62,13 @@ def contact_sheet(settings: SheetSettings) -> Image.Image:
     """Draw the families' samples in rows, names above and captions below them."""
     names = settings.families or tuple(FAMILIES)
     px, line = settings.size_px, 12
-    rows = -(-len(names) // settings.per_row)
-    width = settings.per_row * (settings.samples * px + 8)
+    rows = -(-len(names) // _PER_ROW)
+    width = _PER_ROW * (settings.samples * px + 8)
     sheet = Image.new("RGB", (width, rows * (px + line)), "white")
     pen = ImageDraw.Draw(sheet)
     for k, name in enumerate(names):
-        left = (k % settings.per_row) * (settings.samples * px + 8)
-        top = (k // settings.per_row) * (px + line)
+        left = (k % _PER_ROW) * (settings.samples * px + 8)
+        top = (k // _PER_ROW) * (px + line)
         captions = []
         for n in range(settings.samples):
             index = settings.first + n

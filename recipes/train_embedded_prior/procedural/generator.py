@@ -3,7 +3,6 @@
 from recipes.train_embedded_prior.procedural.captions import vocabulary
 from recipes.train_embedded_prior.procedural.objects import (
     FAMILIES,
-    GeneratorSettings,
     ProceduralObject,
     make_object,
     make_object_of,
@@ -11,7 +10,6 @@ from recipes.train_embedded_prior.procedural.objects import (
 
 __all__ = [
     "FAMILIES",
-    "GeneratorSettings",
     "ProceduralObject",
     "make_object",
     "make_object_of",

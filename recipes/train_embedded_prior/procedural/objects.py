@@ -41,7 +41,7 @@ from recipes.train_embedded_prior.procedural.world import (
     things,
     vehicles,
 )
-from splatcomplete_data.mesh.discs import DiscSettings, discs_at
+from splatcomplete_data.mesh.discs import discs_at
 
 Family = Callable[[Assembly], Description]
 ABSTRACT_SHARE = 0.3
@@ -54,16 +54,8 @@ _WARPED_SHARE = 0.6
 """Share of objects that are deformed as a whole."""
 _COLOR_NOISE = 0.02
 """Largest standard deviation of the colour noise per splat (drawn per object)."""
-
-
-@dataclass(frozen=True, slots=True)
-class GeneratorSettings:
-    """Knobs of the generator."""
-
-    fewest_splats: int = 7000
-    """Fewest splats of an object."""
-    most_splats: int = 11000
-    """Most splats of an object."""
+_SPLATS = (7000, 11000)
+"""Fewest and most splats of an object."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,26 +100,21 @@ def family_of(seed: int, index: int) -> str:
     return names[int(rng.integers(len(names)))]
 
 
-def make_object(
-    seed: int, index: int, settings: GeneratorSettings | None = None
-) -> ProceduralObject:
+def make_object(seed: int, index: int) -> ProceduralObject:
     """Make an object of a random family."""
-    return make_object_of(family_of(seed, index), seed, index, settings)
+    return make_object_of(family_of(seed, index), seed, index)
 
 
-def make_object_of(
-    family: str, seed: int, index: int, settings: GeneratorSettings | None = None
-) -> ProceduralObject:
+def make_object_of(family: str, seed: int, index: int) -> ProceduralObject:
     """Make an object of a given family.
 
     Raises:
         KeyError: the family is unknown.
     """
-    chosen = settings or GeneratorSettings()
     rng = np.random.default_rng((seed, index, 0))
     assembly = Assembly(rng)
     description = FAMILIES[family](assembly)
-    count = int(rng.integers(chosen.fewest_splats, chosen.most_splats + 1))
+    count = int(rng.integers(_SPLATS[0], _SPLATS[1] + 1))
     samples = sample_quads(assembly.quads, count, rng)
     shaping = np.random.default_rng((seed, index, 3))
     if shaping.random() < _WARPED_SHARE:
@@ -137,9 +124,9 @@ def make_object_of(
     colors += noise * rng.standard_normal(colors.shape, dtype=np.float32)
     turn = _pose(rng)
     points, scale = into_unit_box(samples.points @ turn.T)
-    discs = DiscSettings(opacity=float(rng.uniform(0.95, 0.99)))
+    opacity = float(rng.uniform(0.95, 0.99))
     spacing = samples.spacing * np.float32(scale)
-    splats = discs_at(points, samples.normals @ turn.T, colors.clip(0, 1), spacing, discs)
+    splats = discs_at(points, samples.normals @ turn.T, colors.clip(0, 1), spacing, opacity)
     words = caption(description, np.random.default_rng((seed, index, 2)))
     return ProceduralObject(splats, words, family)
 

@@ -27,7 +27,6 @@ from gscomplete.errors import UserError
 from gscomplete.splats import Splats
 from gscomplete.views import UpAxis, up_rotation
 from splatcomplete_data.mesh.discs import (
-    DiscSettings,
     discs_at,
     sample_triangles,
     triangle_areas_and_normals,
@@ -164,7 +163,6 @@ def mesh_to_discs(
     count: int,
     seed: int = 0,
     *,
-    settings: DiscSettings | None = None,
     light: BakedLight | None = None,
 ) -> Splats:
     """Cover a mesh with about ``count`` oriented discs (fewer where textures are cut out).
@@ -173,7 +171,6 @@ def mesh_to_discs(
         mesh: the surface.
         count: number of splats.
         seed: seed of the sampling.
-        settings: disc shape; None = defaults.
         light: shading to multiply in, for meshes of flat colours; None = the colours as they are.
 
     Raises:
@@ -198,7 +195,7 @@ def mesh_to_discs(
     colors = np.clip(rgba[:, :3], 0.0, 1.0)
     if light is not None:
         colors *= light.shade(unit)[:, None]
-    return discs_at(points[kept], unit[kept].astype(np.float32), colors[kept], spacing, settings)
+    return discs_at(points[kept], unit[kept].astype(np.float32), colors[kept], spacing)
 
 
 class _NamedFiles(Resolver):

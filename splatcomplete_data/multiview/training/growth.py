@@ -16,7 +16,9 @@ from gscomplete.splats import concatenate
 from gscomplete.util.randomness import generator_for
 from splatcomplete_data.multiview.training.parameters import PhotoParameters
 from splatcomplete_data.multiview.training.settings import (
+    GRADIENT,
     PRUNE_EXTENT,
+    PRUNE_OPACITY,
     SPLIT_EXTENT,
     GrowthSettings,
 )
@@ -57,7 +59,7 @@ def grow(
     """
     splats = parameters.splats().detach()
     largest = splats.scales.amax(dim=1)
-    transparent = splats.opacities < settings.prune_opacity
+    transparent = splats.opacities < PRUNE_OPACITY
     large = ~transparent & (largest > PRUNE_EXTENT * extent) & prune_large
     stays = ~(transparent | large)
     if not bool(stays.any()):
@@ -66,7 +68,7 @@ def grow(
     mean = torch.where(stays, statistics.mean(), 0.0)
     room = settings.max_splats - int(stays.sum())
     ranked = torch.argsort(mean, descending=True, stable=True)[: max(room, 0)]
-    chosen = ranked[mean[ranked] > settings.gradient]
+    chosen = ranked[mean[ranked] > GRADIENT]
     wide = largest[chosen] > SPLIT_EXTENT * extent
     halves = halves_of(splats.select(chosen[wide]), generator_for(seed, step, "split"))
     clones = splats.select(chosen[~wide])

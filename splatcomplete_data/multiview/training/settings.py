@@ -26,6 +26,12 @@ class LearningRates:
     """Of the bands above."""
 
 
+GROWTH_UNTIL_SHARE = 0.6
+"""Share of the steps after which no splat is added or removed."""
+GRADIENT = 2e-4
+"""Splats whose mean screen gradient is larger are divided (loss per half image)."""
+PRUNE_OPACITY = 0.005
+"""Splats below this opacity are removed."""
 SPLIT_EXTENT = 0.01
 """Splats larger than this share of the extent are split, smaller ones cloned."""
 PRUNE_EXTENT = 0.1
@@ -42,14 +48,8 @@ class GrowthSettings:
     """Never more than this many (gradients decide who is divided first)."""
     from_share: float = 0.04
     """Share of the steps after which splats are first divided."""
-    until_share: float = 0.6
-    """Share of the steps after which no splat is added or removed."""
     every: int = 100
     """Steps between two divisions; fewer in runs shorter than 18 times this, but at least 10."""
-    gradient: float = 2e-4
-    """Splats whose mean screen gradient is larger are divided (loss per half image)."""
-    prune_opacity: float = 0.005
-    """Splats below this opacity are removed."""
     reset_share: float | None = 0.1
     """Opacities are lowered every this share of the steps while splats are divided, and at most
     every 600 steps, which is what they need to recover; None = never. What is needed recovers,

@@ -28,7 +28,11 @@ from gscomplete.views import Cameras
 from splatcomplete_data.multiview.photos.images import View
 from splatcomplete_data.multiview.training.growth import GrowthReport, grow
 from splatcomplete_data.multiview.training.parameters import PhotoParameters
-from splatcomplete_data.multiview.training.settings import RESET_OPACITY, TrainingSettings
+from splatcomplete_data.multiview.training.settings import (
+    GROWTH_UNTIL_SHARE,
+    RESET_OPACITY,
+    TrainingSettings,
+)
 from splatcomplete_data.multiview.training.ssim import Reference, ssim_map
 
 CHECK_EVERY = 100
@@ -180,7 +184,7 @@ class Training:
         if settings.sh_share > 0:
             degree = min(degree, int(number / (settings.sh_share * settings.steps)))
         splats = self.parameters.splats(degree)
-        growing = number < settings.growth.until_share * settings.steps
+        growing = number < GROWTH_UNTIL_SHARE * settings.steps
         offsets = None
         if growing:
             offsets = torch.zeros(1, len(splats), 2, device=self._device, requires_grad=True)

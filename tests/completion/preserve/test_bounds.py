@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from gscomplete.completion.preserve import bounds as hard_preservation
 from gscomplete.completion.preserve.bounds import enough_of, largest_share, preserve_hard
-from gscomplete.completion.preserve.fit import masked_errors, outside_cameras
+from gscomplete.completion.preserve.fit import MARGIN, masked_errors, outside_cameras
 from gscomplete.completion.rings import inside_distribution
 from gscomplete.completion.settings import HardPreservationSettings
 from gscomplete.errors import UserError
@@ -20,8 +20,14 @@ from gscomplete.splats import Splats, concatenate
 from gscomplete.views import ViewDistribution
 from tests.builders.objects import round_splats
 
-SMALL = HardPreservationSettings(check_px=48, fit_px=32, check_views=6, fit_views=4, steps=6)
+SMALL = HardPreservationSettings(steps=6)
 VIEWS = ViewDistribution(0.0, 10.0, azimuth_range_deg=30.0)
+
+
+@pytest.fixture(autouse=True)
+def _few_small_pictures(monkeypatch):
+    for name, value in {"CHECK_PX": 48, "FIT_PX": 32, "CHECK_VIEWS": 6, "FIT_VIEWS": 4}.items():
+        monkeypatch.setattr(hard_preservation, f"_{name}", value)
 
 
 def wall(x: float, color: tuple[float, float, float], side: int = 12, seed: int = 0) -> Splats:
@@ -75,12 +81,13 @@ def test_the_bounds_hold_from_views_never_looked_at(rounds):
         assert torch.equal(kept, dict(new.fields())[name][unseen:]), name
 
 
-def test_what_shows_through_a_thin_input_is_covered_rather_than_faded():
+def test_what_shows_through_a_thin_input_is_covered_rather_than_faded(monkeypatch):
     thin = dataclasses.replace(PARTIAL, opacities=torch.full((len(PARTIAL),), 0.6))
     far = dataclasses.replace(BEHIND, means=BEHIND.means - torch.tensor([0.3, 0.0, 0.0]))
     bounds = dataclasses.replace(SMALL, color_bound=0.2, depth_bound=0.006)
     backed = preserve_hard(far, thin, VIEWS, bounds)
-    bare = preserve_hard(far, thin, VIEWS, dataclasses.replace(bounds, max_backing=0))
+    monkeypatch.setattr(hard_preservation._Work, "backed", lambda self, *given: given)
+    bare = preserve_hard(far, thin, VIEWS, bounds)
     assert bare.report.before == backed.report.before
     assert bare.report.before.depth > bounds.depth_bound
     assert bare.report.added == 0 < backed.report.added
@@ -193,9 +200,8 @@ def test_the_fewest_amounts_that_are_enough_are_marked(values, share):
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("color_bound", 0.0), ("depth_bound", float("inf")), ("margin", 1.5), ("steps", 0),
-     ("rounds", -1)],
-)  # fmt: skip
+    [("color_bound", 0.0), ("depth_bound", float("inf")), ("steps", 0), ("rounds", -1)],
+)
 def test_settings_out_of_range_are_refused(field, value):
     with pytest.raises(UserError, match=field):
         HardPreservationSettings(**{field: value})
@@ -210,15 +216,14 @@ def test_pixels_where_p_is_faint_can_be_left_out():
     assert free.report.untouched == len(IN_FRONT)
 
 
-def test_no_more_is_taken_than_has_to_be():
+def test_no_more_is_taken_than_has_to_be(monkeypatch):
     """Half of what the last round or fading did is taken back while the bounds still hold."""
     new = concatenate([IN_FRONT, BEHIND])
-    results = {
-        halvings: preserve_hard(
-            new, PARTIAL, VIEWS, dataclasses.replace(SMALL, rounds=0, halvings=halvings)
-        )
-        for halvings in (0, 4)
-    }
+    results = {}
+    for halvings in (0, 4):
+        monkeypatch.setattr(hard_preservation, "_HALVINGS", halvings)
+        settings = dataclasses.replace(SMALL, rounds=0)
+        results[halvings] = preserve_hard(new, PARTIAL, VIEWS, settings)
     for result in results.values():
         assert result.report.met
     assert results[4].report.fadings == results[0].report.fadings > 0
@@ -226,8 +231,8 @@ def test_no_more_is_taken_than_has_to_be():
     assert left[1] > left[0]
     shares = [
         max(
-            result.report.after.color / (SMALL.margin * SMALL.color_bound),
-            result.report.after.depth / (SMALL.margin * SMALL.depth_bound),
+            result.report.after.color / (MARGIN * SMALL.color_bound),
+            result.report.after.depth / (MARGIN * SMALL.depth_bound),
         )
         for result in results.values()
     ]

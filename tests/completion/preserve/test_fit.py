@@ -60,11 +60,13 @@ def test_change_is_weighed_by_how_open_p_leaves_a_pixel():
 
 
 @pytest.mark.parametrize("wish", [2.0, 0.5])
-def test_splats_may_shrink_but_never_grow(wish):
+def test_splats_may_shrink_but_never_grow(wish, monkeypatch):
     """The picture that is to be kept shows them twice as large, or half as large."""
     splats = balls(-0.2, 0.9, 0.1)
     wanted = dataclasses.replace(splats, scales=wish * splats.scales)
-    settings = HardPreservationSettings(steps=12, scales_rate=0.05, keep_weight=100.0)
+    monkeypatch.setattr("gscomplete.completion.preserve.fit._SCALES_RATE", 0.05)
+    monkeypatch.setattr("gscomplete.completion.preserve.fit._KEEP_WEIGHT", 100.0)
+    settings = HardPreservationSettings(steps=12)
     fitted = fit_round(splats, problem(wanted), settings, 1.0, torch.Generator().manual_seed(0))
     assert float(fitted.scales.max()) <= 0.1 * (1 + 1e-6)
     assert (float(fitted.scales.max()) < 0.09) == (wish < 1)

@@ -7,7 +7,12 @@ pytest.importorskip("diffusers", reason="the extra gscomplete[mvdream] is not in
 
 from gscomplete.priors.base import FourViews, Guidance, PriorViews
 from gscomplete.priors.latent.guidance import NoiseSchedule
-from gscomplete.priors.latent.prior import LatentConditioning, LatentPrior, PriorIdentity
+from gscomplete.priors.latent.prior import (
+    LatentConditioning,
+    LatentModel,
+    LatentPrior,
+    PriorIdentity,
+)
 from gscomplete.priors.latent.settings import PLANS, LatentPriorSettings
 from gscomplete.views import four_view_orbit
 
@@ -47,19 +52,10 @@ class ShiftedCodec:
 
 def shown(timestep: float, steps: int) -> list[tuple[int, torch.Tensor]]:
     denoiser = KnowingDenoiser()
-    prior = LatentPrior(
-        "knowing",
-        denoiser,  # type: ignore[arg-type]
-        ShiftedCodec(),  # type: ignore[arg-type]
-        None,  # type: ignore[arg-type]
-        PriorViews(40.0, (1.3, 1.6), (0.0, 30.0), SIZE_PX),
-        LatentPriorSettings(),
-        PLANS["24gb"],
-        Guidance(),
-        "",
-        torch.device("cpu"),
-        PriorIdentity("", {}),
-    )
+    views = PriorViews(40.0, (1.3, 1.6), (0.0, 30.0), SIZE_PX)
+    model = LatentModel("knowing", denoiser, ShiftedCodec(), None, views, Guidance())
+    plan, device = PLANS["24gb"], torch.device("cpu")
+    prior = LatentPrior(model, LatentPriorSettings(), plan, device, PriorIdentity("", {}))
     cameras = four_view_orbit(0.0, 0.0, radius=2.0, fov_deg=40.0, size_px=SIZE_PX)
     empty = torch.zeros(4, SIZE_PX, SIZE_PX)
     views = FourViews(torch.zeros(4, SIZE_PX, SIZE_PX, 3), empty, empty, cameras)

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from gscomplete.shape.voxels import CELLS
+from recipes.train_embedded_prior.data import shape_dataset
 from recipes.train_embedded_prior.data.shape_dataset import (
     decode_sets,
     pack_cells,
@@ -44,22 +45,24 @@ def test_sets_are_a_function_of_seed_and_index(tmp_path):
     assert spec.maker(9)(3).tobytes() != spec.maker()(3).tobytes()
 
 
-def test_what_is_shown_follows_the_shares(tmp_path):
+def test_what_is_shown_follows_the_shares(tmp_path, monkeypatch):
     """No copies are shown in the share asked for, and where the best scores too little."""
     spec = ShapeTask(tiny_shape_run(tmp_path), stub_source, WORDS).spec
 
-    def shown(**changes):
-        data = dataclasses.replace(spec.data, **changes)
-        stored = dataclasses.replace(spec, data=data).maker()(3)
+    def shown(no_copies, best_copy=0.5, least_score=0.05):
+        monkeypatch.setattr(shape_dataset, "_NO_COPY_SHARE", no_copies)
+        monkeypatch.setattr(shape_dataset, "_BEST_COPY_SHARE", best_copy)
+        monkeypatch.setattr(shape_dataset, "_LEAST_SCORE", least_score)
+        stored = spec.maker()(3)
         volumes = [unpack_cells(cells)[0] > 0 for cells in stored["cells"]]
         return volumes, stored["scores"]
 
-    volumes, scores = shown(no_copy_share=1.0)
+    volumes, scores = shown(1.0)
     assert (scores == 0).all()
     assert all((volume == volumes[0]).all() for volume in volumes)
-    volumes, scores = shown(no_copy_share=0.0, best_copy_share=1.0, least_score=2.0)
+    volumes, scores = shown(0.0, 1.0, 2.0)
     assert (scores == 0).all()
-    volumes, scores = shown(no_copy_share=0.0, best_copy_share=1.0, least_score=-2.0)
+    volumes, scores = shown(0.0, 1.0, -2.0)
     assert scores[0] > 0
     assert (volumes[1] != volumes[0]).any()
 

@@ -76,10 +76,8 @@ def test_splats_lie_on_their_triangles(corners: list, count: int, mode: str) -> 
 @settings(max_examples=40, deadline=None)
 def test_cells_add_up_to_the_triangle(count: int, height: float, apex: float) -> None:
     vertices = np.array([[[0, 0, 0], [1, 0, 0], [apex, height, 0]]])
-    with mock.patch.object(convert, "MOST_OVERHANG", np.inf):
-        made = convert_mesh(
-            mesh_of(vertices), count, settings=ConvertSettings(inset=0.0, sigma_per_cell=1.0)
-        )
+    with mock.patch.multiple(convert, MOST_OVERHANG=np.inf, INSET=0.0):
+        made = convert_mesh(mesh_of(vertices), count, settings=ConvertSettings(sigma_per_cell=1.0))
     covered = float((made.splats.scales[:, 0] * made.splats.scales[:, 1]).double().sum())
     assert covered == pytest.approx(0.5 * height, rel=0.35 if len(made.splats) < 30 else 0.12)
 
@@ -173,13 +171,11 @@ def test_borders_and_folds_are_marked_and_inset() -> None:
     square = np.array([[[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]])
     normals = np.tile([0.0, 0.0, 1.0], (2, 1))
     assert marked_edges(square.astype(np.float32), normals, 35.0).tolist() == [0b011, 0b110]
-    lows = [
-        convert_mesh(mesh_of(square), 400, settings=ConvertSettings(inset=inset))
-        .splats.means[:, :2]
-        .min()
-        .item()
-        for inset in (0.0, 0.4)
-    ]
+    lows = []
+    for inset in (0.0, 0.4):
+        with mock.patch.object(convert, "INSET", inset):
+            made = convert_mesh(mesh_of(square), 400)
+        lows.append(made.splats.means[:, :2].min().item())
     assert 0.01 < lows[0] < 0.03  # about half a cell of 1 / 20
     assert lows[1] > lows[0] + 0.005
     folded = square.copy()

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 from splatcomplete_data.mesh.discs import (
     ColoredTriangles,
-    DiscSettings,
     discs_at,
     quaternions_from_normals,
     sample_triangles,
@@ -107,13 +106,11 @@ def test_corner_colors_are_interpolated_and_point_colors_take_over():
     assert torch.allclose(painted.base_colors, painted.means.abs() * 0.5, atol=1e-6)
 
 
-def test_settings_shape_the_discs():
+def test_spacings_shape_the_discs():
     points = np.zeros((2, 3), np.float32)
     normals = np.array([[0, 0, 1], [1, 0, 0]], np.float32)
-    splats = discs_at(
-        points, normals, points, np.array([0.1, 0.2]), DiscSettings(0.5, 0.1, opacity=0.5)
-    )
-    assert np.allclose(splats.scales, [[0.05, 0.05, 0.005], [0.1, 0.1, 0.01]])
+    splats = discs_at(points, normals, points, np.array([0.1, 0.2]), opacity=0.5)
+    assert np.allclose(splats.scales, [[0.06, 0.06, 0.003], [0.12, 0.12, 0.006]])
     assert splats.opacities.tolist() == [0.5, 0.5]
 
 

@@ -9,8 +9,6 @@ from splatcomplete_data.scan.make import PartSettings, make_part
 from splatcomplete_data.scan.support import PlaneSettings, find_support_planes
 from tests.builders.table_top import EYE, SPACING, box, table_top
 
-ALL_THE_PLANE = PlaneSettings(share=0.02)
-
 
 def boxed(points, margin=0.012):
     """Return a box around points."""
@@ -37,13 +35,15 @@ def test_the_table_goes_and_not_the_larger_front_of_the_box(eye):
     assert not any("doubtful" in warning for warning in part.warnings)
 
 
-def test_an_object_alone_keeps_its_faces():
+def test_an_object_alone_keeps_its_faces(monkeypatch):
     cloud = table_top([box((0, 0), (0.5, 0.3, 0.4), 30)])
     own = cloud.select(np.flatnonzero(cloud.labels == 1))
     everything = np.ones(len(own), np.bool_)
-    accepted, refused = find_support_planes(
-        own.points, everything, 1, SPACING, ALL_THE_PLANE, viewpoint=EYE
-    )
+    with monkeypatch.context() as small:
+        small.setattr("splatcomplete_data.scan.support._LEAST_SHARE", 0.02)
+        accepted, refused = find_support_planes(
+            own.points, everything, 1, SPACING, PlaneSettings(), viewpoint=EYE
+        )
     assert accepted == []
     assert len(refused) == 3
     part = make_part(own, PartSettings(cleaning=CleanSettings()), "scene", Surroundings(tuple(EYE)))

@@ -249,7 +249,7 @@ def desk(a: Assembly) -> Description:
     for sign in sides:
         y = sign * (0.5 * width - 0.5 * side)
         a.add(box((depth * 0.95, side, z - 0.06)), look, (0, y, 0.06))
-        drawers(a, front, knob, 0.475 * depth, y, side, 0.08, z - 0.1, a.integer(2, 4))
+        drawers(a, front, knob, (0.475 * depth, y), side, (0.08, z - 0.1), a.integer(2, 4))
     if len(sides) == 1:
         if a.chance(0.5):
             a.add(box((depth * 0.9, 0.05, z)), look, (0, 0.5 * width - 0.03, 0))
@@ -266,14 +266,13 @@ def drawers(
     a: Assembly,
     look: Look,
     knob: Look,
-    x: float,
-    y: float,
+    at: tuple[float, float],
     width: float,
-    low: float,
-    high: float,
+    span: tuple[float, float],
     count: int,
 ) -> None:
-    """Add drawer fronts with knobs on the plane x, between two heights."""
+    """Add drawer fronts with knobs about x and y, between two heights."""
+    (x, y), (low, high) = at, span
     step = (high - low) / count
     for k in range(count):
         z = low + k * step

@@ -103,20 +103,12 @@ def cabinet(a: Assembly) -> Description:
         a.add(torus(0.23, 0.025), knob, (x, 0, z), [[0, 0, 1], [0, 1, 0], [-1, 0, 0]])
     a.add(box((depth, width, height)), look.marked(*marks), (0, 0, leg))
     if kind == "drawers":
-        drawers(a, front, knob, x, 0, width, leg + 0.03, leg + height - 0.03, a.integer(2, 5))
+        span = (leg + 0.03, leg + height - 0.03)
+        drawers(a, front, knob, (x, 0), width, span, a.integer(2, 5))
     elif kind == "tv":
         for y in (-0.33, 0, 0.33):
-            drawers(
-                a,
-                front,
-                knob,
-                x,
-                y * width,
-                width / 3,
-                leg + 0.03,
-                leg + height - 0.03,
-                a.integer(1, 2),
-            )
+            span = (leg + 0.03, leg + height - 0.03)
+            drawers(a, front, knob, (x, y * width), width / 3, span, a.integer(1, 2))
     elif kind == "doors":
         a.add_mirrored(
             box((0.03, 0.47 * width, 0.92 * height)), front, (x, 0.245 * width, leg + 0.04 * height)

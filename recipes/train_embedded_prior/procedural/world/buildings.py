@@ -80,12 +80,9 @@ def openings(
     a: Assembly,
     pane: Look,
     rim: Look,
-    face: np.ndarray,
-    width: float,
-    low: float,
-    high: float,
-    columns: int,
-    rows: int,
+    wall: tuple[np.ndarray, float],
+    span: tuple[float, float],
+    grid: tuple[int, int],
     door: Look | None,
 ) -> None:
     """Add windows (and a door in the middle of the lowest row) to a wall.
@@ -94,14 +91,12 @@ def openings(
         a: the assembly.
         pane: look of the panes.
         rim: look of the window frames.
-        face: [3, 4] turn and position of the wall: local x is outward, y along it, z up.
-        width: width of the wall.
-        low: height of the lowest sill.
-        high: height of the upper end of the top row.
-        columns: windows in a row.
-        rows: number of rows.
+        wall: its [3, 4] turn and position (local x is outward, y along it, z up), and its width.
+        span: heights of the lowest sill and of the upper end of the top row.
+        grid: windows in a row, and rows.
         door: look of the door, None = no door.
     """
+    (face, width), (low, high), (columns, rows) = wall, span, grid
     step_y, step_z = width / columns, (high - low) / rows
     w, h = 0.5 * step_y, 0.6 * step_z
     turn, at = face[:, :3], face[:, 3]
@@ -141,7 +136,8 @@ def house(a: Assembly) -> Description:
         face, width = wall_frame(side, x, y)
         has_door = door if side == 0 else None
         count = 3 if side == 0 and rows == 1 else columns
-        openings(a, pane, rim, face, 0.9 * width, 0.1, height * 0.95, count, rows, has_door)
+        wall = (face, 0.9 * width)
+        openings(a, pane, rim, wall, (0.1, height * 0.95), (count, rows), has_door)
     rise, over = a.uniform(0.2, 0.5), a.uniform(0.03, 0.1)
     kind = a.choose(["gable", "gable", "gable", "hip", "flat"])
     if kind == "gable":
@@ -180,7 +176,8 @@ def tower_block(a: Assembly) -> Description:
     a.add(box((x, y, height)), look)
     for side in range(4):
         face, width = wall_frame(side, x, y)
-        openings(a, pane, look, face, 0.92 * width, 0.06, height * 0.97, columns, rows, None)
+        wall = (face, 0.92 * width)
+        openings(a, pane, look, wall, (0.06, height * 0.97), (columns, rows), None)
     a.add(box((x * 0.5, y * 0.5, 0.08)), look, (0, 0, height))
     return Description(
         ("skyscraper", "building", "tower", "office building"),

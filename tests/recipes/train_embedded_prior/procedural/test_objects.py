@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 
+from recipes.train_embedded_prior.procedural import objects
 from recipes.train_embedded_prior.procedural.captions import vocabulary, with_article
 from recipes.train_embedded_prior.procedural.objects import (
     ABSTRACT,
     ABSTRACT_SHARE,
     CONCRETE,
     FAMILIES,
-    GeneratorSettings,
     family_of,
     into_unit_box,
     make_object,
@@ -63,9 +63,9 @@ def test_the_stream_holds_its_shares_and_every_family():
     assert len(CONCRETE) >= 40
 
 
-def test_splat_counts_follow_the_settings():
-    settings = GeneratorSettings(fewest_splats=500, most_splats=600)
-    counts = [len(make_object(2, index, settings).splats) for index in range(10)]
+def test_splat_counts_are_within_their_range(monkeypatch):
+    monkeypatch.setattr(objects, "_SPLATS", (500, 600))
+    counts = [len(make_object(2, index).splats) for index in range(10)]
     assert min(counts) >= 500
     assert max(counts) <= 600
 
@@ -82,8 +82,9 @@ def test_unit_boxes():
     assert np.allclose(moved, [[-0.25, -0.5, -0.125], [0.25, 0.5, 0.125]])
 
 
-def test_captions_are_short_and_varied():
-    captions = [make_object(8, index, GeneratorSettings(100, 120)).caption for index in range(300)]
+def test_captions_are_short_and_varied(monkeypatch):
+    monkeypatch.setattr(objects, "_SPLATS", (100, 120))
+    captions = [make_object(8, index).caption for index in range(300)]
     assert len(set(captions)) > 280
     assert max(len(text.split()) for text in captions) <= 22
     assert not any(re.search(r"\ba [aeiou]|  |\bNone\b", text) for text in captions)

@@ -97,10 +97,9 @@ def test_a_step_broken_off_is_taken_again_or_marked(where, capture, monkeypatch)
             assert torch.equal(a, b), name
 
 
-def test_the_cap_holds_and_splats_grow(capture):
-    settings = dataclasses.replace(
-        SETTINGS, growth=dataclasses.replace(GROWTH, max_splats=400, gradient=0.0)
-    )
+def test_the_cap_holds_and_splats_grow(capture, monkeypatch):
+    monkeypatch.setattr("splatcomplete_data.multiview.training.growth.GRADIENT", 0.0)
+    settings = dataclasses.replace(SETTINGS, growth=dataclasses.replace(GROWTH, max_splats=400))
     training = Training(*capture, 3.0, settings)
     counts = [training.step().splats for _ in range(settings.steps)]
     assert max(counts) == 400
@@ -223,10 +222,12 @@ def test_values_that_are_not_finite_stop_the_run(capture):
 
 @pytest.mark.parametrize("where", ["value.means", "adam.means.exp_avg_sq"])
 @pytest.mark.parametrize("checkpoint_every", [10, 15])
-def test_the_last_checkpoint_before_such_a_value_stays(where, checkpoint_every, capture, tmp_path):
+def test_the_last_checkpoint_before_such_a_value_stays(
+    where, checkpoint_every, capture, tmp_path, monkeypatch
+):
     """Values are only looked at now and then while no checkpoint is due."""
-    settings = dataclasses.replace(SETTINGS, growth=dataclasses.replace(GROWTH, until_share=0.0))
-    training = Training(*capture, 3.0, settings)
+    monkeypatch.setattr("splatcomplete_data.multiview.training.train.GROWTH_UNTIL_SHARE", 0.0)
+    training = Training(*capture, 3.0, SETTINGS)
 
     def poison(report: StepReport) -> None:
         if report.step == 20:

@@ -14,7 +14,7 @@ from gscomplete.splats.validation import validate_file
 from tests.builders.objects import random_splats
 from tests.builders.ply_files import FORMATS, make_ply, random_table, schema
 
-DATA = (Path(__file__).resolve().parents[2] / "../shared/data").resolve()
+DATA = (Path(__file__).resolve().parents[3] / "../shared/data").resolve()
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="shared/data is absent")
 
 
