@@ -18,6 +18,7 @@ from collections import defaultdict
 from itertools import groupby
 from pathlib import Path
 
+import gscomplete.cli.request
 import gscomplete.completion.run_folder
 import gscomplete.evaluate
 from gscomplete.cli.complete import run

@@ -42,7 +42,7 @@ DISTILL = dataclasses.replace(
     checkpoint_every=100,
 )
 """The paper's method in fewer and larger steps, sizes bound to a pixel. Noise falls from nearly all
-to little: where a prior keeps what it is shown, the paper's first stage keeps the sphere (fog)."""
+to little: where a prior keeps what it sees, the paper's first stage keeps the sphere (fog)."""
 
 LATENT = dataclasses.replace(DISTILL, steps=2000, rescale_about="background", checkpoint_every=500)
 """For priors that see colours alone over black or white. Chosen on priors of known strength

@@ -55,19 +55,24 @@ def card_of(subject: Subject, row: Row, most_splats: int) -> dict[str, Any]:
 
 
 def _picture(subject: Subject) -> str:
-    """Draw input above completion from the same views, with errors inset; as a data URL."""
+    """Draw input above completion from the same views, errors on P inset; as a data URL."""
     ring = subject.views.ring(360, _PICTURE_PX)
     cameras = ring[[int(angle) for angle in VIEWS_DEG]]
     sheet = Image.new("RGB", (_PICTURE_PX * len(VIEWS_DEG), 2 * _PICTURE_PX))
+    side = int(_INSET_SHARE * _PICTURE_PX)
     with torch.no_grad():
         shown = [_colors(splats, cameras) for splats in (subject.partial, subject.completed)]
-    for column in range(len(VIEWS_DEG)):
+    for column, angle_deg in enumerate(VIEWS_DEG):
         for line, (color, _) in enumerate(shown):
             sheet.paste(to_image(color[column]), (_PICTURE_PX * column, _PICTURE_PX * line))
-        inset = error_picture(shown[1][0][column], shown[0][0][column], shown[0][1][column])
-        side = int(_INSET_SHARE * _PICTURE_PX)
-        corner = (_PICTURE_PX * (column + 1) - side - 3, 2 * _PICTURE_PX - side - 3)
-        sheet.paste(inset.resize((side, side), Image.Resampling.LANCZOS), corner)
+        if angle_deg > subject.views.azimuth_range_deg:
+            continue  # from behind, P is to be covered
+        alpha = shown[0][1][column]
+        inset = error_picture(shown[1][0][column], shown[0][0][column], alpha)
+        mask = to_image(alpha[..., None].expand(-1, -1, 3)).convert("L")
+        small = [p.resize((side, side), Image.Resampling.LANCZOS) for p in (inset, mask)]
+        corner = (_PICTURE_PX * (column + 1) - side, 2 * _PICTURE_PX - side)
+        sheet.paste(small[0], corner, small[1])
     out = io.BytesIO()
     sheet.save(out, format="WEBP", quality=82)
     return "data:image/webp;base64," + base64.b64encode(out.getvalue()).decode("ascii")

@@ -13,6 +13,7 @@ Conventions
 from __future__ import annotations
 
 import base64
+import dataclasses
 import itertools
 import math
 from typing import TypedDict
@@ -21,6 +22,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from gscomplete.evaluate.align.align import evenly_spread
 from gscomplete.splats import Splats
 from gscomplete.splats.filters import thinned
 
@@ -44,14 +46,25 @@ def packed(splats: Splats, most: int) -> Packed:
 
     Args:
         splats: in the object frame, drawable.
-        most: of more, a random choice is taken, widened to match.
+        most: of more, a choice that is spread evenly in space is taken, widened to match.
     """
     kept = (splats.opacities >= FAINT) & (splats.means.abs() <= REACH).all(dim=1)
     chosen = splats.select(kept)
-    if len(chosen):
-        chosen = thinned(chosen, most, torch.Generator().manual_seed(0))
+    if len(chosen) > most:
+        chosen = _spread(chosen, most)
     data = b"".join(field.tobytes() for field in _fields(chosen))
     return {"count": len(chosen), "data": base64.b64encode(data).decode("ascii")}
+
+
+def _spread(splats: Splats, most: int) -> Splats:
+    """Choose splats about equally far apart; a random choice would leave holes."""
+    means = splats.means.double().numpy()
+    if not np.ptp(means, axis=0).max() > 0:
+        return thinned(splats, most, torch.Generator().manual_seed(0))
+    rows = evenly_spread(means, most, np.random.default_rng(0))
+    chosen = splats.select(torch.from_numpy(np.sort(rows)))
+    widened = chosen.scales * (len(splats) / len(chosen)) ** 0.5
+    return dataclasses.replace(chosen, scales=widened)
 
 
 def unpacked(splats: Packed) -> dict[str, NDArray[np.float64]]:

@@ -17,7 +17,9 @@ const headOf = (m) => `${m.label} ${m.lower ? "\u2193" : "\u2191"}`;
 function meansTable() {
   const head = make("tr", {}, make("th", { class: "text" }, "objects"), make("th", { class: "text" }, "method"), make("th", {}, "n"),
     ...page.measures.map((m) => make("th", {}, headOf(m))));
-  const rows = page.means.map((mean) => make("tr", {}, make("td", { class: "text" }, mean.group), make("td", { class: "text" }, mean.method),
+  const begins = (index) => index === 0 || page.means[index - 1].group !== page.means[index].group;
+  const rows = page.means.map((mean, index) => make("tr", begins(index) ? { class: "begin" } : {},
+    make("td", { class: "text" }, begins(index) ? mean.group : ""), make("td", { class: "text" }, mean.method),
     make("td", {}, String(mean.count)), ...page.measures.map((m) => {
       const cell = mean.cells[m.name];
       if (!cell) return make("td", {}, "-");

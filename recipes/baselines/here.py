@@ -181,7 +181,7 @@ def poisson_closing(part: Part) -> Splats:
 
 
 METHODS: dict[str, Callable[[Part], Splats]] = {
-    "partial": lambda part: part.partial,
+    "partial": lambda part: part.framed.partial,
     "likeliest_mirror": likeliest_mirror,
     "best_mirror": best_mirror,
     "nearest_mesh": nearest_mesh,

@@ -11,6 +11,7 @@ Conventions
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -41,13 +42,7 @@ def cast_mesh(mesh: Mesh, frame: ObjectFrame, cameras: Cameras, samples: int) ->
         UserError: Open3D is not installed.
     """
     core = import_open3d("ray casting").core
-    from open3d.t.geometry import RaycastingScene
-
-    vertices = np.concatenate([part.vertices for part in mesh.parts]).reshape(-1, 3)
-    moved = frame.object_from_file.apply(torch.from_numpy(vertices.astype(np.float64)))
-    scene = RaycastingScene()
-    faces = np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3)
-    scene.add_triangles(core.Tensor(moved.numpy().astype(np.float32)), core.Tensor(faces))
+    scene = scene_of(mesh, frame)
     colors, covers = [], []
     for view in range(len(cameras)):
         origin, directions = _rays(cameras[view], samples)
@@ -56,6 +51,23 @@ def cast_mesh(mesh: Mesh, frame: ObjectFrame, cameras: Cameras, samples: int) ->
         colors.append(rgb.reshape(*shape, 3).mean(axis=(1, 3), dtype=np.float32))
         covers.append(hit.reshape(shape).mean(axis=(1, 3), dtype=np.float32))
     return Truth(np.stack(colors), np.stack(covers))
+
+
+def scene_of(mesh: Mesh, frame: ObjectFrame) -> Any:
+    """Return the mesh in its object frame as a scene that rays are cast into.
+
+    Raises:
+        UserError: Open3D is not installed.
+    """
+    core = import_open3d("ray casting").core
+    from open3d.t.geometry import RaycastingScene
+
+    vertices = np.concatenate([part.vertices for part in mesh.parts]).reshape(-1, 3)
+    moved = frame.object_from_file.apply(torch.from_numpy(vertices.astype(np.float64)))
+    scene = RaycastingScene()
+    faces = np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3)
+    scene.add_triangles(core.Tensor(moved.numpy().astype(np.float32)), core.Tensor(faces))
+    return scene
 
 
 def _rays(

@@ -207,7 +207,7 @@ def card(
         "# Embedded prior",
         "",
         "A four-view, camera-, text- and input-conditioned denoiser of premultiplied RGBA images,",
-        "and a three-dimensional network that guesses the whole from a part at once; both",
+        "and a three-dimensional network that guesses the complete object from a part; both",
         "trained by `recipes/train_embedded_prior`: the denoiser on procedural objects, the shape",
         "network on these and on free meshes (sources below). No third-party models, no downloads.",
         "Licence: Apache-2.0, as the rest of the repository.",
@@ -244,9 +244,9 @@ def card(
             f"* Training: {made.steps} steps, {made.sets} objects with their parts, each seen "
             f"about twice in different orientations, {made.hours:.2f} hours on {made.machine}, "
             f"seed {made.seed}.",
-            f"* Planes that P is mirrored through are ranked by `{COARSE_SCORER_FILE}` and judged "
-            f"by `{FINE_SCORER_FILE}`, trained before it by `plane_ranker.py` and "
-            "`plane_judge.py` of `recipes/train_embedded_prior`.",
+            f"* Planes that P is mirrored through are scored by `{COARSE_SCORER_FILE}` and then "
+            f"by `{FINE_SCORER_FILE}`, trained before it by `train_coarse_scorer.py` and "
+            "`train_fine_scorer.py` of `recipes/train_embedded_prior`.",
             *([f"* History: {history}"] if history else []),
             *(f"* Held-out {name}: {value:.4f}" for name, value in shape_losses.items()),
             "",

@@ -1,4 +1,4 @@
-"""What those who rank and judge planes learn from: parts, planes, true scores of planes.
+"""What the symmetry scorers learn from: parts, planes, true scores of planes.
 
 Conventions
 -----------
@@ -49,7 +49,7 @@ class PlaneSets:
     evidence: NDArray[np.uint8]  # [N, 3, C/2, C/2, C/2] shares in 255ths
     planes: NDArray[np.int16]  # [N, K, 2] angle, offset
     features: FloatArray  # [N, K, F]
-    logits: FloatArray  # [N, K] the ranker's
+    logits: FloatArray  # [N, K] the coarse scorer's
     true_scores: FloatArray  # [N, K]
 
     def __len__(self) -> int:
@@ -65,7 +65,7 @@ def planes_of(posed: PosedObject, rng: np.random.Generator) -> PlaneSets:
     """Measure the planes of one object."""
     look = voxelize_partial(posed.partial, posed.distribution)
     features = plane_features(look.samples(), look.evidence)
-    true_scores = Truth.of(posed.partial, posed.whole).plane_scores()
+    true_scores = Truth.of(posed.partial, posed.complete).plane_scores()
     logits = packaged_coarse_scorer()(features)
     likely = distinct_planes(logits, JUDGED)
     planes = np.concatenate([likely, distinct_planes(true_scores, BEST_PLANES)])

@@ -1,9 +1,9 @@
 """Train a network of the embedded prior.
 
 ``python -m recipes.train_embedded_prior.train views --out DIR`` trains the four-view denoiser,
-``... shape --out DIR`` the shape network. What ranks planes of symmetry for the latter, and what
-judges them, is trained before it, by ``plane_ranker`` and then ``plane_judge``; ``export`` turns
-both runs into the package's weights.
+``... shape --out DIR`` the shape network. The scorers of planes of symmetry are trained before the
+latter, by ``train_coarse_scorer`` and then ``train_fine_scorer``; ``export`` turns both runs into
+the package's weights.
 
 Conventions
 -----------

@@ -88,7 +88,7 @@ def make(options: MeshOptions, enter: StageCallback = ignore_stage) -> ObjectDra
     """
     from gscomplete.views import ObjectFrame
     from splatcomplete_data.cli.common import framing_request
-    from splatcomplete_data.cuts.named import apply_cuts, parse_cut
+    from splatcomplete_data.cuts.named import apply_cuts, parse_cut, scanner_position
     from splatcomplete_data.mesh.convert import ConvertSettings, convert_mesh
     from splatcomplete_data.mesh.files.load import BakedLight, load_mesh
     from splatcomplete_data.mesh.files.up_axis import up_of_mesh_file
@@ -117,10 +117,12 @@ def make(options: MeshOptions, enter: StageCallback = ignore_stage) -> ObjectDra
     complete = made.splats
     part: Splats | None = None
     steps: tuple[StepRecord, ...] = ()
+    scanner = None
     if cuts:
         enter("cutting", 0.5)
         frame = ObjectFrame.about(complete, request.up)
         part, steps = apply_cuts(complete, frame, cuts, (), str(options.file))
+        scanner = scanner_position(cuts, frame)
     moved = None if mesh.offset is None else without_offset(mesh.offset)
     far = () if mesh.offset is None else (offset_note(mesh.offset),)
     size = f"{len(complete):,} splats, spacing {made.spacing:.4g} file units"
@@ -133,5 +135,6 @@ def make(options: MeshOptions, enter: StageCallback = ignore_stage) -> ObjectDra
         (*repairs, *made.steps, *steps),
         (*mesh.notes, *far, size),
         file_from_source=moved,
+        camera_position_file=scanner,
         is_center_of_source=True,
     )

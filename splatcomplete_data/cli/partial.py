@@ -19,11 +19,7 @@ from splatcomplete_data.cli.common import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from gscomplete.splats import Similarity, Splats
-    from gscomplete.views import ObjectFrame
-    from splatcomplete_data.cuts.named import Cut
     from splatcomplete_data.objects import ObjectRecord, StepRecord
 
 
@@ -68,7 +64,7 @@ def make(options: PartialOptions) -> tuple[PartialOptions, ObjectDraft]:
     """
     from gscomplete.views import ObjectFrame
     from splatcomplete_data.cuts.boxes import parse_box
-    from splatcomplete_data.cuts.named import ScanCut, apply_cuts, parse_cut
+    from splatcomplete_data.cuts.named import ScanCut, apply_cuts, parse_cut, scanner_position
     from splatcomplete_data.framing import SPLAT_FILE_UP, UP_ASSUMED
 
     cuts = [parse_cut(text) for text in options.cut]
@@ -112,24 +108,10 @@ def make(options: PartialOptions) -> tuple[PartialOptions, ObjectDraft]:
         notes,
         boxes=boxes,
         file_from_source=source.file_from_source,
-        camera_position_file=_scanner(cuts, frame),
+        camera_position_file=scanner_position(cuts, frame),
         details=details,
     )
     return options, made
-
-
-def _scanner(cuts: Sequence[Cut], frame: ObjectFrame) -> tuple[float, float, float] | None:
-    """Return where the one scanner stood, in the file frame; None = there were none or several."""
-    import torch
-
-    from splatcomplete_data.cuts.named import ScanCut
-
-    places = {place for cut in cuts if isinstance(cut, ScanCut) for place in cut.directions_deg}
-    if len(places) != 1:
-        return None
-    (eye,) = torch.from_numpy(ScanCut((places.pop(),)).eyes)
-    x, y, z = frame.object_from_file.inverse().apply(eye).tolist()
-    return x, y, z
 
 
 @dataclass(frozen=True, slots=True, eq=False)

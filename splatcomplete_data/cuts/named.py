@@ -24,7 +24,6 @@ from gscomplete.errors import UserError
 from gscomplete.splats import Splats, transform_splats
 from gscomplete.views import ObjectFrame
 from splatcomplete_data.cuts.boxes import CropBox, inside_boxes
-from splatcomplete_data.cuts.discs_in_depth import seen_discs
 from splatcomplete_data.cuts.geometry import (
     PartialCut,
     by_plane,
@@ -32,6 +31,7 @@ from splatcomplete_data.cuts.geometry import (
     eyes_at,
     looking_rotation,
 )
+from splatcomplete_data.cuts.transmittance import seen_splats
 from splatcomplete_data.objects import StepRecord
 
 SCAN_DISTANCE = 2.2
@@ -104,7 +104,7 @@ class ScanCut:
         )
         seen = np.zeros(len(complete), np.bool_)
         for eye in eyes:
-            seen |= seen_discs(complete, eye, looking_rotation(eye, middle), grid_px, half)
+            seen |= seen_splats(complete, eye, looking_rotation(eye, middle), grid_px, half)
         details = {"views": len(eyes), "eyes": eyes.round(3).tolist()}
         return PartialCut(torch.from_numpy(seen), "visibility", details)
 
@@ -132,6 +132,22 @@ def parse_cut(text: str, option: str = "--cut") -> Cut:
     except ValueError:
         pass
     raise UserError(f"{option}: expected {FORMS}, found {text!r}")
+
+
+def scanner_position(cuts: Sequence[Cut], frame: ObjectFrame) -> tuple[float, float, float] | None:
+    """Return where the one scanner stood, in the file frame; None = there were none or several.
+
+    Args:
+        cuts: cuts in the object frame.
+        frame: the object frame.
+    """
+    scans = [cut for cut in cuts if isinstance(cut, ScanCut)]
+    places = {place for cut in scans for place in cut.directions_deg}
+    if len(places) != 1:
+        return None
+    eye = torch.from_numpy(scans[0].eyes[0])
+    x, y, z = frame.object_from_file.inverse().apply(eye).tolist()
+    return (x, y, z)
 
 
 def apply_cuts(

@@ -37,6 +37,20 @@ def test_many_are_thinned_and_widened():
     assert abs(float(np.log(found["scales"]).mean()) - before - 0.5 * np.log(10)) < 0.1
 
 
+def test_what_is_thinned_leaves_no_holes():
+    """Of a sheet twenty times as dense on one side, both sides are covered alike."""
+    g = torch.Generator().manual_seed(0)
+    places = torch.rand(21_000, 2, generator=g) * torch.tensor([1.0, 0.5])
+    places[1000:, 1] -= 0.5
+    means = torch.cat([places, torch.zeros(21_000, 1)], dim=1) * 0.9
+    rest = cloud(21_000, 1)
+    sheet = dataclasses.replace(rest, means=means)
+    found = unpacked(packed(sheet, 1000))["means"]
+    sparse, dense = found[found[:, 1] > 0.01], found[found[:, 1] < -0.01]
+    assert 0.5 < len(sparse) / len(dense) < 1.2
+    assert packed(dataclasses.replace(rest, means=torch.zeros(21_000, 3)), 500)["count"] == 500
+
+
 def test_faint_and_far_splats_stay_away_and_none_at_all_is_fine():
     splats = cloud(30, 0)
     far = Splats(splats.means + 5, splats.quaternions, splats.scales, splats.opacities, splats.sh)

@@ -3,7 +3,7 @@
 Conventions
 -----------
 * The score of a copy: the share of the missing surface that it covers, less half its share that is
-  new and not on the whole's surface: 1 is perfect, 0 is no copy at all.
+  new and not on the complete object's surface: 1 is perfect, 0 is no copy at all.
 * Distances are in the cells of ``grid``; a surface is met within 1, missed beyond 1.5.
 """
 
@@ -33,24 +33,24 @@ _SAMPLES = 400
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """A part and its whole, as copies are judged by them."""
+    """A part and the complete object, by which copies are scored."""
 
     to_part: FloatArray  # [C, C, C] cells
-    to_whole: FloatArray  # [C, C, C] cells
-    missing: FloatArray  # [M, 3] points of the whole's surface that P lacks
+    to_complete: FloatArray  # [C, C, C] cells
+    missing: FloatArray  # [M, 3] points of the complete object's surface that P lacks
     points: FloatArray  # [N, 3] of P
 
     @classmethod
-    def of(cls, partial: Splats, whole: Splats) -> Truth:
+    def of(cls, partial: Splats, complete: Splats) -> Truth:
         """Look at both, in one object frame."""
         part = splat_arrays(partial)
-        to_part, to_whole = _cells_to(*part), _cells_to(*splat_arrays(whole))
-        cells = np.argwhere((to_whole == 0) & (to_part > 1.5))
+        to_part, to_complete = _cells_to(*part), _cells_to(*splat_arrays(complete))
+        cells = np.argwhere((to_complete == 0) & (to_part > 1.5))
         rng = np.random.default_rng(0)
         cells = cells[rng.permutation(len(cells))[:_SAMPLES]]
         missing = ((cells + 0.5) * CELL_SIDE - HALF_SIDE).astype(np.float32)
         points = part[0][rng.permutation(len(part[0]))[:_SAMPLES]]
-        return cls(to_part, to_whole, missing, points)
+        return cls(to_part, to_complete, missing, points)
 
     def map_score(self, symmetry: SymmetryMap) -> float:
         """Return the score of the copy by one map."""
@@ -73,7 +73,7 @@ class Truth:
         if not len(self.missing):
             return np.zeros(len(back), np.float32)
         covered = _at(self.to_part, back) <= 1.0
-        wrong = (_at(self.to_whole, copies) > 1.5) & (_at(self.to_part, copies) > 1.5)
+        wrong = (_at(self.to_complete, copies) > 1.5) & (_at(self.to_part, copies) > 1.5)
         score = covered.mean(axis=1) - WRONG_WEIGHT * wrong.mean(axis=1)
         return score.astype(np.float32)
 

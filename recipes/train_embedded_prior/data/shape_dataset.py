@@ -2,9 +2,9 @@
 
 Conventions
 -----------
-* P and the whole are carried into a frame that is guessed from P as a run would guess it, so that
-  the network learns with the errors it will meet.
-* What of the whole counts as solid is said in ``solids``.
+* P and the complete object are carried into a frame that is guessed from P as a run would guess
+  it, so that the network learns with the errors it will meet.
+* What of the complete object counts as solid is said in ``solids``.
 * Colour volumes are stored as lists of filled cells: (x, y, z, r, g, b, occupancy) in eight bits.
 """
 
@@ -76,7 +76,7 @@ class ShapeBatch:
     scores: Tensor  # [B, COPIES]
     tokens: Tensor  # [B, L]
     solid: Tensor  # [B, C, C, C] 0 or 1
-    surface: Tensor  # [B, 4, C, C, C] of the whole: occupancy and colour
+    surface: Tensor  # [B, 4, C, C, C] of the complete object: occupancy and colour
 
     def to(self, device: str) -> ShapeBatch:
         """Return the sets on a device."""
@@ -123,10 +123,10 @@ class ShapeSpec:
 
 @dataclass(frozen=True, slots=True)
 class PosedObject:
-    """A part and the whole in the frame guessed from the part."""
+    """A part and the complete object in the frame guessed from the part."""
 
     partial: Splats
-    whole: Splats
+    complete: Splats
     distribution: ViewDistribution
     caption: str
 
@@ -151,9 +151,9 @@ class ShapeSetMaker:
         stored["evidence"] = np.round(seen.evidence * 255)
         stored["scores"] = seen.scores
         stored["tokens"] = self.tokenizer.encode(posed.caption).numpy()
-        whole = splat_arrays(posed.whole)
-        stored["solid"] = np.packbits(solid_cells(whole[0], whole[1]))
-        surface = fill_colored(*whole, CELLS)
+        complete = splat_arrays(posed.complete)
+        stored["solid"] = np.packbits(solid_cells(complete[0], complete[1]))
+        surface = fill_colored(*complete, CELLS)
         stored["surface"] = pack_cells(surface, MOST_SURFACE_CELLS, rng)
         return stored
 
@@ -168,7 +168,7 @@ class ShapeSetMaker:
         planes = candidate_planes(look, CANDIDATES, bfloat16=True)
         first = 0
         if rng.random() < _BEST_COPY_SHARE:
-            truth = Truth.of(posed.partial, posed.whole)
+            truth = Truth.of(posed.partial, posed.complete)
             true_scores = [truth.map_score(plane) for plane in planes]
             first = int(np.argmax(true_scores))
             if true_scores[first] < _LEAST_SCORE:

@@ -1,4 +1,4 @@
-"""The cells that a whole object fills: what the shape network learns to predict.
+"""The cells that a complete object fills: what the shape network learns to predict.
 
 Conventions
 -----------
@@ -23,7 +23,7 @@ _CLOSING = 2
 
 
 def solid_cells(positions: FloatArray, tangents: FloatArray) -> NDArray[np.uint8]:  # [C, C, C]
-    """Return 1 where a whole object fills its cell, from its splats."""
+    """Return 1 where a complete object fills its cell, from its splats."""
     shell = fill_shell(positions, tangents, CELLS, 1.2)
     solid = fill_inside(shell) > 0
     for steps in range(1, _CLOSING + 1):

@@ -1,4 +1,4 @@
-"""The workbench of a family: parts with their looks, put together into one object.
+"""The workbench of a family: parts with their appearance, put together into one object.
 
 Conventions
 -----------

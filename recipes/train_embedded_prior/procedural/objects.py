@@ -51,7 +51,7 @@ _TILTED_SHARE = 0.08
 _LYING_SHARE = 0.03
 """Share of objects that lie on their side."""
 _WARPED_SHARE = 0.6
-"""Share of objects that are deformed as a whole."""
+"""Share of objects that are deformed all over."""
 _COLOR_NOISE = 0.02
 """Largest standard deviation of the colour noise per splat (drawn per object)."""
 _SPLATS = (7000, 11000)

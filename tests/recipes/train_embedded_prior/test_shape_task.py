@@ -75,9 +75,9 @@ def test_little_is_missing_in_the_share_asked_for(tmp_path):
         maker = dataclasses.replace(spec, data=data).maker()
         return maker.posed(index, np.random.default_rng(index))
 
-    assert all(len(posed(1.0, k).partial) == len(posed(1.0, k).whole) for k in range(4))
-    assert all(len(posed(0.0, k).partial) < len(posed(0.0, k).whole) for k in range(4))
-    kept = [len(posed(0.5, k).partial) == len(posed(0.5, k).whole) for k in range(12)]
+    assert all(len(posed(1.0, k).partial) == len(posed(1.0, k).complete) for k in range(4))
+    assert all(len(posed(0.0, k).partial) < len(posed(0.0, k).complete) for k in range(4))
+    kept = [len(posed(0.5, k).partial) == len(posed(0.5, k).complete) for k in range(12)]
     assert 0 < sum(kept) < 12
 
 

@@ -127,3 +127,26 @@ def test_the_view_of_one_scanner_is_the_input_view(tmp_path):
         views = record_of(out)["views"]
         turned = (views["azimuth_deg"] - azimuth + 180) % 360 - 180
         assert (turned, views["elevation_deg"]) == pytest.approx((0, elevation), abs=1e-3)
+
+
+def test_a_mesh_that_is_scanned_is_seen_from_the_scanner(tmp_path):
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.5]])
+    faces = "".join(f"f {a} {b} {c}\n" for a, b, c in ((1, 3, 2), (1, 2, 4), (2, 3, 4), (3, 1, 4)))
+    rows = "".join(f"v {x} {y} {z}\n" for x, y, z in corners)
+    (tmp_path / "a.obj").write_text(rows + faces)
+    words = [
+        "mesh",
+        str(tmp_path / "a.obj"),
+        "--count",
+        "2000",
+        "--cut",
+        "scan:200/35",
+        "--up",
+        "Z",
+    ]
+    assert cli.main([*words, "--out", str(tmp_path / "part")]) == 0
+    views = record_of(tmp_path / "part")["views"]
+    found = views["azimuth_deg"] % 360, views["elevation_deg"]
+    assert found == pytest.approx((200, 35), abs=1e-3)
+    assert cli.main([*words, "--view", "10,20", "--out", str(tmp_path / "other")]) == 0
+    assert record_of(tmp_path / "other")["views"]["azimuth_deg"] == 10

@@ -1,13 +1,13 @@
-"""Train what judges planes of symmetry: ``python -m recipes.train_embedded_prior.plane_judge``.
+"""Train the fine symmetry scorer: ``python -m recipes.train_embedded_prior.train_fine_scorer``.
 
-It comes after the ranker, whose likely planes it judges, and before the shape network, whose
+It comes after the coarse scorer, whose likely planes it scores, and before the shape network, whose
 training sets hold the copies that it prefers. Objects are made once and kept in the run's folder;
 training goes on from the last checkpoint there.
 
 Conventions
 -----------
 * The score of a plane is defined in ``copies``.
-* One answer of the judge learns the softmax of true scores times ``sharpness`` by cross entropy,
+* One answer learns the softmax of true scores times ``_SHARPNESS`` by cross entropy,
   the other the true scores themselves by squared error; runs use the former only.
 * Random numbers are a function of (seed, step). The first file of objects is held out.
 """
@@ -56,8 +56,8 @@ from recipes.train_embedded_prior.plane_sets import (
 )
 
 _LOG = logging.getLogger(__name__)
-_CHECKPOINT = "judge_checkpoint.safetensors"
-_RUN = "judge.json"
+_CHECKPOINT = "fine_scorer_checkpoint.safetensors"
+_RUN = "fine_scorer.json"
 _DECAY_FROM = 0.4
 """Share of the steps after which the learning rate falls, as a cosine, to 0."""
 _SHARPNESS = 10.0
@@ -69,10 +69,10 @@ _WITHOUT_EFFECT = {"run", "out", "checkpoint_every", "workers"}
 
 
 @dataclass(frozen=True)
-class JudgeConfig:
-    """Train the judge of planes."""
+class FineScorerConfig:
+    """Train the fine symmetry scorer."""
 
-    run: Path = Path("runs/plane_judge")
+    run: Path = Path("runs/fine_scorer")
     """Folder for the objects and the checkpoint."""
     out: Path = field(default_factory=lambda: packaged_weights() / FINE_SCORER_FILE)
     """File to write; the default is the package's own."""
@@ -94,16 +94,16 @@ class JudgeConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class JudgedSets:
+class PlaneBatch:
     """A batch: the planes of all its objects one after the other."""
 
     volumes: FoldedVolumes
     features: Tensor  # [B P, F]
-    ranked: Tensor  # [B P] the ranker's logits
+    ranked: Tensor  # [B P] the coarse scorer's logits
     true_scores: Tensor  # [B P]
 
 
-def batch_of(sets: PlaneSets, config: JudgeConfig, step: int) -> JudgedSets:
+def batch_of(sets: PlaneSets, config: FineScorerConfig, step: int) -> PlaneBatch:
     """Draw the batch of a step: objects with colours changed, turned, and seen from either side."""
     rng = np.random.default_rng((config.seed, step))
     drawn = []
@@ -117,7 +117,7 @@ def batch_of(sets: PlaneSets, config: JudgeConfig, step: int) -> JudgedSets:
         torch.cat([getattr(one, name) for one in drawn])
         for name in ("features", "ranked", "true_scores")
     )
-    return JudgedSets(FoldedVolumes(fine, coarse), features, ranked, true_scores)
+    return PlaneBatch(FoldedVolumes(fine, coarse), features, ranked, true_scores)
 
 
 def _planes(
@@ -125,7 +125,7 @@ def _planes(
     index: int,
     chosen: NDArray[np.intp],  # [P]
     rng: np.random.Generator | None,
-) -> JudgedSets:
+) -> PlaneBatch:
     """Return some planes of an object.
 
     Args:
@@ -145,7 +145,7 @@ def _planes(
             fine, coarse = fine.flip(3), coarse.flip(3)
         other_side = torch.from_numpy(rng.random(len(chosen)) < 0.5)
         fine, coarse = _swapped(fine, other_side), _swapped(coarse, other_side)
-    return JudgedSets(
+    return PlaneBatch(
         FoldedVolumes(fine, coarse),
         torch.from_numpy(sets.features[index, chosen]),
         torch.from_numpy(sets.logits[index, chosen]),
@@ -160,39 +160,39 @@ def _swapped(sides: Tensor, which: Tensor) -> Tensor:  # [K, 2 C, u, v, z], [K]
     return torch.where(which[:, None, None, None, None], swapped, sides)
 
 
-def learning_rate(config: JudgeConfig, step: int) -> float:
+def learning_rate(config: FineScorerConfig, step: int) -> float:
     """Return the learning rate of a step."""
     done = max(step / config.steps - _DECAY_FROM, 0.0) / (1 - _DECAY_FROM)
     warm = min(1.0, (step + 1) / 100)
     return config.learning_rate * warm * (0.5 + 0.5 * math.cos(math.pi * done))
 
 
-class JudgeTraining:
+class FineScorerTraining:
     """The networks and the optimiser, kept in a file."""
 
-    def __init__(self, config: JudgeConfig, features: Tensor) -> None:
+    def __init__(self, config: FineScorerConfig, features: Tensor) -> None:
         """Start anew; ``features`` [N, K, F] gives their scaling."""
         torch.manual_seed(config.seed)
         self.config = config
-        self.judge = FineSymmetryScorer()
-        self.judge.center.copy_(features.mean(dim=(0, 1)))
-        self.judge.spread.copy_(features.std(dim=(0, 1)).clamp_min(1e-3))
-        self.average = copy.deepcopy(self.judge)
+        self.scorer = FineSymmetryScorer()
+        self.scorer.center.copy_(features.mean(dim=(0, 1)))
+        self.scorer.spread.copy_(features.std(dim=(0, 1)).clamp_min(1e-3))
+        self.average = copy.deepcopy(self.scorer)
         self.optimizer = torch.optim.AdamW(
-            self.judge.parameters(),
+            self.scorer.parameters(),
             config.learning_rate,
             betas=(0.9, 0.98),
             weight_decay=config.weight_decay,
         )
         self.step = 0
 
-    def advance(self, batch: JudgedSets) -> float:
+    def advance(self, batch: PlaneBatch) -> float:
         """Take a step and return its loss."""
         config = self.config
         for group in self.optimizer.param_groups:
             group["lr"] = learning_rate(config, self.step)
         with cpu_precision(bfloat16=True):
-            logits, predicted = self.judge(batch.volumes, batch.features, batch.ranked)
+            logits, predicted = self.scorer(batch.volumes, batch.features, batch.ranked)
         by_object = (config.batch_objects, config.planes)
         target = (_SHARPNESS * batch.true_scores).view(by_object).softmax(dim=1)
         guess = logits.float().view(by_object).log_softmax(dim=1)
@@ -200,18 +200,20 @@ class JudgeTraining:
         loss = loss + _SCORE_WEIGHT * (predicted.float() - batch.true_scores).square().mean()
         self.optimizer.zero_grad()
         loss.backward()
-        torch.nn.utils.clip_grad_norm_(self.judge.parameters(), 1.0)
+        torch.nn.utils.clip_grad_norm_(self.scorer.parameters(), 1.0)
         self.optimizer.step()
         self.step += 1
         keep = min(config.average, self.step / (self.step + 10))
         with torch.no_grad():
-            for mean, value in zip(self.average.parameters(), self.judge.parameters(), strict=True):
+            for mean, value in zip(
+                self.average.parameters(), self.scorer.parameters(), strict=True
+            ):
                 mean.lerp_(value, 1 - keep)
         return float(loss.detach())
 
     def save(self) -> None:
         """Write the checkpoint."""
-        tensors = {f"judge.{k}": v for k, v in self.judge.state_dict().items()}
+        tensors = {f"scorer.{k}": v for k, v in self.scorer.state_dict().items()}
         tensors |= {f"average.{k}": v for k, v in self.average.state_dict().items()}
         for index, moments in self.optimizer.state_dict()["state"].items():
             tensors |= {f"moments.{index}.{k}": torch.as_tensor(v) for k, v in moments.items()}
@@ -225,7 +227,7 @@ class JudgeTraining:
         if not path.is_file():
             return
         tensors = load_file(path)
-        for name, network in (("judge", self.judge), ("average", self.average)):
+        for name, network in (("scorer", self.scorer), ("average", self.average)):
             start = name + "."
             network.load_state_dict(
                 {k.removeprefix(start): v for k, v in tensors.items() if k.startswith(start)}
@@ -239,14 +241,14 @@ class JudgeTraining:
         self.step = int(tensors["step"])
 
 
-def open_run(config: JudgeConfig) -> None:
+def open_run(config: FineScorerConfig) -> None:
     """Create the run folder, or check that a checkpoint there is of the same run.
 
     Raises:
         UserError: it is of another run.
     """
     options = {k: v for k, v in to_json(config).items() if k not in _WITHOUT_EFFECT}
-    identity = {"options": options, "ranker": packaged_coarse_scorer().digest()}
+    identity = {"options": options, "coarse_scorer": packaged_coarse_scorer().digest()}
     if (config.run / _CHECKPOINT).is_file():
         require_same_identity(config.run / _RUN, identity)
     config.run.mkdir(parents=True, exist_ok=True)
@@ -254,23 +256,23 @@ def open_run(config: JudgeConfig) -> None:
 
 
 @torch.no_grad()
-def score_of_choice(judge: FineSymmetryScorer, sets: PlaneSets) -> tuple[float, float, float]:
-    """Return mean true scores of the judge's first planes, the ranker's, and the best judged."""
+def score_of_choice(scorer: FineSymmetryScorer, sets: PlaneSets) -> tuple[float, float, float]:
+    """Return mean true scores of the fine scorer's planes, the coarse scorer's, and the best."""
     found = []
     for index in range(len(sets)):
         one = _planes(sets, index, np.arange(JUDGED), None)
         with cpu_precision(bfloat16=True):
-            logits, _ = judge(one.volumes, one.features, one.ranked)
+            logits, _ = scorer(one.volumes, one.features, one.ranked)
         found.append((one.true_scores[logits.argmax()], one.true_scores[0], one.true_scores.max()))
     first, ranked, best = np.array(found).mean(axis=0).tolist()
     return first, ranked, best
 
 
-def train(config: JudgeConfig) -> int:
-    """Train, from the last checkpoint if there is one, and write the judge."""
+def train(config: FineScorerConfig) -> int:
+    """Train, from the last checkpoint if there is one, and write the scorer."""
     open_run(config)
     sets = plane_sets(config.run / "objects", config.seed, config.objects, config.workers)
-    training = JudgeTraining(config, torch.from_numpy(sets.features))
+    training = FineScorerTraining(config, torch.from_numpy(sets.features))
     training.resume()
     started, smoothed = time.monotonic(), math.nan
     steps = range(training.step, config.steps)
@@ -281,11 +283,11 @@ def train(config: JudgeConfig) -> int:
             training.save()
             minutes = (time.monotonic() - started) / 60
             _LOG.info("step %d, %.1f min: loss %.3f", training.step, minutes, smoothed)
-    judge = training.average.eval()
+    scorer = training.average.eval()
     held_out = sets.first(FILE_OBJECTS)
-    _LOG.info("held out: score of the judge's plane %.3f, of the ranker's %.3f, of the best %.3f",
-              *score_of_choice(judge, held_out))  # fmt: skip
-    judge.save(config.out)
+    found = score_of_choice(scorer, held_out)
+    _LOG.info("held out: score of the plane %.3f, of the coarse scorer's %.3f, best %.3f", *found)
+    scorer.save(config.out)
     _LOG.info("%s", config.out)
     return 0
 
@@ -293,8 +295,8 @@ def train(config: JudgeConfig) -> int:
 def main() -> int:
     """Run from the command line."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    config = tyro.cli(JudgeConfig, description=__doc__)
-    return run_guarded("plane_judge", lambda: train(config), "the same command goes on")
+    config = tyro.cli(FineScorerConfig, description=__doc__)
+    return run_guarded("train_fine_scorer", lambda: train(config), "the same command goes on")
 
 
 if __name__ == "__main__":

@@ -1,11 +1,12 @@
-"""Train what ranks planes of symmetry: ``python -m recipes.train_embedded_prior.plane_ranker``.
+"""Train the coarse symmetry scorer.
 
-It comes before the shape network, whose training sets hold the copies that it chooses.
+``python -m recipes.train_embedded_prior.train_coarse_scorer`` comes before the shape network, whose
+training sets hold the copies that it chooses.
 
 Conventions
 -----------
 * The score of a plane is defined in ``copies``.
-* The ranker learns the softmax of the planes' true scores times ``sharpness`` by cross entropy.
+* The scorer learns the softmax of the planes' true scores times ``_SHARPNESS`` by cross entropy.
 * Object k is that of the shape network's sets of another seed; every fifth is held out.
 """
 
@@ -40,8 +41,8 @@ _SHARPNESS = 16.0
 
 
 @dataclass(frozen=True)
-class RankerConfig:
-    """Train the ranker of planes."""
+class CoarseScorerConfig:
+    """Train the coarse symmetry scorer."""
 
     out: Path = field(default_factory=lambda: packaged_weights() / COARSE_SCORER_FILE)
     """File to write; the default is the package's own."""
@@ -65,10 +66,10 @@ def _measured(task: tuple[int, int]) -> tuple[FloatArray, FloatArray]:  # (seed,
     posed, _ = posed_object(task)
     look = voxelize_partial(posed.partial, posed.distribution)
     features = plane_features(look.samples(), look.evidence)
-    return features, Truth.of(posed.partial, posed.whole).plane_scores()
+    return features, Truth.of(posed.partial, posed.complete).plane_scores()
 
 
-def measured_planes(config: RankerConfig) -> tuple[Tensor, Tensor]:  # [N, A, O, F], [N, A, O]
+def measured_planes(config: CoarseScorerConfig) -> tuple[Tensor, Tensor]:  # [N, A, O, F], [N, A, O]
     """Make the objects and measure all planes of each."""
     tasks = [(config.seed, index) for index in range(config.objects)]
     context = multiprocessing.get_context("spawn")
@@ -80,8 +81,8 @@ def measured_planes(config: RankerConfig) -> tuple[Tensor, Tensor]:  # [N, A, O,
     return torch.from_numpy(np.stack(features)), torch.from_numpy(np.stack(true_scores))
 
 
-def fit(config: RankerConfig, features: Tensor, true_scores: Tensor) -> CoarseSymmetryScorer:
-    """Train the ranker.
+def fit(config: CoarseScorerConfig, features: Tensor, true_scores: Tensor) -> CoarseSymmetryScorer:
+    """Train the scorer.
 
     Args:
         config: knobs.
@@ -120,27 +121,27 @@ def fit(config: RankerConfig, features: Tensor, true_scores: Tensor) -> CoarseSy
 
 
 def score_of_choice(
-    ranker: CoarseSymmetryScorer, features: Tensor, true_scores: Tensor
+    scorer: CoarseSymmetryScorer, features: Tensor, true_scores: Tensor
 ) -> tuple[float, float]:
-    """Return the mean score of the planes that the ranker puts first, and of the best ones."""
-    first = torch.from_numpy(ranker(features.numpy())).flatten(1).argmax(dim=1)
+    """Return the mean score of the planes that the scorer puts first, and of the best ones."""
+    first = torch.from_numpy(scorer(features.numpy())).flatten(1).argmax(dim=1)
     flat = true_scores.flatten(1)
     return float(flat[torch.arange(len(flat)), first].mean()), float(flat.amax(dim=1).mean())
 
 
-def main(config: RankerConfig) -> int:
+def main(config: CoarseScorerConfig) -> int:
     """Run from the command line."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     features, true_scores = measured_planes(config)
     held_out = torch.arange(len(features)) % _HELD_OUT_EVERY == 0
-    ranker = fit(config, features[~held_out], true_scores[~held_out])
+    scorer = fit(config, features[~held_out], true_scores[~held_out])
     for name, rows in (("trained on", ~held_out), ("held out", held_out)):
-        found, best = score_of_choice(ranker, features[rows], true_scores[rows])
+        found, best = score_of_choice(scorer, features[rows], true_scores[rows])
         _LOG.info("%s: score of the first plane %.3f, of the best %.3f", name, found, best)
-    ranker.save(config.out)
+    scorer.save(config.out)
     _LOG.info("%s", config.out)
     return 0
 
 
 if __name__ == "__main__":
-    start(main, RankerConfig, __doc__)
+    start(main, CoarseScorerConfig, __doc__)

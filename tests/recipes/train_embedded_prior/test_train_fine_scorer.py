@@ -8,14 +8,6 @@ from gscomplete.errors import UserError
 from gscomplete.shape.symmetry_features import ANGLES, FEATURES, OFFSETS
 from gscomplete.shape.symmetry_proposals import JUDGED
 from gscomplete.shape.voxels import COARSE_CELLS
-from recipes.train_embedded_prior.plane_judge import (
-    JudgeConfig,
-    JudgeTraining,
-    batch_of,
-    learning_rate,
-    open_run,
-    score_of_choice,
-)
 from recipes.train_embedded_prior.plane_sets import (
     BEST_PLANES,
     FILE_OBJECTS,
@@ -23,6 +15,14 @@ from recipes.train_embedded_prior.plane_sets import (
     joined,
     planes_of,
     posed_object,
+)
+from recipes.train_embedded_prior.train_fine_scorer import (
+    FineScorerConfig,
+    FineScorerTraining,
+    batch_of,
+    learning_rate,
+    open_run,
+    score_of_choice,
 )
 
 
@@ -50,16 +50,16 @@ def simple_sets(count: int = FILE_OBJECTS + 8) -> PlaneSets:
 
 def test_training_goes_on_as_if_it_had_not_stopped(tmp_path):
     sets = simple_sets()
-    config = JudgeConfig(run=tmp_path, steps=4, batch_objects=2, planes=3)
+    config = FineScorerConfig(run=tmp_path, steps=4, batch_objects=2, planes=3)
     features = torch.from_numpy(sets.features)
-    whole = JudgeTraining(config, features)
+    whole = FineScorerTraining(config, features)
     for step in range(4):
         whole.advance(batch_of(sets, config, step))
-    first = JudgeTraining(config, features)
+    first = FineScorerTraining(config, features)
     for step in range(2):
         first.advance(batch_of(sets, config, step))
     first.save()
-    second = JudgeTraining(dataclasses.replace(config), features)
+    second = FineScorerTraining(dataclasses.replace(config), features)
     second.resume()
     assert second.step == 2
     for step in range(2, 4):
@@ -71,20 +71,20 @@ def test_training_goes_on_as_if_it_had_not_stopped(tmp_path):
 
 
 def test_another_run_is_not_gone_on_with(tmp_path):
-    config = JudgeConfig(run=tmp_path, steps=4)
+    config = FineScorerConfig(run=tmp_path, steps=4)
     open_run(config)
     open_run(dataclasses.replace(config, steps=5))  # nothing is trained yet
-    JudgeTraining(config, torch.from_numpy(simple_sets(4).features)).save()
+    FineScorerTraining(config, torch.from_numpy(simple_sets(4).features)).save()
     open_run(dataclasses.replace(config, steps=5, workers=1, out=tmp_path / "elsewhere"))
-    with pytest.raises(UserError, match=r"judge\.json: cannot resume .* steps: the run has 5"):
+    with pytest.raises(UserError, match=r"scorer\.json: cannot resume .* steps: the run has 5"):
         open_run(config)
 
 
-def test_a_judge_learns_where_planes_should_be(tmp_path):
+def test_a_scorer_learns_where_planes_should_be(tmp_path):
     """Only the volumes tell the offset: the features are noise."""
     sets = simple_sets()
-    config = JudgeConfig(run=tmp_path, steps=40, batch_objects=4, planes=6, average=0.9)
-    training = JudgeTraining(config, torch.from_numpy(sets.features))
+    config = FineScorerConfig(run=tmp_path, steps=40, batch_objects=4, planes=6, average=0.9)
+    training = FineScorerTraining(config, torch.from_numpy(sets.features))
     losses = [training.advance(batch_of(sets, config, step)) for step in range(config.steps)]
     assert np.mean(losses[-5:]) < 0.5 * np.mean(losses[:5])
     first, ranked, best = score_of_choice(training.average.eval(), sets.first(24))
@@ -92,7 +92,7 @@ def test_a_judge_learns_where_planes_should_be(tmp_path):
 
 
 def test_the_learning_rate_falls_to_nothing():
-    config = JudgeConfig(steps=1000)
+    config = FineScorerConfig(steps=1000)
     rates = [learning_rate(config, step) for step in (0, 100, 400, 700, 1000)]
     assert rates[0] < rates[1] == rates[2] == config.learning_rate
     assert rates[3] < rates[2]

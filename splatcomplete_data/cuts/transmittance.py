@@ -1,0 +1,168 @@
+"""Which splats a scanner sees: those that the splats before them let enough light through to.
+
+Conventions
+-----------
+* Camera axes: x right, y down, z forward. A splat is a disc in the plane of its two longest axes; a
+  round one faces the scanner.
+* Light from a splat's centre is weakened by every disc that the way to the scanner crosses, by its
+  opacity there, as a renderer does it (``_seen``); nothing is drawn, so no pixel hides its
+  neighbour. Discs nearer before the centre than the slack are of the same surface.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from gscomplete.splats.record import Splats
+from gscomplete.splats.rotations import rotation_matrices
+
+_VISIBLE = 0.55
+"""Transmittance from which a splat is seen."""
+_REACH_SIGMAS = 3.0
+"""Discs end there."""
+_FLAT = 0.5
+"""A splat whose smallest scale is less than this share of the middle one is a disc."""
+_LEAST_SLACK, _SLACK_SIZES = 0.003, 0.5
+"""Slack across a surface, in object sizes and in sizes of splats."""
+_ROUND_SIZES = 3.0
+"""Round splats do not say how the surface slants: they have so many sizes more of it."""
+_SQUARE = 0.15
+"""Cosine of the angle beyond which obliqueness excuses no more."""
+_FAINT = 0.02
+"""Fainter splats weaken nothing."""
+_MOST_OPAQUE = 0.999
+_MOST_CELLS = 128
+"""Discs reach at most so many cells of the image to either side."""
+
+FloatArray = NDArray[np.float64]
+
+
+def seen_splats(
+    splats: Splats,
+    eye: FloatArray,  # [3]
+    camera_from_object: FloatArray,  # [3, 3]
+    grid: int,
+    half_width: float,
+) -> NDArray[np.bool_]:  # [N]
+    """Mark the splats that a scanner sees.
+
+    Args:
+        splats: in the object frame.
+        eye: where the scanner stands.
+        camera_from_object: rotation into its axes.
+        grid: cells along a side of the image, in which splats are looked up.
+        half_width: of the image plane at depth 1; what lies beyond is not seen.
+    """
+    order = splats.scales.argsort(dim=1, descending=True)
+    columns = (
+        rotation_matrices(splats.quaternions)
+        .transpose(1, 2)
+        .gather(1, order[:, :, None].expand(-1, -1, 3))
+    )
+    axes = columns.double().numpy() @ camera_from_object.T  # [N, 3, 3] longest first
+    scales = splats.scales.gather(1, order).double().numpy()
+    local = (splats.means.double().numpy() - eye) @ camera_from_object.T
+    distance = np.linalg.norm(local, axis=1)
+    rays = local / np.maximum(distance, 1e-12)[:, None]
+    is_round = scales[:, 2] >= _FLAT * scales[:, 1]
+    facing = np.cross(rays, np.array([0.0, 1.0, 0.0]))
+    facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-12)
+    axes[is_round] = np.stack([facing, np.cross(rays, facing), rays], axis=1)[is_round]
+    typical = float(np.median(scales[:, 0]))
+    cosine = np.abs((axes[:, 2] * rays).sum(axis=1))
+    slack = max(_LEAST_SLACK, _SLACK_SIZES * typical) / np.maximum(cosine, _SQUARE)
+    slack += np.where(is_round, _ROUND_SIZES * scales[:, 0], 0.0)
+    # a disc is of the same surface from this share of the way to the centre on
+    own_from = 1.0 - slack / np.maximum(distance, 1e-12)
+    focal = 0.5 * grid / half_width
+    sigmas = np.maximum(scales[:, :2], 1e-9)
+    opacities = splats.opacities.double().numpy()
+    seen: NDArray[np.bool_] = _seen(local, axes, sigmas, opacities, own_from, grid, focal)
+    return seen
+
+
+@numba.njit(cache=True)
+def _seen(
+    local: Any,  # [N, 3]
+    axes: Any,  # [N, 3, 3] tangents, normal
+    sigmas: Any,  # [N, 2]
+    opacities: Any,  # [N]
+    own_from: Any,  # [N]
+    grid: int,
+    focal: float,
+) -> Any:  # [N]
+    """Let every disc weaken the light of the centres behind it."""
+    first, rows = _by_cell(local, grid, focal)
+    light = np.ones(len(local))
+    for n in range(len(local)):
+        z = local[n, 2]
+        if z <= 1e-4 or opacities[n] < _FAINT:
+            continue
+        x, y = focal * local[n, 0] / z + 0.5 * grid, focal * local[n, 1] / z + 0.5 * grid
+        if not (-1e6 < x < 1e6 and -1e6 < y < 1e6):
+            continue
+        normal = axes[n, 2]
+        offset = normal[0] * local[n, 0] + normal[1] * local[n, 1] + normal[2] * z
+        a, b = _REACH_SIGMAS * sigmas[n]
+        wide = np.abs(axes[n, 0]) * a + np.abs(axes[n, 1]) * b
+        near = max(z - wide[2], 0.5 * z)
+        px = min(focal * (wide[0] + abs(local[n, 0]) * wide[2] / z) / near + 1, _MOST_CELLS)
+        py = min(focal * (wide[1] + abs(local[n, 1]) * wide[2] / z) / near + 1, _MOST_CELLS)
+        for row in range(max(int(y - py), 0), min(int(y + py) + 1, grid)):
+            for column in range(max(int(x - px), 0), min(int(x + px) + 1, grid)):
+                cell = row * grid + column
+                for m in rows[first[cell] : first[cell + 1]]:
+                    if m == n or light[m] <= _VISIBLE:
+                        continue
+                    slope = (
+                        normal[0] * local[m, 0] + normal[1] * local[m, 1] + normal[2] * local[m, 2]
+                    )
+                    if abs(slope) < 1e-6:
+                        continue
+                    share = offset / slope  # of the way to m, where it meets the disc's plane
+                    if 0.0 < share < own_from[m]:
+                        away = _sigmas_away(share, local[m], local[n], axes[n], sigmas[n])
+                        if away < _REACH_SIGMAS * _REACH_SIGMAS:
+                            opaque = min(opacities[n] * math.exp(-0.5 * away), _MOST_OPAQUE)
+                            light[m] *= 1.0 - opaque
+    seen = light > _VISIBLE
+    for n in range(len(local)):
+        z = local[n, 2]
+        inside = z > 1e-4 and max(abs(local[n, 0]), abs(local[n, 1])) <= 0.5 * grid * z / focal
+        seen[n] = seen[n] and inside
+    return seen
+
+
+@numba.njit(cache=True)
+def _sigmas_away(share: float, target: Any, middle: Any, axes: Any, sigmas: Any) -> float:
+    """Return the squared distance from a disc's middle, in its standard deviations."""
+    dx, dy, dz = (
+        share * target[0] - middle[0], share * target[1] - middle[1], share * target[2] - middle[2]
+    )  # fmt: skip
+    u = (dx * axes[0, 0] + dy * axes[0, 1] + dz * axes[0, 2]) / sigmas[0]
+    v = (dx * axes[1, 0] + dy * axes[1, 1] + dz * axes[1, 2]) / sigmas[1]
+    return float(u * u + v * v)
+
+
+@numba.njit(cache=True)
+def _by_cell(local: Any, grid: int, focal: float) -> Any:  # [N, 3] -> [cells + 1], [N]
+    """Sort rows by the cell of the image that their centres fall into; the nearest one outside."""
+    cells = np.zeros(len(local), np.int64)
+    first = np.zeros(grid * grid + 1, np.int64)
+    for n in range(len(local)):
+        z = max(local[n, 2], 1e-4)
+        column = min(max(focal * local[n, 0] / z + 0.5 * grid, 0.0), grid - 1.0)
+        row = min(max(focal * local[n, 1] / z + 0.5 * grid, 0.0), grid - 1.0)
+        cells[n] = int(row) * grid + int(column)
+        first[cells[n] + 1] += 1
+    first = np.cumsum(first)
+    place, rows = first.copy(), np.empty(len(local), np.int64)
+    for n in range(len(local)):
+        rows[place[cells[n]]] = n
+        place[cells[n]] += 1
+    return first, rows
