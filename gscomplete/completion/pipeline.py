@@ -25,7 +25,7 @@ import torch
 import gscomplete
 from gscomplete.completion.optimise import Optimisation, StepReport
 from gscomplete.completion.preserve.bounds import preserve_hard
-from gscomplete.completion.preserve.report import HardPreservationReport
+from gscomplete.completion.preserve.outcome import HardPreservationReport
 from gscomplete.completion.seam import SeamColorReport, match_seam_colors
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.completion.start import start_splats

@@ -1,1 +1,1 @@
-"""Splats as optimiser parameters: row Adam, densification, random numbers, checkpoints."""
+"""Splats as optimiser parameters: row Adam, densification, checkpoints, the step loop."""

@@ -38,10 +38,6 @@ class RenderSettings:
     exact_tile_lists: bool = True
     """CPU: list a splat in the tiles that its ellipse reaches; False = in all tiles of its pixel
     box, as 3DGS does: only slower, the picture moves by less than ``transmittance_min``."""
-    skip_idle_tiles: bool = True
-    """CPU: copy tiles of a prepared frozen set that no other splat can change, and visit in the
-    backward pass only tiles that receive a gradient and show a splat that takes one. False = walk
-    every tile: only slower, the same bits."""
 
     def __post_init__(self) -> None:
         """Check ranges.

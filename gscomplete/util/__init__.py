@@ -1,1 +1,1 @@
-"""What every room uses: atomic writes, digests, JSON values, devices."""
+"""What all parts use: atomic writes, digests, JSON values, devices."""

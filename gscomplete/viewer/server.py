@@ -84,7 +84,7 @@ def serve(scene: Scene, host: str, port: int) -> Viewer:
     Raises:
         UserError: viser is not installed, or the address cannot be listened at.
     """
-    server = _listen(host, port)
+    server = listen(host, port)
     server.scene.set_up_direction("+z")
     coloring = server.gui.add_dropdown("colours", COLORS, initial_value=COLORS[0])
     status = server.gui.add_markdown("the run goes on" if scene.running else "")
@@ -147,7 +147,16 @@ def covariances(splats: Splats) -> FloatArray:  # [N, 3, 3]
     return moments.float().cpu().numpy()
 
 
-def _listen(host: str, port: int) -> viser.ViserServer:
+def listen(host: str, port: int) -> viser.ViserServer:
+    """Start an empty server.
+
+    Args:
+        host: address to listen at.
+        port: port to listen at; the next free one if it is taken.
+
+    Raises:
+        UserError: viser is not installed, or the address cannot be listened at.
+    """
     try:
         import viser
     except ImportError as error:

@@ -45,7 +45,11 @@ class CropOptions(ObjectOptions):
     """Splat PLY or capture folder."""
     box: tuple[str, ...] = ()
     """Boxes in the file's frame, in order: auto, or [keep:|remove:]CX,CY,CZ,HX,HY,HZ (centre and
-    half extents), with ,QW,QX,QY,QZ behind for an oriented box. None = keep everything."""
+    half extents), with ,QW,QX,QY,QZ behind for an oriented box; or a file of boxes that --pick
+    saved. None = keep everything."""
+    pick: Path | None = None
+    """Only open a page on which boxes are moved, turned and sized over the scene, those of --box
+    to begin with, and saved to this file (.txt) for --box."""
     clean: float | None = None
     """Strength of the rules of `clean`, 0 to 1, on what the boxes keep, and on what `--box auto`
     looks for the object in; None = 0.5 with --box auto, else 0."""
@@ -56,12 +60,17 @@ class CropOptions(ObjectOptions):
 def run(options: CropOptions) -> int:
     """Crop; return the exit code."""
     from gscomplete.views import parse_up
+    from splatcomplete_data.cli.pick import check_path
     from splatcomplete_data.multiview.scene import read_scene
 
+    if options.pick is not None:
+        check_path(options.pick)
     scene = read_scene(options.file, None if options.up == "auto" else parse_up(options.up))
-    if not options.propose:
+    if not options.propose and options.pick is None:
         check_out(options, scene.name)
     boxes, notes = _boxes(options, scene)
+    if options.pick is not None:
+        return _pick(options, scene, boxes, options.pick)
     if options.propose:
         return _propose(options, scene, boxes, notes)
     with tempfile.TemporaryDirectory(prefix="splatcomplete_crop.") as folder:
@@ -116,7 +125,7 @@ def _boxes(options: CropOptions, scene: Scene) -> tuple[list[Any], list[str]]:
     import torch
 
     from splatcomplete_data.clean.rules import clean_rows
-    from splatcomplete_data.cuts.boxes import parse_box
+    from splatcomplete_data.cuts.boxes import read_boxes
     from splatcomplete_data.multiview.propose_box import propose_box
 
     boxes, notes = [], list(scene.notes)
@@ -128,7 +137,7 @@ def _boxes(options: CropOptions, scene: Scene) -> tuple[list[Any], list[str]]:
             notes += [f"--box auto: {note}" for note in proposal.notes]
             boxes.append(proposal.box)
         else:
-            boxes.append(parse_box(text))
+            boxes += read_boxes(text)
     return boxes, notes
 
 
@@ -164,6 +173,7 @@ def _propose(options: CropOptions, scene: Scene, boxes: list[Any], notes: list[s
 
     from gscomplete.evaluate.pictures import save_image
     from gscomplete.util import jsonio
+    from splatcomplete_data.cuts.boxes import box_text
     from splatcomplete_data.multiview.box_picture import box_sheet
     from splatcomplete_data.multiview.crop import kept_rows
     from splatcomplete_data.objects import BOXES_FILE, RECORD_FILE
@@ -195,10 +205,13 @@ def _propose(options: CropOptions, scene: Scene, boxes: list[Any], notes: list[s
     return 0
 
 
-def box_text(box: Any) -> str:
-    """Write a box as ``--box`` reads it."""
-    numbers = [*box.center, *box.half_extents]
-    if box.quaternion != (1.0, 0.0, 0.0, 0.0):
-        numbers += box.quaternion
-    prefix = "remove:" if box.action == "remove" else ""
-    return prefix + ",".join(f"{number:.6g}" for number in numbers)
+def _pick(options: CropOptions, scene: Scene, boxes: list[Any], path: Path) -> int:
+    """Let the user choose boxes on a page."""
+    from gscomplete.views import axis_direction
+    from splatcomplete_data.cli.pick import run_page
+    from splatcomplete_data.cuts.box_page import PickedPoints
+
+    shown = scene.drawable()
+    colors = shown.base_colors.clamp(0, 1).numpy()
+    picked = PickedPoints(shown.means.numpy(), colors, axis_direction(scene.up_axis))
+    return run_page(picked, boxes, path, "crop", options.file)

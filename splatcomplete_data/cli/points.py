@@ -26,7 +26,8 @@ class PointOptions(ObjectOptions):
 
     box: tuple[str, ...] = ()
     """Boxes in the source's frame, several allowed: [keep:|remove:]CX,CY,CZ,HX,HY,HZ[,QW,QX,QY,QZ]
-    (centre, half extents, rotation)."""
+    (centre, half extents, rotation), or a file of boxes that `scan --pick` or `crop --pick`
+    saved."""
     planes: int | None = None
     """Remove up to this many planes: floor, walls, table. They are looked for in the complete
     scene, level ones first, and a face of the object is none. None = 1 with --level, --seed-point
@@ -65,7 +66,7 @@ def part_settings(options: PointOptions) -> PartSettings:
     Raises:
         UserError: one has the wrong form.
     """
-    from splatcomplete_data.cuts.boxes import parse_box
+    from splatcomplete_data.cuts.boxes import read_boxes
     from splatcomplete_data.scan.clean import CleanSettings
     from splatcomplete_data.scan.make import PartSettings
     from splatcomplete_data.scan.support import PlaneSettings
@@ -96,7 +97,7 @@ def part_settings(options: PointOptions) -> PartSettings:
         seed_point=None if seed is None else (seed[0], seed[1], seed[2]),
     )
     return PartSettings(
-        boxes=tuple(parse_box(text) for text in options.box),
+        boxes=tuple(box for text in options.box for box in read_boxes(text)),
         cleaning=cleaning,
         level="always" if options.level else "never" if options.keep_tilt else "auto",
         count=options.count,

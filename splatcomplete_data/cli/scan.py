@@ -53,10 +53,15 @@ class ScanOptions(PointOptions):
     propose: bool = False
     """Only draw what stands in the scan, numbered, into clusters.png in the current folder (or
     --out), and print a seed point and a box for each."""
+    pick: Path | None = None
+    """Only open a page on which boxes are moved, turned and sized over the scan, those of --box to
+    begin with, and saved to this file (.txt) for --box."""
 
 
 def run(options: ScanOptions) -> int:
     """Make the object, or propose clusters; return the exit code."""
+    if options.pick is not None:
+        return _pick(options, options.pick)
     if options.propose:
         return _propose(options)
     check_out(options, options.file)
@@ -166,3 +171,22 @@ def _propose(options: ScanOptions) -> int:
         content = {"clusters": jsonio.to_json(found.clusters), "picture": path.as_posix()}
         sys.stdout.write(json.dumps(content) + "\n")
     return 0
+
+
+def _pick(options: ScanOptions, path: Path) -> int:
+    """Let the user choose boxes on a page.
+
+    Raises:
+        UserError: as ``make``; or the page cannot be served.
+    """
+    from gscomplete.views import axis_direction
+    from splatcomplete_data.cli.pick import check_path, run_page
+    from splatcomplete_data.cli.points import part_settings
+    from splatcomplete_data.cuts.box_page import PickedPoints
+
+    check_path(path)
+    source = _read(options)
+    cloud = source.cloud
+    up = axis_direction(framing_request(options, source.up).up)
+    picked = PickedPoints(cloud.points, cloud.colors, up)
+    return run_page(picked, part_settings(options).boxes, path, "scan", options.file)

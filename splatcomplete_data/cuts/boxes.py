@@ -7,7 +7,7 @@ Conventions
 * The first ``keep`` box (or, without any, everything) is the start, wherever it stands; the others
   apply in order: ``keep`` boxes add, ``remove`` boxes take away.
 * As text: ``CX,CY,CZ,HX,HY,HZ``, with ``,QW,QX,QY,QZ`` for an oriented box, and led by
-  ``remove:`` or, if one likes, ``keep:``.
+  ``remove:`` or, if one likes, ``keep:``. A file of boxes, ``*.txt``, holds one a line.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 from gscomplete.errors import UserError
 
 Action = Literal["keep", "remove"]
+BOXES_SUFFIX = ".txt"
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,3 +115,34 @@ def parse_box(text: str, option: str = "--box") -> CropBox:
         )
     except ValueError as error:
         raise UserError(f"{option}: expected {form}, found {text!r} ({error})") from error
+
+
+def read_boxes(text: str, option: str = "--box") -> list[CropBox]:
+    """Read a box from text, or those of a file that the text names.
+
+    Raises:
+        UserError: the file cannot be read or holds no box, or a box has another form.
+    """
+    if not text.endswith(BOXES_SUFFIX):
+        return [parse_box(text, option)]
+    try:
+        lines = Path(text).read_text("utf-8").split("\n")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"{option} {text}: cannot be read: {error}") from error
+    boxes = [
+        parse_box(line.strip(), f"{option} {text}, line {number}")
+        for number, line in enumerate(lines, 1)
+        if line.strip()
+    ]
+    if not boxes:
+        raise UserError(f"{option} {text}: expected a box a line, found none")
+    return boxes
+
+
+def box_text(box: CropBox) -> str:
+    """Write a box as :func:`parse_box` reads it."""
+    numbers = [*box.center, *box.half_extents]
+    if box.quaternion != (1.0, 0.0, 0.0, 0.0):
+        numbers += box.quaternion
+    prefix = "remove:" if box.action == "remove" else ""
+    return prefix + ",".join(f"{number:.6g}" for number in numbers)

@@ -72,6 +72,12 @@ class PcdPoints:
 def read_pcd(path: Path) -> PcdPoints:
     """Read a PCD file.
 
+    Args:
+        path: the file, ascii, binary or compressed.
+
+    Returns:
+        Its points, with colours and labels where it has them, file units.
+
     Raises:
         UserError: it is not a PCD file, lacks coordinates, or its data end early.
     """
@@ -132,6 +138,13 @@ def lzf_decompress(packed: bytes, size: int) -> bytes:
 
     A control byte below 32 announces a run of literals; otherwise its top three bits are a length
     and the rest, with the next byte, a distance back into what has been written.
+
+    Args:
+        packed: the data.
+        size: bytes they expand to.
+
+    Returns:
+        The bytes.
 
     Raises:
         ValueError: the data end early or expand to another size.

@@ -46,7 +46,7 @@ from gscomplete.completion.preserve.fit import (
     outside_cameras,
     relative_error,
 )
-from gscomplete.completion.preserve.report import (
+from gscomplete.completion.preserve.outcome import (
     CheckedErrors,
     HardPreservationReport,
     count_changes,

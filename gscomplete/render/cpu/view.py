@@ -28,6 +28,10 @@ MAX_ENTRIES = 2**31 - 1
 """Most entries of all tile lists of a view: they are numbered with int32."""
 SHARES = 64
 """Runs of tiles that are handed to threads; what is drawn does not depend on it."""
+_SKIP_IDLE_TILES = True
+"""Copy tiles of a prepared frozen set that no other splat can change, and visit in the backward
+pass only tiles that receive a gradient and show a splat that takes one. False = walk every tile:
+only slower, the same bits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,7 +241,7 @@ def differentiate(
         view.slots,
         view.active,
         _shares(view.done[view.active]),
-        settings.skip_idle_tiles,
+        _SKIP_IDLE_TILES,
         _grid(view.camera)[0],
         np.float32(settings.alpha_min),
         np.float32(settings.alpha_max),
@@ -275,7 +279,7 @@ def _join(lists: TileLists, prepared: FrozenLists, settings: RenderSettings) -> 
         lists.tile_start,
         lists.entries,
         in_front,
-        settings.skip_idle_tiles,
+        _SKIP_IDLE_TILES,
         tile_start,
     )
     entries = np.empty(tile_start[-1], np.int32)

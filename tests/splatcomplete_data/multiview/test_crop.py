@@ -13,8 +13,7 @@ import torch
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, concatenate, read_splats, write_splats
 from splatcomplete_data.cli import main
-from splatcomplete_data.cli.crop import box_text
-from splatcomplete_data.cuts.boxes import CropBox, inside_boxes, parse_box
+from splatcomplete_data.cuts.boxes import CropBox, box_text, inside_boxes, parse_box
 from splatcomplete_data.multiview.box_picture import box_corners
 from splatcomplete_data.multiview.crop import kept_rows, write_rows
 from splatcomplete_data.multiview.propose_box import Focus, focus_of_splats, propose_box

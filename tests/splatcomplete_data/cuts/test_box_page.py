@@ -1,0 +1,90 @@
+"""The page on which boxes are chosen, driven as a browser drives it."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from splatcomplete_data.cuts.box_page import PickedPoints, pick_boxes
+from splatcomplete_data.cuts.boxes import CropBox, inside_boxes, read_boxes
+
+POINTS = np.random.default_rng(0).uniform(-1, 1, (2000, 3))
+COLORS = np.full((2000, 3), 0.25, np.float32)
+PALE_BLUE = 150
+TURN = CropBox((0.1, 0.2, 0.3), (0.4, 0.3, 0.2), (math.cos(0.3), 0.0, 0.0, math.sin(0.3)))
+
+
+@pytest.fixture
+def start(tmp_path):
+    pytest.importorskip("viser")
+    pages, told = [], []
+
+    def started(*boxes: CropBox):
+        picked = PickedPoints(POINTS, COLORS, (0.0, 0.0, 1.0))
+        path = tmp_path / "boxes.txt"
+        pages.append(pick_boxes(picked, boxes, path, "crop scene.ply", told.append, port=18090))
+        return pages[-1], told
+
+    yield started
+    for page in pages:
+        page.server.stop()
+
+
+def click(page, label):
+    for callback in page.controls[label]._impl.update_cb:
+        callback(None)
+
+
+def test_the_page_starts_with_the_given_boxes_or_one_about_the_middle(start):
+    page, _ = start(TURN)
+    assert page.boxes == [TURN]
+    assert tuple(page.nodes["gizmo"].position) == TURN.center
+    assert tuple(page.nodes["gizmo"].wxyz) == pytest.approx(TURN.quaternion)
+    assert [page.controls[axis].value for axis in "xyz"] == list(TURN.half_extents)
+    alone, _ = start()
+    (box,) = alone.boxes
+    assert np.abs(box.center).max() < 0.1
+    assert len(set(box.half_extents)) == 1
+
+
+def test_what_is_kept_is_counted_and_has_its_own_colours(start):
+    page, _ = start(TURN)
+    kept = inside_boxes(POINTS, [TURN])
+    assert f"keeps {kept.sum():,} of 2,000" in page.controls["count"].content
+    blue = np.asarray(page.nodes["points"].colors)[:, 2]
+    assert ((blue < PALE_BLUE) == kept).all()
+
+
+def test_gizmo_sliders_and_buttons_change_the_boxes(start):
+    page, _ = start(TURN)
+    page.controls["x"].value = 0.5
+    assert page.boxes[0].half_extents == pytest.approx((0.5, 0.3, 0.2), abs=2e-3)
+    click(page, "add a box to remove")
+    assert [box.action for box in page.boxes] == ["keep", "remove"]
+    assert page.chosen == 1
+    gizmo = page.nodes["gizmo"]
+    gizmo.position = (0.5, 0.0, 0.0)
+    for callback in gizmo._impl_aux.update_cb:
+        callback(SimpleNamespace(phase="end"))
+    assert page.boxes[1].center == (0.5, 0.0, 0.0)
+    assert page.boxes[0].center == TURN.center
+    page.controls["box"].value = "1: keep"
+    assert page.chosen == 0
+    assert tuple(gizmo.position) == TURN.center
+    click(page, "take this box away")
+    click(page, "take this box away")
+    assert [box.action for box in page.boxes] == ["remove"]  # the last one stays
+
+
+def test_what_is_saved_is_what_the_option_reads(start, tmp_path):
+    page, told = start(TURN, CropBox((0.0, 0.0, 0.5), (0.1, 0.2, 0.3), action="remove"))
+    click(page, "save")
+    path = tmp_path / "boxes.txt"
+    assert told == [f"crop scene.ply --box {path}"]
+    read = read_boxes(str(path))
+    assert [box.action for box in read] == ["keep", "remove"]
+    for one, other in zip(read, page.boxes, strict=True):
+        for name in ("center", "half_extents", "quaternion"):
+            assert getattr(one, name) == pytest.approx(getattr(other, name), abs=1e-5)
+    assert (inside_boxes(POINTS, read) == inside_boxes(POINTS, page.boxes)).mean() > 0.999
