@@ -23,7 +23,7 @@ from typing import Any
 
 from gscomplete.batch import storage
 from gscomplete.errors import UserError
-from gscomplete.util.file_names import DATASET_FILE, OBJECT_FILE
+from gscomplete.util.file_names import DATASET_FILE, OBJECT_FILE, SPLAT_SUFFIXES, splat_stem
 
 _LONGEST_ID = 200
 FieldKind = type[str] | type[float] | type[int] | tuple[str, ...]
@@ -61,8 +61,8 @@ def plan(source: str, fields: Mapping[str, FieldKind]) -> list[Item]:
         items = _from_folder(source)
     if not items:
         raise UserError(
-            f"{source}: expected objects ({OBJECT_FILE} in folders, splat files *.ply, or a "
-            "manifest .jsonl, .csv, .tsv), found none"
+            f"{source}: expected objects ({OBJECT_FILE} in folders, splat files "
+            f"{', '.join(SPLAT_SUFFIXES)}, or a manifest .jsonl, .csv, .tsv), found none"
         )
     return items
 
@@ -86,9 +86,10 @@ def _from_folder(folder: str) -> list[Item]:
         for name in storage.folders_with(folder, OBJECT_FILE)
         if not name.startswith(".")
     ]
-    for name in sorted(files):  # hidden files are no splats: macOS's ._NAME, what a kill left
-        if name.endswith(".ply") and not name.startswith("."):
-            items.append(Item(name.removesuffix(".ply"), storage.join(folder, name)))
+    for name in sorted(files):
+        stem = splat_stem(name)
+        if stem is not None:
+            items.append(Item(stem, storage.join(folder, name)))
     return list(_checked(folder, items))
 
 
@@ -170,7 +171,7 @@ def _item(where: str, folder: str, row: dict[str, Any], fields: Mapping[str, Fie
     name = row.pop("id", None)
     if name is None:
         last = partial.rpartition("/")[2]
-        name = last.removesuffix(".ply")
+        name = splat_stem(last) or last
     is_complete = storage.is_url(partial) or partial.startswith("/")
     source = partial if is_complete else storage.join(folder, partial)
     options = {

@@ -33,7 +33,7 @@ from gscomplete.batch.ledger import Row
 from gscomplete.batch.manifest import Item
 from gscomplete.errors import UserError
 from gscomplete.util.digests import sha256_of
-from gscomplete.util.file_names import OBJECT_FILE, PARTIAL_FILE, RUN_FILE
+from gscomplete.util.file_names import OBJECT_FILE, PARTIAL_FILE, RUN_FILE, splat_stem
 from gscomplete.util.jsonio import read_json, write_json
 
 ITEM_FILE = "item.json"
@@ -102,9 +102,14 @@ def option_key(identity: dict[str, Any], item: Item) -> str:
 
 def input_files(source: str) -> tuple[str, ...]:
     """Return the files that an object is read from: its splats, and what is beside or in it."""
-    if source.endswith(".ply"):
+    if _is_file(source):
         return source, storage.join(source.rpartition("/")[0], OBJECT_FILE)
     return storage.join(source, PARTIAL_FILE), storage.join(source, OBJECT_FILE)
+
+
+def _is_file(source: str) -> bool:
+    """Tell a splat file from an object folder by its name."""
+    return splat_stem(source.rpartition("/")[2]) is not None
 
 
 def input_signatures(source: str) -> list[Any]:
@@ -215,7 +220,7 @@ def _local_source(source: str, copies: Path) -> _Source:
     if not storage.is_url(source):
         return _Source(Path(source), files)
     main = input_files(source)[0]
-    return _Source(files[main] if source.endswith(".ply") and main in files else copies, files)
+    return _Source(files[main] if _is_file(source) and main in files else copies, files)
 
 
 def _finished_facts(begun: Path, work: Path, record: dict[str, Any]) -> dict[str, Any] | None:

@@ -14,6 +14,7 @@ from pathlib import Path
 from gscomplete.errors import UserError
 from gscomplete.folders.object_folder import OBJECT_FILE, object_folder_of
 from gscomplete.folders.run_folder import OUTPUT_FILE, RUN_FILE, read_run_folder
+from gscomplete.util.file_names import SPLAT_SUFFIXES, splat_stem
 from gscomplete.views import ObjectFrame, ViewDistribution
 
 
@@ -47,7 +48,7 @@ def drawable_of(path: Path) -> Drawable:
         return Drawable(run.output, run.frame, run.views)
     found = object_folder_of(path)
     if found is not None:
-        is_splats = path.suffix == ".ply"
+        is_splats = splat_stem(path.name) is not None
         return Drawable(path if is_splats else found.partial, found.frame, found.views)
     if path.is_dir():
         raise UserError(
@@ -71,8 +72,8 @@ def splat_files_of(path: Path) -> list[Path]:
     """
     if not path.is_dir():
         return [path]
-    # hidden files are no splats: macOS's ._NAME, what a killed write left
-    found = sorted(p for p in path.glob("*.ply") if not p.name.startswith("."))
+    found = sorted(p for p in path.iterdir() if p.is_file() and splat_stem(p.name) is not None)
     if not found:
-        raise UserError(f"{path}: expected a run folder or splat files (*.ply), found none")
+        expected = ", ".join(SPLAT_SUFFIXES)
+        raise UserError(f"{path}: expected a run folder or splat files ({expected}), found none")
     return found

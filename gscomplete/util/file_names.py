@@ -1,4 +1,4 @@
-"""Names of the files that make object, run and dataset folders."""
+"""Names of the files that make object, run and dataset folders, and of splat files."""
 
 OBJECT_FILE = "object.json"
 PARTIAL_FILE = "partial.ply"
@@ -7,3 +7,21 @@ RUN_FILE = "run.json"
 OUTPUT_FILE = "completed.ply"
 DATASET_FILE = "dataset.json"
 ALTERNATIVES_FOLDER = "alternatives"
+SPLAT_SUFFIXES = (".compressed.ply", ".ply", ".splat", ".spz", ".glb", ".sog", ".ksplat")
+"""Of the splat files that are read; the longer of two that fit comes first."""
+
+
+def splat_stem(name: str) -> str | None:
+    """Return a splat file's name without its suffix.
+
+    Args:
+        name: of a file.
+
+    Returns:
+        None = it is no splat file, or hidden: macOS's ._NAME, what a kill left.
+    """
+    if name.startswith("."):
+        return None
+    fitting = (suffix for suffix in SPLAT_SUFFIXES if name.lower().endswith(suffix))
+    suffix = next(fitting, None)
+    return None if suffix is None else name[: -len(suffix)] or None

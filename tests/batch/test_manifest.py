@@ -69,9 +69,12 @@ def test_a_folder_is_its_object_folders_and_splat_files(tmp_path):
         (tmp_path / name).mkdir()
     for name in ("cow", "owl", ".hidden"):
         (tmp_path / name / "object.json").touch()
-    for name in ("mug.ply", "._mug.ply", "notes.txt"):
+    for name in ("mug.ply", "._mug.ply", "notes.txt", "bee.spz", "jug.compressed.ply", "cup.glb"):
         (tmp_path / name).touch()
-    assert [item.id for item in planned(tmp_path)] == ["cow", "owl", "mug"]
+    assert [item.id for item in planned(tmp_path)] == ["cow", "owl", "bee", "cup", "jug", "mug"]
+    (tmp_path / "mug.splat").touch()
+    with pytest.raises(UserError, match="'mug' twice"):
+        planned(tmp_path)
 
 
 def test_a_dataset_is_what_its_index_lists(tmp_path):

@@ -51,5 +51,5 @@ def test_a_folder_stands_for_its_splat_files(tmp_path, capsys):
     assert run(ValidateOptions([folder], json=True)) == 0
     files = json.loads(capsys.readouterr().out)["files"]
     assert [Path(file["path"]).name for file in files] == ["complete.ply", "partial.ply"]
-    with pytest.raises(UserError, match=r"splat files \(\*\.ply\), found none"):
+    with pytest.raises(UserError, match=r"splat files \(.*\.spz, .*\), found none"):
         run(ValidateOptions([tmp_path]))
