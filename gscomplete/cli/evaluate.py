@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from gscomplete.errors import UserError
+from gscomplete.util.file_names import splat_stem
 
 if TYPE_CHECKING:
     from gscomplete.evaluate.kept import Kept
@@ -195,7 +196,7 @@ def named(text: str) -> tuple[str, Path]:
     if equals and name and path and "/" not in name:
         return name, Path(path)
     plain = Path(text)
-    return plain.stem if plain.suffix == ".ply" else plain.resolve().name, plain
+    return splat_stem(plain.name) or plain.resolve().name, plain
 
 
 def measured(

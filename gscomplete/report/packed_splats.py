@@ -29,6 +29,8 @@ from gscomplete.splats.filters import thinned
 REACH = 1.0
 SMALLEST, LARGEST = 1e-4, 0.5
 FAINT = 0.02
+_LOOKED_AT, _LOOKED_AT_PER_SHOWN = 30_000, 3
+"""Splats that the choice is made from: so many, or so many for each that is shown."""
 
 FloatArray = NDArray[np.float32]
 
@@ -61,7 +63,8 @@ def _spread(splats: Splats, most: int) -> Splats:
     means = splats.means.double().numpy()
     if not np.ptp(means, axis=0).max() > 0:
         return thinned(splats, most, torch.Generator().manual_seed(0))
-    rows = evenly_spread(means, most, np.random.default_rng(0))
+    looked_at = max(_LOOKED_AT, _LOOKED_AT_PER_SHOWN * most)
+    rows = evenly_spread(means, most, np.random.default_rng(0), looked_at)
     chosen = splats.select(torch.from_numpy(np.sort(rows)))
     widened = chosen.scales * (len(splats) / len(chosen)) ** 0.5
     return dataclasses.replace(chosen, scales=widened)

@@ -56,7 +56,7 @@ class FoldedVolumes:
     coarse: Tensor  # [K, 6, U/2, V/2, Z/2]
 
 
-class JudgeBlock(nn.Module):
+class ResidualBlock(nn.Module):
     """Two convolutions beside the identity."""
 
     def __init__(self, width: int) -> None:
@@ -74,7 +74,7 @@ class JudgeBlock(nn.Module):
 
 
 class FineSymmetryScorer(nn.Module):
-    """Judge planes one by one."""
+    """Scores planes one by one."""
 
     center: Tensor
     spread: Tensor
@@ -84,7 +84,7 @@ class FineSymmetryScorer(nn.Module):
         w = _WIDTHS
         self.stem = nn.Conv3d(8, w[0] - _EVIDENCE_WIDTH, 3, stride=2, padding=1)
         self.evidence = nn.Conv3d(6, _EVIDENCE_WIDTH, 1)
-        self.blocks = nn.ModuleList(JudgeBlock(width) for width in w)
+        self.blocks = nn.ModuleList(ResidualBlock(width) for width in w)
         self.shrink = nn.ModuleList(
             nn.Conv3d(w[i], w[i + 1], 3, stride=2, padding=1) for i in range(2)
         )
@@ -100,9 +100,9 @@ class FineSymmetryScorer(nn.Module):
         self,
         volumes: FoldedVolumes,
         features: Tensor,  # [K, F] of ``symmetry_features``
-        ranked: Tensor,  # [K] the ranker's logits
+        ranked: Tensor,  # [K] the coarse scorer's logits
     ) -> tuple[Tensor, Tensor]:  # [K] logits of being the best, [K] scores
-        """Judge planes."""
+        """Score planes."""
         x = torch.cat([self.stem(volumes.fine), self.evidence(volumes.coarse)], dim=1)
         for level, block in enumerate(self.blocks):
             x = block(x if level == 0 else self.shrink[level - 1](F.silu(x)))
@@ -131,14 +131,16 @@ class FineSymmetryScorer(nn.Module):
         Raises:
             UserError: the file is missing, damaged, or of another network.
         """
-        judge = cls()
+        scorer = cls()
         try:
-            judge.load_state_dict({k: v.float() for k, v in load_file(path).items()})
+            scorer.load_state_dict({k: v.float() for k, v in load_file(path).items()})
         except (SafetensorError, OSError) as error:
             raise UserError(f"{path}: expected a safetensors file ({error})") from error
         except RuntimeError as error:
-            raise UserError(f"{path}: expected tensors of the plane judge: {error}") from error
-        return judge.eval().requires_grad_(False)
+            raise UserError(
+                f"{path}: expected tensors of the fine symmetry scorer: {error}"
+            ) from error
+        return scorer.eval().requires_grad_(False)
 
 
 @functools.cache

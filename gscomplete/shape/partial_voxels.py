@@ -56,7 +56,7 @@ class PartialVoxels:
     shares: FloatArray  # [3, C/2, C/2, C/2]
 
     def samples(self) -> PartSamples:
-        """Return P as planes are judged on it."""
+        """Return P as planes are scored on it."""
         return part_samples(self.positions, self.tangents, self.colors, self.volume)
 
     def input_symmetries(

@@ -61,7 +61,7 @@ _AT_PLANE = 0.03
 
 @dataclass(frozen=True, slots=True)
 class PartSamples:
-    """P, as planes are judged on it."""
+    """P, as planes are scored on it."""
 
     points: FloatArray  # [N, 3]
     colors: FloatArray  # [N, 3]

@@ -1,13 +1,13 @@
 """Likely planes of symmetry, in three steps of rising cost.
 
 All planes are ranked by what is evidence for them (``coarse_scorer``), the best that differ are
-judged by their voxels (``fine_scorer``), and the best of those are moved to where P and its copy
+scored by their voxels (``fine_scorer``), and the best of those are moved to where P and its copy
 agree.
 
 Conventions
 -----------
 * Planes are numbered as in ``symmetry_features``: (angle, offset).
-* A plane's score is the judge's belief in it and those near it, in [0, 1].
+* A plane's score is the fine scorer's belief in it and those near it, in [0, 1].
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ from gscomplete.shape.symmetry_features import (
 )
 from gscomplete.shape.voxels import CELL_SIDE, FloatArray
 
-JUDGED = 48
+FINELY_SCORED = 48
 """Planes that the fine scorer ranks: on 45 cuts of 15 real objects the best of them scores .68 by
 the truth, the best of 8 .63, the best of all planes .72."""
 APART_DEG = 11.0
 APART_OFFSET = 0.05
-"""Judged planes differ by at least one of these."""
+"""These planes differ by at least one of these."""
 _NEAR_DEG = 15.0
 _NEAR_OFFSET = 0.1
 """Planes that differ by less than both say nearly the same: their beliefs add up."""
@@ -56,19 +56,19 @@ _LARGEST_MOVE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class RankedPlanes:
-    """The planes that the ranker likes, in its order."""
+    """The planes that the coarse scorer puts first, in its order."""
 
     planes: NDArray[np.intp]  # [K, 2] angle, offset
     features: FloatArray  # [K, F]
-    logits: FloatArray  # [K] the ranker's
+    logits: FloatArray  # [K] the coarse scorer's
 
 
 def ranked_planes(
-    part: PartSamples, evidence: Evidence, ranker: CoarseSymmetryScorer, count: int
+    part: PartSamples, evidence: Evidence, scorer: CoarseSymmetryScorer, count: int
 ) -> RankedPlanes:
-    """Return the planes unlike each other that the ranker likes best."""
+    """Return the planes unlike each other that the scorer puts first."""
     features = plane_features(part, evidence)
-    logits = ranker(features)
+    logits = scorer(features)
     planes = distinct_planes(logits, count)
     a, o = planes.T
     return RankedPlanes(planes, features[a, o], logits[a, o])
@@ -95,10 +95,10 @@ def candidate_planes(
     Args:
         voxels: P.
         count: how many planes.
-        bfloat16: precision of the judge.
+        bfloat16: precision of the fine scorer.
     """
     part = voxels.samples()
-    ranked = ranked_planes(part, voxels.evidence, packaged_coarse_scorer(), JUDGED)
+    ranked = ranked_planes(part, voxels.evidence, packaged_coarse_scorer(), FINELY_SCORED)
     angles, offsets = plane_places(ranked.planes)
     volumes = folded_volumes(colored_cells(voxels.volume), voxels.shares, angles, offsets)
     with torch.no_grad(), cpu_precision(bfloat16=bfloat16):

@@ -26,7 +26,7 @@ from recipes.benchmarks.mesh_conversion import Options as MeshOptions
 from recipes.benchmarks.mesh_conversion import mesh_paths, views_of
 from recipes.benchmarks.mesh_truth import scene_of
 from recipes.entry_point import start
-from splatcomplete_data.cuts.named import SCAN_DISTANCE, ScanCut
+from splatcomplete_data.cuts.named import ScanCut
 from splatcomplete_data.mesh.convert import convert_mesh
 from splatcomplete_data.mesh.files.load import load_mesh
 
@@ -85,10 +85,9 @@ def measure(path: str, number: int, options: Options) -> Kept:
     splats = transform_splats(convert_mesh(mesh, options.count).splats, frame.object_from_file)
     azimuth_deg = number * _TURN_DEG % 360.0
     elevation_deg = _ELEVATIONS_DEG[number % len(_ELEVATIONS_DEG)]
-    kept = ScanCut(((azimuth_deg, elevation_deg),)).apply(splats).mask.numpy()
-    a, e = np.deg2rad([azimuth_deg, elevation_deg])
-    eye = SCAN_DISTANCE * np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-    visible, hidden = seen_by_rays(scene_of(mesh, frame), splats, eye)
+    cut = ScanCut(((azimuth_deg, elevation_deg),))
+    kept = cut.apply(splats).mask.numpy()
+    visible, hidden = seen_by_rays(scene_of(mesh, frame), splats, cut.eyes[0])
     return Kept(float(kept[visible].mean()), float(kept[hidden].mean()) if hidden.any() else 0.0)
 
 

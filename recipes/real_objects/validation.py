@@ -29,7 +29,7 @@ from rich.console import Console
 from rich.progress import track
 
 from gscomplete.errors import UserError
-from gscomplete.framing.input_view import InputViewSettings, hidden_share
+from gscomplete.framing.input_view import hidden_share
 from gscomplete.priors import load_prior
 from gscomplete.priors.base import prior_identity
 from gscomplete.splats import concatenate
@@ -173,11 +173,10 @@ def views_settled(framed: FramedObject, outcome: Outcome) -> dict[str, Any]:
     assert framed.truth is not None
     partial = framed.partial.with_sh_degree(0)
     together = concatenate([partial, framed.truth.with_sh_degree(0)])
-    knobs = InputViewSettings()
     return {
         "view_gave_way": outcome.views != framed.views,
-        "truth_hides_from_guessed_view": hidden_share(partial, together, framed.views, knobs),
-        "truth_hides_from_view": hidden_share(partial, together, outcome.views, knobs),
+        "truth_hides_from_guessed_view": hidden_share(partial, together, framed.views),
+        "truth_hides_from_view": hidden_share(partial, together, outcome.views),
     }
 
 

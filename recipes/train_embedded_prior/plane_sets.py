@@ -4,7 +4,7 @@ Conventions
 -----------
 * Object k is that of the shape network's sets of another seed; it is a pure function of (seed, k).
 * Objects are kept in files of ``FILE_OBJECTS``: made once, whatever is trained on them.
-* An object's planes are those that the ranker likes, then the best by the truth.
+* An object's planes are those that the coarse scorer puts first, then the best by the truth.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from gscomplete.priors.embedded.text import Tokenizer
 from gscomplete.shape.coarse_scorer import packaged_coarse_scorer
 from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.symmetry_features import plane_features
-from gscomplete.shape.symmetry_proposals import JUDGED, distinct_planes
+from gscomplete.shape.symmetry_proposals import FINELY_SCORED, distinct_planes
 from gscomplete.shape.voxels import FloatArray
 from gscomplete.util.atomic import atomic_path
 from recipes.train_embedded_prior.config import ShapeDataConfig
@@ -67,7 +67,7 @@ def planes_of(posed: PosedObject, rng: np.random.Generator) -> PlaneSets:
     features = plane_features(look.samples(), look.evidence)
     true_scores = Truth.of(posed.partial, posed.complete).plane_scores()
     logits = packaged_coarse_scorer()(features)
-    likely = distinct_planes(logits, JUDGED)
+    likely = distinct_planes(logits, FINELY_SCORED)
     planes = np.concatenate([likely, distinct_planes(true_scores, BEST_PLANES)])
     a, o = planes.T
     return PlaneSets(

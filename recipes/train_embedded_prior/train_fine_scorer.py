@@ -44,7 +44,7 @@ from gscomplete.shape.fine_scorer import (
 )
 from gscomplete.shape.network import cpu_precision
 from gscomplete.shape.symmetry_features import plane_places
-from gscomplete.shape.symmetry_proposals import JUDGED
+from gscomplete.shape.symmetry_proposals import FINELY_SCORED
 from gscomplete.util.atomic import atomic_path
 from gscomplete.util.jsonio import to_json, write_json
 from recipes.train_embedded_prior.data.shape_dataset import unpack_cells
@@ -108,8 +108,8 @@ def batch_of(sets: PlaneSets, config: FineScorerConfig, step: int) -> PlaneBatch
     rng = np.random.default_rng((config.seed, step))
     drawn = []
     for index in rng.integers(FILE_OBJECTS, len(sets), config.batch_objects):
-        best = JUDGED + int(rng.integers(BEST_PLANES))
-        chosen = np.append(rng.permutation(JUDGED)[: config.planes - 1], best)
+        best = FINELY_SCORED + int(rng.integers(BEST_PLANES))
+        chosen = np.append(rng.permutation(FINELY_SCORED)[: config.planes - 1], best)
         drawn.append(_planes(sets, int(index), chosen, rng))
     fine = torch.cat([one.volumes.fine for one in drawn])
     coarse = torch.cat([one.volumes.coarse for one in drawn])
@@ -260,7 +260,7 @@ def score_of_choice(scorer: FineSymmetryScorer, sets: PlaneSets) -> tuple[float,
     """Return mean true scores of the fine scorer's planes, the coarse scorer's, and the best."""
     found = []
     for index in range(len(sets)):
-        one = _planes(sets, index, np.arange(JUDGED), None)
+        one = _planes(sets, index, np.arange(FINELY_SCORED), None)
         with cpu_precision(bfloat16=True):
             logits, _ = scorer(one.volumes, one.features, one.ranked)
         found.append((one.true_scores[logits.argmax()], one.true_scores[0], one.true_scores.max()))

@@ -60,11 +60,11 @@ class CropOptions(ObjectOptions):
 def run(options: CropOptions) -> int:
     """Crop; return the exit code."""
     from gscomplete.views import parse_up
-    from splatcomplete_data.cli.pick import check_path
+    from splatcomplete_data.cli.pick import check_options
     from splatcomplete_data.multiview.scene import read_scene
 
     if options.pick is not None:
-        check_path(options.pick)
+        check_options(options.pick, propose=options.propose)
     scene = read_scene(options.file, None if options.up == "auto" else parse_up(options.up))
     if not options.propose and options.pick is None:
         check_out(options, scene.name)

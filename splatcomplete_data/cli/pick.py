@@ -13,14 +13,18 @@ from splatcomplete_data.cuts.box_page import PickedPoints, pick_boxes
 from splatcomplete_data.cuts.boxes import BOXES_SUFFIX, CropBox
 
 
-def check_path(path: Path) -> None:
-    """Refuse a file that --box would not read.
+def check_options(path: Path, *, propose: bool) -> None:
+    """Refuse what cannot be done: a file that --box would not read, or --propose at once.
 
     Raises:
-        UserError: it is none of boxes.
+        UserError: it is no file of boxes, its folder does not exist, or --propose is given.
     """
+    if propose:
+        raise UserError("--pick: expected without --propose")
     if path.suffix != BOXES_SUFFIX:
         raise UserError(f"--pick: expected a file NAME{BOXES_SUFFIX}, found {str(path)!r}")
+    if not path.parent.is_dir():
+        raise UserError(f"--pick: {path}: the folder does not exist")
 
 
 def run_page(

@@ -180,11 +180,11 @@ def _pick(options: ScanOptions, path: Path) -> int:
         UserError: as ``make``; or the page cannot be served.
     """
     from gscomplete.views import axis_direction
-    from splatcomplete_data.cli.pick import check_path, run_page
+    from splatcomplete_data.cli.pick import check_options, run_page
     from splatcomplete_data.cli.points import part_settings
     from splatcomplete_data.cuts.box_page import PickedPoints
 
-    check_path(path)
+    check_options(path, propose=options.propose)
     source = _read(options)
     cloud = source.cloud
     up = axis_direction(framing_request(options, source.up).up)

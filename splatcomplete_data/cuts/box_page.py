@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import shlex
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gscomplete.errors import UserError
 from gscomplete.util.atomic import atomic_path
 from gscomplete.viewer.server import listen
 from splatcomplete_data.cuts.boxes import Action, CropBox, box_text, inside_boxes
@@ -66,7 +68,7 @@ class BoxPage:
     command: str
     """What is typed with them, up to ``--box``."""
     told: Callable[[str], object]
-    """Called with that line when they are saved."""
+    """Called with that line when they are saved, or with why they are not."""
     chosen: int = 0
     """Index of the box that the gizmo moves."""
     controls: dict[str, Any] = field(default_factory=dict)
@@ -75,6 +77,8 @@ class BoxPage:
     """What is drawn, by name."""
     is_following: bool = False
     """Whether controls are being set to a box, and not by a user."""
+    lock: threading.RLock = field(default_factory=threading.RLock)
+    """Held by whoever changes the page: viser calls back from many threads at once."""
 
     @property
     def center_and_size(self) -> tuple[NDArray[np.float64], float]:
@@ -143,9 +147,14 @@ class BoxPage:
             )
 
     def save(self) -> None:
-        """Write the boxes, and tell how they are used."""
-        with atomic_path(self.path) as path:
-            path.write_text("".join(f"{box_text(box)}\n" for box in self.boxes))
+        """Write the boxes, and tell how they are used, or why they could not be written."""
+        try:
+            with atomic_path(self.path) as path:
+                path.write_text("".join(f"{box_text(box)}\n" for box in self.boxes))
+        except UserError as error:
+            self.controls["saved"].content = f"not saved: {error}"
+            self.told(f"not saved: {error}")
+            return
         line = f"{self.command} --box {shlex.quote(str(self.path))}"
         self.controls["saved"].content = f"saved; now `{line}`"
         self.told(line)
@@ -171,13 +180,16 @@ def pick_boxes(
         boxes: to begin with; none = one about the middle.
         path: where they are saved.
         command: what is typed with the file, up to ``--box``.
-        told: called with that line when the boxes are saved.
+        told: called with that line when the boxes are saved, or with why they are not.
         host: address to listen at.
         port: port to listen at; the next free one if it is taken.
 
     Raises:
-        UserError: viser is not installed, or the address cannot be listened at.
+        UserError: there are no points, viser is not installed, or the address cannot be listened
+            at.
     """
+    if not np.isfinite(picked.points).all(axis=1).any():
+        raise UserError("--pick: expected points to choose boxes in, found none")
     server = listen(host, port)
     page = BoxPage(server, picked, list(boxes), path, command, told)
     _, size = page.center_and_size
@@ -207,6 +219,17 @@ def _add_controls(page: BoxPage, size: float) -> None:
     """Add the page's list, sliders and buttons, and let the gizmo move the chosen box."""
     gui, gizmo = page.server.gui, page.nodes["gizmo"]
     largest = max([size, *(half for box in page.boxes for half in box.half_extents)])
+
+    def one_at_a_time(react: Callable[[Any], object]) -> Callable[[Any], None]:
+        def locked(event: Any) -> None:
+            with page.lock:
+                react(event)
+
+        return locked
+
+    def pressed(action: Callable[[], None]) -> Callable[[Any], None]:
+        return one_at_a_time(lambda _event: action())
+
     page.controls["count"] = gui.add_markdown("")
     page.controls["box"] = gui.add_dropdown("box", ["1: keep"])
     for axis in "xyz":
@@ -225,7 +248,7 @@ def _add_controls(page: BoxPage, size: float) -> None:
         ("save", page.save),
     ):
         page.controls[label] = gui.add_button(label)
-        page.controls[label].on_click(lambda _event, action=action: action())
+        page.controls[label].on_click(pressed(action))
     page.controls["saved"] = gui.add_markdown("")
 
     def sized(_event: Any) -> None:
@@ -244,9 +267,9 @@ def _add_controls(page: BoxPage, size: float) -> None:
             page.draw()
 
     for axis in "xyz":
-        page.controls[axis].on_update(sized)
-    page.controls["box"].on_update(chosen)
-    gizmo.on_update(moved)
+        page.controls[axis].on_update(one_at_a_time(sized))
+    page.controls["box"].on_update(one_at_a_time(chosen))
+    gizmo.on_update(one_at_a_time(moved))
 
 
 def _look_at(client: Any, page: BoxPage) -> None:

@@ -140,9 +140,10 @@ def read_boxes(text: str, option: str = "--box") -> list[CropBox]:
 
 
 def box_text(box: CropBox) -> str:
-    """Write a box as :func:`parse_box` reads it."""
-    numbers = [*box.center, *box.half_extents]
+    """Write a box as :func:`parse_box` reads it, to a 100,000th of its least half extent."""
+    digits = 5 - math.floor(math.log10(min(box.half_extents)))
+    words = [f"{round(number, digits):.15g}" for number in (*box.center, *box.half_extents)]
     if box.quaternion != (1.0, 0.0, 0.0, 0.0):
-        numbers += box.quaternion
+        words += [f"{number:.6g}" for number in box.quaternion]
     prefix = "remove:" if box.action == "remove" else ""
-    return prefix + ",".join(f"{number:.6g}" for number in numbers)
+    return prefix + ",".join(words)

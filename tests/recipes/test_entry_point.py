@@ -1,11 +1,15 @@
 """Recipes tell users what is wrong in one line, and their help says what they are for."""
 
+import importlib
 import os
+import pkgutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+import recipes
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -42,3 +46,11 @@ def test_help_begins_with_what_the_recipe_is_for() -> None:
     done = started("recipes.benchmarks.ply_io", "--help")
     assert done.returncode == 0
     assert "PLY" in done.stdout.split("options")[0]
+
+
+def test_every_module_of_the_recipes_finds_what_it_uses() -> None:
+    pytest.importorskip("diffusers")
+    names = [found.name for found in pkgutil.walk_packages(recipes.__path__, "recipes.")]
+    assert "recipes.real_objects.validation" in names
+    for name in names:
+        importlib.import_module(name)

@@ -51,6 +51,13 @@ def test_what_is_thinned_leaves_no_holes():
     assert packed(dataclasses.replace(rest, means=torch.zeros(21_000, 3)), 500)["count"] == 500
 
 
+def test_as_many_are_taken_as_asked_for():
+    """More than an alignment looks at."""
+    splats = cloud(80_000, 0)
+    assert packed(splats, 50_000)["count"] > 45_000
+    assert packed(splats, 80_000)["count"] == 80_000
+
+
 def test_faint_and_far_splats_stay_away_and_none_at_all_is_fine():
     splats = cloud(30, 0)
     far = Splats(splats.means + 5, splats.quaternions, splats.scales, splats.opacities, splats.sh)

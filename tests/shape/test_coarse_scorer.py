@@ -6,16 +6,16 @@ from gscomplete.shape.coarse_scorer import CoarseSymmetryScorer, packaged_coarse
 from gscomplete.shape.symmetry_features import FEATURES
 
 
-def test_the_ranker_is_a_perceptron():
-    ranker = packaged_coarse_scorer()
-    t = {name: value.astype(np.float64) for name, value in ranker.tensors.items()}
+def test_the_scorer_is_a_perceptron():
+    scorer = packaged_coarse_scorer()
+    t = {name: value.astype(np.float64) for name, value in scorer.tensors.items()}
     features = np.random.default_rng(0).normal(size=(3, 4, len(FEATURES))).astype(np.float32)
     x = (features - t["center"]) / t["spread"]
     for layer in (0, 1):
         x = np.einsum("aof,hf->aoh", x, t[f"weight{layer}"]) + t[f"bias{layer}"]
         x = x * (0.5 + 0.5 * np.tanh(x / 2))
     expected = (np.einsum("aoh,ih->aoi", x, t["weight2"]) + t["bias2"])[..., 0]
-    found = ranker(features)
+    found = scorer(features)
     assert found.shape == (3, 4)
     # float32 over 48-term sums of values up to the logits' size
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-3 * np.abs(expected).max())

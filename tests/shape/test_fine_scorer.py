@@ -92,15 +92,15 @@ def test_the_sides_of_a_plane_of_symmetry_are_alike():
 
 
 def test_judging_one_plane_or_many_is_the_same():
-    judge = packaged_fine_scorer()
+    scorer = packaged_fine_scorer()
     generator = torch.Generator().manual_seed(0)
     fine = torch.rand(3, 8, *SIZE, generator=generator)
     coarse = torch.rand(3, 6, *(n // 2 for n in SIZE), generator=generator)
     features, ranked = torch.rand(3, len(FEATURES), generator=generator), torch.zeros(3)
-    together = torch.stack(judge(FoldedVolumes(fine, coarse), features, ranked))
+    together = torch.stack(scorer(FoldedVolumes(fine, coarse), features, ranked))
     for k in range(3):
         volumes = FoldedVolumes(fine[k : k + 1], coarse[k : k + 1])
-        alone = torch.stack(judge(volumes, features[k : k + 1], ranked[k : k + 1]))
+        alone = torch.stack(scorer(volumes, features[k : k + 1], ranked[k : k + 1]))
         # float32 sums of 10^4 terms in another order
         torch.testing.assert_close(alone[:, 0], together[:, k], rtol=1e-3, atol=1e-3)
 
@@ -116,5 +116,5 @@ def test_files_are_checked(tmp_path):
     assert FineSymmetryScorer.load(path).digest() == packaged_fine_scorer().digest()
     tensors = packaged_fine_scorer().state_dict()
     save_file({k: v.contiguous() for k, v in tensors.items() if k != "trust"}, path)
-    with pytest.raises(UserError, match="expected tensors of the plane judge"):
+    with pytest.raises(UserError, match="expected tensors of the fine symmetry scorer"):
         FineSymmetryScorer.load(path)

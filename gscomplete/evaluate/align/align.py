@@ -234,8 +234,15 @@ def evenly_spread(
     points: FloatArray,  # [n, 3]
     count: int,
     rng: np.random.Generator,
+    looked_at: int = _LOOKED_AT,
 ) -> np.ndarray:  # [<= count] rows
     """Choose rows so that the points chosen are about equally far apart, in random order.
+
+    Args:
+        points: to choose from.
+        count: most rows.
+        rng: draws the order.
+        looked_at: of more points, so many are looked at, chosen at random.
 
     Raises:
         UserError: there are too few points, or they have no extent.
@@ -244,7 +251,7 @@ def evenly_spread(
         raise UserError(
             f"alignment: expected at least {_FEWEST} finite points, found {len(points)}"
         )
-    rows = rng.permutation(len(points))[:_LOOKED_AT]
+    rows = rng.permutation(len(points))[:looked_at]
     offsets = points[rows] - points[rows].min(axis=0)
     side = float(offsets.max())
     if not side > 0:

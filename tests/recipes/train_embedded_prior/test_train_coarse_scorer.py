@@ -9,7 +9,7 @@ from recipes.train_embedded_prior.train_coarse_scorer import (
 )
 
 
-def test_a_ranker_learns_to_prefer_planes_of_high_score():
+def test_a_scorer_learns_to_prefer_planes_of_high_score():
     """The score follows one feature: a scorer that learns finds it among noise on new objects."""
     generator = torch.Generator().manual_seed(0)
     features = torch.randn(24, ANGLES, 5, len(FEATURES), generator=generator)

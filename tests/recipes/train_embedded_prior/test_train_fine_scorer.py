@@ -6,7 +6,7 @@ import torch
 
 from gscomplete.errors import UserError
 from gscomplete.shape.symmetry_features import ANGLES, FEATURES, OFFSETS
-from gscomplete.shape.symmetry_proposals import JUDGED
+from gscomplete.shape.symmetry_proposals import FINELY_SCORED
 from gscomplete.shape.voxels import COARSE_CELLS
 from recipes.train_embedded_prior.plane_sets import (
     BEST_PLANES,
@@ -31,13 +31,13 @@ def simple_sets(count: int = FILE_OBJECTS + 8) -> PlaneSets:
     rng = np.random.default_rng(0)
     cells = rng.integers(1, 256, (count, 60, 7))
     cells[..., :3] = rng.integers(20, 28, (count, 60, 3))
-    planes = JUDGED + BEST_PLANES
+    planes = FINELY_SCORED + BEST_PLANES
     angles, places = (rng.integers(n, size=(count, planes)) for n in (ANGLES, len(OFFSETS)))
     chosen = np.stack([angles, places], axis=-1)
     offsets = np.array(OFFSETS)[chosen[..., 1]]
     true_scores = (1 - np.abs(offsets) / 0.45).astype(np.float32)
-    true_scores[:, JUDGED:] = 1.0
-    chosen[:, JUDGED:, 1] = OFFSETS.index(0.0)
+    true_scores[:, FINELY_SCORED:] = 1.0
+    chosen[:, FINELY_SCORED:, 1] = OFFSETS.index(0.0)
     return PlaneSets(
         cells.astype(np.uint8),
         np.zeros((count, 3, *(COARSE_CELLS,) * 3), np.uint8),
@@ -106,6 +106,6 @@ def test_planes_of_an_object_are_measured_alike_again():
         np.testing.assert_array_equal(one, other)
     sets = joined(made)
     assert len(sets) == 2
-    assert sets.true_scores.shape == (2, JUDGED + BEST_PLANES)
-    assert sets.true_scores[0, JUDGED] == sets.true_scores[0].max()
+    assert sets.true_scores.shape == (2, FINELY_SCORED + BEST_PLANES)
+    assert sets.true_scores[0, FINELY_SCORED] == sets.true_scores[0].max()
     assert (sets.cells[0, :, 6] > 0).any()

@@ -20,6 +20,12 @@ def test_a_file_that_box_would_not_read_is_refused(tmp_path, capsys):
     for command in ("crop", "scan"):
         assert main([command, str(tmp_path / "scene.ply"), "--pick", "boxes.json"]) == 2
         assert "--pick: expected a file NAME.txt, found 'boxes.json'" in capsys.readouterr().err
+        nowhere = str(tmp_path / "nowhere/boxes.txt")
+        assert main([command, str(tmp_path / "scene.ply"), "--pick", nowhere]) == 2
+        assert "the folder does not exist" in capsys.readouterr().err
+        both = ["--pick", str(tmp_path / "boxes.txt"), "--propose"]
+        assert main([command, str(tmp_path / "scene.ply"), *both]) == 2
+        assert "--pick: expected without --propose" in capsys.readouterr().err
 
 
 def test_the_page_is_served_until_it_is_interrupted(tmp_path):

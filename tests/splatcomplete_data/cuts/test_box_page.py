@@ -1,11 +1,14 @@
 """The page on which boxes are chosen, driven as a browser drives it."""
 
+import dataclasses
 import math
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from gscomplete.errors import UserError
 from splatcomplete_data.cuts.box_page import PickedPoints, pick_boxes
 from splatcomplete_data.cuts.boxes import CropBox, inside_boxes, read_boxes
 
@@ -88,3 +91,32 @@ def test_what_is_saved_is_what_the_option_reads(start, tmp_path):
         for name in ("center", "half_extents", "quaternion"):
             assert getattr(one, name) == pytest.approx(getattr(other, name), abs=1e-5)
     assert (inside_boxes(POINTS, read) == inside_boxes(POINTS, page.boxes)).mean() > 0.999
+
+
+def test_callbacks_of_many_threads_wait_for_each_other(start):
+    """As viser calls them while the gizmo is dragged."""
+    page, _ = start(TURN, dataclasses.replace(TURN, action="remove"))
+    (moved,) = page.nodes["gizmo"]._impl_aux.update_cb
+    with ThreadPoolExecutor(8) as threads:
+        calls = [threads.submit(moved, SimpleNamespace(phase="update")) for _ in range(200)]
+    for call in calls:
+        call.result()
+    lines = [name for name in page.nodes if name.startswith("/boxes/")]
+    assert sorted(lines) == ["/boxes/0", "/boxes/1"]
+
+
+def test_what_cannot_be_saved_is_told(start, tmp_path):
+    page, told = start(TURN)
+    page.path = tmp_path / "nowhere/boxes.txt"
+    click(page, "save")
+    assert len(told) == 1
+    assert told[0].startswith("not saved: ")
+    assert "the folder does not exist" in told[0]
+    assert told[0] in page.controls["saved"].content
+
+
+@pytest.mark.parametrize("points", [np.zeros((0, 3)), np.full((4, 3), np.nan)])
+def test_a_scene_of_nothing_is_refused(tmp_path, points):
+    picked = PickedPoints(points, np.zeros((len(points), 3), np.float32), (0.0, 0.0, 1.0))
+    with pytest.raises(UserError, match="expected points to choose boxes in, found none"):
+        pick_boxes(picked, [], tmp_path / "boxes.txt", "scan a.pcd", print)

@@ -1,9 +1,10 @@
 """Boxes as text and in files; what they keep is tested with the objects that record them."""
 
+import numpy as np
 import pytest
 
 from gscomplete.errors import UserError
-from splatcomplete_data.cuts.boxes import box_text, parse_box, read_boxes
+from splatcomplete_data.cuts.boxes import CropBox, box_text, parse_box, read_boxes
 
 TEXTS = ["0,0,0,1,1,1", "remove:0.4,0,0,0.1,0.2,0.3,0.5,0.5,0.5,0.5"]
 
@@ -15,6 +16,14 @@ def test_a_file_holds_a_box_a_line(tmp_path):
     assert read_boxes(str(path)) == boxes
     assert [box for text in TEXTS for box in read_boxes(text)] == boxes
     assert [box_text(box) for box in boxes] == TEXTS
+
+
+def test_boxes_far_from_the_origin_are_written_as_precisely_as_others():
+    """Coordinates of a survey, in metres."""
+    box = CropBox((412_345.6789, 5_712_345.6789, 12.3456), (0.25, 0.5, 1.0))
+    again = parse_box(box_text(box))
+    assert np.abs(np.subtract(again.center, box.center)).max() < 1e-5
+    assert again.half_extents == box.half_extents
 
 
 @pytest.mark.parametrize(
