@@ -8,6 +8,8 @@ Conventions
 * A signal that arrives while a library is being imported ends the process at once, as nothing is
   being done: interrupted in its middle, PyTorch aborts, and others swallow the interrupt and leave
   half a module behind.
+* Libraries may turn an interrupt that meets them into an error of their own (a SystemError of a C
+  extension): an unexpected error after a signal is that signal.
 * Shared by the packages' console commands.
 """
 
@@ -121,8 +123,9 @@ def run_guarded(program: str, command: Callable[[], int], interrupted: str) -> i
         with contextlib.suppress(OSError):  # the terminal may be gone
             sys.stderr.write(f"{program}: {message}\n")
 
+    received: list[KeyboardInterrupt] = []
     try:
-        with _signals_raise(program, interrupted):
+        with _signals_raise(program, interrupted, received):
             code = command()
         sys.stdout.flush()  # what is buffered may find its reader gone only now
         return code
@@ -142,6 +145,9 @@ def run_guarded(program: str, command: Callable[[], int], interrupted: str) -> i
         say("error: out of memory")
         return 4
     except Exception as error:
+        if received:
+            say(_told(received[0], interrupted))
+            return _exit_code(received[0])
         if _ALLOCATOR in str(error):
             say("error: out of memory")
             return 4
@@ -155,8 +161,16 @@ def run_guarded(program: str, command: Callable[[], int], interrupted: str) -> i
 
 
 @contextlib.contextmanager
-def _signals_raise(program: str, interrupted: str) -> Iterator[None]:
-    """Have SIGINT, SIGTERM and SIGHUP interrupt the block, but for those that are ignored."""
+def _signals_raise(
+    program: str, interrupted: str, received: list[KeyboardInterrupt]
+) -> Iterator[None]:
+    """Have SIGINT, SIGTERM and SIGHUP interrupt the block, but for those that are ignored.
+
+    Args:
+        program: the console command's name.
+        interrupted: what to tell when the process ends at once.
+        received: gets what is raised.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -164,6 +178,7 @@ def _signals_raise(program: str, interrupted: str) -> Iterator[None]:
     def stop(number: int, frame: FrameType | None) -> None:
         reason = KeyboardInterrupt() if number == signal.SIGINT else Stopped(number)
         if not _is_importing(frame):
+            received.append(reason)
             raise reason
         with contextlib.suppress(OSError, RuntimeError, ValueError):
             sys.stdout.flush()

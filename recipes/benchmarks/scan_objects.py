@@ -104,8 +104,8 @@ def measured(scene: str, scan: Scan, label: int) -> list[Row]:
     places = {tuple(row) for row in own.tolist()}  # of an organised cloud, no two are at one place
     rows = []
     for mode, settings in (
-        ("box", PartSettings((box,), CleanSettings(clusters=0), level=True)),
-        ("seed", PartSettings((), CleanSettings(seed_point=(x, y, z), clusters=0), level=True)),
+        ("box", PartSettings((box,), CleanSettings(clusters=0), "always")),
+        ("seed", PartSettings((), CleanSettings(seed_point=(x, y, z), clusters=0), "always")),
     ):
         try:
             part = make_part(cloud, settings, scene, around)
@@ -115,8 +115,7 @@ def measured(scene: str, scan: Scan, label: int) -> list[Row]:
         kept = part.cloud.points[part.reason < 0]
         hits = sum(tuple(row) in places for row in kept.tolist())
         assert part.turn is not None
-        up = part.turn.rotation[2].numpy()
-        cosine = up @ true_up(table)
+        cosine = part.turn.rotation[2].numpy() @ true_up(table)
         angle = float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
         row = Row(
             scene, label, mode, touches, hits / len(kept), hits / len(own), angle, part.warnings

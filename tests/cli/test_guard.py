@@ -125,6 +125,21 @@ def test_a_signal_to_end_is_answered_as_an_interrupt(number: int, capsys) -> Non
     assert capsys.readouterr().err == f"mug: stopped by {name}; --resume goes on\n"
 
 
+def test_a_signal_that_a_library_turns_into_its_own_error_is_still_that_signal(capsys) -> None:
+    def swallows(stopped: bool) -> int:
+        try:
+            if stopped:
+                signal.raise_signal(signal.SIGTERM)
+        except KeyboardInterrupt as stop:
+            raise SystemError("a function returned a result with an exception set") from stop
+        raise SystemError("no signal")
+
+    assert run_guarded("tool", lambda: swallows(True), "nothing was written") == 143
+    assert capsys.readouterr().err == "tool: stopped by SIGTERM; nothing was written\n"
+    assert run_guarded("tool", lambda: swallows(False), "nothing was written") == 70
+    assert "internal error: SystemError: no signal" in capsys.readouterr().err
+
+
 def test_a_signal_that_is_ignored_stays_ignored() -> None:
     """As ``nohup`` asks for."""
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
