@@ -120,13 +120,18 @@ def require_same_identity(path: Path, identity: dict[str, Any]) -> None:
             continue
         if isinstance(value, dict) and isinstance(found, dict):
             detail = "; ".join(
-                f"{name}: the run has {found.get(name)!r}, asked for {value.get(name)!r}"
+                f"{name}: the run has {_of(found, name)}, asked for {_of(value, name)}"
                 for name in {**value, **found}
-                if found.get(name) != value.get(name)
+                if (name in found, found.get(name)) != (name in value, value.get(name))
             )
         else:
             detail = f"the run has {found!r}, asked for {value!r}"
         raise UserError(f"{path}: cannot resume with another {key}: {detail}")
+
+
+def _of(settings: dict[str, Any], name: str) -> str:
+    """Return a setting as text; null is not the same as no such setting."""
+    return repr(settings[name]) if name in settings else "no such setting"
 
 
 def _trim_log(path: Path, step: int) -> None:

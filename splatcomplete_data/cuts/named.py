@@ -36,10 +36,10 @@ from splatcomplete_data.objects import StepRecord
 
 SCAN_DISTANCE = 2.2
 """Distance of a scanner from the centre, in object sizes (as ``ViewDistribution.radius``)."""
-SCAN_WIDTH = 2.54
-"""What a scanner's depth image spans at the centre, in object sizes."""
-MAX_SCAN_GRID_PX = 1024
-"""Largest side of a scanner's depth image."""
+_SCAN_WIDTH = 2.54
+"""What a scanner's image spans at the centre, in object sizes."""
+_MAX_SCAN_CELLS = 1024
+"""Most cells along a side of the image in which splats are looked up."""
 _SCAN_FOV_DEG = 60.0
 _OBJECT_SHARE = 0.995
 """A scanner's picture is wide enough for this share of the splats: trained ones have floaters."""
@@ -93,9 +93,9 @@ class ScanCut:
     def apply(self, complete: Splats) -> PartialCut:
         """Return what is kept of splats in the object frame."""
         eyes = self.eyes
-        # two pixels a splat: finer ones show nothing more
+        # one or two cells a splat: a cell holds few
         typical = float(complete.scales.amax(dim=1).median())
-        grid_px = int(np.clip(SCAN_WIDTH / max(1.3 * typical, 1e-9), 64, MAX_SCAN_GRID_PX))
+        grid = int(np.clip(_SCAN_WIDTH / max(1.3 * typical, 1e-9), 64, _MAX_SCAN_CELLS))
         middle = np.zeros(3)
         reach = float(np.quantile(complete.means.double().norm(dim=1).numpy(), _OBJECT_SHARE))
         reach = min(reach, _MOST_REACH)
@@ -104,7 +104,7 @@ class ScanCut:
         )
         seen = np.zeros(len(complete), np.bool_)
         for eye in eyes:
-            seen |= seen_splats(complete, eye, looking_rotation(eye, middle), grid_px, half)
+            seen |= seen_splats(complete, eye, looking_rotation(eye, middle), grid, half)
         details = {"views": len(eyes), "eyes": eyes.round(3).tolist()}
         return PartialCut(torch.from_numpy(seen), "visibility", details)
 

@@ -85,6 +85,10 @@ def test_what_decides_the_result_may_not_change(tmp_path):
         require_same_identity(path, {**identity, "prompt": "a cup"})
     with pytest.raises(UserError, match=r"another settings: seed: the run has 0, asked for 5$"):
         require_same_identity(path, {**identity, "settings": {"seed": 5, "steps": 3}})
+    earlier = identity["settings"] | {"radius": None}
+    write_json(path, {"identity": {**identity, "settings": earlier}})
+    with pytest.raises(UserError, match=r"radius: the run has None, asked for no such setting$"):
+        require_same_identity(path, identity)
     for damaged in ([], {"identity": "a mug"}):
         write_json(path, damaged)
         with pytest.raises(UserError, match="identity: expected an object"):

@@ -199,7 +199,7 @@ class EmbeddedPrior:
             distribution,
             conditioning.tokens,
             ends_in_plane=cut is not None,
-            no_tokens=conditioning.negative_tokens,
+            no_tokens=self._tokenizer.encode(""),
             bfloat16=self._shape_bfloat16,
             mirror_plane=mirror,
         )

@@ -193,6 +193,17 @@ def test_a_part_that_ends_squarely_at_a_plane_is_mirrored_through_it():
     assert not any("squarely" in note for note in asked.notes)
 
 
+def test_what_the_prompt_changes_is_told_against_no_prompt_whatever_the_negative_one():
+    prior, part = load_prior("embedded"), half(ball(1000))
+    told = []
+    for negative in (None, "a chair"):
+        conditioning = prior.condition("a ball", negative)
+        guess = prior.first_guess(part, ViewDistribution(0, 10), conditioning, generator(), 500)
+        told.append([note for note in guess.notes if note.startswith("prompt: ")])
+    assert len(told[0]) == 1
+    assert told[0] == told[1]
+
+
 def test_nothing_is_added_to_a_closed_surface_unless_asked():
     prior = load_prior("embedded")
     views, conditioning = ViewDistribution(0.0, 10.0), prior.condition("a ball")
