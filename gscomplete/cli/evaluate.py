@@ -222,12 +222,15 @@ def measured(
     from rich.progress import track
 
     from gscomplete.evaluate.kept import KeptResults
+    from gscomplete.evaluate.perceptual import found_here
     from gscomplete.util import jsonio
 
     settings = settings_of(options)
     kept = None
     if options.keep is not None:
-        kept = KeptResults(options.keep, [jsonio.to_json(settings), drawn_with])
+        # What could not be measured is measured once its weights are there.
+        decides = [jsonio.to_json(settings), drawn_with, found_here()]
+        kept = KeptResults(options.keep, decides)
     for job in track(jobs, "measuring", console=Console(file=sys.stderr), disable=len(jobs) == 1):
         if job.path is None:
             failures.append(Failure(job.method, job.object, "no finished completion"))

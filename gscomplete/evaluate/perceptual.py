@@ -13,6 +13,7 @@ Conventions
 from __future__ import annotations
 
 import importlib
+import importlib.util
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,13 +38,23 @@ class Unavailable:
     reason: str
 
 
+def found_here(model: str = CLIP_MODEL) -> tuple[str, ...]:
+    """Name what these metrics need and this machine has, as far as names say; nothing is loaded."""
+    needs = {
+        "lpips": _is_installed("lpips"),
+        ALEXNET_FILE: _alexnet_file().is_file(),
+        "transformers": _is_installed("transformers"),
+        model: _may_be_here(model),
+    }
+    return tuple(name for name, is_here in needs.items() if is_here)
+
+
 def lpips_error(completed: Splats, partial: Splats, camera: Cameras) -> float | Unavailable:
     """Measure E_LPIPS from the input view; lower is better."""
     package = _optional("lpips")
     if isinstance(package, Unavailable):
         return package
-    weights = Path(torch.hub.get_dir()) / "checkpoints" / ALEXNET_FILE
-    if not weights.is_file():
+    if not _alexnet_file().is_file():
         return Unavailable(f"no AlexNet weights ({ALEXNET_FILE} is not in torch's cache)")
     network = package.LPIPS(net="alex", spatial=True, verbose=False)
     with torch.no_grad():
@@ -85,6 +96,14 @@ def clip_similarity(
     embedding = getattr(found, "pooler_output", found)  # a tensor before transformers 5
     unit = torch.nn.functional.normalize(embedding, dim=-1)
     return 100.0 * float((unit[1:] @ unit[0]).mean())
+
+
+def _alexnet_file() -> Path:
+    return Path(torch.hub.get_dir()) / "checkpoints" / ALEXNET_FILE
+
+
+def _is_installed(package: str) -> bool:
+    return importlib.util.find_spec(package) is not None
 
 
 def _may_be_here(model: str) -> bool:

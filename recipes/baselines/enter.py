@@ -65,7 +65,8 @@ def find_result(results: Path, object_id: str) -> Path | None:
         UserError: there are several.
     """
     places = (*results.glob(f"{object_id}.*"), *(results / object_id).glob("*"))
-    found = sorted(path for path in places if path.name.lower().endswith((*_MESHES, *_SPLATS)))
+    shown = (path for path in places if not path.name.startswith("."))  # macOS leaves ._ files
+    found = sorted(path for path in shown if path.name.lower().endswith((*_MESHES, *_SPLATS)))
     if len(found) > 1:
         raise UserError(f"{found[0]}: expected one result of {object_id}, found {len(found)}")
     return found[0] if found else None
@@ -102,12 +103,20 @@ def enter(options: Options) -> dict[str, str]:
     if SYSTEMS[options.system].enters == ("made here",):
         raise UserError(f"{options.system}: it is made here: {SYSTEMS[options.system].how}")
     objects = objects_of(options.dataset)
-    found = [(known, find_result(options.results, known.id)) for known in objects]
-    results = [(known, path) for known, path in found if path is not None]
-    if not results:
+    results: list[tuple[ObjectFolder, Path]] = []
+    failures: dict[str, str] = {}
+    for known_object in objects:
+        try:
+            result = find_result(options.results, known_object.id)
+        except UserError as error:
+            failures[known_object.id] = str(error)
+            sys.stdout.write(f"{known_object.id}: {error}\n")
+            continue
+        if result is not None:
+            results.append((known_object, result))
+    if not results and not failures:
         raise UserError(f"{options.results}: expected a result named after an object, found none")
     options.out.mkdir(parents=True, exist_ok=True)
-    failures: dict[str, str] = {}
     for number, (known_object, path) in enumerate(results, 1):
         if (options.out / f"{known_object.id}.ply").is_file():
             continue

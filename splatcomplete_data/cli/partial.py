@@ -39,7 +39,8 @@ class PartialOptions(ObjectOptions):
     cut: tuple[str, ...] = ()
     """plane:AZIMUTH[,OFFSET], box:LX,LY,LZ,HX,HY,HZ or scan:AZ/EL[,AZ/EL...] (object frame)."""
     box: tuple[str, ...] = ()
-    """Boxes in the file frame: [keep:|remove:]CX,CY,CZ,HX,HY,HZ[,QW,QX,QY,QZ]."""
+    """Boxes in the file frame: [keep:|remove:]CX,CY,CZ,HX,HY,HZ[,QW,QX,QY,QZ], or a file of boxes
+    that `crop --pick` saved."""
     seen_from_views: int = 0
     """Keep what this many views of V (--view, --range) can see; 0 = do not cut by visibility."""
     subset: Literal["multiview", "singleview", "lidar", "mesh"] = "multiview"
@@ -63,12 +64,12 @@ def make(options: PartialOptions) -> tuple[PartialOptions, ObjectDraft]:
         UserError: the file cannot be read, no cut is given, or the cuts keep nothing.
     """
     from gscomplete.views import ObjectFrame
-    from splatcomplete_data.cuts.boxes import parse_box
+    from splatcomplete_data.cuts.boxes import read_boxes
     from splatcomplete_data.cuts.named import ScanCut, apply_cuts, parse_cut, scanner_position
     from splatcomplete_data.framing import SPLAT_FILE_UP, UP_ASSUMED
 
     cuts = [parse_cut(text) for text in options.cut]
-    boxes = tuple(parse_box(text) for text in options.box)
+    boxes = tuple(box for text in options.box for box in read_boxes(text))
     source = _read_complete(options.file)
     subset, default_up = options.subset, SPLAT_FILE_UP
     details: dict[str, str] = {}

@@ -9,6 +9,7 @@ import torch
 
 from gscomplete.cli.evaluate import EvaluateOptions, named, run
 from gscomplete.errors import UserError
+from gscomplete.evaluate import perceptual
 from gscomplete.splats import concatenate, read_splats, write_splats
 from gscomplete.splats.transform import transform_splats
 from gscomplete.views import ObjectFrame, ViewDistribution
@@ -102,6 +103,19 @@ def test_what_is_kept_is_measured_once_and_again_when_a_file_changes(dataset, ca
     kept.write_text("{")
     _, mended = rows_of(capsys, keep=tmp_path / "kept", **asked)
     assert mended == first
+
+
+def test_what_is_kept_is_measured_again_when_weights_of_a_metric_arrive(
+    dataset, capsys, tmp_path, monkeypatch
+):
+    asked = {"dataset": dataset / "open", "runs": (f"good={dataset / 'good'}",)}
+    _, first = rows_of(capsys, keep=tmp_path / "kept", **asked)
+    kept = tmp_path / "kept/good/jug.json"
+    kept.write_text(kept.read_text().replace('"unavailable": {', '"unavailable": {"x": "old", '))
+    _, again = rows_of(capsys, keep=tmp_path / "kept", **asked)
+    assert "x" in again["good", "jug"]["unavailable"]
+    monkeypatch.setattr(perceptual, "found_here", lambda: ("lpips",))
+    assert rows_of(capsys, keep=tmp_path / "kept", **asked)[1] == first
 
 
 def test_the_order_of_splats_changes_nothing(dataset, capsys, tmp_path):

@@ -88,16 +88,22 @@ def test_files_are_found_by_the_objects_name(tmp_path):
 
 def test_a_damaged_result_is_told_and_passed_over(tmp_path):
     splats = convert_mesh(load_mesh(chair_file(tmp_path)), 2000).splats
-    for name in ("a", "b"):
+    for name in ("a", "b", "c"):
         write_object_folder(tmp_path / "open" / name, splats)
     (tmp_path / "made").mkdir()
     (tmp_path / "made/a.glb").write_bytes(b"no mesh")
+    (tmp_path / "made/c").mkdir()
+    for name in ("one.glb", "two.glb"):
+        (tmp_path / "made/c" / name).touch()
+    (tmp_path / "made/b").mkdir()
+    (tmp_path / "made/b/._b.ply").touch()  # as macOS leaves them
     write_splats(tmp_path / "made/b.ply", splats)
     options = Options(
         "other", tmp_path / "open", tmp_path / "made", tmp_path / "out", rotations=100
     )
     failures = enter(options)
-    assert list(failures) == ["a"]
+    assert set(failures) == {"a", "c"}
+    assert "expected one result of c, found 2" in failures["c"]
     assert "a.glb" in failures["a"]
     assert (tmp_path / "out/b.ply").is_file()
 

@@ -54,6 +54,18 @@ def test_whole_files_have_no_such_step(tmp_path):
     assert names == ["cut_plane"]
 
 
+def test_boxes_of_a_file_cut_as_those_given_one_by_one(tmp_path):
+    path = file_with(tmp_path / "a.ply", NAN, [])
+    boxes = ["0,0,0,1,1,1", "remove:0.5,0,0,0.3,1,1"]
+    (tmp_path / "boxes.txt").write_text("\n".join(boxes))
+    flags = {"one": [f"--box={box}" for box in boxes], "file": [f"--box={tmp_path / 'boxes.txt'}"]}
+    for name, given in flags.items():
+        assert cli.main(["partial", str(path), *given, "--out", str(tmp_path / name / "part")]) == 0
+    parts = [(tmp_path / name / "part/partial.ply").read_bytes() for name in flags]
+    assert parts[0] == parts[1]
+    assert len(parts[0]) < path.stat().st_size
+
+
 def test_a_part_of_an_object_remembers_where_the_source_lies(tmp_path):
     box = trimesh.creation.box()
     box.apply_translation([500_000.0, 5_300_000.0, 300.0])
