@@ -174,7 +174,7 @@ def test_where_no_mirrored_splat_is_left_the_networks_surface_is_all():
     prediction = predicted(0.9)
     across, along, turn = mirrors()
     far = dataclasses.replace(across, shift=np.array([5.0, 0.0, 0.0], np.float32))
-    # A box away from the border, whose logits would bear out copies beyond it.
+    # A box away from the border, whose logits would be consistent with copies beyond it.
     occupancy = torch.full_like(prediction.output.occupancy, -8.0)
     occupancy[:, 16:32, 16:32, 16:32] = 8.0
     nowhere = dataclasses.replace(

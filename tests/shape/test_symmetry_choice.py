@@ -38,12 +38,12 @@ class Believer(torch.nn.Module):
         return ShapeOutput(16.0 * filled.float() - 8.0, nothing[:, :3], nothing)
 
 
-def test_a_copy_the_answer_fills_is_worth_more_than_one_it_leaves_empty():
+def test_a_copy_the_answer_fills_scores_above_one_it_leaves_empty():
     seen = LOOK.with_copies(mirrors())
     partial, across, along = (torch.from_numpy(seen.volumes[k, 0]) for k in range(3))
-    whole = ((partial > 0) | (across > 0)).float()
+    complete = ((partial > 0) | (across > 0)).float()
     alone = (partial > 0).float()
-    answers = torch.stack([whole, whole, alone])
+    answers = torch.stack([complete, complete, alone])
     filled, useless, refused = symmetry_scores_of_answers(
         answers, torch.stack([across, along, across]), partial
     ).tolist()
@@ -55,17 +55,17 @@ def test_a_copy_the_answer_fills_is_worth_more_than_one_it_leaves_empty():
 def test_an_answer_that_adds_next_to_nothing_does_not_win():
     seen = LOOK.with_copies(mirrors())
     partial, across, along = (torch.from_numpy(seen.volumes[k, 0]) for k in range(3))
-    whole = ((partial > 0) | (across > 0)).float()
+    complete = ((partial > 0) | (across > 0)).float()
     little = (partial > 0).float()
     free = (along > 0) & (torch.nn.functional.max_pool3d(partial[None], 3, 1, 1)[0] <= 0)
     little[free] = 1.0  # the few new cells of the copy are all filled
     symmetry_scores = symmetry_scores_of_answers(
-        torch.stack([whole, little]), torch.stack([across, along]), partial
+        torch.stack([complete, little]), torch.stack([across, along]), partial
     )
     assert float(symmetry_scores[0]) > float(symmetry_scores[1]) + 0.5
 
 
-def test_the_copies_that_answers_bear_out_are_shown():
+def test_the_copies_that_answers_are_consistent_with_are_given():
     tokens = torch.zeros(4, dtype=torch.long)
     planes = candidate_planes(LOOK, CANDIDATES)
     choice = choose_symmetries(Believer(), LOOK, tokens, ends_in_plane=True)

@@ -168,9 +168,9 @@ def align_points(
         all_part[rows], None if target_colors is None else _evened(target_colors[rows])
     )
     part = here.subset(np.searchsorted(rows, part_rows))
-    whole = Target.of(there)
-    best, runner_up = _settled(candidates, part, whole)
-    last = whole.refine(whole.refine(best, part, 25), part, 25, _LAST_POINT_SHARE)
+    all_points = Target.of(there)
+    best, runner_up = _settled(candidates, part, all_points)
+    last = all_points.refine(all_points.refine(best, part, 25), part, 25, _LAST_POINT_SHARE)
     distance = np.sort(cKDTree(there.points).query(last.apply(part.points))[0])
     kept = distance[: max(1, int(0.9 * len(distance)))]
     residual = float(np.sqrt((kept**2).mean())) / (last.scale * diameter(part.points))
