@@ -29,7 +29,7 @@ def run(options: CompleteOptions) -> int:
     """
     import torch
 
-    from gscomplete.util.jit import compilations_told
+    from gscomplete.util.kernels import compilations_told
     from gscomplete.util.stages import profiled
 
     def tell() -> None:

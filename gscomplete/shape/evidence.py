@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from gscomplete.render import render
 from gscomplete.shape.voxels import FloatArray
 from gscomplete.splats import Splats
-from gscomplete.util.jit import HELPER
+from gscomplete.util.kernels import HELPER
 from gscomplete.views import ViewDistribution
 
 SIZE_PX = 48

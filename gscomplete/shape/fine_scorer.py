@@ -36,7 +36,7 @@ from gscomplete.shape.network import PACKAGED_WEIGHTS
 from gscomplete.shape.symmetry_features import FEATURES
 from gscomplete.shape.voxels import CELL_SIDE, HALF_SIDE, FloatArray
 from gscomplete.util.atomic import atomic_path
-from gscomplete.util.jit import KERNEL
+from gscomplete.util.kernels import KERNEL
 from gscomplete.util.same_bits import GroupNorm
 
 FINE_SCORER_FILE = "plane_judge.safetensors"

@@ -24,7 +24,7 @@ from scipy.spatial import cKDTree
 from gscomplete.shape.evidence import Evidence, kind_of
 from gscomplete.shape.voxels import CELLS, HALF_SIDE, FloatArray, grown
 from gscomplete.splats.rim import ON_RIM, one_sidedness
-from gscomplete.util.jit import HELPER, KERNEL
+from gscomplete.util.kernels import HELPER, KERNEL
 
 ANGLES = 36
 OFFSETS = tuple(round(0.025 * k, 3) for k in range(-18, 19))

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from gscomplete.splats import Splats
 from gscomplete.splats.rotations import rotation_matrices
-from gscomplete.util.jit import KERNEL
+from gscomplete.util.kernels import KERNEL
 
 HALF_SIDE = 0.72
 CELLS = 48

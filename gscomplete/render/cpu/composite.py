@@ -41,7 +41,7 @@ from gscomplete.render.cpu.layout import (
     PACKED,
 )
 from gscomplete.render.cpu.tiles import TILE
-from gscomplete.util.jit import HELPER, KERNEL
+from gscomplete.util.kernels import HELPER, KERNEL
 
 C_RED, C_GREEN, C_BLUE, C_DEPTH, C_ALPHA = range(5)
 CHANNELS = 5

@@ -19,7 +19,7 @@ import numba
 import numpy as np
 
 from gscomplete.render.cpu.composite import STOP_EVERY
-from gscomplete.util.jit import KERNEL
+from gscomplete.util.kernels import KERNEL
 
 
 def cut_lists(

@@ -13,7 +13,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from gscomplete.util.jit import HELPER, KERNEL
+from gscomplete.util.kernels import HELPER, KERNEL
 
 _FAST = {"contract", "nsz", "arcp"}
 FAST_KERNEL: dict[str, Any] = KERNEL | {"fastmath": _FAST}

@@ -10,7 +10,7 @@ from typing import Any
 
 import numba
 
-from gscomplete.util.jit import HELPER, KERNEL
+from gscomplete.util.kernels import HELPER, KERNEL
 
 C0 = 0.28209479177387814
 C1 = 0.4886025119029199

@@ -30,7 +30,7 @@ from gscomplete.render.cpu.layout import (
     P_U,
     P_V,
 )
-from gscomplete.util.jit import HELPER, KERNEL
+from gscomplete.util.kernels import HELPER, KERNEL
 
 TILE = 8
 MARGIN = 1e-3

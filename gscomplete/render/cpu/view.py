@@ -21,7 +21,7 @@ from gscomplete.render.cpu.project_backward import project_backward
 from gscomplete.render.cpu.spherical_harmonics import used_bands
 from gscomplete.render.settings import RenderSettings
 from gscomplete.splats import Splats
-from gscomplete.util.threads import run_kernel
+from gscomplete.util.kernels import run_kernel
 from gscomplete.views import Cameras
 
 Arrays = tuple[Any, ...]

@@ -17,7 +17,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from gscomplete.util.threads import share_out
+from gscomplete.util.kernels import share_out
 
 BLOCK_BYTES = 1 << 19
 """Bytes of records in a block: half of what a core's second-level cache holds."""

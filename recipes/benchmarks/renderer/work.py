@@ -35,7 +35,7 @@ from gscomplete.render import cpu, render
 from gscomplete.render.cpu import composite as compositing
 from gscomplete.render.cpu.layout import P_HALF_H, P_V
 from gscomplete.splats import Splats
-from gscomplete.util.threads import run_kernel
+from gscomplete.util.kernels import run_kernel
 from gscomplete.views import Cameras
 from recipes.benchmarks.renderer.machine_limits import MachineLimits
 from recipes.benchmarks.renderer.scenes import trainable_copy

@@ -5,7 +5,8 @@ import numba
 import numpy as np
 import pytest
 
-from gscomplete.util.threads import run_kernel, share_out
+from gscomplete.util.kernels import HELPER, KERNEL, compilations_told, run_kernel, share_out
+from gscomplete.util.stages import profiled
 
 
 @pytest.mark.parametrize(("count", "threads"), [(0, 2), (1, 4), (7, 1), (100, 3)])
@@ -77,3 +78,41 @@ def test_runs_are_all_tasks(count, threads):
     covered = [k for run in sorted(runs) for k in range(*run)]
     assert covered == list(range(count))
     assert len(runs) == 1 or len(runs) <= count / 10
+
+
+def _made():
+    """Return a kernel that calls another one, neither compiled yet nor kept on the disk."""
+
+    @numba.njit(**HELPER)
+    def doubled(value):
+        return 2 * value
+
+    @numba.njit(**KERNEL | {"cache": False})
+    def kernel(values):
+        for i in range(len(values)):
+            values[i] = doubled(values[i])
+
+    return kernel
+
+
+def test_compiling_is_told_once_and_counted_as_a_stage():
+    told, values = [], np.ones(3)
+    first, second = _made(), _made()
+    with profiled() as profile, compilations_told(lambda: told.append("told")):
+        first(values)
+        first(values)
+        second(values)
+    assert (values == 8).all()
+    assert told == ["told"]
+    assert profile.costs["compile"].times == 2
+    assert profile.costs["compile"].wall_s > 0
+    _made()(values)
+    assert told == ["told"]
+
+
+def test_what_is_compiled_is_not_told_of():
+    kernel, told = _made(), []
+    kernel(np.ones(3))
+    with compilations_told(lambda: told.append("told")):
+        kernel(np.ones(3))
+    assert told == []

@@ -1,25 +1,46 @@
-"""Tasks shared out among a few threads that last as long as the process.
+"""Compiled kernels: the options they are compiled with, and tasks shared out among threads.
 
 Conventions
 -----------
-* The work must release the interpreter lock where it matters (system calls, numpy, kernels with
-  ``nogil``), and touch nothing that another task touches: results do not depend on threads.
+* Work that is shared out must release the interpreter lock where it matters (system calls, numpy,
+  kernels with ``nogil``), and touch nothing that another task touches: results do not depend on
+  threads.
 * Kernels of loops that could be ``prange`` are plain kernels over a run of tasks: Numba compiles
-  those in half the time, and runs them as fast.
+  those in half the time, and they run as fast.
 * The calling thread works too, and never waits for a helper that has no task.
 * Helpers are daemons: an idle one does not keep the process alive.
 """
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import queue
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numba
+from numba.core import event
+
+from gscomplete.util.stages import current_profile
+
+KERNEL: dict[str, Any] = {
+    "cache": True,
+    "nogil": True,
+    "error_model": "numpy",
+    "no_cfunc_wrapper": True,
+}
+"""Of functions that Python calls."""
+
+HELPER: dict[str, Any] = {
+    "error_model": "numpy",
+    "no_cfunc_wrapper": True,
+    "no_cpython_wrapper": True,
+}
+"""Of functions that only kernels call. They compile in two thirds of the time when Python cannot
+call them and the disk does not keep them."""
 
 _RUNS_PER_THREAD = 8
 """Runs that a kernel's tasks are cut into: a thread that is held up leaves the rest to others."""
@@ -132,3 +153,39 @@ def run_kernel(kernel: Callable[..., None], count: int, grain: int, *arguments: 
         kernel(count * k // runs, count * (k + 1) // runs, *arguments)
 
     share_out(do_run, runs, threads)
+
+
+class _Compilations(event.Listener):
+    """Counts compiling as a stage, and tells of the first time."""
+
+    def __init__(self, tell: Callable[[], None]) -> None:
+        self._tell = tell
+        self._depth = 0
+
+    def on_start(self, event: event.Event) -> None:
+        """Begin to compile a kernel, or within that what it calls."""
+        self._depth += 1
+        if self._depth > 1:
+            return
+        self._tell()
+        self._tell = lambda: None
+        profile = current_profile()
+        if profile is not None:
+            profile.enter("compile")
+
+    def on_end(self, event: event.Event) -> None:
+        """End what was begun last."""
+        self._depth -= 1
+        profile = current_profile()
+        if self._depth == 0 and profile is not None:
+            profile.leave()
+
+
+@contextlib.contextmanager
+def compilations_told(tell: Callable[[], None]) -> Iterator[None]:
+    """Call ``tell`` before the first kernel that has to be compiled, and count a stage of them.
+
+    Kernels that the disk keeps are loaded, which is not compiling.
+    """
+    with event.install_listener("numba:compile", _Compilations(tell)):
+        yield
