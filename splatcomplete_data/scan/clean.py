@@ -8,7 +8,8 @@ Conventions
   What lies below a level plane goes with it.
 * A step returns what it keeps; ``clean`` strings them together and remembers for every point which
   step removed it. Nothing is changed in place.
-* Outliers: mean distance to k neighbours beyond mean + ratio x standard deviation over the cloud.
+* Outliers: mean distance to k neighbours beyond mean + ratio x standard deviation over the cloud,
+  and beyond what it is at a corner of the object.
 * Neighbours: where there are boxes and a plane to stand on, objects most of which lie outside the
   boxes (``segments``).
 * Clutter: connected clusters (``clusters``), of which one, or the largest few, stay; with a seed
@@ -41,6 +42,9 @@ _VICINITY = 0.5
 """How far about the boxes neighbours are looked for, in diagonals of what the boxes keep."""
 _OUTLIER_NEIGHBOURS = 16
 """Neighbours whose mean distance is judged."""
+_CORNER = 2.0
+"""Mean distance, over the median one, that is none of an outlier: about a surface's corner lies a
+quarter of the neighbours, twice as far."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,7 +241,8 @@ def not_outliers(points: Points, neighbours: int, ratio: float) -> BoolArray:  #
     if count < 1:
         return np.ones(len(points), np.bool_)
     distances = cKDTree(points).query(points, k=count + 1)[0][:, 1:].mean(axis=1)
-    kept: BoolArray = distances <= distances.mean() + ratio * distances.std() + 1e-300
+    limit = max(distances.mean() + ratio * distances.std(), _CORNER * float(np.median(distances)))
+    kept: BoolArray = distances <= limit + 1e-300
     return kept
 
 

@@ -11,6 +11,7 @@ Conventions
   principal axis about a cube, turned to the scanner; where that is unknown, away from below.
 * A contact's score is 1 where it is flat or convex and falls with the angle of a concave one;
   unlike colours take a share. Patches join while the score of their contact is above a threshold.
+* Inner sides of vessels and fragments are joined again (``rejoin``).
 * What is of the seed's object is voted on by several sizes of cubes and patches.
 """
 
@@ -23,6 +24,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 from scipy.spatial import cKDTree
+
+from splatcomplete_data.scan.rejoin import Cubes, rejoin
 
 BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float64]
@@ -46,6 +49,9 @@ _NORMAL_COST, _COLOR_COST = 1.0, 0.5
 """Length, in patches, that a difference of normals (1 - cosine) or colours adds to a step."""
 _LIKE_COLORS = 0.15
 _MOSTLY = 0.5
+_ALMOST_ALL, _LARGE, _CUT = 0.95, 0.25, 0.9
+"""Boxes hold almost all of what they are drawn around; another object that large, against it, of
+which they cut off a tenth is a neighbour. A small part may be a handle that they cut."""
 _LEAST_SCORE = -3.0
 
 
@@ -85,9 +91,10 @@ def beyond_boxes(
     viewpoint: FloatArray | None = None,
     up: FloatArray | None = None,
 ) -> BoolArray:  # [N]
-    """Mark the points of objects most of which lie outside the boxes.
+    """Mark the points of objects that the boxes are not drawn around.
 
-    The object that most of the points inside are of is none of them, however far it goes on.
+    The boxes' own object is the one with most points inside, those outside taken off. Where almost
+    all of it lies inside, a large other one goes if some of it lies outside; else, if most does.
 
     Args:
         points: finite points of the complete scene, without what the objects stand on.
@@ -104,8 +111,12 @@ def beyond_boxes(
             np.bincount(labels[is_inside], minlength=labels.max() + 1),
             np.bincount(labels),
         )
+        own = int((2 * inside - total).argmax())
         is_beyond = inside < _MOSTLY * total
-        is_beyond[int(inside.argmax())] = False
+        if inside[own] > _ALMOST_ALL * total[own]:
+            is_large = inside > _LARGE * inside[own]
+            is_beyond |= is_large & (inside < _CUT * total)
+        is_beyond[own] = False
         votes += is_beyond[labels]
     return votes > len(VOTES) / 2
 
@@ -136,7 +147,8 @@ def segment(
     _turn_normals(normals, means, pairs, viewpoint, up)
     patch = _patches(means, hues, normals, pairs, patch_side)
     joined = _join(patch, pairs, means, hues, normals, counts)
-    labels = joined[patch][cube]
+    cubes = Cubes(means, normals, counts, pairs, _STEP * side)
+    labels = rejoin(joined[patch], cubes, viewpoint)[cube]
     sizes = np.bincount(labels)
     rank = np.empty(len(sizes), np.int64)
     rank[np.argsort(-sizes, kind="stable")] = np.arange(len(sizes))

@@ -1,4 +1,4 @@
-"""A synthetic table-top scan: what a camera in front sees of boxes and balls on a table."""
+"""A synthetic table-top scan: what a camera in front sees of boxes and cups on a table."""
 
 from __future__ import annotations
 
@@ -39,3 +39,16 @@ def table_top(parts, seed=0, noise=0.001):
     stacked = np.concatenate(points) + rng.normal(0, noise, (len(labels), 3))
     colors = np.full(stacked.shape, 0.6, np.float32)
     return PointCloud(stacked, colors, labels)
+
+
+def cup(center, radius, height):
+    """Return what the camera sees of an open cup: its near outer side and its far inner side."""
+    around = np.arange(0, 2 * np.pi, SPACING / radius)
+    angle, z = (grid.reshape(-1) for grid in np.meshgrid(around, np.arange(0, height, SPACING)))
+    out = np.stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))], axis=1)
+    points = np.array([*center, 0.0]) + radius * out + np.outer(z, [0, 0, 1])
+    to_eye = EYE - points
+    is_outer = (out * to_eye).sum(axis=1) > 0
+    # the sight line from the inner side leaves the cup at its other side, above the rim or not
+    across = -2 * radius * (out * to_eye).sum(axis=1) / np.square(to_eye[:, :2]).sum(axis=1)
+    return points[is_outer | (z + across * to_eye[:, 2] > height)]

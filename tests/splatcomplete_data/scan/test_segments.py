@@ -6,7 +6,7 @@ import pytest
 from splatcomplete_data.cuts.boxes import CropBox
 from splatcomplete_data.scan.clean import CleanSettings, Surroundings
 from splatcomplete_data.scan.make import PartSettings, make_part
-from splatcomplete_data.scan.segments import VOTES, object_at, segment
+from splatcomplete_data.scan.segments import VOTES, beyond_boxes, object_at, segment
 from tests.builders.table_top import EYE, SPACING, box, table_top
 
 FRONT = box((-0.1, -0.05), (0.2, 0.12, 0.12))
@@ -38,6 +38,22 @@ def test_a_box_leaves_out_the_neighbour_that_goes_on_beyond():
     assert (part.cloud.labels == 2).sum() > 200
     assert (kept == 1).mean() > 0.97
     assert (kept == 1).sum() > 0.85 * len(own)
+
+
+def test_a_box_leaves_out_a_large_neighbour_that_it_cuts_and_keeps_a_part_that_it_cuts():
+    """The neighbour lies three quarters inside the box; so does a part as small as a handle."""
+    own = box((0.0, 0.0), (0.3, 0.2, 0.2))
+    standing = table_top(
+        [own, box((0.3, 0.0), (0.12, 0.2, 0.2)), box((-0.3, 0), (0.06, 0.06, 0.06))]
+    )
+    standing = standing.select(np.flatnonzero(standing.labels > 0))
+    inside = np.abs(standing.points[:, 0]) < 0.315
+    beyond = beyond_boxes(standing.points, standing.colors, inside, SPACING, viewpoint=EYE)
+    for label in (2, 3):
+        assert 0.5 < inside[standing.labels == label].mean() < 0.9
+    assert not beyond[standing.labels == 1].any()
+    assert beyond[standing.labels == 2].all()
+    assert not beyond[standing.labels == 3].any()
 
 
 def test_numbers_do_not_depend_on_the_order_of_points():
