@@ -29,13 +29,18 @@ def run(options: CompleteOptions) -> int:
     """
     import torch
 
+    from gscomplete.util.kernels import compilations_told
     from gscomplete.util.stages import profiled
 
+    def tell() -> None:
+        print("compiling kernels, this first time only", file=sys.stderr)
+
     try:
-        if not options.profile:
-            return _complete(options)
-        with profiled() as profile:
-            code = _complete(options)
+        with compilations_told(tell):
+            if not options.profile:
+                return _complete(options)
+            with profiled() as profile:
+                code = _complete(options)
         _say(options, *profile.lines())
         return code
     except torch.OutOfMemoryError as error:

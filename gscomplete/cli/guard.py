@@ -101,7 +101,8 @@ def run_process(main: Callable[[], int]) -> NoReturn:
     """
     gc.set_threshold(_OBJECTS_BETWEEN_COLLECTIONS)
     code = main()
-    if threading.active_count() > 1:  # Python knows what to wait for
+    others = set(threading.enumerate()) - {threading.main_thread()}
+    if not all(thread.daemon for thread in others):  # Python knows what to wait for
         sys.exit(code)
     atexit._run_exitfuncs()
     with contextlib.suppress(OSError, ValueError):

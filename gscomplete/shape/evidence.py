@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from gscomplete.render import render
 from gscomplete.shape.voxels import FloatArray
 from gscomplete.splats import Splats
+from gscomplete.util.kernels import HELPER
 from gscomplete.views import ViewDistribution
 
 SIZE_PX = 48
@@ -37,8 +38,12 @@ class Evidence:
 
     def classify(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
         """Return for every point the shares of views that find it in front, behind, beside P."""
-        flat = np.ascontiguousarray(points.reshape(-1, 3).astype(np.float32))
-        return _classify(flat, self.depth, self.camera_from_world, self.focal_px)
+        flat = points.reshape(-1, 3).astype(np.float32)
+        shares = np.zeros((len(flat), 3), np.float32)
+        for depth, matrix in zip(self.depth, self.camera_from_world, strict=True):
+            kinds = _kinds_of(flat, depth, matrix, self.focal_px)
+            shares += np.eye(3)[kinds] / len(self.depth)
+        return shares
 
 
 def gather_evidence(partial: Splats, distribution: ViewDistribution) -> Evidence:
@@ -54,7 +59,7 @@ def gather_evidence(partial: Splats, distribution: ViewDistribution) -> Evidence
     )
 
 
-@numba.njit(cache=True)
+@numba.njit(**HELPER)
 def kind_of(
     x: float,
     y: float,
@@ -78,17 +83,20 @@ def kind_of(
     return 0 if far < surface - FRONT_TOLERANCE else 1
 
 
-@numba.njit(cache=True)
-def _classify(
+def _kinds_of(
     points: FloatArray,  # [N, 3]
-    depth: FloatArray,  # [V, S, S]
-    camera_from_world: FloatArray,  # [V, 4, 4]
+    depth: FloatArray,  # [S, S]
+    m: FloatArray,  # [4, 4] camera from world
     focal_px: float,
-) -> NDArray[np.float32]:  # [N, 3]
-    shares = np.zeros((len(points), 3), np.float32)
-    views = depth.shape[0]
-    for n in range(len(points)):
-        x, y, z = points[n]
-        for v in range(views):
-            shares[n, kind_of(x, y, z, depth[v], camera_from_world[v], focal_px)] += 1.0 / views
-    return shares
+) -> NDArray[np.int64]:  # [N]
+    """Return ``kind_of`` of every point, in numpy: the few points do not pay for compiling."""
+    size = depth.shape[0]
+    x, y, z = points.T
+    right, down, far = (row[0] * x + row[1] * y + row[2] * z + row[3] for row in m[:3])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        px, py = ((a / far).astype(np.float64) * focal_px + 0.5 * size for a in (right, down))
+    far = far.astype(np.float64)
+    seen = (far > 1e-3) & (px >= 0) & (px < size) & (py >= 0) & (py < size)
+    surface = np.full(len(points), np.inf)
+    surface[seen] = depth[py[seen].astype(np.int64), px[seen].astype(np.int64)]
+    return np.where(surface == np.inf, 2, np.where(far < surface - FRONT_TOLERANCE, 0, 1))

@@ -36,6 +36,7 @@ from gscomplete.shape.network import PACKAGED_WEIGHTS
 from gscomplete.shape.symmetry_features import FEATURES
 from gscomplete.shape.voxels import CELL_SIDE, HALF_SIDE, FloatArray
 from gscomplete.util.atomic import atomic_path
+from gscomplete.util.kernels import KERNEL
 from gscomplete.util.same_bits import GroupNorm
 
 FINE_SCORER_FILE = "plane_judge.safetensors"
@@ -156,7 +157,7 @@ def folded_volumes(
     offsets: FloatArray,  # [K]
 ) -> FoldedVolumes:
     """Put P into the frames of planes."""
-    fine = torch.from_numpy(_folded(cells, angles, offsets, SIZE))
+    fine = torch.from_numpy(_folded(cells, angles, offsets))
     return FoldedVolumes(fine, _folded_evidence(evidence, angles, offsets))
 
 
@@ -190,21 +191,35 @@ def _folded_evidence(
     return found.reshape(3, *x.shape).permute(1, 2, 0, 3, 4, 5).flatten(1, 2)
 
 
-@numba.njit(cache=True, error_model="numpy")
 def _folded(
     cells: FloatArray,  # [N, 7]
     angles: FloatArray,  # [K]
     offsets: FloatArray,  # [K]
-    size: tuple[int, int, int],
 ) -> FloatArray:  # [K, 8, U, V, Z]
     """Spread cells over the eight cells nearest to them in every plane's frame."""
-    nu, nv, nz = size
-    out = np.zeros((len(angles), 2, 4, nu, nv, nz), np.float32)
+    out = np.zeros((len(angles), 2, 4, math.prod(SIZE)), np.float32)
+    _spread(cells, angles, offsets, *SIZE, out)
+    occupancy = np.maximum(out[:, :, :1], np.float32(1))  # at most 1 is kept, of colours as much
+    out /= occupancy
+    return out.reshape(len(angles), 8, *SIZE)
+
+
+@numba.njit(**KERNEL)
+def _spread(
+    cells: FloatArray,  # [N, 7]
+    angles: FloatArray,  # [K]
+    offsets: FloatArray,  # [K]
+    nu: int,
+    nv: int,
+    nz: int,
+    out: FloatArray,  # [K, 2, 4, U V Z] zeros, added to
+) -> None:
+    """Sum occupancy, and colours times occupancy, on both sides of every plane."""
     for k in range(len(angles)):
         nx, ny = math.cos(angles[k]), math.sin(angles[k])
         for n in range(len(cells)):
             away = cells[n, 0] * nx + cells[n, 1] * ny - offsets[k]
-            side = out[k, 0] if away >= 0 else out[k, 1]
+            side = 0 if away >= 0 else 1
             u = abs(away) / STEP - 0.5
             v = (cells[n, 1] * nx - cells[n, 0] * ny) / STEP + 0.5 * (nv - 1)
             z = cells[n, 2] / STEP + 0.5 * (nz - 1)
@@ -217,22 +232,7 @@ def _folded(
                     continue
                 share = abs(1 - du - (u - iu)) * abs(1 - dv - (v - iv)) * abs(1 - dz - (z - iz))
                 weight = np.float32(share) * cells[n, 6]
-                side[0, a, b, c] += weight
+                place = (a * nv + b) * nz + c
+                out[k, side, 0, place] += weight
                 for channel in range(3):
-                    side[1 + channel, a, b, c] += weight * cells[n, 3 + channel]
-        _limit(out[k])
-    return out.reshape(len(angles), 8, nu, nv, nz)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _limit(sides: FloatArray) -> None:  # [2, 4, U, V, Z]
-    """Scale cells down to an occupancy of at most 1, colours with them."""
-    _, _, nu, nv, nz = sides.shape
-    for s in range(2):
-        for a in range(nu):
-            for b in range(nv):
-                for c in range(nz):
-                    total = sides[s, 0, a, b, c]
-                    if total > 1:
-                        for channel in range(4):
-                            sides[s, channel, a, b, c] /= total
+                    out[k, side, 1 + channel, place] += weight * cells[n, 3 + channel]

@@ -17,12 +17,14 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gscomplete.shape.evidence import Evidence, kind_of
-from gscomplete.shape.voxels import CELLS, HALF_SIDE, FloatArray
+from gscomplete.shape.voxels import CELLS, HALF_SIDE, FloatArray, grown
 from gscomplete.splats.rim import ON_RIM, one_sidedness
+from gscomplete.util.kernels import HELPER, KERNEL
 
 ANGLES = 36
 OFFSETS = tuple(round(0.025 * k, 3) for k in range(-18, 19))
@@ -116,10 +118,11 @@ def plane_places(
 def plane_features(part: PartSamples, evidence: Evidence) -> FloatArray:  # [A, O, F]
     """Measure the evidence for and against each plane."""
     normals, offsets = plane_normals(), np.array(OFFSETS, np.float32)
-    counted = _count_samples(
+    counted = np.zeros((len(normals), len(offsets), 11), np.float32)
+    _count_samples(
         part.points, part.colors, part.normals, part.distance, part.cell_colors,
         part.cell_normals, evidence.depth, evidence.camera_from_world, evidence.focal_px,
-        normals, offsets,
+        normals, offsets, counted,
     )  # fmt: skip
     rim = _count_rim(part.rim, part.distance, normals, offsets)
     along = part.spread[:, :2] @ normals.T
@@ -156,13 +159,13 @@ def _rim(points: FloatArray) -> tuple[FloatArray, float]:  # [N, 3] -> [R, 3], s
     return np.ascontiguousarray(rim[_every(len(rim), _RIM_SAMPLES)]), float(on_rim.mean())
 
 
-@numba.njit(cache=True)
+@numba.njit(**HELPER)
 def _cell(place: float) -> int:
     """Return the cell that a coordinate lies in; below 0 or from ``CELLS`` on outside the grid."""
     return math.floor((place + HALF_SIDE) * (CELLS / (2 * HALF_SIDE)))
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(**KERNEL)
 def _count_samples(
     points: FloatArray,
     colors: FloatArray,
@@ -175,12 +178,11 @@ def _count_samples(
     focal_px: float,
     plane_normals: FloatArray,
     offsets: FloatArray,
-) -> FloatArray:  # [A, O, 11]
-    """Return the first eleven features."""
+    out: FloatArray,  # [A, O, 11] zeros, written
+) -> None:
+    """Measure the first eleven features."""
     planes, places, samples = len(plane_normals), len(offsets), len(points)
     views = depth.shape[0]
-    out = np.zeros((planes, places, 11), np.float32)
-    kinds = np.zeros(3, np.float32)
     for a in range(planes):
         nx, ny = plane_normals[a, 0], plane_normals[a, 1]
         for o in range(places):
@@ -215,70 +217,58 @@ def _count_samples(
                 row[0] += 1
                 if far == 2:
                     row[1] += 1
-                kinds[:] = 0
+                front = behind = 0
                 for v in range(views):
-                    kinds[kind_of(x, y, z, depth[v], camera_from_world[v], focal_px)] += 1
-                for c in range(3):
-                    row[6 + c] += kinds[c] / views
-            row /= samples
-    return out
+                    kind = kind_of(x, y, z, depth[v], camera_from_world[v], focal_px)
+                    front += kind == 0
+                    behind += kind == 1
+                row[6] += front / views
+                row[7] += behind / views
+                row[8] += (views - front - behind) / views
+            for feature in range(11):
+                row[feature] /= samples
 
 
-@numba.njit(cache=True, error_model="numpy")
+def _cells_of(places: NDArray[np.floating]) -> NDArray[np.int64]:
+    """Return ``_cell`` of every coordinate."""
+    places = places.astype(np.float64)
+    return np.floor((places + HALF_SIDE) * (CELLS / (2 * HALF_SIDE))).astype(np.int64)
+
+
 def _count_rim(
     rim: FloatArray,  # [R, 3]
     distance: NDArray[np.uint8],
-    plane_normals: FloatArray,
-    offsets: FloatArray,
+    plane_normals: FloatArray,  # [A, 2]
+    offsets: FloatArray,  # [O]
 ) -> FloatArray:  # [A, O, 4]
     """Return where the rim's copy lies."""
-    planes, places = len(plane_normals), len(offsets)
-    out = np.zeros((planes, places, 4), np.float32)
-    for a in range(planes):
-        nx, ny = plane_normals[a, 0], plane_normals[a, 1]
-        for o in range(places):
-            for n in range(len(rim)):
-                away = offsets[o] - rim[n, 0] * nx - rim[n, 1] * ny
-                i = _cell(rim[n, 0] + 2 * away * nx)
-                j = _cell(rim[n, 1] + 2 * away * ny)
-                k = _cell(rim[n, 2])
-                inside = 0 <= i < CELLS and 0 <= j < CELLS and 0 <= k < CELLS
-                on = inside and distance[i, j, k] <= 1
-                close = abs(away) < _AT_PLANE
-                out[a, o, 0] += on
-                out[a, o, 1] += on and not close
-                out[a, o, 2] += close
-                out[a, o, 3] += on or close
-            out[a, o] /= len(rim)
-    return out
+    nx, ny = plane_normals.T[:, :, None, None]
+    away = offsets[:, None] - rim[:, 0] * nx - rim[:, 1] * ny  # [A, O, R]
+    twice = 2 * away.astype(np.float64)
+    i, j, k = np.broadcast_arrays(
+        _cells_of(rim[:, 0] + twice * nx), _cells_of(rim[:, 1] + twice * ny), _cells_of(rim[:, 2])
+    )
+    on = (np.minimum(np.minimum(i, j), k) >= 0) & (np.maximum(np.maximum(i, j), k) < CELLS)
+    on[on] = distance[i[on], j[on], k[on]] <= 1
+    close = np.abs(away) < _AT_PLANE
+    counts = [kind.sum(axis=-1) for kind in (on, on & ~close, close, on | close)]
+    return (np.stack(counts, axis=-1) / len(rim)).astype(np.float32)
 
 
-@numba.njit(cache=True)
 def _cell_normals(positions: FloatArray, normals: FloatArray) -> FloatArray:  # [C, C, C, 3]
-    """Return the normal of one splat per cell; zero where there is none."""
+    """Return the normal of the last splat in every cell; zero where there is none."""
     out = np.zeros((CELLS, CELLS, CELLS, 3), np.float32)
-    for n in range(len(positions)):
-        i = _cell(positions[n, 0])
-        j = _cell(positions[n, 1])
-        k = _cell(positions[n, 2])
-        if 0 <= i < CELLS and 0 <= j < CELLS and 0 <= k < CELLS:
-            out[i, j, k] = normals[n]
+    cells = _cells_of(positions)
+    inside = ((cells >= 0) & (cells < CELLS)).all(axis=1)
+    out[tuple(cells[inside].T)] = normals[inside]
     return out
 
 
-@numba.njit(cache=True)
-def _cells_to_surface(occupancy: FloatArray) -> NDArray[np.uint8]:
+def _cells_to_surface(occupancy: FloatArray) -> NDArray[np.uint8]:  # [C, C, C]
     """Return the distance to P in cells (largest coordinate difference), at most 3."""
-    n = occupancy.shape[0]
-    distance = np.full((n, n, n), 3, np.uint8)
-    for i in range(n):
-        for j in range(n):
-            for k in range(n):
-                if occupancy[i, j, k] <= 0.2:
-                    continue
-                for x in range(max(i - 2, 0), min(i + 3, n)):
-                    for y in range(max(j - 2, 0), min(j + 3, n)):
-                        for z in range(max(k - 2, 0), min(k + 3, n)):
-                            away = max(abs(x - i), abs(y - j), abs(z - k))
-                            distance[x, y, z] = min(distance[x, y, z], np.uint8(away))
-    return distance
+    near = (torch.from_numpy(occupancy) > 0.2).float()[None]
+    distance = 3 - near
+    for _ in range(2):
+        near = grown(near)
+        distance -= near
+    return distance[0].to(torch.uint8).numpy()

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from gscomplete.splats import Splats
 from gscomplete.splats.rotations import rotation_matrices
+from gscomplete.util.kernels import KERNEL
 
 HALF_SIDE = 0.72
 CELLS = 48
@@ -52,7 +53,6 @@ def splat_arrays(
     return positions, along, opacities, colors
 
 
-@numba.njit(cache=True)
 def fill_colored(
     positions: FloatArray,  # [N, 3]
     tangents: FloatArray,  # [N, 2, 3]
@@ -66,6 +66,23 @@ def fill_colored(
     splats leave no gaps.
     """
     volume = np.zeros((4, cells, cells, cells), np.float32)
+    _add_splats(positions, tangents, opacities, colors, volume)
+    filled = volume[0] > 0
+    volume[1:, filled] /= volume[0, filled]
+    np.minimum(volume[0], np.float32(1.0), out=volume[0])
+    return volume
+
+
+@numba.njit(**KERNEL)
+def _add_splats(
+    positions: FloatArray,  # [N, 3]
+    tangents: FloatArray,  # [N, 2, 3]
+    opacities: FloatArray,  # [N]
+    colors: FloatArray,  # [N, 3]
+    volume: FloatArray,  # [4, cells, cells, cells], added to
+) -> None:
+    """Sum opacities, and colours times opacities."""
+    cells = volume.shape[1]
     inverse = cells / (2 * HALF_SIDE)
     for n in range(len(positions)):
         if not opacities[n] > 0.02:
@@ -87,15 +104,6 @@ def fill_colored(
             volume[0, i, j, l] += weight
             for c in range(3):
                 volume[1 + c, i, j, l] += weight * colors[n, c]
-    for i in range(cells):
-        for j in range(cells):
-            for l in range(cells):  # noqa: E741
-                total = volume[0, i, j, l]
-                if total > 0:
-                    for c in range(3):
-                        volume[1 + c, i, j, l] /= total
-                    volume[0, i, j, l] = min(total, np.float32(1.0))
-    return volume
 
 
 def cell_centers(cells: int) -> FloatArray:  # [cells, cells, cells, 3]

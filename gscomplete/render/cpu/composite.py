@@ -41,6 +41,7 @@ from gscomplete.render.cpu.layout import (
     PACKED,
 )
 from gscomplete.render.cpu.tiles import TILE
+from gscomplete.util.kernels import HELPER, KERNEL
 
 C_RED, C_GREEN, C_BLUE, C_DEPTH, C_ALPHA = range(5)
 CHANNELS = 5
@@ -72,15 +73,11 @@ E0, E1, E2, E3 = np.float32(_E0), np.float32(_E1), np.float32(_E2), np.float32(_
 E4, E5, E6 = np.float32(_E4), np.float32(_E5), np.float32(_E6)
 
 _FAST = {"contract", "nsz", "arcp", "reassoc", "afn"}
-_JIT: dict[str, Any] = {
-    "cache": True,
-    "fastmath": _FAST,
-    "error_model": "numpy",
-    "boundscheck": False,
-}
+_KERNEL: dict[str, Any] = KERNEL | {"fastmath": _FAST, "boundscheck": False}
+_HELPER: dict[str, Any] = HELPER | {"fastmath": _FAST, "boundscheck": False}
 
 
-@numba.njit(**_JIT)
+@numba.njit(**_HELPER)
 def exp_neg(power: Any) -> Any:
     """Return exp(-power) for power in [0, 12] in float32 arithmetic."""
     x = power * np.float32(1.0 / 16.0)
@@ -91,7 +88,7 @@ def exp_neg(power: Any) -> Any:
     return y * y
 
 
-@numba.njit(**_JIT)
+@numba.njit(**_HELPER)
 def _pixel_rows(v: Any, half_h: Any, tile_y: int) -> Any:
     """Return the pixels a splat reaches: whole pairs of rows, so a multiple of 16."""
     top = v - half_h - np.float32(tile_y * TILE) - np.float32(0.51)
@@ -101,7 +98,7 @@ def _pixel_rows(v: Any, half_h: Any, tile_y: int) -> Any:
     return np.uint64(first * TILE), np.uint64(last * TILE)
 
 
-@numba.njit(**_JIT)
+@numba.njit(**_HELPER)
 def _start_tile(buffer: Any, tile: int, tiles_x: int) -> None:
     """Write pixel centres, full transmittance and empty sums into a tile's buffer."""
     for p in range(FIRST, LAST):
@@ -113,7 +110,7 @@ def _start_tile(buffer: Any, tile: int, tiles_x: int) -> None:
         buffer[k] = np.float32(0.0)
 
 
-@numba.njit(**_JIT)
+@numba.njit(**_HELPER)
 def _store_tile(buffer: Any, tile: int, tiles_x: int, image: Any) -> None:
     """Write a finished tile into the image."""
     top, left = tile // tiles_x * TILE, tile % tiles_x * TILE
@@ -128,7 +125,7 @@ def _store_tile(buffer: Any, tile: int, tiles_x: int, image: Any) -> None:
             pixel[C_ALPHA] = np.float32(1.0) - buffer[B_THROUGH + p]
 
 
-@numba.njit(**_JIT)
+@numba.njit(**_HELPER)
 def _load_upstream(buffer: Any, tile: int, tiles_x: int, image: Any, upstream: Any) -> Any:
     """Write upstream gradients and their dot product with the image; return 0 if all are 0."""
     top, left = tile // tiles_x * TILE, tile % tiles_x * TILE
@@ -148,8 +145,10 @@ def _load_upstream(buffer: Any, tile: int, tiles_x: int, image: Any, upstream: A
     return loudest
 
 
-@numba.njit(parallel=True, **_JIT)
+@numba.njit(**_KERNEL)
 def composite(
+    first: int,
+    last: int,
     frozen_rows: Any,  # [F, PACKED]
     rows: Any,  # [M, PACKED]
     tile_start: Any,  # [tiles + 1]
@@ -164,9 +163,9 @@ def composite(
     done: Any,  # [tiles] int32, written for active tiles: how many entries were drawn
 ) -> None:
     """Draw the active tiles: premultiplied colour, sum of w * depth, and alpha."""
-    for share in numba.prange(shares.shape[0] - 1):
-        buffer = np.empty(7 * PIXELS, np.float32)
-        batch = np.empty((BATCH, PACKED), np.float32)
+    buffer = np.empty(7 * PIXELS, np.float32)
+    batch = np.empty((BATCH, PACKED), np.float32)
+    for share in range(first, last):
         for k in range(shares[share], shares[share + 1]):
             tile = active[k]
             _start_tile(buffer, tile, tiles_x)
@@ -186,7 +185,7 @@ def composite(
             _store_tile(buffer, tile, tiles_x, image)
 
 
-@numba.njit(**_JIT)
+@numba.njit(**_HELPER)
 def _read_rows(
     frozen_rows: Any, rows: Any, entries: Any, first: int, last: int, batch: Any
 ) -> None:
@@ -202,7 +201,7 @@ def _read_rows(
                 batch[e - first, column] = rows[k - frozen, column]
 
 
-@numba.njit(**_JIT)
+@numba.njit(**_HELPER)
 def _tile_forward(
     frozen_rows: Any,
     rows: Any,
@@ -249,8 +248,10 @@ def _tile_forward(
     return stop - start
 
 
-@numba.njit(parallel=True, **_JIT)
+@numba.njit(**_KERNEL)
 def composite_backward(
+    first: int,
+    last: int,
     frozen_rows: Any,  # [F, PACKED]
     rows: Any,  # [M, PACKED]
     tile_start: Any,  # [tiles + 1]
@@ -268,9 +269,9 @@ def composite_backward(
     sums: Any,  # [slots, SUMS] zeros, written
 ) -> None:
     """Write, for every (trainable splat, tile) entry, the sums that its gradient is made of."""
-    for share in numba.prange(shares.shape[0] - 1):
-        buffer = np.empty(9 * PIXELS, np.float32)
-        batch = np.empty((BATCH, PACKED), np.float32)
+    buffer = np.empty(9 * PIXELS, np.float32)
+    batch = np.empty((BATCH, PACKED), np.float32)
+    for share in range(first, last):
         for k in range(shares[share], shares[share + 1]):
             tile = active[k]
             start = tile_start[tile]
@@ -299,7 +300,7 @@ def composite_backward(
             )
 
 
-@numba.njit(**_JIT)
+@numba.njit(**_HELPER)
 def _tile_backward(
     frozen_rows: Any,
     rows: Any,

@@ -19,50 +19,32 @@ import numba
 import numpy as np
 
 from gscomplete.render.cpu.composite import STOP_EVERY
+from gscomplete.util.kernels import KERNEL
 
-_JIT: dict[str, Any] = {"cache": True, "error_model": "numpy"}
 
-
-@numba.njit(**_JIT)
 def cut_lists(
     tile_start: Any,  # [tiles + 1]
     entries: Any,  # [E] ranks
     done: Any,  # [tiles] entries that P alone draws
     total: int,  # M
-    cut_start: Any,  # [tiles + 1] int32, written
 ) -> Any:
     """Cut every list behind its last reachable entry.
 
     Returns:
-        The entries that are left, as places among the splats that are left in any list, and the
-        ranks of those splats, ascending.
+        The entries that are left, as places among the splats that are left in any list, int32;
+        where each tile's begin [tiles + 1], int32; and the ranks of those splats, ascending.
     """
-    place = np.full(total, -1, np.int32)
-    kept = 0
-    for tile in range(done.shape[0]):
-        cut_start[tile] = kept
-        length = tile_start[tile + 1] - tile_start[tile]
-        length = min(length, done[tile] + STOP_EVERY - 1)
-        for e in range(tile_start[tile], tile_start[tile] + length):
-            place[entries[e]] = 0
-        kept += length
-    cut_start[done.shape[0]] = kept
-    ranks = np.empty(total, np.int32)
-    used = 0
-    for rank in range(total):
-        if place[rank] == 0:
-            place[rank] = used
-            ranks[used] = rank
-            used += 1
-    left = np.empty(kept, np.int32)
-    for tile in range(done.shape[0]):
-        shift = tile_start[tile] - cut_start[tile]
-        for e in range(cut_start[tile], cut_start[tile + 1]):
-            left[e] = place[entries[e + shift]]
-    return left, ranks[:used].copy()
+    lengths = np.minimum(np.diff(tile_start), done + (STOP_EVERY - 1))
+    cut_start = np.concatenate([[0], np.cumsum(lengths)])
+    left = np.arange(cut_start[-1]) + np.repeat(tile_start[:-1] - cut_start[:-1], lengths)
+    left_ranks = entries[left]
+    used = np.zeros(total, np.bool_)
+    used[left_ranks] = True
+    place = np.cumsum(used, dtype=np.int32) - np.int32(1)
+    return place[left_ranks], cut_start.astype(np.int32), np.flatnonzero(used)
 
 
-@numba.njit(**_JIT)
+@numba.njit(**KERNEL)
 def count_in_front(frozen_keys: Any, keys: Any) -> Any:  # [F], [M], both ascending
     """Return, for every splat, how many frozen rows are drawn before it."""
     in_front = np.empty(keys.shape[0], np.int32)
@@ -74,7 +56,6 @@ def count_in_front(frozen_keys: Any, keys: Any) -> Any:  # [F], [M], both ascend
     return in_front
 
 
-@numba.njit(**_JIT)
 def choose_active(
     frozen_start: Any,  # [tiles + 1]
     frozen_entries: Any,
@@ -83,32 +64,27 @@ def choose_active(
     entries: Any,
     in_front: Any,  # [M]
     skip_idle: bool,
-    joined_start: Any,  # [tiles + 1] int64, written; idle tiles get an empty list
-) -> Any:  # [A] int32
-    """Return the tiles to draw: those where another splat comes before P alone is opaque."""
-    tiles = frozen_done.shape[0]
-    active = np.empty(tiles, np.int32)
-    count = 0
-    running = 0
-    for tile in range(tiles):
-        joined_start[tile] = running
-        kept = frozen_start[tile + 1] - frozen_start[tile]
-        others = tile_start[tile + 1] - tile_start[tile]
-        if others == 0 and (skip_idle or kept == 0):
-            continue
-        if skip_idle and frozen_done[tile] < kept:
-            last_drawn = frozen_entries[frozen_start[tile] + frozen_done[tile] - 1]
-            if last_drawn < in_front[entries[tile_start[tile]]]:
-                continue
-        active[count] = tile
-        count += 1
-        running += kept + others
-    joined_start[tiles] = running
-    return active[:count].copy()
+) -> Any:
+    """Choose the tiles to draw: those where another splat comes before P alone is opaque.
+
+    Returns:
+        The tiles [A], int32; and where their joined lists begin [tiles + 1], int64; idle tiles
+        have an empty one.
+    """
+    kept, others = np.diff(frozen_start), np.diff(tile_start)
+    active = (others > 0) | (kept > 0) & (not skip_idle)
+    if skip_idle:
+        covered = np.flatnonzero(active & (frozen_done < kept))
+        last_drawn = frozen_entries[frozen_start[covered] + frozen_done[covered] - 1]
+        active[covered[last_drawn < in_front[entries[tile_start[covered]]]]] = False
+    lengths = np.where(active, kept + others, 0)
+    return np.flatnonzero(active).astype(np.int32), np.concatenate([[0], np.cumsum(lengths)])
 
 
-@numba.njit(parallel=True, **_JIT)
+@numba.njit(**KERNEL)
 def join_entries(
+    first: int,
+    last: int,
     frozen_start: Any,
     frozen_entries: Any,
     frozen_total: int,
@@ -123,7 +99,7 @@ def join_entries(
 ) -> None:
     """Write the joined lists of the active tiles."""
     with_slots = joined_slots.shape[0] > 0
-    for k in numba.prange(active.shape[0]):
+    for k in range(first, last):
         tile = active[k]
         old, old_stop = frozen_start[tile], frozen_start[tile + 1]
         new, new_stop = tile_start[tile], tile_start[tile + 1]

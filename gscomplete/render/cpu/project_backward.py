@@ -28,12 +28,14 @@ from gscomplete.render.cpu.layout import (
     S_YY,
     SUMS,
 )
-from gscomplete.render.cpu.screen import JIT, factor, screen_rows
+from gscomplete.render.cpu.screen import FAST_HELPER, FAST_KERNEL, factor, screen_rows
 from gscomplete.render.cpu.spherical_harmonics import fill_basis, fill_basis_gradient
 
 
-@numba.njit(parallel=True, **JIT)
+@numba.njit(**FAST_KERNEL)
 def project_backward(
+    first: int,
+    last: int,
     means: Any,  # [N, 3]
     quaternions: Any,  # [N, 4]
     scales: Any,  # [N, 3]
@@ -50,8 +52,7 @@ def project_backward(
     grad_sh: Any,  # [N, K, 3], added to
     grad_offsets: Any,  # [N, 2] written, or [0, 2]
 ) -> None:
-    """Add one view's gradients of every trainable splat, summing its tiles in a fixed order."""
-    count = means.shape[0]
+    """Add one view's gradients of trainable splats, summing their tiles in a fixed order."""
     bands = sh.shape[1]
     fx, fy, cx, cy, width, height = (
         camera[12],
@@ -66,86 +67,82 @@ def project_backward(
     eye_x = -(camera[0] * camera[3] + camera[4] * camera[7] + camera[8] * camera[11])
     eye_y = -(camera[1] * camera[3] + camera[5] * camera[7] + camera[9] * camera[11])
     eye_z = -(camera[2] * camera[3] + camera[6] * camera[7] + camera[10] * camera[11])
-    chunks = (count + 511) // 512
-    for chunk in numba.prange(chunks):
-        basis = np.empty(16, np.float64)
-        basis_gradient = np.empty((16, 3), np.float64)
-        total = np.empty(SUMS, np.float64)
-        for i in range(chunk * 512, min(count, chunk * 512 + 512)):
-            start, stop = slot_start[i], slot_start[i + 1]
-            if start == stop:
-                continue
-            total[:] = 0.0
-            for slot in range(start, stop):
-                for k in range(SUMS):
-                    total[k] += sums[slot, k]
-            felt = 0.0
+    basis = np.empty(16, np.float64)
+    basis_gradient = np.empty((16, 3), np.float64)
+    total = np.empty(SUMS, np.float64)
+    for i in range(first, last):
+        start, stop = slot_start[i], slot_start[i + 1]
+        if start == stop:
+            continue
+        total[:] = 0.0
+        for slot in range(start, stop):
             for k in range(SUMS):
-                felt += abs(total[k])
-            if felt == 0.0:  # hidden, or seen only where nothing flows back
-                if grad_offsets.shape[0] > 0:
-                    grad_offsets[i, 0] = grad_offsets[i, 1] = 0.0
-                continue
-            la, lb, lc = (
-                np.float64(packed[i, P_LA]),
-                np.float64(packed[i, P_LB]),
-                np.float64(packed[i, P_LC]),
-            )
-            gu = -la * total[S_X]
-            gv = -(lb * total[S_X] + lc * total[S_Y])
+                total[k] += sums[slot, k]
+        felt = 0.0
+        for k in range(SUMS):
+            felt += abs(total[k])
+        if felt == 0.0:  # hidden, or seen only where nothing flows back
             if grad_offsets.shape[0] > 0:
-                grad_offsets[i, 0] = gu
-                grad_offsets[i, 1] = gv
-            grad_opacities[i] += -total[S_POWER] / np.float64(opacities[i])
-            mx, my, mz = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
-            x = camera[0] * mx + camera[1] * my + camera[2] * mz + camera[3]
-            y = camera[4] * mx + camera[5] * my + camera[6] * mz + camera[7]
-            z = camera[8] * mx + camera[9] * my + camera[10] * mz + camera[11]
-            t, r, s, clamp, q = screen_rows(
-                quaternions, scales, i, camera, x, y, z, low_x, high_x, low_y, high_y
+                grad_offsets[i, 0] = grad_offsets[i, 1] = 0.0
+            continue
+        la, lb, lc = (
+            np.float64(packed[i, P_LA]),
+            np.float64(packed[i, P_LB]),
+            np.float64(packed[i, P_LC]),
+        )
+        gu = -la * total[S_X]
+        gv = -(lb * total[S_X] + lc * total[S_Y])
+        if grad_offsets.shape[0] > 0:
+            grad_offsets[i, 0] = gu
+            grad_offsets[i, 1] = gv
+        grad_opacities[i] += -total[S_POWER] / np.float64(opacities[i])
+        mx, my, mz = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
+        x = camera[0] * mx + camera[1] * my + camera[2] * mz + camera[3]
+        y = camera[4] * mx + camera[5] * my + camera[6] * mz + camera[7]
+        z = camera[8] * mx + camera[9] * my + camera[10] * mz + camera[11]
+        t, r, s, clamp, q = screen_rows(
+            quaternions, scales, i, camera, x, y, z, low_x, high_x, low_y, high_y
+        )
+        f = factor(t, r, s)
+        gt, gm = _covariance_gradient(la, lb, lc, total[S_XX], total[S_XY], total[S_YY], f, t, r, s)
+        for axis in range(3):
+            grad_scales[i, axis] += (
+                gm[axis] * r[axis] + gm[3 + axis] * r[3 + axis] + gm[6 + axis] * r[6 + axis]
             )
-            f = factor(t, r, s)
-            gt, gm = _covariance_gradient(
-                la, lb, lc, total[S_XX], total[S_XY], total[S_YY], f, t, r, s
-            )
-            for axis in range(3):
-                grad_scales[i, axis] += (
-                    gm[axis] * r[axis] + gm[3 + axis] * r[3 + axis] + gm[6 + axis] * r[6 + axis]
-                )
-            gq = _quaternion_gradient(gm, s, q)
-            for axis in range(4):
-                grad_quaternions[i, axis] += gq[axis]
-            gx, gy, gz = _center_gradient(gu, gv, total[S_DEPTH], gt, t, clamp, camera, x, y, z)
-            grad_means[i, 0] += camera[0] * gx + camera[4] * gy + camera[8] * gz
-            grad_means[i, 1] += camera[1] * gx + camera[5] * gy + camera[9] * gz
-            grad_means[i, 2] += camera[2] * gx + camera[6] * gy + camera[10] * gz
-            if bands == 1:
-                for channel in range(3):
-                    if packed[i, P_RED + channel] > 0.0:
-                        grad_sh[i, 0, channel] += 0.28209479177387814 * total[S_RED + channel]
-                continue
-            dx, dy, dz = mx - eye_x, my - eye_y, mz - eye_z
-            inverse = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
-            dx, dy, dz = dx * inverse, dy * inverse, dz * inverse
-            fill_basis(basis, bands, dx, dy, dz)
-            fill_basis_gradient(basis_gradient, bands, dx, dy, dz)
-            gdx, gdy, gdz = 0.0, 0.0, 0.0
+        gq = _quaternion_gradient(gm, s, q)
+        for axis in range(4):
+            grad_quaternions[i, axis] += gq[axis]
+        gx, gy, gz = _center_gradient(gu, gv, total[S_DEPTH], gt, t, clamp, camera, x, y, z)
+        grad_means[i, 0] += camera[0] * gx + camera[4] * gy + camera[8] * gz
+        grad_means[i, 1] += camera[1] * gx + camera[5] * gy + camera[9] * gz
+        grad_means[i, 2] += camera[2] * gx + camera[6] * gy + camera[10] * gz
+        if bands == 1:
             for channel in range(3):
                 if packed[i, P_RED + channel] > 0.0:
-                    upstream = total[S_RED + channel]
-                    for k in range(bands):
-                        grad_sh[i, k, channel] += basis[k] * upstream
-                        weight = upstream * sh[i, k, channel]
-                        gdx += basis_gradient[k, 0] * weight
-                        gdy += basis_gradient[k, 1] * weight
-                        gdz += basis_gradient[k, 2] * weight
-            along = gdx * dx + gdy * dy + gdz * dz
-            grad_means[i, 0] += (gdx - along * dx) * inverse
-            grad_means[i, 1] += (gdy - along * dy) * inverse
-            grad_means[i, 2] += (gdz - along * dz) * inverse
+                    grad_sh[i, 0, channel] += 0.28209479177387814 * total[S_RED + channel]
+            continue
+        dx, dy, dz = mx - eye_x, my - eye_y, mz - eye_z
+        inverse = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
+        dx, dy, dz = dx * inverse, dy * inverse, dz * inverse
+        fill_basis(basis, bands, dx, dy, dz)
+        fill_basis_gradient(basis_gradient, bands, dx, dy, dz)
+        gdx, gdy, gdz = 0.0, 0.0, 0.0
+        for channel in range(3):
+            if packed[i, P_RED + channel] > 0.0:
+                upstream = total[S_RED + channel]
+                for k in range(bands):
+                    grad_sh[i, k, channel] += basis[k] * upstream
+                    weight = upstream * sh[i, k, channel]
+                    gdx += basis_gradient[k, 0] * weight
+                    gdy += basis_gradient[k, 1] * weight
+                    gdz += basis_gradient[k, 2] * weight
+        along = gdx * dx + gdy * dy + gdz * dz
+        grad_means[i, 0] += (gdx - along * dx) * inverse
+        grad_means[i, 1] += (gdy - along * dy) * inverse
+        grad_means[i, 2] += (gdz - along * dz) * inverse
 
 
-@numba.njit(**JIT)
+@numba.njit(**FAST_HELPER)
 def _covariance_gradient(
     la: float,
     lb: float,
@@ -188,7 +185,7 @@ def _covariance_gradient(
     return gt, gm
 
 
-@numba.njit(**JIT)
+@numba.njit(**FAST_HELPER)
 def _quaternion_gradient(gm: Any, s: Any, q: Any) -> Any:
     """Return dL/d(raw quaternion) from dL/dM, through R and the normalisation."""
     w, x, y, z, inverse = q
@@ -208,7 +205,7 @@ def _quaternion_gradient(gm: Any, s: Any, q: Any) -> Any:
     )
 
 
-@numba.njit(**JIT)
+@numba.njit(**FAST_HELPER)
 def _center_gradient(
     gu: float,
     gv: float,

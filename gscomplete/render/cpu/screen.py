@@ -13,15 +13,15 @@ from typing import Any
 import numba
 import numpy as np
 
-JIT: dict[str, Any] = {
-    "cache": True,
-    "fastmath": {"contract", "nsz", "arcp"},
-    "error_model": "numpy",
-}
+from gscomplete.util.kernels import HELPER, KERNEL
+
+_FAST = {"contract", "nsz", "arcp"}
+FAST_KERNEL: dict[str, Any] = KERNEL | {"fastmath": _FAST}
 """Options of the projection kernels."""
+FAST_HELPER: dict[str, Any] = HELPER | {"fastmath": _FAST}
 
 
-@numba.njit(**JIT)
+@numba.njit(**FAST_HELPER)
 def _rotation(w: float, x: float, y: float, z: float) -> Any:
     """Rotation matrix, row-major, of a unit quaternion."""
     return (
@@ -37,14 +37,14 @@ def _rotation(w: float, x: float, y: float, z: float) -> Any:
     )
 
 
-@numba.njit(**JIT)
+@numba.njit(**FAST_HELPER)
 def _clamped_ratio(value: float, inverse_z: float, low: float, high: float) -> Any:
     """Return value / z, given 1 / z, clamped to [low, high] and whether it was inside."""
     ratio = value * inverse_z
     return min(max(ratio, low), high), low <= ratio <= high
 
 
-@numba.njit(**JIT)
+@numba.njit(**FAST_HELPER)
 def screen_rows(
     quaternions: Any,
     scales: Any,
@@ -85,7 +85,7 @@ def screen_rows(
     )
 
 
-@numba.njit(**JIT)
+@numba.njit(**FAST_HELPER)
 def factor(t: Any, r: Any, s: Any) -> Any:
     """Return the rows of A = T R diag(s), so that the screen covariance is A A^T + blur I."""
     a00 = (t[0] * r[0] + t[1] * r[3] + t[2] * r[6]) * s[0]
@@ -97,7 +97,7 @@ def factor(t: Any, r: Any, s: Any) -> Any:
     return a00, a01, a02, a10, a11, a12
 
 
-@numba.njit(**JIT)
+@numba.njit(**FAST_HELPER)
 def _blurred(f: Any, blur: float) -> Any:
     """Return (a, b, c, det) of A A^T + blur I from the rows of A."""
     a = f[0] * f[0] + f[1] * f[1] + f[2] * f[2]
@@ -112,7 +112,7 @@ def _blurred(f: Any, blur: float) -> Any:
     return a + blur, b, c + blur, det
 
 
-@numba.njit(**JIT)
+@numba.njit(**FAST_HELPER)
 def screen_covariance(
     quaternions: Any,
     scales: Any,

@@ -10,6 +10,8 @@ from typing import Any
 
 import numba
 
+from gscomplete.util.kernels import HELPER, KERNEL
+
 C0 = 0.28209479177387814
 C1 = 0.4886025119029199
 C20, C21, C22, C23, C24 = (
@@ -30,7 +32,7 @@ C30, C31, C32, C33, C34, C35, C36 = (
 )
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(**KERNEL)
 def used_bands(sh: Any) -> int:  # [N, K, 3]
     """Return how many of the K bands a colour needs: those above have zeros only."""
     bands = sh.shape[1]
@@ -45,7 +47,7 @@ def used_bands(sh: Any) -> int:  # [N, K, 3]
     return used
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(**HELPER)
 def fill_basis(basis: Any, bands: int, x: float, y: float, z: float) -> None:
     """Write the first ``bands`` basis values at the unit direction (x, y, z)."""
     basis[0] = C0
@@ -69,7 +71,7 @@ def fill_basis(basis: Any, bands: int, x: float, y: float, z: float) -> None:
         basis[15] = C36 * x * (x * x - 3.0 * y * y)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(**HELPER)
 def fill_basis_gradient(gradient: Any, bands: int, x: float, y: float, z: float) -> None:
     """Write d basis / d (x, y, z) into ``gradient`` [16, 3], as if x, y, z were independent."""
     for k in range(bands):

@@ -30,6 +30,7 @@ from gscomplete.render.cpu.layout import (
     P_U,
     P_V,
 )
+from gscomplete.util.kernels import HELPER, KERNEL
 
 TILE = 8
 MARGIN = 1e-3
@@ -40,26 +41,37 @@ KEPT_ROWS = 3
 """Tile rows of a splat whose tiles are kept from counting to filling; taller ones are rare."""
 SPAN = 2 + 2 * KEPT_ROWS
 
-_JIT: dict[str, Any] = {"cache": True, "error_model": "numpy"}
 _RADIX_BITS = 11
 _SWEEPS = 4
 
 
-@numba.njit(**_JIT)
 def depth_order(visible: Any, depth_bits: Any) -> Any:  # [N] uint8, [N] uint64
-    """Return visible splats sorted by depth, ties by index (stable radix sort), and their keys.
+    """Return visible splats sorted by depth, ties by index, and their keys.
 
     Depths are positive float64 seen as integers, of which the upper 44 bits are sorted: float32
     depths would swap neighbours that overlap, which shows in the picture.
     """
-    count = 0
-    for i in range(visible.shape[0]):
-        count += visible[i]
-    index, index2 = np.empty(count, np.int32), np.empty(count, np.int32)
-    key, key2 = np.empty(count, np.uint64), np.empty(count, np.uint64)
+    count = int(np.count_nonzero(visible))
+    index, keys = np.empty((2, count), np.int32), np.empty((2, count), np.uint64)
+    histogram = np.zeros((_SWEEPS, 1 << _RADIX_BITS), np.int64)
+    result = _radix_sort(visible, depth_bits, *index, *keys, histogram)
+    return index[result], keys[result]
+
+
+@numba.njit(**KERNEL)
+def _radix_sort(
+    visible: Any,  # [N] uint8
+    depth_bits: Any,  # [N] uint64
+    index: Any,  # [M] int32, written, as those below
+    index2: Any,
+    key: Any,  # [M] uint64
+    key2: Any,
+    histogram: Any,  # [_SWEEPS, 1 << _RADIX_BITS] zeros
+) -> int:
+    """Sort stably by the upper bits; return which of the two pairs of arrays has the result."""
+    count = index.shape[0]
     buckets = 1 << _RADIX_BITS
     low_bits = np.uint64(buckets - 1)
-    histogram = np.zeros((_SWEEPS, buckets), np.int64)
     n = 0
     for i in range(visible.shape[0]):
         if visible[i]:
@@ -68,6 +80,7 @@ def depth_order(visible: Any, depth_bits: Any) -> Any:  # [N] uint8, [N] uint64
             for sweep in range(_SWEEPS):
                 histogram[sweep, (k >> np.uint64(sweep * _RADIX_BITS)) & low_bits] += 1
             n += 1
+    result = 0
     for sweep in range(_SWEEPS):
         shift = np.uint64(sweep * _RADIX_BITS)
         running = 0
@@ -86,10 +99,11 @@ def depth_order(visible: Any, depth_bits: Any) -> Any:  # [N] uint8, [N] uint64
             index2[place], key2[place] = index[j], key[j]
         index, index2 = index2, index
         key, key2 = key2, key
-    return index, key
+        result = 1 - result
+    return result
 
 
-@numba.njit(**_JIT)
+@numba.njit(**HELPER)
 def _row_span(row: Any, u: float, v: float, reach: float, y0: float, y1: float) -> Any:
     """Return the x range of the ellipse within y0 <= y <= y1 (empty when low > high)."""
     half_w = np.float64(row[P_HALF_W])
@@ -106,7 +120,7 @@ def _row_span(row: Any, u: float, v: float, reach: float, y0: float, y1: float) 
     return max(left, u - half_w) - MARGIN, min(right, u + half_w) + MARGIN
 
 
-@numba.njit(**_JIT)
+@numba.njit(**HELPER)
 def _tile_span(low: float, high: float, tiles: int) -> Any:
     """Return the first and one-past-last tile whose pixel centres lie within [low, high]."""
     # Far-off ranges are cut first: their tile numbers need not fit an integer.
@@ -117,7 +131,7 @@ def _tile_span(low: float, high: float, tiles: int) -> Any:
     return max(first, 0), min(last + 1, tiles)
 
 
-@numba.njit(**_JIT)
+@numba.njit(**HELPER)
 def _tile_box(row: Any, tiles_x: int, tiles_y: int) -> Any:
     """Return the tile range of a splat's pixel box, and whether the ellipse must reach all of it.
 
@@ -131,13 +145,13 @@ def _tile_box(row: Any, tiles_x: int, tiles_y: int) -> Any:
     return first_x, last_x, first_y, last_y, last_x - first_x <= 1 or last_y - first_y <= 1
 
 
-@numba.njit(**_JIT)
+@numba.njit(**HELPER)
 def _reach(row: Any, log_alpha_min: float) -> float:
     """Return the squared whitened distance at which a splat's alpha is alpha_min."""
     return 2.0 * (math.log(np.float64(row[P_OPACITY])) - log_alpha_min)
 
 
-@numba.njit(**_JIT)
+@numba.njit(**HELPER)
 def _row_tiles(row: Any, reach: float, ty: int, tiles_x: int) -> Any:
     """Return the tiles of tile row ``ty`` that the ellipse reaches."""
     u, v = np.float64(row[P_U]), np.float64(row[P_V])
@@ -147,8 +161,10 @@ def _row_tiles(row: Any, reach: float, ty: int, tiles_x: int) -> Any:
     return _tile_span(left, right, tiles_x)
 
 
-@numba.njit(parallel=True, **_JIT)
+@numba.njit(**KERNEL)
 def count_entries(
+    first_chunk: int,
+    last_chunk: int,
     ranked: Any,  # [M, PACKED] in depth order
     tiles_x: int,
     tiles_y: int,
@@ -162,7 +178,7 @@ def count_entries(
     log_alpha_min = math.log(alpha_min)
     total = ranked.shape[0]
     size = (total + CHUNKS - 1) // CHUNKS
-    for chunk in numba.prange(CHUNKS):
+    for chunk in range(first_chunk, last_chunk):
         for rank in range(chunk * size, min(total, chunk * size + size)):
             row = ranked[rank]
             first_x, last_x, first_y, last_y, full = _tile_box(row, tiles_x, tiles_y)
@@ -182,7 +198,7 @@ def count_entries(
             per_rank[rank] = entries
 
 
-@numba.njit(**_JIT)
+@numba.njit(**KERNEL)
 def place_entries(
     per_chunk: Any,  # [CHUNKS, tiles] int32 counts, overwritten by write positions
     per_rank: Any,  # [M]
@@ -211,8 +227,10 @@ def place_entries(
             slot_start[j + 1] += slot_start[j]
 
 
-@numba.njit(parallel=True, **_JIT)
+@numba.njit(**KERNEL)
 def fill_entries(
+    first_chunk: int,
+    last_chunk: int,
     ranked: Any,  # [M, PACKED]
     order: Any,  # [M] int32
     tiles_x: int,
@@ -231,10 +249,10 @@ def fill_entries(
     total = order.shape[0]
     size = (total + CHUNKS - 1) // CHUNKS
     with_slots = slots.shape[0] > 0
-    for chunk in numba.prange(CHUNKS):
+    for chunk in range(first_chunk, last_chunk):
         for rank in range(chunk * size, min(total, chunk * size + size)):
             splat = order[rank]
-            first_y, last_y = spans[rank, 0], spans[rank, 1]
+            first_y, last_y = np.int64(spans[rank, 0]), np.int64(spans[rank, 1])
             narrow, reach = False, 0.0
             first_x, last_x = 0, 0
             if last_y - first_y > KEPT_ROWS:
@@ -258,12 +276,10 @@ def fill_entries(
                             slot += 1
 
 
-@numba.njit(parallel=True, **_JIT)
-def gather_ranked(packed: Any, order: Any, ranked: Any) -> None:
+@numba.njit(**KERNEL)
+def gather_ranked(first: int, last: int, packed: Any, order: Any, ranked: Any) -> None:
     """Copy packed rows into depth order, so that compositing reads memory forwards."""
-    total = order.shape[0]
-    for chunk in numba.prange((total + 4095) // 4096):
-        for rank in range(chunk * 4096, min(total, chunk * 4096 + 4096)):
-            source = order[rank]
-            for k in range(packed.shape[1]):
-                ranked[rank, k] = packed[source, k]
+    for rank in range(first, last):
+        source = order[rank]
+        for k in range(packed.shape[1]):
+            ranked[rank, k] = packed[source, k]

@@ -21,6 +21,7 @@ from gscomplete.render.cpu.project_backward import project_backward
 from gscomplete.render.cpu.spherical_harmonics import used_bands
 from gscomplete.render.settings import RenderSettings
 from gscomplete.splats import Splats
+from gscomplete.util.kernels import run_kernel
 from gscomplete.views import Cameras
 
 Arrays = tuple[Any, ...]
@@ -28,6 +29,9 @@ MAX_ENTRIES = 2**31 - 1
 """Most entries of all tile lists of a view: they are numbered with int32."""
 SHARES = 64
 """Runs of tiles that are handed to threads; what is drawn does not depend on it."""
+_PER_RUN = 1024
+"""Fewest splats that are handed to a thread at once."""
+_TILES_PER_RUN = 64
 _SKIP_IDLE_TILES = True
 """Copy tiles of a prepared frozen set that no other splat can change, and visit in the backward
 pass only tiles that receive a gradient and show a splat that takes one. False = walk every tile:
@@ -131,11 +135,12 @@ def list_tiles(
     if frozen is not None:
         parts.append((frozen, no_offsets, slice(0, first)))
     for arrays, shift, place in parts:
-        bands = used_bands(arrays[4])
-        project(*arrays, bands, shift, camera, packed[place], depths[place], visible[place])
+        bands = used_bands(arrays[4]) if arrays[4].shape[1] > 1 else 1
+        written = packed[place], depths[place], visible[place]
+        run_kernel(project, len(arrays[0]), _PER_RUN, *arrays, bands, shift, camera, *written)
     order, keys = tiles.depth_order(visible, depths.view(np.uint64))
     rows = np.empty((len(order), layout.PACKED), np.float32)
-    tiles.gather_ranked(packed, order, rows)
+    run_kernel(tiles.gather_ranked, len(order), _PER_RUN, packed, order, rows)
     tiles_x, tiles_y = _grid(camera)
     shape = tiles_x, tiles_y, settings.alpha_min, settings.exact_tile_lists
     cursor = np.zeros((tiles.CHUNKS, tiles_x * tiles_y), np.int32)
@@ -143,7 +148,8 @@ def list_tiles(
     per_rank = np.empty(len(order), np.int32)
     tile_start = np.empty(tiles_x * tiles_y + 1, np.int64)
     slot_start = np.empty(total - first + 1, np.int64)
-    tiles.count_entries(rows, *shape, spans, cursor, per_rank)
+    chunks = tiles.CHUNKS, max(1, tiles.CHUNKS * _PER_RUN // max(len(order), 1))
+    run_kernel(tiles.count_entries, *chunks, rows, *shape, spans, cursor, per_rank)
     tiles.place_entries(cursor, per_rank, order, first, total - first, tile_start, slot_start)
     if tile_start[-1] > MAX_ENTRIES:
         raise UserError(
@@ -154,7 +160,8 @@ def list_tiles(
         )
     entries = np.empty(tile_start[-1], np.int32)
     slots = np.empty(tile_start[-1] if with_slots else 0, np.int32)
-    tiles.fill_entries(rows, order, *shape, spans, cursor, first, slot_start, entries, slots)
+    listed = cursor, first, slot_start, entries, slots
+    run_kernel(tiles.fill_entries, *chunks, rows, order, *shape, spans, *listed)
     return TileLists(packed[first:], rows, keys, tile_start, entries, slots, slot_start)
 
 
@@ -176,7 +183,10 @@ def draw(
     tiles_x, _ = _grid(camera)
     done = np.zeros(len(tile_start) - 1, np.int32)
     length = np.diff(tile_start)[active]
-    comp.composite(
+    run_kernel(
+        comp.composite,
+        SHARES,
+        1,
         frozen_rows,
         lists.rows,
         tile_start,
@@ -215,9 +225,8 @@ def prepare(
     no_offsets = np.empty((0, 2), np.float32)
     lists = list_tiles(frozen, nothing, no_offsets, camera, settings, with_slots=False)
     done = draw(lists, None, camera, settings, image).done
-    cut_start = np.empty(len(lists.tile_start), np.int32)
-    entries, ranks = merge.cut_lists(
-        lists.tile_start, lists.entries, done, len(lists.rows), cut_start
+    entries, cut_start, ranks = merge.cut_lists(
+        lists.tile_start, lists.entries, done, len(lists.rows)
     )
     return FrozenLists(lists.rows[ranks], lists.keys[ranks], cut_start, entries, done)
 
@@ -233,7 +242,10 @@ def differentiate(
 ) -> None:
     """Add the view's gradients of every trainable splat."""
     sums = np.zeros((int(view.slot_start[-1]), layout.SUMS), np.float32)
-    comp.composite_backward(
+    run_kernel(
+        comp.composite_backward,
+        SHARES,
+        1,
         view.frozen_rows,
         view.rows,
         view.tile_start,
@@ -250,9 +262,8 @@ def differentiate(
         upstream,
         sums,
     )
-    project_backward(
-        *trainable, view.camera, view.packed, view.slot_start, sums, *grads, grad_offsets
-    )
+    read = *trainable, view.camera, view.packed, view.slot_start, sums
+    run_kernel(project_backward, len(trainable[0]), _PER_RUN, *read, *grads, grad_offsets)
 
 
 def _grid(camera: Any) -> tuple[int, int]:
@@ -271,8 +282,7 @@ def _shares(work: Any) -> Any:  # [A] -> [SHARES + 1] int64
 def _join(lists: TileLists, prepared: FrozenLists, settings: RenderSettings) -> tuple[Any, ...]:
     """Return tile_start, entries, slots and active tiles of both sets together."""
     in_front = merge.count_in_front(prepared.keys, lists.keys)
-    tile_start = np.empty_like(lists.tile_start)
-    active = merge.choose_active(
+    active, tile_start = merge.choose_active(
         prepared.tile_start,
         prepared.entries,
         prepared.done,
@@ -280,12 +290,14 @@ def _join(lists: TileLists, prepared: FrozenLists, settings: RenderSettings) -> 
         lists.entries,
         in_front,
         _SKIP_IDLE_TILES,
-        tile_start,
     )
     entries = np.empty(tile_start[-1], np.int32)
     with_slots = len(lists.slots) == len(lists.entries)
     slots = np.empty(tile_start[-1] if with_slots else 0, np.int32)
-    merge.join_entries(
+    run_kernel(
+        merge.join_entries,
+        len(active),
+        _TILES_PER_RUN,
         prepared.tile_start,
         prepared.entries,
         len(prepared.rows),

@@ -4,8 +4,7 @@ Conventions
 -----------
 * A block is a slice of rows whose records fit the processor's cache: what one pass has just read,
   the next finds there.
-* The work must release the interpreter lock where it matters (system calls, numpy, kernels) and
-  touch nothing but its own rows.
+* The work touches nothing but its own rows.
 * The number of threads is Numba's (``NUMBA_NUM_THREADS``), at most ``MAX_THREADS``.
 """
 
@@ -17,6 +16,8 @@ from collections.abc import Callable, Iterator
 import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from gscomplete.util.kernels import share_out
 
 BLOCK_BYTES = 1 << 19
 """Bytes of records in a block: half of what a core's second-level cache holds."""
@@ -64,29 +65,6 @@ def for_each_block(
         Exception: what ``work`` raised for the first block that failed; later blocks may be left
             undone.
     """
-    todo = enumerate(blocks(count, row_size, block_bytes))
-    lock = threading.Lock()
-    failures: list[tuple[int, BaseException]] = []
-
-    def take_blocks() -> None:
-        while not failures:
-            with lock:
-                number, rows = next(todo, (-1, slice(0)))
-            if number < 0:
-                return
-            try:
-                work(rows)
-            except BaseException as error:
-                failures.append((number, error))
-
-    number_of_blocks = -(-count * row_size // (block_bytes or BLOCK_BYTES))
+    todo = list(blocks(count, row_size, block_bytes))
     threads = int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
-    wanted = min(threads, MAX_THREADS, number_of_blocks)
-    helpers = [threading.Thread(target=take_blocks) for _ in range(wanted - 1)]
-    for helper in helpers:
-        helper.start()
-    take_blocks()
-    for helper in helpers:
-        helper.join()
-    if failures:
-        raise min(failures, key=lambda failure: failure[0])[1]
+    share_out(lambda number: work(todo[number]), len(todo), min(threads, MAX_THREADS))

@@ -17,11 +17,12 @@ Counting rules
 from __future__ import annotations
 
 import contextlib
+import functools
 import inspect
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 from unittest import mock
@@ -34,6 +35,7 @@ from gscomplete.render import cpu, render
 from gscomplete.render.cpu import composite as compositing
 from gscomplete.render.cpu.layout import P_HALF_H, P_V
 from gscomplete.splats import Splats
+from gscomplete.util.kernels import run_kernel
 from gscomplete.views import Cameras
 from recipes.benchmarks.renderer.machine_limits import MachineLimits
 from recipes.benchmarks.renderer.scenes import trainable_copy
@@ -45,6 +47,8 @@ BACKWARD_OPERATIONS = 64
 """In that of ``composite_backward``: alpha 28 as above, weight 1, value 8, what is behind 2,
 gradient 5, transmittance 1, ten sums 19."""
 OTHER = "PyTorch and Python"
+_CALLED_BY_PYTHON = ("_radix_sort", "place_entries", "count_in_front", "used_bands")
+"""Kernels that are not shared out among threads."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,35 +74,37 @@ class _Recorder:
         self.seconds: dict[str, float] = defaultdict(float)
         self.arguments: dict[str, dict[str, Any]] = {}
 
+    def take(self, kernel: Any, call: Callable[[], Any], arguments: Sequence[Any]) -> Any:
+        """Make a call of a kernel and take its time."""
+        name, signature = kernel.__name__, inspect.signature(kernel.py_func)
+        start = self.read()
+        result = call()
+        self.seconds[name] += self.read() - start
+        self.arguments[name] = dict(signature.bind(*arguments).arguments)
+        return result
+
     def wrap(self, kernel: Any) -> Callable[..., Any]:
         """Return a function that calls the kernel and takes its time."""
-        name, signature = kernel.__name__, inspect.signature(kernel.py_func)
+        return lambda *arguments: self.take(kernel, lambda: kernel(*arguments), arguments)
 
-        def timed(*arguments: Any) -> Any:
-            start = self.read()
-            result = kernel(*arguments)
-            self.seconds[name] += self.read() - start
-            self.arguments[name] = dict(signature.bind(*arguments).arguments)
-            if isinstance(result, np.ndarray):
-                self.arguments[name]["result"] = result
-            return result
-
-        return timed
+    def run_kernel(self, kernel: Any, count: int, grain: int, *arguments: Any) -> None:
+        """Share a kernel's tasks out and take the time."""
+        call = functools.partial(run_kernel, kernel, count, grain, *arguments)
+        self.take(kernel, call, (0, count, *arguments))
 
 
 @contextlib.contextmanager
 def _recorded(read: Callable[[], float]) -> Iterator[_Recorder]:
-    """Time every kernel that Python code of the CPU renderer calls.
-
-    Kernels must be compiled before: what they call themselves is looked up by the same names.
-    """
+    """Time every kernel that Python code of the CPU renderer calls."""
     recorder = _Recorder(read)
     loaded = [m for name, m in sys.modules.items() if name.startswith(cpu.__name__ + ".")]
     with contextlib.ExitStack() as patches:
         for module in loaded:
             for name, value in vars(module).copy().items():
-                if isinstance(value, numba.core.registry.CPUDispatcher):
+                if name in _CALLED_BY_PYTHON:
                     patches.enter_context(mock.patch.object(module, name, recorder.wrap(value)))
+                elif value is run_kernel:
+                    patches.enter_context(mock.patch.object(module, name, recorder.run_kernel))
         yield recorder
 
 

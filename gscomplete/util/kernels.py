@@ -1,0 +1,191 @@
+"""Compiled kernels: the options they are compiled with, and tasks shared out among threads.
+
+Conventions
+-----------
+* Work that is shared out must release the interpreter lock where it matters (system calls, numpy,
+  kernels with ``nogil``), and touch nothing that another task touches: results do not depend on
+  threads.
+* Kernels of loops that could be ``prange`` are plain kernels over a run of tasks: Numba compiles
+  those in half the time, and they run as fast.
+* The calling thread works too, and never waits for a helper that has no task.
+* Helpers are daemons: an idle one does not keep the process alive.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import queue
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numba
+from numba.core import event
+
+from gscomplete.util.stages import current_profile
+
+KERNEL: dict[str, Any] = {
+    "cache": True,
+    "nogil": True,
+    "error_model": "numpy",
+    "no_cfunc_wrapper": True,
+}
+"""Of functions that Python calls."""
+
+HELPER: dict[str, Any] = {
+    "error_model": "numpy",
+    "no_cfunc_wrapper": True,
+    "no_cpython_wrapper": True,
+}
+"""Of functions that only kernels call. They compile in two thirds of the time when Python cannot
+call them and the disk does not keep them."""
+
+_RUNS_PER_THREAD = 8
+"""Runs that a kernel's tasks are cut into: a thread that is held up leaves the rest to others."""
+
+
+class _Job:
+    """Tasks 0 to count - 1, taken one after another by whoever is free."""
+
+    def __init__(self, work: Callable[[int], None], count: int) -> None:
+        self._work = work
+        self._numbers = itertools.count()
+        self._count = count
+        self._left = count
+        self._lock = threading.Lock()
+        self._finished = threading.Event()
+        self.failures: list[tuple[int, BaseException]] = []
+
+    def take_tasks(self) -> None:
+        """Do tasks until none is left to take; after a failure, only take them."""
+        while (number := next(self._numbers)) < self._count:
+            try:
+                if not self.failures:
+                    self._work(number)
+            except BaseException as error:
+                self.failures.append((number, error))
+            with self._lock:
+                self._left -= 1
+                if self._left == 0:
+                    self._finished.set()
+
+    def wait(self) -> None:
+        """Wait for the tasks that others took."""
+        self._finished.wait()
+
+
+class _Helpers:
+    """The threads beside the calling one, started when they are first needed."""
+
+    def __init__(self) -> None:
+        self._jobs: queue.SimpleQueue[_Job] = queue.SimpleQueue()
+        self._lock = threading.Lock()
+        self._started = 0
+
+    def offer(self, job: _Job, helpers: int) -> None:
+        """Let up to ``helpers`` threads take tasks of a job."""
+        with self._lock:
+            while self._started < helpers:
+                threading.Thread(target=self._serve, daemon=True).start()
+                self._started += 1
+        for _ in range(helpers):
+            self._jobs.put(job)
+
+    def _serve(self) -> None:
+        while True:
+            self._jobs.get().take_tasks()
+
+
+_helpers = _Helpers()
+
+
+def _forget_helpers() -> None:
+    """Start afresh: a forked process has none of its parent's threads."""
+    global _helpers
+    _helpers = _Helpers()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_helpers)
+
+
+def share_out(work: Callable[[int], None], count: int, threads: int) -> None:
+    """Call ``work`` with 0 to ``count`` - 1, in up to ``threads`` threads.
+
+    Args:
+        work: does the task of a number.
+        count: number of tasks.
+        threads: most threads, with the calling one.
+
+    Raises:
+        Exception: what ``work`` raised for the lowest number that failed; other tasks may be left
+            undone.
+    """
+    job = _Job(work, count)
+    helpers = min(threads, count) - 1
+    if helpers > 0:
+        _helpers.offer(job, helpers)
+    job.take_tasks()
+    if helpers > 0:
+        job.wait()
+    if job.failures:
+        raise min(job.failures, key=lambda failure: failure[0])[1]
+
+
+def run_kernel(kernel: Callable[..., None], count: int, grain: int, *arguments: Any) -> None:
+    """Call ``kernel(first, last, *arguments)`` for runs of tasks that together are all of them.
+
+    Args:
+        kernel: a ``nogil`` kernel that does the tasks from ``first`` up to ``last``.
+        count: number of tasks.
+        grain: fewest tasks that are handing to another thread takes the time of.
+        arguments: what the kernel is given besides.
+    """
+    threads = numba.get_num_threads()
+    runs = min(-(-count // grain), threads * _RUNS_PER_THREAD) if threads > 1 else 1
+    if runs <= 1:
+        kernel(0, count, *arguments)
+        return
+
+    def do_run(k: int) -> None:
+        kernel(count * k // runs, count * (k + 1) // runs, *arguments)
+
+    share_out(do_run, runs, threads)
+
+
+class _Compilations(event.Listener):
+    """Counts compiling as a stage, and tells of the first time."""
+
+    def __init__(self, tell: Callable[[], None]) -> None:
+        self._tell = tell
+        self._depth = 0
+
+    def on_start(self, event: event.Event) -> None:
+        """Begin to compile a kernel, or within that what it calls."""
+        self._depth += 1
+        if self._depth > 1:
+            return
+        self._tell()
+        self._tell = lambda: None
+        profile = current_profile()
+        if profile is not None:
+            profile.enter("compile")
+
+    def on_end(self, event: event.Event) -> None:
+        """End what was begun last."""
+        self._depth -= 1
+        profile = current_profile()
+        if self._depth == 0 and profile is not None:
+            profile.leave()
+
+
+@contextlib.contextmanager
+def compilations_told(tell: Callable[[], None]) -> Iterator[None]:
+    """Call ``tell`` before the first kernel that has to be compiled, and count a stage of them.
+
+    Kernels that the disk keeps are loaded, which is not compiling.
+    """
+    with event.install_listener("numba:compile", _Compilations(tell)):
+        yield
