@@ -43,11 +43,12 @@ class PartialViews:
         self._partial = partial
         self._max_bytes = max_bytes
         self._known: OrderedDict[tuple[float, ...], PreparedFrozen] = OrderedDict()
+        self._nbytes = 0
 
     @property
     def nbytes(self) -> int:
         """Memory that is kept now, in bytes."""
-        return sum(prepared.nbytes for prepared in self._known.values())
+        return self._nbytes
 
     def alone(self, cameras: Cameras) -> Render:
         """Return r(P, c) over black for a batch of views; its alpha is M_c."""
@@ -87,8 +88,9 @@ class PartialViews:
             return self._known[key]
         prepared = prepare_frozen(self._partial, cameras)
         self._known[key] = prepared
-        while len(self._known) > 1 and self.nbytes > self._max_bytes:
-            self._known.popitem(last=False)
+        self._nbytes += prepared.nbytes
+        while len(self._known) > 1 and self._nbytes > self._max_bytes:
+            self._nbytes -= self._known.popitem(last=False)[1].nbytes
         return prepared
 
 

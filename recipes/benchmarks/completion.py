@@ -36,7 +36,7 @@ from gscomplete.evaluate.pictures import save_image
 from gscomplete.fitting.settings import LearningRates
 from gscomplete.priors import load_prior
 from gscomplete.priors.base import prior_identity
-from recipes.benchmarks.charts import Chart, draw_charts
+from recipes.benchmarks.curves.charts import Chart, draw_charts
 from recipes.entry_point import start
 from recipes.real_objects.compare import completed_as_run, frame_object, measure
 from recipes.real_objects.complete import DATA

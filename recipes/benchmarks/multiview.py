@@ -15,6 +15,8 @@ from pathlib import Path
 
 import torch
 
+from gscomplete.util import jsonio
+from gscomplete.util.atomic import atomic_path
 from recipes.entry_point import start
 from splatcomplete_data.multiview.photos.capture import photo_folder
 from splatcomplete_data.multiview.photos.images import list_photos
@@ -46,6 +48,8 @@ class Options:
     """Initial splats: auto, points or random."""
     hold_out: int = 8
     """Every this many-th photo is held out."""
+    json: Path | None = None
+    """Add the numbers to the list in this file, for ``recipes.benchmarks.curves``."""
 
 
 def main(options: Options) -> int:
@@ -81,6 +85,11 @@ def main(options: Options) -> int:
         report = {"notes": content["notes"], "timings": content["timings"], **content["result"]}
     report["seconds"] = round(time.perf_counter() - started, 1)
     sys.stdout.write(json.dumps(report, indent=2) + "\n")
+    if options.json is not None:
+        rows = jsonio.read_json(options.json) if options.json.exists() else []
+        rows.append({"capture": options.images.name, "steps": options.steps, **report})
+        with atomic_path(options.json) as temporary:
+            temporary.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
     return 0
 
 

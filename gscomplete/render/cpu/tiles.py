@@ -29,6 +29,7 @@ from gscomplete.render.cpu.layout import (
     P_OPACITY,
     P_U,
     P_V,
+    PACKED,
 )
 from gscomplete.util.kernels import HELPER, KERNEL
 
@@ -281,5 +282,5 @@ def gather_ranked(first: int, last: int, packed: Any, order: Any, ranked: Any) -
     """Copy packed rows into depth order, so that compositing reads memory forwards."""
     for rank in range(first, last):
         source = order[rank]
-        for k in range(packed.shape[1]):
+        for k in range(PACKED):
             ranked[rank, k] = packed[source, k]

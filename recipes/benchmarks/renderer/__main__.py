@@ -36,8 +36,8 @@ from gscomplete.render import render
 from gscomplete.splats import Splats
 from gscomplete.util.atomic import atomic_path
 from gscomplete.views import Cameras
-from recipes.benchmarks.charts import Chart, draw_charts
 from recipes.benchmarks.clocks import Clock, clock_reader
+from recipes.benchmarks.curves.charts import Chart, draw_charts
 from recipes.benchmarks.renderer.machine_limits import MachineLimits, measure_limits
 from recipes.benchmarks.renderer.scenes import bench_camera, surface_discs, trainable_copy
 from recipes.benchmarks.renderer.work import Stage, measure_stages

@@ -40,8 +40,8 @@ from gscomplete.render import Backend, RenderSettings, render
 from gscomplete.splats import Splats
 from gscomplete.util.atomic import atomic_path
 from gscomplete.views import Cameras
-from recipes.benchmarks.charts import Chart, draw_charts
 from recipes.benchmarks.clocks import Clock, clock_reader
+from recipes.benchmarks.curves.charts import Chart, draw_charts
 from recipes.benchmarks.renderer.scenes import bench_camera, cloud, surface_discs, trainable_copy
 from recipes.entry_point import start
 

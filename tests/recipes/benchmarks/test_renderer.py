@@ -12,8 +12,8 @@ from PIL import Image
 
 from gscomplete.errors import UserError
 from gscomplete.render import RenderSettings, render
-from recipes.benchmarks.charts import Chart, draw_charts
 from recipes.benchmarks.clocks import clock_reader
+from recipes.benchmarks.curves.charts import Chart, draw_charts
 from recipes.benchmarks.renderer import __main__ as speed
 from recipes.benchmarks.renderer import accuracy, peers, work
 from recipes.benchmarks.renderer.machine_limits import MachineLimits, measure_limits
