@@ -15,18 +15,21 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from gscomplete.shape.fill.facing import look_around, outward_normals, pictures_of_normals
+from gscomplete.shape.fill.bridges import bridged
+from gscomplete.shape.fill.facing import Around, look_around, outward_normals, pictures_of_normals
 from gscomplete.shape.fill.gaps import (
     Cover,
     FillSettings,
     Region,
+    Verdict,
     cover_of,
     distances,
     find_regions,
+    is_hidden_or_recess,
 )
 from gscomplete.shape.fill.indicator import CELL_SIDE, Solid, solid_through
-from gscomplete.splats import Splats, colors_to_sh
-from gscomplete.splats.rotations import quaternions_facing
+from gscomplete.splats import Splats, colors_to_sh, concatenate
+from gscomplete.splats.rotations import quaternions_facing, rotation_matrices
 
 _POINTS_PER_CELL = 40
 _SEAM_SPACINGS = 0.8
@@ -37,6 +40,8 @@ _OVERLAP = 0.8
 _FLATNESS = 0.1
 _OPACITY = 0.95
 _RIM_NEIGHBOURS = 24
+_SPACING_NEIGHBOURS = 5
+_MOSTLY = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +87,52 @@ def close_gaps(
     splats = partial.select(torch.arange(0)).with_sh_degree(0)
     if closed:
         splats = _splats_in(closed, solid, cover, partial, chosen, generator)
-    return Filled(splats, tuple(regions))
+    bridges, patches = _bridges(splats, cover, partial, chosen, around, facing)
+    left = [region for region in regions if not _is_covered(region, bridges)]
+    return Filled(concatenate([splats, bridges]), (*left, *patches))
+
+
+def _bridges(
+    new: Splats,
+    cover: Cover,
+    partial: Splats,
+    settings: FillSettings,
+    around: Around,
+    facing: Tensor,  # [V, S, S, 3]
+) -> tuple[Splats, list[Region]]:
+    """Cover the holes of thin walls, which no solid has, with splats."""
+    ways = rotation_matrices(new.quaternions)[:, :, 2]
+    points, normals = torch.cat([cover.points, new.means]), torch.cat([cover.normals, ways])
+    number = min(_SPACING_NEIGHBOURS, len(partial))
+    near, _ = cKDTree(partial.means.numpy()).query(partial.means.numpy(), k=number)
+    spacing = float(np.median(np.atleast_2d(near)[:, 1:].mean(axis=1))) if number > 1 else 0.0
+    total = float(cover.areas().sum())
+    splats, regions = [partial.select(torch.arange(0)).with_sh_degree(0)], []
+    room = settings.count - len(new)
+    for patch in bridged(points, normals, spacing):
+        if is_hidden_or_recess(patch.points, patch.normals, patch.width, around, facing):
+            continue
+        share = len(patch.points) * patch.spacing**2 / max(total, 1e-12)
+        is_closed = share <= settings.most_share and len(patch.points) <= room
+        verdict: Verdict = "closed" if is_closed else "too large"
+        regions.append(
+            Region(patch.points, patch.normals, patch.width, share, False, None, verdict)
+        )
+        if is_closed:
+            room -= len(patch.points)
+            rim = _rim_of(patch.points, patch.normals, cover)
+            splats.append(
+                _splats_at(patch.points, patch.normals, patch.spacing, rim, partial, cover)
+            )
+    return concatenate(splats), regions
+
+
+def _is_covered(region: Region, splats: Splats) -> bool:
+    """Tell whether splats close most of a region that was left open."""
+    if region.verdict == "closed" or not len(splats):
+        return False
+    away, _ = cKDTree(splats.means.numpy()).query(region.points.numpy())
+    return bool((away < 2 * CELL_SIDE).mean() > _MOSTLY)
 
 
 def _splats_in(
@@ -112,10 +162,22 @@ def _splats_in(
     rows, spacing = _spread(points, spacing, settings.count)
     points, normals, is_below = points[rows], normals[rows], is_below[rows]
     rim = _rim_of(points, normals, cover)
-    colors = rim.mean(partial.base_colors.clamp(0.0, 1.0)[cover.owners])
     points = points + rim.mean(solid.height(cover.points)[:, None]) * normals
     level = rim.mean(cover.points[:, 2:])[:, 0]  # what an object stands on does not sag into it
     points[:, 2] = torch.where(is_below, torch.minimum(points[:, 2], level), points[:, 2])
+    return _splats_at(points, normals, spacing, rim, partial, cover)
+
+
+def _splats_at(
+    points: Tensor,  # [N, 3]
+    normals: Tensor,  # [N, 3]
+    spacing: float,
+    rim: _Rim,
+    partial: Splats,
+    cover: Cover,
+) -> Splats:
+    """Return flat splats in the colours of the rim, within P's box."""
+    colors = rim.mean(partial.base_colors.clamp(0.0, 1.0)[cover.owners])
     low, high = partial.bounds()
     points = torch.minimum(torch.maximum(points, low), high)
     scales = torch.full((len(points), 3), _OVERLAP * spacing)

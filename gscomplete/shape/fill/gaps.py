@@ -57,6 +57,8 @@ _NARROW = 0.03
 """Narrower slits are closed whatever is seen through them, if anything is."""
 _MOST_ABOVE = 0.2
 """Wider regions that face up are mouths of vessels: tops are what captures see best."""
+_MOST_FRONTS = 0.4
+"""Of what is seen through a hole, at most this share may be fronts near behind: a niche's floor."""
 _LEAST_BACKS = 0.5
 """Of what is seen through a wider region, at least this share must be backs of surfaces."""
 
@@ -188,7 +190,7 @@ def find_regions(
     points, normals, distance = points[open_], normals[open_], distance[open_]
     if not len(points):
         return []
-    labels = _components(points.numpy())
+    labels = components(points.numpy(), _JOINED)
     regions = []
     for label in np.flatnonzero(np.bincount(labels) >= _FEWEST):
         rows = torch.from_numpy(np.flatnonzero(labels == label))
@@ -216,9 +218,9 @@ def _is_opening(width: float, up: float, backs: float | None) -> bool:
     return width > _NARROW and (backs is None or backs < _LEAST_BACKS)
 
 
-def _components(points: NDArray[np.float32]) -> NDArray[np.int64]:  # [N, 3] -> [N]
+def components(points: NDArray[np.floating], reach: float) -> NDArray[np.int64]:  # [N, 3] -> [N]
     """Return the connected component of every point."""
-    pairs = cKDTree(points).query_pairs(_JOINED, output_type="ndarray")
+    pairs = cKDTree(points).query_pairs(reach, output_type="ndarray")
     ones = np.ones(len(pairs), np.bool_)
     graph = coo_matrix((ones, (pairs[:, 0], pairs[:, 1])), shape=(len(points),) * 2)
     _, labels = connected_components(graph, directed=False)
@@ -245,3 +247,35 @@ def _share_of_backs(
         backs += int((behind & (toward < -_SIDE)).sum())
         others += int((behind & (toward > _SIDE)).sum()) + int((outside & (alpha < 0.5)).sum())
     return backs / (backs + others) if backs + others else None
+
+
+def is_hidden_or_recess(
+    points: Tensor,  # [K, 3]
+    normals: Tensor,  # [K, 3]
+    width: float,
+    around: Around,
+    facing: Tensor,  # [V, S, S, 3]
+) -> bool:
+    """Tell whether a lid would be hidden itself, or hide fronts that lie no deeper than it is wide.
+
+    Args:
+        points: of the lid.
+        normals: there.
+        width: of the lid.
+        around: P from all round.
+        facing: the normals that are seen there.
+    """
+    step = max(1, len(points) // _SAMPLES)
+    points, normals = points[::step], normals[::step]
+    outside = hidden = fronts = 0
+    for view in range(len(around.cameras)):
+        ways = around.ways(points, view)
+        row, column, far = around.pixels(points, view)
+        alpha, depth = around.alpha[view, row, column], around.depth[view, row, column]
+        here = (normals * ways).sum(dim=1) > _OBLIQUE
+        behind = here & (alpha > 0.5) & (depth > far + TOLERANCE)
+        toward = (facing[view, row, column] * ways).sum(dim=1)
+        outside += int(here.sum())
+        hidden += int((here & (alpha > 0.5) & ~behind).sum())
+        fronts += int((behind & (depth < far + width) & (toward > _SIDE)).sum())
+    return 2 * hidden > outside or fronts > _MOST_FRONTS * (outside - hidden)
