@@ -29,9 +29,9 @@ IntArray = NDArray[np.int64]
 THINNEST = 0.15
 """Least height of a cell, in spacings; with ``allot.SLIVER_WIDTH`` it bounds a cell's aspect."""
 _POINTED = 1.5
-"""Where the end of the lowest row slants over more cells than this, away from borders and folds,
-the row is cut into slices of equal area: else the tips of a fan of triangles, all cut off, leave a
-hole at its middle."""
+"""Where the end of the lowest row slants over more cells than this, at the middle of something
+flat, the row is cut into slices of equal area: else the tips of a fan of triangles, all cut off,
+leave a hole at its middle."""
 _MOST_ASPECT = 7.0
 """Aspect of such a slice: at the tip itself it is wider than the triangle."""
 _DIRECTIONS = 16
@@ -93,7 +93,7 @@ def cut_into_cells(
     counts: IntArray,  # [T] cells per triangle
     areas: NDArray[np.float64],  # [T]
     marked: NDArray[np.uint8],  # [T] bit e set = edge e (corner e to e + 1) is inset
-    ends: NDArray[np.uint8],  # [T] bit k set = a border or fold ends at corner k
+    ends: NDArray[np.uint8],  # [T] bit k set = the surface is not flat all round corner k
     inset: float,  # depth of the inset over the cell's side
     spacing: float,  # of the mesh, vertices' units
     triangle: IntArray,  # [N] out
@@ -190,7 +190,7 @@ def _cut_one(
     for axis in range(3):
         y_axis[axis] /= height
     apex = min(max(along / base, 0.0), 1.0)
-    # corners about which the surface goes on all round
+    # corners that the surface goes on flatly all round
     at_a, at_b = (ends >> a & 1) == 0, (ends >> b & 1) == 0
     rows, _ = row_counts(base, height, count)
     placed, passed = 0, 0.0

@@ -192,10 +192,15 @@ def fan(number: int) -> np.ndarray:  # [number, 3, 3]
     return np.stack([np.zeros((number, 3)), rim[:-1], rim[1:]], axis=1)
 
 
-def test_only_the_middle_of_a_fan_is_no_end_of_a_border() -> None:
-    edges, ends = marked_edges(fan(8).astype(np.float32), np.tile([0.0, 0.0, 1.0], (8, 1)), 35.0)
+@pytest.mark.parametrize(("height", "expected"), [(0.0, 0b110), (0.01, 0b110), (0.3, 0b111)])
+def test_only_the_middle_of_a_flat_fan_is_surrounded(height: float, expected: int) -> None:
+    """Neighbours of a cone of height 0.3 fold by 12 degrees."""
+    cone = fan(8)
+    cone[:, 0, 2] = height
+    normals = np.cross(cone[:, 1] - cone[:, 0], cone[:, 2] - cone[:, 0])
+    edges, ends = marked_edges(cone.astype(np.float32), normals, 35.0)
     assert set(edges.tolist()) == {0b010}
-    assert set(ends.tolist()) == {0b110}
+    assert set(ends.tolist()) == {expected}
 
 
 @pytest.mark.parametrize("number", [12, 32, 64])
