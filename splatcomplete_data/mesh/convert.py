@@ -28,11 +28,12 @@ from gscomplete.errors import UserError
 from gscomplete.splats import Splats, colors_to_sh
 from splatcomplete_data.mesh.allot import MAX_SPLATS, Allotment, allot_by_count, allot_by_spacing
 from splatcomplete_data.mesh.cells import Cells, cut_into_cells, keep_within
-from splatcomplete_data.mesh.edges import marked_edges
+from splatcomplete_data.mesh.edges import find_edges, inside_of, marked_edges
 from splatcomplete_data.mesh.files.load import BakedLight, Mesh
 from splatcomplete_data.mesh.grid import grid_cells
 from splatcomplete_data.mesh.sampling import point_frames, poisson_points, uniform_points
 from splatcomplete_data.mesh.shading import shade_cells
+from splatcomplete_data.mesh.sink import sink, sinking_depth
 from splatcomplete_data.objects import StepRecord
 
 FloatArray = NDArray[np.float32]
@@ -181,6 +182,7 @@ def _empty(count: int) -> Cells:
         np.empty((count, 2, 3), np.float32),
         np.empty((count, 2, 3), np.float32),
         np.empty((count, 2), np.float32),
+        np.zeros(count, np.float32),
     )
 
 
@@ -192,8 +194,11 @@ def _even_cells(
     settings: ConvertSettings,
 ) -> tuple[Cells, StepRecord]:
     """Cut every triangle into its cells; those of tiny triangles get the size they stand for."""
-    marked, ends = marked_edges(vertices, normals, _FOLD_DEG)
+    edges = find_edges(vertices)
+    marked, ends = marked_edges(edges, normals, _FOLD_DEG)
     marked[allotment.tiny_area > 0] = 0
+    inside = inside_of(edges, vertices, normals)
+    depth = sinking_depth(vertices, allotment.spacing)
     cells = _empty(allotment.total)
     cut_into_cells(
         vertices,
@@ -219,6 +224,7 @@ def _even_cells(
         MOST_OVERHANG * allotment.spacing,
         cells.sizes,
     )
+    sink(vertices, cells, inside, depth, allotment.spacing)
     stands_for = allotment.tiny_area[cells.triangle]
     shared = stands_for > 0
     cells.sizes[shared] = np.sqrt(stands_for[shared])[:, None]
@@ -266,7 +272,8 @@ def _grid(
     if found:
         note += f"; {missed:,} triangles lie between the grid's points and got one splat each"
     step = StepRecord("triangles_with_splats", len(vertices), len(vertices), {}, note)
-    return Cells(triangle, weights, steps, axes, sizes), step
+    raised = np.zeros(len(triangle), np.float32)
+    return Cells(triangle, weights, steps, axes, sizes, raised), step
 
 
 def _grid_step(areas: NDArray[np.float64], normals: NDArray[np.float64], count: int) -> float:
@@ -302,7 +309,7 @@ def _splats(
     means = np.empty((count, 3), np.float32)
     quaternions = np.empty((count, 4), np.float32)
     scales = np.empty((count, 3), np.float32)
-    _place(vertices, cells.triangle, cells.weights, cells.axes, means, quaternions)
+    _place(vertices, cells.triangle, cells.weights, cells.axes, cells.raised, means, quaternions)
     scales[:, :2] = cells.sizes * np.float32(settings.sigma_per_cell)
     flatness = 1.0 if settings.mode == "random" else _NORMAL_PER_TANGENT
     scales[:, 2] = scales[:, :2].min(axis=1) * np.float32(flatness)
@@ -321,6 +328,7 @@ def _place(
     triangle: NDArray[np.int64],  # [N]
     weights: FloatArray,  # [N, 3]
     axes: FloatArray,  # [N, 2, 3]
+    raised: FloatArray,  # [N]
     means: FloatArray,  # [N, 3] out
     quaternions: FloatArray,  # [N, 4] out, wxyz
 ) -> None:
@@ -335,6 +343,9 @@ def _place(
         a, d, g = axes[n, 0, 0], axes[n, 0, 1], axes[n, 0, 2]  # columns of the rotation
         b, e, h = axes[n, 1, 0], axes[n, 1, 1], axes[n, 1, 2]
         c, f, i = d * h - g * e, g * b - a * h, a * e - d * b
+        means[n, 0] += raised[n] * c
+        means[n, 1] += raised[n] * f
+        means[n, 2] += raised[n] * i
         # the largest of the four squares divides: at least 1 of their sum of 4
         if a + e + i > 0.0:
             w, x, y, z = 1.0 + a + e + i, h - f, c - g, d - b
