@@ -49,7 +49,6 @@ class Cells:
     steps: FloatArray  # [N, 2, 3] change of the weights over a quarter cell along x and y
     axes: FloatArray  # [N, 2, 3] unit x and y
     sizes: FloatArray  # [N, 2] width and height
-    raised: FloatArray  # [N] how far the splat lies from its cell, along x cross y
 
 
 @numba.njit(cache=True)

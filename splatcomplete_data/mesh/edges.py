@@ -3,8 +3,8 @@
 Conventions
 -----------
 * Corners at one place are one vertex, whatever their texture coordinates say.
-* An edge is a border when one triangle has it, a fold when the normals of its two triangles
-  differ by more than an angle; edges of three and more triangles count as folds.
+* An edge is a border when one triangle has it, a fold when the surface turns there by more than an
+  angle (180 degrees at a knife's edge); edges of three and more triangles count as folds.
 * Answers of ``marked_edges`` are bits per triangle: bit e for the edge from corner e to corner
   e + 1, and bit k for corner k unless the surface goes on all round it, and flatly.
 * Outside is where a triangle's corners run anticlockwise.
@@ -29,6 +29,7 @@ power of 3/2 (a ball 0.094, a box without lid 0.07, a sheet 0),"""
 _BORDER = 0.05
 """or where a circle as long as its borders has less than this share of its area."""
 
+
 @dataclass(frozen=True, slots=True)
 class Edges:
     """The edges of T triangles. Side 3 t + e is edge e of triangle t."""
@@ -43,6 +44,13 @@ class Edges:
         """Return both sides of the edges that have two."""
         at = self.starts[self.sizes == 2]
         return self.order[at], self.order[at + 1]
+
+    @property
+    def agree(self) -> NDArray[np.bool_]:  # [P]
+        """Return which pairs are wound alike: they run along their edge in opposite directions."""
+        first, second = self.pairs
+        starts: IntArray = self.corner.ravel()
+        return starts[first] != starts[second]
 
 
 def find_edges(vertices: NDArray[np.float32]) -> Edges:  # [T, 3, 3]
@@ -65,14 +73,15 @@ def marked_edges(
 
     Args:
         edges: of the soup.
-        normals: one per triangle; their sign does not matter.
-        fold_deg: angle between two triangles' planes from which their edge is a fold.
+        normals: one per triangle, of its winding; neighbours may contradict each other.
+        fold_deg: angle that the surface turns by at an edge from which it is a fold.
     """
     paired = edges.sizes == 2
     sharp = ~paired
     unit = _unit(normals)
     first, second = edges.pairs
-    cosine = np.abs(np.einsum("pc,pc->p", unit[first // 3], unit[second // 3]))
+    cosine = np.einsum("pc,pc->p", unit[first // 3], unit[second // 3])
+    cosine = np.where(edges.agree, cosine, -cosine)
     sharp[paired] = cosine < np.cos(np.radians(fold_deg))
     bent = sharp.copy()
     bent[paired] |= cosine < np.cos(np.radians(FLAT_DEG))
@@ -97,8 +106,7 @@ def inside_of(
         its piece of surface has no inside: a sheet, or triangles that contradict each other.
     """
     first, second = edges.pairs
-    # both triangles run along their edge in opposite directions where they agree
-    agree = edges.corner.ravel()[first] != edges.corner.ravel()[second]
+    agree = edges.agree
     return _inside_of(vertices.astype(np.float64), normals, first[agree], second[agree])
 
 
@@ -131,7 +139,9 @@ def _inside_of(
         own = 0.5 * math.sqrt(normals[t, 0] ** 2 + normals[t, 1] ** 2 + normals[t, 2] ** 2)
         area[piece] += own
         for k in range(3):
-            middle[piece, k] += own * (vertices[t, 0, k] + vertices[t, 1, k] + vertices[t, 2, k]) / 3.0
+            middle[piece, k] += (
+                own * (vertices[t, 0, k] + vertices[t, 1, k] + vertices[t, 2, k]) / 3.0
+            )
         for side in range(3):
             if is_open[3 * t + side]:
                 length = 0.0
@@ -141,7 +151,7 @@ def _inside_of(
     for t in range(count):
         piece = root[t]
         for k in range(3):
-            away = vertices[t, 0, k] - middle[piece, k] / area[piece]
+            away = vertices[t, 0, k] - middle[piece, k] / max(area[piece], 1e-300)
             volume[piece] += away * normals[t, k] / 6.0
     answer = np.zeros(count, np.int8)
     for t in range(count):

@@ -1,13 +1,13 @@
-"""Draw splats of a mesh in under its surface, by what 3DGS's blur adds to an outline.
+"""Splats below the surface of their mesh, by what 3DGS's blur adds to an outline.
 
 Conventions
 -----------
 * 3DGS adds 0.3 px^2 to every projected covariance, also to that of a disc seen from its edge, so
   an outline moves out by 0.6 to 1 pixel whatever the splats' size. Splats sink by ``DEPTH_PX`` of
-  a picture in which the object's largest side has ``PICTURE_PX``, and by ``MOST_SPACINGS`` at most.
+  a picture of a given size, and by ``MOST_SPACINGS`` at most: more splats are more exact.
 * Surfaces without an inside (``edges.inside_of``) stay.
-* No splat sinks by more than ``_SHARE`` of the way to a surface behind it that faces the other
-  way, or that stays: the sides of a thin plate do not change places.
+* No splat sinks by more than ``_SHARE`` of the way to where a surface behind it, that faces the
+  other way or that stays, is ``_APART_SPACINGS`` away.
 """
 
 from __future__ import annotations
@@ -23,23 +23,34 @@ from splatcomplete_data.mesh.cells import Cells
 FloatArray = NDArray[np.float32]
 
 DEPTH_PX = 0.5
-PICTURE_PX = 512
 MOST_SPACINGS = 0.3
-_SHARE = 0.3
+_SHARE = 0.5
+_APART_SPACINGS = 0.5
+"""Closer together the sides of a thin wall show through each other, as 3DGS sorts splats by their
+middles."""
 _CUBE_SPACINGS = 2.0
 """Side of the cubes that splats are looked up in; half of it is more than the search reaches."""
 _BESIDE_SPACINGS = 0.75
 """A surface behind a splat has a splat within this distance of the splat's normal."""
 _LEVEL = 1e-3
-"""A surface in the same place lies behind: within this many spacings."""
+"""What lies before a splat by fewer spacings counts as in the same place."""
 _LEANS = 1 / 6
 """Component along an axis from which a unit normal leans towards it."""
 
 
-def sinking_depth(vertices: FloatArray, spacing: float) -> float:  # [T, 3, 3]
-    """Return how far splats sink, in the vertices' units."""
+def sinking_depth(vertices: FloatArray, spacing: float, outline_px: float) -> float:
+    """Return how far splats sink, in the vertices' units.
+
+    Args:
+        vertices: of the triangles, [T, 3, 3].
+        spacing: side of a cell.
+        outline_px: pixels of the object's largest side in pictures whose outlines are to be right;
+            0 = none.
+    """
+    if outline_px == 0:
+        return 0.0
     size = float(np.ptp(vertices.reshape(-1, 3), axis=0).max())
-    return min(DEPTH_PX * size / PICTURE_PX, MOST_SPACINGS * spacing)
+    return min(DEPTH_PX * size / outline_px, MOST_SPACINGS * spacing)
 
 
 def sink(
@@ -48,13 +59,14 @@ def sink(
     inside: NDArray[np.int8],  # [T] as of ``edges.inside_of``
     depth: float,
     spacing: float,
-) -> None:
-    """Fill in how far the splats of cells lie below their surface."""
-    if depth <= 0 or not inside.any():
-        return
+) -> FloatArray:  # [N]
+    """Return how far the splats of cells are to lie from them, along their winding's normals."""
     count = len(cells.triangle)
+    raised = np.zeros(count, np.float32)
+    if depth == 0 or not inside.any():
+        return raised
     low = vertices.min(axis=(0, 1))
-    side = np.float32(_CUBE_SPACINGS * spacing)
+    side = _CUBE_SPACINGS * spacing
     rows = 1 << max(4, count.bit_length())
     heads, following = np.full(rows, -1, np.int32), np.empty(count, np.int32)
     facing = np.zeros(rows, np.uint8)
@@ -62,8 +74,8 @@ def sink(
     places = vertices, cells.triangle, cells.weights, cells.axes, inside
     _file(*places, low, side, means, outwards, heads, following, facing)
     turns = inside[cells.triangle]
-    _limit(means, outwards, turns, low, side, heads, following, facing, depth, spacing, cells.raised)
-    cells.raised[:] *= turns
+    _limit(means, outwards, turns, low, side, heads, following, facing, depth, spacing, raised)
+    return raised * turns
 
 
 @numba.njit(cache=True)
@@ -143,7 +155,7 @@ def _limit(
 ) -> None:
     """Find how far every splat can sink."""
     beside2 = (_BESIDE_SPACINGS * spacing) ** 2
-    reach = depth / _SHARE
+    reach = depth / _SHARE + _APART_SPACINGS * spacing
     for n in numba.prange(len(means)):
         if turns[n] == 0:
             continue
@@ -172,4 +184,4 @@ def _limit(
                         if facing_away > 0.5 or (turns[m] == 0 and facing_away < -0.5):
                             nearest = max(along, 0.0)
                 m = following[m]
-        depths[n] = min(depth, _SHARE * nearest)
+        depths[n] = min(depth, _SHARE * max(nearest - _APART_SPACINGS * spacing, 0.0))
