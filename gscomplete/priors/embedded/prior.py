@@ -6,13 +6,14 @@ Conventions
   so the loss of :meth:`EmbeddedPrior.distill` counts differences on that scale.
 * P may be withheld (text-only mode); guidance pulls towards P and towards the text with separate
   scales (``diffusion.guided_x0``).
-* The network runs in bfloat16 where the processor multiplies it in hardware, else in float32;
-  schedules and losses are always float32.
+* The network runs in 8 bits and bfloat16 (``int8``) or in bfloat16 where the processor multiplies
+  them in hardware, else in float32; schedules and losses are always float32.
 """
 
 from __future__ import annotations
 
 import contextlib
+import copy
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -54,7 +55,7 @@ from gscomplete.util.same_bits import fixed_sum
 from gscomplete.util.stages import stage
 from gscomplete.views import ViewDistribution
 
-Precision = Literal["auto", "bfloat16", "float32"]
+Precision = Literal["auto", "int8", "bfloat16", "float32"]
 
 DEFAULT_GUIDANCE = Guidance(text_scale=1.0, input_scale=1.0, rescale=0.0)
 """With P in sight plain conditional denoising is best, and takes a single pass."""
@@ -124,7 +125,8 @@ class EmbeddedPrior:
             model: in evaluation mode, or what makes it when it is first asked.
             config: what goes with it.
             device: where it runs.
-            precision: of the network; ``auto`` = bfloat16 where hardware has it.
+            precision: of the network; ``int8`` = residual blocks in 8 bits and the rest in
+                bfloat16, on the CPU; ``auto`` = the fastest that the hardware has.
             shape: in evaluation mode; None = no first guess of the complete object.
         """
         self.views: PriorViews = config.views
@@ -133,6 +135,12 @@ class EmbeddedPrior:
         self._shape = shape  # always on the CPU: one pass of a second
         self._tokenizer = Tokenizer(config.words, config.model.text_length)
         self._bfloat16 = _is_bfloat16(precision, self._device)
+        self._int8 = precision == "int8" or (
+            precision == "auto"
+            and self._device.type == "cpu"
+            and self._bfloat16
+            and _multiplies_bytes()
+        )
         self._shape_bfloat16 = _is_bfloat16(precision, torch.device("cpu"))
         if self._device.type != "cpu":
             _ = self._model  # a device that cannot be used is told before anything else is done
@@ -154,6 +162,10 @@ class EmbeddedPrior:
         """The denoiser on its device; a default completion never asks it."""
         given = self._given_model
         model = given if isinstance(given, FourViewDenoiser) else given()
+        if self._int8:
+            from gscomplete.priors.embedded.int8 import in_bytes
+
+            return in_bytes(copy.deepcopy(model))
         return model.to(self._device)
 
     def default_guidance(self, *, sees_input: bool) -> Guidance:
@@ -371,7 +383,9 @@ def load_embedded(folder: Path | None, device: torch.device | str) -> EmbeddedPr
 
 def _is_bfloat16(precision: Precision, device: torch.device) -> bool:
     """Whether a network runs in bfloat16 on a device."""
-    return precision == "bfloat16" or (precision == "auto" and _multiplies_bfloat16(device))
+    return precision in ("int8", "bfloat16") or (
+        precision == "auto" and _multiplies_bfloat16(device)
+    )
 
 
 def _multiplies_bfloat16(device: torch.device) -> bool:
@@ -379,3 +393,12 @@ def _multiplies_bfloat16(device: torch.device) -> bool:
     if device.type == "cpu":
         return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())
     return device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)
+
+
+def _multiplies_bytes() -> bool:
+    """Whether the CPU multiplies bytes itself and PyTorch has convolutions of them."""
+    return (
+        torch.backends.mkldnn.is_available()
+        and bool(getattr(torch.cpu, "_is_vnni_supported", bool)())
+        and hasattr(torch.ops.onednn, "qconv2d_pointwise")
+    )
