@@ -162,7 +162,7 @@ class JointTransformer(nn.Module):
             query = self.query_text(self.norm_text(flat))
             read = self._attend(query, self.key_value_text(states), mask[:, None, None, :])
             flat = flat + self.out_text(read)
-        # trained with the tanh form, which differs by less than 5e-4 and takes five times as long
+        # trained with GELU's tanh form, which differs by less than 5e-4 and takes five times the time
         flat = flat + self.mlp_out(F.gelu(self.mlp_in(self.norm_mlp(flat)).float()))
         return flat.reshape(batch, height, height, width).permute(0, 3, 1, 2)
 
@@ -215,9 +215,9 @@ class CopiesConvolution(nn.Conv2d):
         super().__init__(SYMMETRIES * INPUT_CHANNELS * _PATCH**2, width, 3, padding=1, bias=False)
         nn.init.zeros_(self.weight)
 
-    def forward(self, input_map: Tensor) -> Tensor:  # [B, 4, 5, S, S] -> [4B, C, S/2, S/2]
+    def forward(self, cells: Tensor) -> Tensor:  # [B, 4, 20, s, s] -> [4B, C, s, s]
         """Return the features."""
-        return super().forward(fold_cells(symmetric_copies(input_map).flatten(0, 1)))
+        return super().forward(symmetric_copies(cells).flatten(0, 1))
 
 
 class FourViewDenoiser(nn.Module):
@@ -268,9 +268,9 @@ class FourViewDenoiser(nn.Module):
             F.avg_pool2d(rays, 2**level).permute(0, 2, 3, 1) if level else rays.permute(0, 2, 3, 1)
             for level in range(3)
         ]
-        images = torch.cat([noisy, input_map], dim=2).flatten(0, 1)
-        x = self.stem(torch.cat([fold_cells(images), rays], dim=1))
-        x = x + self.symmetries(input_map)
+        cells = fold_cells(torch.cat([noisy, input_map], dim=2))
+        x = self.stem(torch.cat([cells.flatten(0, 1), rays], dim=1))
+        x = x + self.symmetries(cells[:, :, IMAGE_CHANNELS * _PATCH**2 :])
         kept = []
         for level in range(3):
             x = self.down[level](x, embedding, ray_levels[level], states, mask)
@@ -286,24 +286,31 @@ class FourViewDenoiser(nn.Module):
         return F.pixel_shuffle(folded, _PATCH).unflatten(0, (-1, VIEWS)).float()
 
 
-def symmetric_copies(input_map: Tensor) -> Tensor:  # [B, 4, 5, S, S] -> [B, 4, 35, S, S]
+def fold_cells(images: Tensor) -> Tensor:  # [B, 4, C, S, S] -> [B, 4, 4C, S/2, S/2]
+    """Fold cells of 2 x 2 pixels into channels, channels last: the order of a pixel unshuffle."""
+    batch, views, channels, size, _ = images.shape
+    half = size // _PATCH
+    cells = images.reshape(batch, views, channels, half, _PATCH, half, _PATCH)
+    rows = cells.permute(0, 1, 3, 5, 2, 4, 6).reshape(batch, views, half, half, -1)
+    return rows.permute(0, 1, 4, 2, 3)
+
+
+def symmetric_copies(cells: Tensor) -> Tensor:  # [B, 4, 20, s, s] -> [B, 4, 140, s, s]
     """Show every view what P would look like turned by 90, 180, 270 degrees, or mirrored.
 
     The views stand 90 degrees apart at one elevation, so a turn of P about the ring's axis only
     passes the views on, and a mirror image through the upright plane of a view flips that view:
     exact, and free. Most things are symmetric, so what is missing is often there, elsewhere.
+
+    Args:
+        cells: input maps, folded by :func:`fold_cells`; flipped, a cell's columns change places.
     """
-    mirrored = input_map.flip(-1)
-    turned = [input_map.roll(turn, dims=1) for turn in (1, 2, 3)]
-    return torch.cat(turned + [mirrored.roll(turn, dims=1) for turn in range(4)], dim=2)
-
-
-def fold_cells(images: Tensor) -> Tensor:  # [N, C, S, S] -> [N, 4C, S/2, S/2]
-    """Fold cells of 2 x 2 pixels into channels, channels last: the order of a pixel unshuffle."""
-    count, channels, size, _ = images.shape
-    cells = images.reshape(count, channels, size // _PATCH, _PATCH, size // _PATCH, _PATCH)
-    rows = cells.permute(0, 2, 4, 1, 3, 5).reshape(count, size // _PATCH, size // _PATCH, -1)
-    return rows.permute(0, 3, 1, 2)
+    swapped = torch.arange(cells.shape[2]).bitwise_xor(1)
+    rows = cells.permute(0, 1, 3, 4, 2)
+    mirrored = rows.flip(3)[..., swapped]
+    turned = [rows.roll(turn, dims=1) for turn in (1, 2, 3)]
+    copies = torch.cat(turned + [mirrored.roll(turn, dims=1) for turn in range(4)], dim=4)
+    return copies.permute(0, 1, 4, 2, 3)
 
 
 _FREQUENCIES = 64
