@@ -347,7 +347,8 @@ def in_bytes(model: FourViewDenoiser) -> FourViewDenoiser:
     model.add_module("symmetries", ByteCopies(model.symmetries))
     for module in list(model.modules()):
         if isinstance(module, Level):
-            module.blocks = nn.ModuleList(map(ByteBlock, module.blocks))
+            blocks = [block for block in module.blocks if isinstance(block, ResidualBlock)]
+            module.blocks = nn.ModuleList(ByteBlock(block) for block in blocks)
         elif isinstance(module, JointTransformer):
             module.mix = attention
     for name, module in model.named_modules():

@@ -162,7 +162,7 @@ class JointTransformer(nn.Module):
             query = self.query_text(self.norm_text(flat))
             read = self._attend(query, self.key_value_text(states), mask[:, None, None, :])
             flat = flat + self.out_text(read)
-        # trained with GELU's tanh form, which differs by less than 5e-4 and takes five times the time
+        # trained with the tanh form, which differs by less than 5e-4 and takes five times as long
         flat = flat + self.mlp_out(F.gelu(self.mlp_in(self.norm_mlp(flat)).float()))
         return flat.reshape(batch, height, height, width).permute(0, 3, 1, 2)
 
