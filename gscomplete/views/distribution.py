@@ -136,6 +136,12 @@ class ViewDistribution:
         """Place one camera at the input view c."""
         return self.cameras(self.low_discrepancy(1), size_px)
 
+    def direction(self) -> np.ndarray:  # [3]
+        """Return the unit vector from the target towards c."""
+        azimuth, elevation = np.deg2rad([self.azimuth_deg, self.elevation_deg])
+        level = math.cos(elevation)
+        return np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)])
+
     def sides(self, size_px: int) -> Cameras:
         """Place cameras at c and to both sides of it, well within V: what they see V sees."""
         azimuths = self.azimuth_deg + np.array(_SIDES) * self.azimuth_range_deg

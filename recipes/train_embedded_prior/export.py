@@ -36,9 +36,9 @@ from gscomplete.priors.embedded.weights import (
     load_weights,
     save_weights,
 )
-from gscomplete.shape.coarse_scorer import COARSE_SCORER_FILE
-from gscomplete.shape.fine_scorer import FINE_SCORER_FILE
 from gscomplete.shape.network import ShapeCompleter, ShapeModelConfig
+from gscomplete.shape.planes.coarse_scorer import COARSE_SCORER_FILE
+from gscomplete.shape.planes.fine_scorer import FINE_SCORER_FILE
 from gscomplete.shape.voxels import CELL_SIDE, CELLS
 from gscomplete.util.jsonio import from_json, read_json
 from recipes.train_embedded_prior.config import ShapeTrainConfig, TrainConfig
