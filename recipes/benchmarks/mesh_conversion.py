@@ -12,7 +12,9 @@ What is measured
 * Silhouette IoU: pixels at least half covered, in both pictures. ``iou error`` is 1 - IoU in dB.
 * Colour PSNR: over the pixels of the mesh's silhouette, both pictures over mid-grey, so that holes
   and rims count as errors.
-* Each number comes twice: with the splats' picture taken at one sample per pixel, as the renderer
+* With ``--overhang``: the largest aspect of a splat, and how far the farthest one reaches beyond
+  the mesh at half its opacity, in spacings (``RIM_POINTS`` places round every splat).
+* IoU and PSNR come twice: with the splats' picture taken at one sample per pixel, as the renderer
   draws it with 3DGS's blur of 0.3 px^2, which widens every silhouette by about a pixel; and at
   ``render_samples``^2 samples per pixel, as the ray caster's picture is taken.
 """
@@ -36,15 +38,18 @@ import torch
 from gscomplete.errors import UserError
 from gscomplete.render import render
 from gscomplete.splats import Splats, transform_splats
+from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.util.atomic import atomic_path
+from gscomplete.util.optional import import_open3d
 from gscomplete.views import Cameras, ObjectFrame, UpAxis, orbit_cameras
-from recipes.benchmarks.mesh_truth import Truth, cast_mesh
+from recipes.benchmarks.mesh_truth import Truth, cast_mesh, scene_of
 from recipes.entry_point import start
 from splatcomplete_data.mesh.convert import ConvertMode, ConvertSettings, convert_mesh
 from splatcomplete_data.mesh.files.load import Mesh, load_mesh
 from splatcomplete_data.mesh.files.parts import MeshPart
 
 GREY = 0.5
+RIM_POINTS = 16
 FOV_DEG = 40.0
 
 
@@ -68,6 +73,8 @@ class Options:
     """Rays per pixel along each side."""
     render_samples: int = 2
     """Samples per pixel of the splats' picture along each side."""
+    overhang: bool = False
+    """Measure aspect and overhang too."""
     cache: Path | None = None
     """Folder that keeps the ray casts between runs; None = cast again."""
     json: Path | None = None
@@ -87,6 +94,9 @@ class Score:
     psnr_db: float
     iou_one_sample: float
     psnr_one_sample_db: float
+    aspect: float | None = None
+    """Longer over shorter tangent standard deviation, the largest; None = not measured."""
+    overhang_spacings: float | None = None
 
 
 def main(options: Options) -> None:
@@ -105,7 +115,8 @@ def main(options: Options) -> None:
                 sys.stdout.write(
                     f"{number + 1:3}/{len(paths)} {mode:6} {score.splats:8,} "
                     f"IoU {score.iou:.4f} ({score.iou_one_sample:.4f}) PSNR {score.psnr_db:5.2f} "
-                    f"({score.psnr_one_sample_db:5.2f}) dB {score.convert_s:6.3f} s {path}\n"
+                    f"({score.psnr_one_sample_db:5.2f}) dB {score.convert_s:6.3f} s "
+                    f"{_shape_note(score)}{path}\n"
                 )
                 sys.stdout.flush()
     summary = summarise(scores)
@@ -174,12 +185,45 @@ def measure(
 ) -> Score:
     """Convert in one mode and compare."""
     started = time.perf_counter()
-    splats = convert_mesh(mesh, count, settings=ConvertSettings(mode=mode)).splats
+    conversion = convert_mesh(mesh, count, settings=ConvertSettings(mode=mode))
     seconds = time.perf_counter() - started
+    splats = conversion.splats
     moved = transform_splats(splats, frame.object_from_file)
     many = compare(moved, cameras, truth, options.render_samples)
     one = compare(moved, cameras, truth, 1)
-    return Score(path, mode, len(splats), mesh.triangles, seconds, *many, *one)
+    score = Score(path, mode, len(splats), mesh.triangles, seconds, *many, *one)
+    if not options.overhang:
+        return score
+    tangent = splats.scales[:, :2]
+    aspect = float((tangent.amax(dim=1) / tangent.amin(dim=1)).max())
+    beyond = overhang(moved, mesh, frame) * frame.size_file / conversion.spacing
+    return dataclasses.replace(score, aspect=aspect, overhang_spacings=beyond)
+
+
+def overhang(splats: Splats, mesh: Mesh, frame: ObjectFrame) -> float:
+    """Return how far the farthest splat reaches beyond a mesh at half its opacity, object sizes.
+
+    Args:
+        splats: in the object frame, x and y of each in its tangent plane.
+        mesh: in its file's frame.
+        frame: the object frame.
+
+    Raises:
+        UserError: Open3D is not installed.
+    """
+    core = import_open3d("distances").core
+    scene = scene_of(mesh, frame)
+    axes = rotation_matrices(splats.quaternions)[:, :, :2] * splats.scales[:, None, :2]
+    half = math.sqrt(2 * math.log(2))
+    farthest = 0.0
+    for step in range(RIM_POINTS):
+        angle = 2 * math.pi * step / RIM_POINTS
+        rim = splats.means + half * (
+            math.cos(angle) * axes[..., 0] + math.sin(angle) * axes[..., 1]
+        )
+        away = scene.compute_distance(core.Tensor(rim.numpy().astype(np.float32))).numpy()
+        farthest = max(farthest, float(away.max()))
+    return farthest
 
 
 def compare(splats: Splats, cameras: Cameras, truth: Truth, samples: int) -> tuple[float, float]:
@@ -223,6 +267,13 @@ def summarise(scores: list[Score]) -> list[dict[str, float | int | str]]:
         }
         for (mode, count), group in groups.items()
     ]
+
+
+def _shape_note(score: Score) -> str:
+    """Write aspect and overhang, where they were measured."""
+    if score.aspect is None or score.overhang_spacings is None:
+        return ""
+    return f"aspect {score.aspect:.1f}, overhang {score.overhang_spacings:.2f} "
 
 
 def _truth(options: Options, path: str, frame: ObjectFrame, cameras: Cameras) -> Truth:

@@ -2,7 +2,8 @@
 
 Conventions
 -----------
-* The page shows the file's own frame, in its units, with the given direction up.
+* The page shows the file's own frame, in its units, with the given direction up; browsers draw in
+  float32, so of far coordinates an offset is taken. Boxes are kept in the file's coordinates.
 * Points that the boxes keep have their own colours, the others a pale blue. Counts are of all
   points; of many, an even choice is drawn.
 * What is saved is text, a box a line, as ``--box`` reads it (``boxes.read_boxes``).
@@ -25,6 +26,7 @@ from gscomplete.errors import UserError
 from gscomplete.util.atomic import atomic_path
 from gscomplete.viewer.server import listen
 from splatcomplete_data.cuts.boxes import Action, CropBox, box_text, inside_boxes
+from splatcomplete_data.points import offset_for_float32
 
 if TYPE_CHECKING:
     import viser
@@ -69,6 +71,8 @@ class BoxPage:
     """What is typed with them, up to ``--box``."""
     told: Callable[[str], object]
     """Called with that line when they are saved, or with why they are not."""
+    offset: NDArray[np.float64]  # [3]
+    """What the page's coordinates lack of the file's."""
     chosen: int = 0
     """Index of the box that the gizmo moves."""
     controls: dict[str, Any] = field(default_factory=dict)
@@ -83,8 +87,7 @@ class BoxPage:
     @property
     def center_and_size(self) -> tuple[NDArray[np.float64], float]:
         """Return the middle of the scene and its longest side, floaters aside."""
-        points = self.picked.points[np.isfinite(self.picked.points).all(axis=1)]
-        low, high = np.quantile(points.astype(np.float64), _EXTENT_QUANTILES, axis=0)
+        low, high = _extent(self.picked)
         return (low + high) / 2, max(float((high - low).max()), 1e-9)
 
     def kept(self) -> NDArray[np.bool_]:  # [N]
@@ -114,7 +117,7 @@ class BoxPage:
         self.controls["box"].value = names[index]
         for axis, half in zip("xyz", box.half_extents, strict=True):
             self.controls[axis].value = half
-        self.nodes["gizmo"].position = box.center
+        self.nodes["gizmo"].position = tuple((np.asarray(box.center) - self.offset).tolist())
         self.nodes["gizmo"].wxyz = box.quaternion
         self.is_following = False
         self.draw()
@@ -140,7 +143,7 @@ class BoxPage:
             name = f"/boxes/{index}"
             self.nodes[name] = self.server.scene.add_line_segments(
                 name,
-                _edges(box),
+                (_edges(box) - self.offset).astype(np.float32),
                 colors=_LINE_COLORS[box.action],
                 thickness=_CHOSEN_PX if index == self.chosen else 1.0,
                 thickness_units="screen",
@@ -191,13 +194,14 @@ def pick_boxes(
     if not np.isfinite(picked.points).all(axis=1).any():
         raise UserError("--pick: expected points to choose boxes in, found none")
     server = listen(host, port)
-    page = BoxPage(server, picked, list(boxes), path, command, told)
+    offset = np.array(offset_for_float32(*_extent(picked)) or (0.0, 0.0, 0.0))
+    page = BoxPage(server, picked, list(boxes), path, command, told, offset)
     _, size = page.center_and_size
     server.scene.set_up_direction(picked.up)
     step = page._step()
     page.nodes["points"] = server.scene.add_point_cloud(
         "/points",
-        picked.points[::step].astype(np.float32),
+        (picked.points[::step] - offset).astype(np.float32),
         _colors(picked.colors, np.ones(len(picked.points), np.bool_))[::step],
         point_size=_POINT_SHARE * size,
         precision="float32",
@@ -261,8 +265,8 @@ def _add_controls(page: BoxPage, size: float) -> None:
             page.choose(int(page.controls["box"].value.split(":")[0]) - 1)
 
     def moved(event: Any) -> None:
-        center, turn = (tuple(float(v) for v in place) for place in (gizmo.position, gizmo.wxyz))
-        page.change(center=center, quaternion=turn)
+        center = tuple((np.asarray(gizmo.position, np.float64) + page.offset).tolist())
+        page.change(center=center, quaternion=tuple(float(v) for v in gizmo.wxyz))
         if event.phase == "end":  # colouring all points is too slow for a drag
             page.draw()
 
@@ -275,6 +279,7 @@ def _add_controls(page: BoxPage, size: float) -> None:
 def _look_at(client: Any, page: BoxPage) -> None:
     """Place a page's camera obliquely above the scene."""
     center, size = page.center_and_size
+    center = center - page.offset
     up = np.asarray(page.picked.up)
     side = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
     side /= np.linalg.norm(side)
@@ -290,11 +295,19 @@ def _colors(colors: FloatArray, kept: NDArray[np.bool_]) -> NDArray[np.uint8]:  
     return (255 * shown.clip(0, 1)).round().astype(np.uint8)
 
 
-def _edges(box: CropBox) -> FloatArray:  # [12, 2, 3] file frame
+def _extent(picked: PickedPoints) -> tuple[NDArray[np.float64], NDArray[np.float64]]:  # [3], [3]
+    """Return the corners of the box of the points, floaters aside."""
+    points = picked.points[np.isfinite(picked.points).all(axis=1)]
+    low, high = np.quantile(points.astype(np.float64), _EXTENT_QUANTILES, axis=0)
+    return low, high
+
+
+def _edges(box: CropBox) -> NDArray[np.float64]:  # [12, 2, 3] file frame
     """Return the ends of a box's edges."""
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     corners = signs * np.asarray(box.half_extents) @ box.rotation.T + np.asarray(box.center)
     ends = [
         (a, b) for a in range(8) for b in range(a + 1, 8) if int((signs[a] != signs[b]).sum()) == 1
     ]
-    return corners[np.array(ends)].astype(np.float32)
+    edges: NDArray[np.float64] = corners[np.array(ends)]
+    return edges

@@ -36,8 +36,11 @@ _SQUARE = 0.15
 _FAINT = 0.02
 """Fainter splats weaken nothing."""
 _MOST_OPAQUE = 0.999
-_MOST_CELLS = 128
-"""Discs reach at most so many cells of the image to either side."""
+_NEAR = 1e-4
+"""What is no farther before the scanner than this hides nothing, and is not seen."""
+
+_ROUNDING = 1e-6
+"""Cells by which a disc's extent is widened: the way to its very edge is rounded."""
 
 FloatArray = NDArray[np.float64]
 
@@ -100,21 +103,13 @@ def _seen(
     first, rows = _by_cell(local, grid, focal)
     light = np.ones(len(local))
     for n in range(len(local)):
-        z = local[n, 2]
-        if z <= 1e-4 or opacities[n] < _FAINT:
-            continue
-        x, y = focal * local[n, 0] / z + 0.5 * grid, focal * local[n, 1] / z + 0.5 * grid
-        if not (-1e6 < x < 1e6 and -1e6 < y < 1e6):
+        if opacities[n] < _FAINT:
             continue
         normal = axes[n, 2]
-        offset = normal[0] * local[n, 0] + normal[1] * local[n, 1] + normal[2] * z
-        a, b = _REACH_SIGMAS * sigmas[n]
-        wide = np.abs(axes[n, 0]) * a + np.abs(axes[n, 1]) * b
-        near = max(z - wide[2], 0.5 * z)
-        px = min(focal * (wide[0] + abs(local[n, 0]) * wide[2] / z) / near + 1, _MOST_CELLS)
-        py = min(focal * (wide[1] + abs(local[n, 1]) * wide[2] / z) / near + 1, _MOST_CELLS)
-        for row in range(max(int(y - py), 0), min(int(y + py) + 1, grid)):
-            for column in range(max(int(x - px), 0), min(int(x + px) + 1, grid)):
+        offset = normal[0] * local[n, 0] + normal[1] * local[n, 1] + normal[2] * local[n, 2]
+        left, right, top, bottom = _extent(local[n], axes[n], sigmas[n], grid, focal)
+        for row in range(top, bottom + 1):
+            for column in range(left, right + 1):
                 cell = row * grid + column
                 for m in rows[first[cell] : first[cell + 1]]:
                     if m == n or light[m] <= _VISIBLE:
@@ -133,9 +128,41 @@ def _seen(
     seen = light > _VISIBLE
     for n in range(len(local)):
         z = local[n, 2]
-        inside = z > 1e-4 and max(abs(local[n, 0]), abs(local[n, 1])) <= 0.5 * grid * z / focal
+        inside = z > _NEAR and max(abs(local[n, 0]), abs(local[n, 1])) <= 0.5 * grid * z / focal
         seen[n] = seen[n] and inside
     return seen
+
+
+@numba.njit(cache=True)
+def _extent(middle: Any, axes: Any, sigmas: Any, grid: int, focal: float) -> Any:
+    """Return first and last column and row that a disc's part before the scanner reaches."""
+    low_x, high_x, low_y, high_y = np.inf, -np.inf, np.inf, -np.inf
+    a, b = _REACH_SIGMAS * sigmas[0] * axes[0], _REACH_SIGMAS * sigmas[1] * axes[1]
+    start = middle - a - b
+    for side in range(4):  # round the rectangle about it, clipped where it comes too near
+        step = 2 * a if side == 0 else 2 * b if side == 1 else -2 * a if side == 2 else -2 * b
+        end = start + step
+        first, last = 0.0, 1.0
+        if start[2] < _NEAR and end[2] < _NEAR:
+            start = end
+            continue
+        if start[2] < _NEAR:
+            first = (_NEAR - start[2]) / step[2]
+        if end[2] < _NEAR:
+            last = (_NEAR - start[2]) / step[2]
+        for share in (first, last):
+            z = max(start[2] + share * step[2], _NEAR)
+            x = focal * (start[0] + share * step[0]) / z + 0.5 * grid
+            y = focal * (start[1] + share * step[1]) / z + 0.5 * grid
+            low_x, high_x = min(low_x, x), max(high_x, x)
+            low_y, high_y = min(low_y, y), max(high_y, y)
+        start = end
+    if not (high_x >= 0.0 and high_y >= 0.0 and low_x < grid and low_y < grid):
+        return 0, -1, 0, -1
+    return (
+        int(max(low_x - _ROUNDING, 0.0)), int(min(high_x + _ROUNDING, grid - 1.0)),
+        int(max(low_y - _ROUNDING, 0.0)), int(min(high_y + _ROUNDING, grid - 1.0)),
+    )  # fmt: skip
 
 
 @numba.njit(cache=True)
@@ -155,7 +182,7 @@ def _by_cell(local: Any, grid: int, focal: float) -> Any:  # [N, 3] -> [cells + 
     cells = np.zeros(len(local), np.int64)
     first = np.zeros(grid * grid + 1, np.int64)
     for n in range(len(local)):
-        z = max(local[n, 2], 1e-4)
+        z = max(local[n, 2], _NEAR)
         column = min(max(focal * local[n, 0] / z + 0.5 * grid, 0.0), grid - 1.0)
         row = min(max(focal * local[n, 1] / z + 0.5 * grid, 0.0), grid - 1.0)
         cells[n] = int(row) * grid + int(column)

@@ -28,6 +28,12 @@ IntArray = NDArray[np.int64]
 
 THINNEST = 0.15
 """Least height of a cell, in spacings; with ``allot.SLIVER_WIDTH`` it bounds a cell's aspect."""
+_POINTED = 1.5
+"""Where the end of the lowest row slants over more cells than this, at the middle of something
+flat, the row is cut into slices of equal area: else the tips of a fan of triangles, all cut off,
+leave a hole at its middle."""
+_MOST_ASPECT = 7.0
+"""Aspect of such a slice: at the tip itself it is wider than the triangle."""
 _DIRECTIONS = 16
 _COSINES = tuple(math.cos(2.0 * math.pi * k / _DIRECTIONS) for k in range(_DIRECTIONS))
 _SINES = tuple(math.sin(2.0 * math.pi * k / _DIRECTIONS) for k in range(_DIRECTIONS))
@@ -87,6 +93,7 @@ def cut_into_cells(
     counts: IntArray,  # [T] cells per triangle
     areas: NDArray[np.float64],  # [T]
     marked: NDArray[np.uint8],  # [T] bit e set = edge e (corner e to e + 1) is inset
+    ends: NDArray[np.uint8],  # [T] bit k set = the surface is not flat all round corner k
     inset: float,  # depth of the inset over the cell's side
     spacing: float,  # of the mesh, vertices' units
     triangle: IntArray,  # [N] out
@@ -119,7 +126,18 @@ def cut_into_cells(
                 points[corner, axis] = total
         thinnest = THINNEST * spacing
         made = _cut_one(
-            points, corners, count, thinnest, made, triangle, weights, steps, axes, sizes, t
+            points,
+            corners,
+            count,
+            thinnest,
+            made,
+            triangle,
+            weights,
+            steps,
+            axes,
+            sizes,
+            t,
+            ends[t],
         )
     return made
 
@@ -148,6 +166,7 @@ def _cut_one(
     axes: FloatArray,
     sizes: FloatArray,
     index: int,
+    ends: int,
 ) -> int:
     """Cut one triangle; see ``cut_into_cells``."""
     lengths = np.empty(3)
@@ -171,6 +190,8 @@ def _cut_one(
     for axis in range(3):
         y_axis[axis] /= height
     apex = min(max(along / base, 0.0), 1.0)
+    # corners that the surface goes on flatly all round
+    at_a, at_b = (ends >> a & 1) == 0, (ends >> b & 1) == 0
     rows, _ = row_counts(base, height, count)
     placed, passed = 0, 0.0
     for row in range(rows):
@@ -180,9 +201,23 @@ def _cut_one(
         if row == rows - 1:
             until = count
         pieces = until - placed
+        usual = base * (1.0 - middle) / max(pieces, 1)
+        rise = fall = 0.0
+        if rows > 1 and row == 0:
+            most = _POINTED * usual / base
+            rise = apex / rows if at_a and apex / rows > most else 0.0
+            fall = (1.0 - apex) / rows if at_b and (1.0 - apex) / rows > most else 0.0
         for piece in range(pieces):
+            width = usual
             u = (piece + 0.5) / pieces  # along the row
-            if rows > 1:
+            if rise + fall > 0.0:
+                start, end = _slice(piece, pieces, rise, fall, rows, apex)
+                x, mean_height = 0.5 * (start + end), (1.0 - 0.5 / rows) / (pieces * (end - start))
+                cell_height = height * mean_height / rows
+                v = 0.5 * mean_height / rows
+                width = base * (end - start)
+                cell_height = max(cell_height, width / _MOST_ASPECT)
+            elif rows > 1:
                 v, cell_height = middle, height / rows
                 x = apex * v + u * (1.0 - v)  # both in units of the base
             else:
@@ -192,7 +227,6 @@ def _cut_one(
                 local = min(left, right)
                 v = 0.5 * local if pieces > 1 else 1.0 / 3.0
                 cell_height = height * local if pieces > 1 else height * 0.75
-            width = base * (1.0 - middle) / pieces
             if rows == 1 and pieces == 1:
                 width = base * (0.85 if 3.0 * height < base else 0.75)  # slivers end abruptly
             place = made + placed
@@ -214,6 +248,34 @@ def _cut_one(
                 axes[place, 1, axis] = y_axis[axis]
             placed += 1
     return made + placed
+
+
+@numba.njit(cache=True)
+def _slice(
+    piece: int, pieces: int, rise: float, fall: float, rows: int, apex: float
+) -> tuple[float, float]:
+    """Return where one of the lowest row's slices of equal area begins and ends, over the base.
+
+    The row's height rises over ``rise`` from where the base begins and falls over ``fall`` to its
+    end; where one is 0 the row ends upright, in the middle of its slanting end.
+    """
+    low = 0.5 * apex / rows if rise == 0.0 else 0.0
+    high = 1.0 - (0.5 * (1.0 - apex) / rows if fall == 0.0 else 0.0)
+    area = high - low - 0.5 * (rise + fall)
+    start, end = low, high
+    for side in range(2):
+        share = area * (piece + side) / pieces
+        if share < 0.5 * rise:
+            place = low + math.sqrt(2.0 * share * rise)
+        elif share <= area - 0.5 * fall:
+            place = low + share + 0.5 * rise
+        else:
+            place = high - math.sqrt(max(2.0 * (area - share) * fall, 0.0))
+        if side == 0:
+            start = place
+        else:
+            end = place
+    return start, end
 
 
 @numba.njit(cache=True, parallel=True)

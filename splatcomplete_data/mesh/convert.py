@@ -192,7 +192,7 @@ def _even_cells(
     settings: ConvertSettings,
 ) -> tuple[Cells, StepRecord]:
     """Cut every triangle into its cells; those of tiny triangles get the size they stand for."""
-    marked = marked_edges(vertices, normals, _FOLD_DEG)
+    marked, ends = marked_edges(vertices, normals, _FOLD_DEG)
     marked[allotment.tiny_area > 0] = 0
     cells = _empty(allotment.total)
     cut_into_cells(
@@ -200,6 +200,7 @@ def _even_cells(
         allotment.counts,
         areas,
         marked,
+        ends,
         INSET,
         allotment.spacing,
         cells.triangle,

@@ -5,7 +5,8 @@ Conventions
 * Corners at one place are one vertex, whatever their texture coordinates say.
 * An edge is a border when one triangle has it, a fold when the normals of its two triangles
   differ by more than an angle; edges of three and more triangles count as folds.
-* Answers are bits per triangle: bit e for the edge from corner e to corner e + 1.
+* Answers are bits per triangle: bit e for the edge from corner e to corner e + 1, and bit k for
+  corner k unless the surface goes on all round it, and flatly.
 """
 
 from __future__ import annotations
@@ -13,13 +14,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+FLAT_DEG = 5.0
+"""Two triangles whose planes differ by less lie in one surface as flat as a cap's."""
+
 
 def marked_edges(
     vertices: NDArray[np.float32],  # [T, 3, 3]
     normals: NDArray[np.float64],  # [T, 3] any length
     fold_deg: float,
-) -> NDArray[np.uint8]:  # [T]
-    """Mark borders and folds.
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:  # [T], [T]
+    """Mark borders and folds, and the corners that the surface does not surround flatly.
 
     Args:
         vertices: the soup.
@@ -39,9 +43,20 @@ def marked_edges(
     first, second = unit[order[pairs] // 3], unit[order[pairs + 1] // 3]
     cosine = np.abs(np.einsum("pc,pc->p", first, second))
     sharp[sizes == 2] = cosine < np.cos(np.radians(fold_deg))
-    flags = np.zeros(len(key), np.uint8)
-    flags[order] = np.repeat(sharp, sizes)
-    return (flags.reshape(-1, 3) * np.array([1, 2, 4], np.uint8)).sum(axis=1, dtype=np.uint8)
+    bent = sharp.copy()
+    bent[sizes == 2] |= cosine < np.cos(np.radians(FLAT_DEG))
+    flags = np.zeros((2, len(key)), np.bool_)
+    flags[:, order] = np.repeat([sharp, bent], sizes, axis=1)
+    edges, bends = flags.reshape(2, -1, 3)
+    is_end = np.zeros(int(corner.max()) + 1, np.bool_)
+    is_end[corner[bends]] = True
+    is_end[following[bends]] = True
+    return _bits(edges), _bits(is_end[corner])
+
+
+def _bits(flags: NDArray[np.bool_]) -> NDArray[np.uint8]:  # [T, 3] -> [T]
+    """Pack three flags, the first in the lowest bit."""
+    return (flags * np.array([1, 2, 4], np.uint8)).sum(axis=1, dtype=np.uint8)
 
 
 def _merge(points: NDArray[np.float32]) -> NDArray[np.int64]:  # [M, 3] -> [M]

@@ -30,7 +30,7 @@ from recipes.benchmarks.curves.charts import Chart, draw_charts
 from recipes.entry_point import start
 
 _RUN = "python -m recipes."
-_COLORS = 32
+_COLORS = 128
 """Colours of a chart's picture: lines and words need few, and the page stays small."""
 
 
@@ -98,10 +98,16 @@ def _distillation(content: Any) -> list[Chart]:
 def _meshes(content: Any) -> list[Chart]:
     found: _Groups = defaultdict(lambda: defaultdict(list))
     for row in content["scores"]:
-        found[row["mode"]][row["splats"]].append(row)
+        found[row["mode"]][_rounded(row["splats"])].append(row)
     count = len({row["mesh"] for row in content["scores"]})
     labels = {"iou": "silhouette IoU", "psnr_db": "PSNR, dB"}
     return _grouped(f"mean of {count} meshes; points: splats", found, "convert_s", labels)
+
+
+def _rounded(count: int) -> int:
+    """Return the count that was asked for: a mesh has some more or less, to fit its edges."""
+    step = 10 ** max(len(str(round(count * 1.05))) - 1, 0)
+    return round(count / step) * step
 
 
 _Groups = dict[str, dict[int, list[dict[str, float]]]]

@@ -68,15 +68,20 @@ class _Axis:
 
     def ticks(self) -> list[float]:
         if not self.log:
-            step = 10 ** math.floor(math.log10((self.high - self.low) / 3))
-            step *= max(s for s in _STEPS if 3 * s * step <= self.high - self.low)
-            first = math.ceil(self.low / step)
-            return [step * k for k in range(first, math.floor(self.high / step) + 1)]
+            return _even_ticks(self.low, self.high)
         decades = range(math.floor(self.low), math.ceil(self.high) + 1)
         wide = self.high - self.low > 2.5
         marks = [10.0**d * s for d in decades for s in ((1.0,) if wide else _STEPS)]
         every = max(1, round((self.high - self.low) / 7)) if wide else 1
-        return [m for m in marks[::every] if self.low <= math.log10(m) <= self.high]
+        marks = [m for m in marks[::every] if self.low <= math.log10(m) <= self.high]
+        return marks if len(marks) > 1 else _even_ticks(10**self.low, 10**self.high)
+
+
+def _even_ticks(low: float, high: float) -> list[float]:
+    """Return round numbers at equal distances."""
+    step = 10 ** math.floor(math.log10((high - low) / 3))
+    step *= max(s for s in _STEPS if 3 * s * step <= high - low)
+    return [step * k for k in range(math.ceil(low / step), math.floor(high / step) + 1)]
 
 
 def _short(value: float) -> str:

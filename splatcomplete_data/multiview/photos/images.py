@@ -28,7 +28,7 @@ from PIL import Image, UnidentifiedImageError
 
 from gscomplete.errors import UserError
 from gscomplete.views import Cameras
-from splatcomplete_data.multiview.photos.lens import Lens, undistort
+from splatcomplete_data.multiview.photos.lens import Lens, SourceMap, undistort
 from splatcomplete_data.multiview.photos.posed import PosedPhoto, PosedPhotos
 from splatcomplete_data.pictures import SHOWN_AXES, UPRIGHT, orientation, read_mask
 
@@ -186,10 +186,12 @@ def load_views(
         UserError: a photo or mask cannot be read or has the wrong size, or only some photos have
             a mask.
     """
-    views = [
-        _load(photo, name, max_side_px, masks, mask_means)
-        for photo, name in zip(capture.photos, capture.names, strict=True)
-    ]
+    views = []
+    source: SourceMap | None = None
+    for photo, name in zip(capture.photos, capture.names, strict=True):
+        if source is None or source.lens != photo.lens:  # photos of one camera share its lens
+            source = SourceMap.of(photo.lens)
+        views.append(_load(photo, source, name, max_side_px, masks, mask_means))
     masked = sum(view.alpha is not None for view in views)
     if 0 < masked < len(views):
         without = next(view.name for view in views if view.alpha is None)
@@ -201,7 +203,12 @@ def load_views(
 
 
 def _load(
-    photo: PosedPhoto, name: str, max_side_px: int, masks: Path | None, mask_means: MaskMeaning
+    photo: PosedPhoto,
+    source: SourceMap,
+    name: str,
+    max_side_px: int,
+    masks: Path | None,
+    mask_means: MaskMeaning,
 ) -> View:
     """Load, undistort and scale one photo."""
     pixels = read_photo(photo.path)
@@ -216,7 +223,7 @@ def _load(
     if mask_path is not None:
         shown = _read_mask(mask_path, width, height)
     layers = pixels[:, :, :3] if shown is None else np.dstack([pixels[:, :, :3], shown])
-    image, inside = undistort(np.ascontiguousarray(layers), photo.lens)
+    image, inside = undistort(np.ascontiguousarray(layers), source)
     small_width, small_height = scaled_size(width, height, max_side_px)
     scale = Image.fromarray(image).resize, Image.fromarray(inside.astype(np.uint8) * 255).resize
     image, weight = (

@@ -110,9 +110,35 @@ def _fisheye_radius(theta: NDArray[np.float64], radial: tuple[float, ...]) -> ND
     return theta * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
 
 
+@dataclass(frozen=True, slots=True)
+class SourceMap:
+    """Where the pixels of an undistorted photo are in the photo as it was taken."""
+
+    lens: Lens
+    x: NDArray[np.float64]  # [H, W] columns, 0 at the centre of the first pixel
+    y: NDArray[np.float64]  # [H, W] rows
+    inside: NDArray[np.bool_]  # [H, W] those that the photo shows
+
+    @staticmethod
+    def of(lens: Lens) -> SourceMap:
+        """Distort the centres of all pixels; those of a pinhole stay, and are not listed."""
+        if lens.is_pinhole:
+            nothing = np.empty((0, 0))
+            return SourceMap(lens, nothing, nothing, np.ones((lens.height, lens.width), np.bool_))
+        column, row = np.meshgrid(np.arange(lens.width) + 0.5, np.arange(lens.height) + 0.5)
+        x = (column - lens.center_px[0]) / lens.focal_px[0]
+        y = (row - lens.center_px[1]) / lens.focal_px[1]
+        shown_x, shown_y = lens.distort(x, y)
+        source_x = shown_x * lens.focal_px[0] + lens.center_px[0] - 0.5
+        source_y = shown_y * lens.focal_px[1] + lens.center_px[1] - 0.5
+        inside = (source_x >= 0) & (source_x <= lens.width - 1) & (source_y >= 0)
+        inside &= (source_y <= lens.height - 1) & (np.hypot(x, y) < lens.fold_radius())
+        return SourceMap(lens, source_x, source_y, inside)
+
+
 def undistort(
     photo: NDArray[np.uint8],  # [H, W, C]
-    lens: Lens,
+    source: SourceMap,
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:  # [H, W, C], [H, W]
     """Resample a photo as a pinhole camera would have taken it.
 
@@ -123,21 +149,15 @@ def undistort(
         ValueError: the photo's size is not the lens's.
     """
     height, width = photo.shape[:2]
-    if (width, height) != (lens.width, lens.height):
-        raise ValueError(f"photo {width} x {height}, lens {lens.width} x {lens.height}")
-    if lens.is_pinhole:
-        return photo, np.ones((height, width), np.bool_)
-    column, row = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    x = (column - lens.center_px[0]) / lens.focal_px[0]
-    y = (row - lens.center_px[1]) / lens.focal_px[1]
-    shown_x, shown_y = lens.distort(x, y)
-    source_x = shown_x * lens.focal_px[0] + lens.center_px[0] - 0.5
-    source_y = shown_y * lens.focal_px[1] + lens.center_px[1] - 0.5
-    inside = (source_x >= 0) & (source_x <= width - 1) & (source_y >= 0)
-    inside &= (source_y <= height - 1) & (np.hypot(x, y) < lens.fold_radius())
+    if (width, height) != (source.lens.width, source.lens.height):
+        raise ValueError(
+            f"photo {width} x {height}, lens {source.lens.width} x {source.lens.height}"
+        )
+    if source.lens.is_pinhole:
+        return photo, source.inside
     image = np.zeros_like(photo)
-    _sample(np.ascontiguousarray(photo), source_x, source_y, inside, image)
-    return image, inside
+    _sample(np.ascontiguousarray(photo), source.x, source.y, source.inside, image)
+    return image, source.inside
 
 
 @numba.njit(parallel=True, cache=True)

@@ -5,6 +5,7 @@ import pytest
 
 from gscomplete.errors import UserError
 from recipes.benchmarks.curves import __main__ as curves
+from recipes.benchmarks.curves import charts
 
 
 def _row(seconds, iou, psnr=20.0):
@@ -32,7 +33,9 @@ def test_every_panel_shows_its_command_and_what_was_measured(tmp_path):
     known["exact/paper/50/0/a/p"]["hidden_color_psnr_db"] = None
     _write(tmp_path, "known_priors/results.json", {"rows": known})
     score = {"mesh": "m", "mode": "cells", "splats": 1000, "convert_s": 0.5, "iou": 0.99}
-    _write(tmp_path, "mesh_conversion.json", {"scores": [score | {"psnr_db": 33.0}]})
+    others = {"mesh": "n", "splats": 996, "psnr_db": 31.0}  # as many were asked for
+    scores = [score | {"psnr_db": 33.0}, score | others]
+    _write(tmp_path, "mesh_conversion.json", {"scores": scores})
     curves.main(curves.Options(tmp_path))
     text = (tmp_path / "curves.html").read_text()
     for panel in curves.PANELS:
@@ -44,7 +47,19 @@ def test_every_panel_shows_its_command_and_what_was_measured(tmp_path):
     assert ("default", "6", "0.9") in points
     assert [x for name, x, _ in points if name == "alpha_min 0.004"] == ["3", "9"]
     assert ("exact, paper", "50", "20") in points  # of one object: the other has no PSNR
-    assert ("cells", "0.5", "33") in points
+    assert ("cells", "0.5", "32") in points
+
+
+@pytest.mark.parametrize(
+    ("count", "asked"), [(9_935, 10_000), (10_003, 10_000), (30_194, 30_000), (299_993, 300_000)]
+)
+def test_counts_near_each_other_are_one(count, asked):
+    assert curves._rounded(count) == asked
+
+
+def test_narrow_logarithmic_axes_have_ticks():
+    ticks = charts._Axis([310.0, 450.0], log=True, start=0, stop=100).ticks()
+    assert ticks == [350, 400, 450]
 
 
 def test_a_file_of_something_else_is_named(tmp_path):

@@ -23,8 +23,8 @@ def start(tmp_path):
     pytest.importorskip("viser")
     pages, told = [], []
 
-    def started(*boxes: CropBox):
-        picked = PickedPoints(POINTS, COLORS, (0.0, 0.0, 1.0))
+    def started(*boxes: CropBox, points=POINTS):
+        picked = PickedPoints(points, COLORS, (0.0, 0.0, 1.0))
         path = tmp_path / "boxes.txt"
         pages.append(pick_boxes(picked, boxes, path, "crop scene.ply", told.append, port=18090))
         return pages[-1], told
@@ -91,6 +91,30 @@ def test_what_is_saved_is_what_the_option_reads(start, tmp_path):
         for name in ("center", "half_extents", "quaternion"):
             assert getattr(one, name) == pytest.approx(getattr(other, name), abs=1e-5)
     assert (inside_boxes(POINTS, read) == inside_boxes(POINTS, page.boxes)).mean() > 0.999
+
+
+def test_survey_coordinates_are_drawn_finely_and_saved_exactly(start, tmp_path):
+    """Steps of float32 are 0.03 at the first coordinate and 0.5 at the second."""
+    far = np.array([500_000.0, 5_400_000.0, 120.0])
+    center = tuple(np.add(far, (0.123456, -0.2, 0.3)).tolist())
+    box = dataclasses.replace(TURN, center=center)
+    page, _ = start(box, points=POINTS + far)
+    drawn = np.asarray(page.nodes["points"].points, np.float64)
+    assert np.abs(drawn + page.offset - (POINTS + far)).max() < 1e-6
+    near, _ = start(dataclasses.replace(TURN, center=tuple(np.subtract(center, far).tolist())))
+    assert page.controls["count"].content == near.controls["count"].content
+    edges = [np.asarray(one.nodes["/boxes/0"].points, np.float64) for one in (page, near)]
+    assert np.abs(edges[0] + page.offset - far - edges[1]).max() < 1e-6
+    click(page, "save")
+    (read,) = read_boxes(str(tmp_path / "boxes.txt"))
+    assert read.center == center  # to the last of the digits that the box was given with
+    gizmo = page.nodes["gizmo"]
+    assert tuple(gizmo.position) == tuple(np.subtract(center, page.offset).tolist())
+    gizmo.position = tuple(np.add(gizmo.position, (0.001, 0.0, 0.0)).tolist())
+    for callback in gizmo._impl_aux.update_cb:
+        callback(SimpleNamespace(phase="end"))
+    moved = np.subtract(page.boxes[0].center, center)
+    assert np.abs(moved - [0.001, 0.0, 0.0]).max() < 1e-8
 
 
 def test_callbacks_of_many_threads_wait_for_each_other(start):

@@ -170,7 +170,8 @@ def test_a_fine_mesh_is_not_counted_per_triangle() -> None:
 def test_borders_and_folds_are_marked_and_inset() -> None:
     square = np.array([[[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]])
     normals = np.tile([0.0, 0.0, 1.0], (2, 1))
-    assert marked_edges(square.astype(np.float32), normals, 35.0).tolist() == [0b011, 0b110]
+    edges, ends = marked_edges(square.astype(np.float32), normals, 35.0)
+    assert (edges.tolist(), ends.tolist()) == ([0b011, 0b110], [0b111, 0b111])
     lows = []
     for inset in (0.0, 0.4):
         with mock.patch.object(convert, "INSET", inset):
@@ -181,7 +182,40 @@ def test_borders_and_folds_are_marked_and_inset() -> None:
     folded = square.copy()
     folded[1, 2] = [0, 0, 1]
     normals = np.cross(folded[:, 1] - folded[:, 0], folded[:, 2] - folded[:, 0]).astype(float)
-    assert marked_edges(folded.astype(np.float32), normals, 35.0).tolist() == [0b111, 0b111]
+    assert marked_edges(folded.astype(np.float32), normals, 35.0)[0].tolist() == [0b111, 0b111]
+
+
+def fan(number: int) -> np.ndarray:  # [number, 3, 3]
+    """A disc about the origin, its triangles like a cake's pieces."""
+    angle = np.arange(number + 1) * 2 * np.pi / number
+    rim = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    return np.stack([np.zeros((number, 3)), rim[:-1], rim[1:]], axis=1)
+
+
+@pytest.mark.parametrize(("height", "expected"), [(0.0, 0b110), (0.01, 0b110), (0.3, 0b111)])
+def test_only_the_middle_of_a_flat_fan_is_surrounded(height: float, expected: int) -> None:
+    """Neighbours of a cone of height 0.3 fold by 12 degrees."""
+    cone = fan(8)
+    cone[:, 0, 2] = height
+    normals = np.cross(cone[:, 1] - cone[:, 0], cone[:, 2] - cone[:, 0])
+    edges, ends = marked_edges(cone.astype(np.float32), normals, 35.0)
+    assert set(edges.tolist()) == {0b010}
+    assert set(ends.tolist()) == {expected}
+
+
+@pytest.mark.parametrize("number", [12, 32, 64])
+def test_a_fan_has_no_hole_at_its_middle(number: int) -> None:
+    """As in the cap of every cylinder; without slices nothing lies within 2 spacings of it."""
+    made = convert_mesh(mesh_of(fan(number)), 5000)
+    places, scales = made.splats.means[:, :2], made.splats.scales[:, :2]
+    axes = rotation_matrices(made.splats.quaternions)[:, :2, :2]
+    for distance in (0.0, 0.5, 1.0, 2.0, 4.0, 8.0):
+        angle = torch.arange(24) * 2 * np.pi / 24
+        at = distance * made.spacing * torch.stack([angle.cos(), angle.sin()], dim=1)
+        local = torch.einsum("snc,nck->snk", at[:, None] - places, axes) / scales
+        alpha = made.splats.opacities * torch.exp(-0.5 * local.square().sum(dim=2))
+        assert (1 - (1 - alpha).prod(dim=1)).min() > 0.5
+    assert float((scales.amax(dim=1) / scales.amin(dim=1)).max()) < 8
 
 
 def test_grid_counts_what_it_would_have_missed() -> None:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from splatcomplete_data.multiview.photos.lens import Lens, undistort
+from splatcomplete_data.multiview.photos.lens import Lens, SourceMap, undistort
 
 SMALL = st.floats(-0.1, 0.1)
 
@@ -48,7 +48,7 @@ def test_fisheye_centre_stays():
 
 def test_pinhole_photo_is_returned_as_it_is():
     photo = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
-    image, inside = undistort(photo, lens())
+    image, inside = undistort(photo, SourceMap.of(lens()))
     assert image is photo
     assert inside.all()
 
@@ -69,7 +69,7 @@ def test_undistortion_puts_a_known_point_where_a_pinhole_sees_it():
         return 127 + 60 * np.sin(3 * a) + 50 * np.cos(4 * b)
 
     photo = np.repeat(scene(x, y)[:, :, None], 3, axis=2).round().astype(np.uint8)
-    image, inside = undistort(photo, camera)
+    image, inside = undistort(photo, SourceMap.of(camera))
     wanted = scene(shown_x, shown_y)
     assert 0.5 < inside.mean() <= 1
     assert np.abs(image[:, :, 0][inside] - wanted[inside]).max() < 2.0
@@ -79,7 +79,7 @@ def test_undistortion_puts_a_known_point_where_a_pinhole_sees_it():
 def test_folding_lens_shows_nothing_twice():
     camera = lens(radial=(-0.9, 0, 0, 0, 0, 0))  # r (1 - 0.9 r^2) turns back at r = 0.61
     assert camera.fold_radius() == pytest.approx(np.sqrt(1 / 2.7), rel=1e-2)
-    _, inside = undistort(np.full((48, 64, 3), 200, np.uint8), camera)
+    _, inside = undistort(np.full((48, 64, 3), 200, np.uint8), SourceMap.of(camera))
     row, column = np.nonzero(inside)
     r = np.hypot((column + 0.5 - 31) / 50, (row + 0.5 - 25) / 52)
     assert r.max() < 0.62
@@ -108,4 +108,4 @@ def test_impossible_lenses_are_refused(values, words):
 
 def test_photo_of_another_size_is_refused():
     with pytest.raises(ValueError, match="photo 10 x 10, lens 64 x 48"):
-        undistort(np.zeros((10, 10, 3), np.uint8), lens())
+        undistort(np.zeros((10, 10, 3), np.uint8), SourceMap.of(lens()))
