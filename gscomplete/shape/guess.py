@@ -1,8 +1,9 @@
 """The guess of the complete object, from P and the prompt to new splats.
 
-Known shapes of the prompt's noun are fitted to P (``bank.fit``); the network is asked, with them
-and without, in the object frame or in one that has room for them (``bank.wider``); and the answer
-is turned into splats (``assemble``).
+The network is asked (``predict``). Where P is not to be mirrored, known shapes of the prompt's noun
+are fitted to it (``bank.fit``), and the network is asked again with them (``bank.shown``), in the
+object frame or in one that has room for them (``bank.wider``). The answer becomes splats
+(``assemble``).
 """
 
 from __future__ import annotations
@@ -17,23 +18,24 @@ import torch
 from torch import Tensor
 
 from gscomplete.shape.assemble import (
-    AssembledSplats,
     AssembleSettings,
     assemble_splats,
+    is_mirrored_by_splats,
     notes_of,
 )
 from gscomplete.shape.bank.fit import FittedShape, fit_known_shapes
+from gscomplete.shape.bank.shown import SHOWN_ORIENTATIONS, occupancy_by_shapes
 from gscomplete.shape.bank.store import head_noun, read_bank
 from gscomplete.shape.bank.wider import (
-    mirror_in,
     shape_in,
     symmetry_in,
     views_in,
     wider_from_object,
 )
-from gscomplete.shape.mirror_plane import Mirror
+from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter
-from gscomplete.shape.predict import Prediction, predict
+from gscomplete.shape.partial_voxels import voxelize_partial
+from gscomplete.shape.predict import Prediction, predict, predict_occupancy
 from gscomplete.splats import Splats
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.util.stages import stage
@@ -127,53 +129,7 @@ def guess_complete(
         generator: chooses where splats sit.
     """
     settings = AssembleSettings(count=count)
-    shapes = known.fitted(partial, views)
-    frame = wider_from_object(partial.means.double().numpy(), shapes)
-    if frame is not None:
-        found = _guess_in(frame, asked, partial, views, mirror, shapes, settings, generator)
-        if found is not None:
-            return dataclasses.replace(found, notes=known.notes(found.known) + found.notes)
-        shapes = ()
-    prediction = _predict(asked, partial, views, mirror, shapes, wider=False)
-    assembled = _assemble(prediction, partial, settings, generator)
-    notes = known.notes(prediction.known) + notes_of(prediction, assembled.mirrored)
-    return Guess(assembled.splats, prediction.known, notes)
-
-
-def _guess_in(
-    frame: Similarity,
-    asked: Asked,
-    partial: Splats,
-    views: ViewDistribution,
-    mirror: Mirror,
-    shapes: tuple[FittedShape, ...],
-    settings: AssembleSettings,
-    generator: torch.Generator,
-) -> Guess | None:
-    """Guess in another frame; None where the known shapes do not count."""
-    within = transform_splats(partial.with_sh_degree(0), frame)
-    there = tuple(shape_in(shape, frame) for shape in shapes)
-    around, plane = views_in(views, frame), mirror_in(mirror, frame)
-    prediction = _predict(asked, within, around, plane, there, wider=True)
-    if not prediction.known:
-        return None
-    assembled = _assemble(prediction, within, settings, generator)
-    back = frame.inverse()
-    notes = notes_of(_carried(prediction, back), assembled.mirrored)
-    return Guess(transform_splats(assembled.splats, back), shapes, notes)
-
-
-def _predict(
-    asked: Asked,
-    partial: Splats,
-    views: ViewDistribution,
-    mirror: Mirror,
-    known: tuple[FittedShape, ...],
-    *,
-    wider: bool,
-) -> Prediction:
-    """Ask the network; what the object frame has no room for, the known shapes alone can tell."""
-    return predict(
+    plain = predict(
         asked.model,
         partial,
         views,
@@ -182,21 +138,83 @@ def _predict(
         no_tokens=asked.no_tokens,
         bfloat16=asked.bfloat16,
         mirror_plane=mirror,
-        known=known,
-        known_alone=wider,
     )
-
-
-def _assemble(
-    prediction: Prediction, partial: Splats, settings: AssembleSettings, generator: torch.Generator
-) -> AssembledSplats:
+    notes: tuple[str, ...] = ()
+    is_mirrored = isinstance(mirror, MirrorPlane) or is_mirrored_by_splats(plain)
+    if not is_mirrored:  # else little is left to guess from a noun
+        shapes = known.fitted(partial, views)
+        found = _by_known_shapes(asked, plain, partial, views, shapes, settings, generator)
+        if found is not None:
+            return dataclasses.replace(found, notes=known.notes(shapes) + found.notes)
+        notes = known.notes(())
     with stage("surface"):
-        return assemble_splats(prediction, partial, settings, generator)
+        assembled = assemble_splats(plain, partial, settings, generator)
+    return Guess(assembled.splats, (), notes + notes_of(plain, assembled.mirrored))
 
 
-def _carried(prediction: Prediction, frame: Similarity) -> Prediction:
-    """Return a prediction whose mirror images are told in another frame."""
-    maps = tuple(symmetry_in(symmetry, frame) for symmetry in prediction.seen.symmetries)
-    return dataclasses.replace(
-        prediction, seen=dataclasses.replace(prediction.seen, symmetries=maps)
+def _by_known_shapes(
+    asked: Asked,
+    plain: Prediction,
+    partial: Splats,
+    views: ViewDistribution,
+    shapes: tuple[FittedShape, ...],
+    settings: AssembleSettings,
+    generator: torch.Generator,
+) -> Guess | None:
+    """Guess with known shapes, where they have room; None where their answers do not count."""
+    frame = wider_from_object(partial.means.double().numpy(), shapes)
+    there, prediction, within = shapes, plain, partial
+    if frame is not None:
+        within = transform_splats(partial.with_sh_degree(0), frame)
+        there = tuple(shape_in(shape, frame) for shape in shapes)
+        prediction = _asked_in(frame, asked, plain, within, views_in(views, frame))
+    with stage("known shapes"):
+        occupancy = occupancy_by_shapes(
+            asked.model,
+            prediction.voxels,
+            prediction.seen,
+            prediction.output.occupancy,
+            there,
+            asked.tokens,
+            bfloat16=asked.bfloat16,
+            shapes_alone=frame is not None,  # the plain answer's frame had no room for them
+        )
+    if occupancy is None:
+        return None
+    heeded = dataclasses.replace(
+        prediction, output=dataclasses.replace(prediction.output, occupancy=occupancy)
     )
+    with stage("surface"):
+        assembled = assemble_splats(heeded, within, settings, generator)
+    splats = assembled.splats
+    if frame is not None:
+        splats = transform_splats(splats, frame.inverse())
+    return Guess(splats, shapes, notes_of(plain, assembled.mirrored))
+
+
+def _asked_in(
+    frame: Similarity,
+    asked: Asked,
+    plain: Prediction,
+    within: Splats,
+    views: ViewDistribution,
+) -> Prediction:
+    """Ask the network in another frame, with the same mirror images.
+
+    Args:
+        frame: takes the object frame there.
+        asked: the network.
+        plain: its answer in the object frame.
+        within: P there.
+        views: V there.
+    """
+    voxels = voxelize_partial(within, views)
+    seen = voxels.with_copies(tuple(symmetry_in(s, frame) for s in plain.seen.symmetries))
+    output = predict_occupancy(
+        asked.model,
+        seen,
+        asked.tokens,
+        orientations=SHOWN_ORIENTATIONS,
+        bfloat16=asked.bfloat16,
+    )
+    return dataclasses.replace(plain, voxels=voxels, seen=seen, output=output)

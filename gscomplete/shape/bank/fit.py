@@ -47,6 +47,9 @@ _TURN_STEP, _SCALE_STEP, _STIFFNESS = 0.5, 0.2, 0.03
 _IN_FRONT_COST, _UNSEEN_COST, _GROWTH_COST = 0.15, 0.06, 0.012
 _MOST_COST = 0.065
 """Worse shapes are left out; of two random shapes of one noun most are."""
+_MOST_GROWTH = math.log(3.0)
+"""A shape that needs more than three times P's box is left out: P is no more than a face of it, and
+what is behind a face may have any size."""
 _PICTURE_PX = 40
 _TOLERANCE = 0.06
 """In front of P by more than this, object sizes, a shape would hide it."""
@@ -133,7 +136,8 @@ def fit_known_shapes(
             found[index] = fitted
     best: dict[str, FittedShape] = {}
     for shape in sorted(found.values(), key=lambda shape: shape.cost):
-        if shape.cost <= _MOST_COST and len(best) < count:
+        suits = shape.cost <= _MOST_COST and shape.growth <= _MOST_GROWTH
+        if suits and len(best) < count:
             best.setdefault(shape.name.pack, shape)
     return [
         dataclasses.replace(shape, points=shape.points * size + middle) for shape in best.values()

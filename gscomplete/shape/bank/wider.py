@@ -12,14 +12,12 @@ Conventions
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 
 import numpy as np
 import torch
 
 from gscomplete.shape.bank.fit import FittedShape, FloatArray
-from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.symmetry import SymmetryMap
 from gscomplete.shape.voxels import HALF_SIDE
 from gscomplete.splats.transform import Similarity
@@ -57,16 +55,6 @@ def views_in(views: ViewDistribution, frame: Similarity) -> ViewDistribution:
     target = frame.apply(torch.tensor(views.target, dtype=torch.float64))
     x, y, z = target.tolist()
     return dataclasses.replace(views, target=(x, y, z), radius=views.radius * frame.scale)
-
-
-def mirror_in(mirror: Mirror, frame: Similarity) -> Mirror:
-    """Return the plane that users chose in a frame of the same axes."""
-    if not isinstance(mirror, MirrorPlane):
-        return mirror
-    angle = math.radians(mirror.azimuth_deg)
-    x, y, _ = frame.translation.tolist()
-    offset = frame.scale * mirror.offset + x * math.cos(angle) + y * math.sin(angle)
-    return MirrorPlane(mirror.azimuth_deg, float(np.clip(offset, -1, 1)))
 
 
 def symmetry_in(symmetry: SymmetryMap, frame: Similarity) -> SymmetryMap:

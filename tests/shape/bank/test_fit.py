@@ -74,3 +74,14 @@ def test_next_to_nothing_is_no_reason_to_fail(bank, count):
     for toward_c in (FRONT, np.array([0.0, 0.0, 1.0])):
         for shape in fit_known_shapes(bank, "chair", points, toward_c, 2):
             assert np.isfinite(shape.points).all()
+
+
+def test_a_face_tells_nothing_of_the_depth_behind_it(tmp_path):
+    names = [ShapeName(f"{pack}/cube", "cube", "a cube") for pack in ("a", "b")]
+    write_bank(tmp_path / BANK_FILE, names, [box_cells((48, 48, 48))] * 2)
+    cubes = read_bank(tmp_path / BANK_FILE)
+    whole = cell_points(box_cells((48, 48, 48)))
+    toward_c = np.array([1.0, 0.0, 0.0])
+    deep, face = whole[whole[:, 0] > 0.0], whole[whole[:, 0] > 0.4]
+    assert len(fit_known_shapes(cubes, "a cube", deep, toward_c, 3)) == 2
+    assert fit_known_shapes(cubes, "a cube", face, toward_c, 3) == []
