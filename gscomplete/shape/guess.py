@@ -24,7 +24,7 @@ from gscomplete.shape.assemble import (
     notes_of,
 )
 from gscomplete.shape.bank.fit import FittedShape, fit_known_shapes
-from gscomplete.shape.bank.shown import SHOWN_ORIENTATIONS, occupancy_by_shapes
+from gscomplete.shape.bank.shown import occupancy_by_shapes
 from gscomplete.shape.bank.store import head_noun, read_bank
 from gscomplete.shape.bank.wider import (
     shape_in,
@@ -34,8 +34,7 @@ from gscomplete.shape.bank.wider import (
 )
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter
-from gscomplete.shape.partial_voxels import voxelize_partial
-from gscomplete.shape.predict import Prediction, predict, predict_occupancy
+from gscomplete.shape.predict import Prediction, predict
 from gscomplete.splats import Splats
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.util.stages import stage
@@ -129,21 +128,12 @@ def guess_complete(
         generator: chooses where splats sit.
     """
     settings = AssembleSettings(count=count)
-    plain = predict(
-        asked.model,
-        partial,
-        views,
-        asked.tokens,
-        ends_in_plane=asked.ends_in_plane,
-        no_tokens=asked.no_tokens,
-        bfloat16=asked.bfloat16,
-        mirror_plane=mirror,
-    )
+    plain = _predict(asked, partial, views, mirror)
     notes: tuple[str, ...] = ()
     is_mirrored = isinstance(mirror, MirrorPlane) or is_mirrored_by_splats(plain)
     if not is_mirrored:  # else little is left to guess from a noun
         shapes = known.fitted(partial, views)
-        found = _by_known_shapes(asked, plain, partial, views, shapes, settings, generator)
+        found = _by_known_shapes(asked, plain, partial, views, mirror, shapes, settings, generator)
         if found is not None:
             return dataclasses.replace(found, notes=known.notes(shapes) + found.notes)
         notes = known.notes(())
@@ -157,64 +147,58 @@ def _by_known_shapes(
     plain: Prediction,
     partial: Splats,
     views: ViewDistribution,
+    mirror: Mirror,
     shapes: tuple[FittedShape, ...],
     settings: AssembleSettings,
     generator: torch.Generator,
 ) -> Guess | None:
     """Guess with known shapes, where they have room; None where their answers do not count."""
     frame = wider_from_object(partial.means.double().numpy(), shapes)
-    there, prediction, within = shapes, plain, partial
+    there = shapes
     if frame is not None:
-        within = transform_splats(partial.with_sh_degree(0), frame)
+        partial = transform_splats(partial.with_sh_degree(0), frame)
         there = tuple(shape_in(shape, frame) for shape in shapes)
-        prediction = _asked_in(frame, asked, plain, within, views_in(views, frame))
+        plain = _predict(asked, partial, views_in(views, frame), mirror)
     with stage("known shapes"):
         occupancy = occupancy_by_shapes(
             asked.model,
-            prediction.voxels,
-            prediction.seen,
-            prediction.output.occupancy,
+            plain.voxels,
+            plain.seen,
+            plain.output.occupancy,
             there,
             asked.tokens,
             bfloat16=asked.bfloat16,
-            shapes_alone=frame is not None,  # the plain answer's frame had no room for them
+            shapes_alone=frame is not None,  # the plain answer knows nothing of what had no room
         )
     if occupancy is None:
         return None
     heeded = dataclasses.replace(
-        prediction, output=dataclasses.replace(prediction.output, occupancy=occupancy)
+        plain, output=dataclasses.replace(plain.output, occupancy=occupancy)
     )
     with stage("surface"):
-        assembled = assemble_splats(heeded, within, settings, generator)
-    splats = assembled.splats
-    if frame is not None:
-        splats = transform_splats(splats, frame.inverse())
-    return Guess(splats, shapes, notes_of(plain, assembled.mirrored))
+        assembled = assemble_splats(heeded, partial, settings, generator)
+    if frame is None:
+        return Guess(assembled.splats, shapes, notes_of(heeded, assembled.mirrored))
+    back = frame.inverse()
+    notes = notes_of(_carried(heeded, back), assembled.mirrored)
+    return Guess(transform_splats(assembled.splats, back), shapes, notes)
 
 
-def _asked_in(
-    frame: Similarity,
-    asked: Asked,
-    plain: Prediction,
-    within: Splats,
-    views: ViewDistribution,
-) -> Prediction:
-    """Ask the network in another frame, with the same mirror images.
-
-    Args:
-        frame: takes the object frame there.
-        asked: the network.
-        plain: its answer in the object frame.
-        within: P there.
-        views: V there.
-    """
-    voxels = voxelize_partial(within, views)
-    seen = voxels.with_copies(tuple(symmetry_in(s, frame) for s in plain.seen.symmetries))
-    output = predict_occupancy(
+def _predict(asked: Asked, partial: Splats, views: ViewDistribution, mirror: Mirror) -> Prediction:
+    return predict(
         asked.model,
-        seen,
+        partial,
+        views,
         asked.tokens,
-        orientations=SHOWN_ORIENTATIONS,
+        ends_in_plane=asked.ends_in_plane,
+        no_tokens=asked.no_tokens,
         bfloat16=asked.bfloat16,
+        mirror_plane=mirror,
     )
-    return dataclasses.replace(plain, voxels=voxels, seen=seen, output=output)
+
+
+def _carried(prediction: Prediction, frame: Similarity) -> Prediction:
+    """Return a prediction whose mirror images are told in another frame."""
+    maps = tuple(symmetry_in(symmetry, frame) for symmetry in prediction.seen.symmetries)
+    seen = dataclasses.replace(prediction.seen, symmetries=maps)
+    return dataclasses.replace(prediction, seen=seen)

@@ -158,7 +158,7 @@ class ViewDistribution:
             return self
         middle, half = (low + high) / 2, float((high - low).max()) / 2
         x, y, z = middle.tolist()
-        radius = max(self.radius, self.radius * half / room)
+        radius = max(self.radius, 2 * half * RADIUS)
         return dataclasses.replace(self, target=(x, y, z), radius=radius)
 
     def sides(self, size_px: int) -> Cameras:

@@ -16,7 +16,7 @@ from gscomplete.shape.network import ShapeCompleter
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs
 from gscomplete.shape.predict import predict_occupancy
 
-SHOWN_ORIENTATIONS = 2
+_ORIENTATIONS = 2
 """In which the network is asked with each known shape (``predict.ORIENTATIONS`` without)."""
 _LEAST_AGREEMENT = 0.5
 """Of the answers to known shapes among themselves (IoU of filled cells) ..."""
@@ -57,7 +57,7 @@ def occupancy_by_shapes(
     for shape in shapes:
         given = voxels.with_shape(seen, shape.points)
         answer = predict_occupancy(
-            model, given, tokens, orientations=SHOWN_ORIENTATIONS, bfloat16=bfloat16
+            model, given, tokens, orientations=_ORIENTATIONS, bfloat16=bfloat16
         )
         shown.append(answer.occupancy)
     counting = answers_that_count(shown, plain, shapes_alone=shapes_alone)
