@@ -1,7 +1,7 @@
 """What the network answers when it is shown known shapes in the place of a mirror image.
 
 Each answer to a known shape is often wrong. They count where they agree, and more than with the
-plain answer, that to none: where that is like them it has P's own mirror images on its side.
+plain answer, that to none.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ _LEAST_AGREEMENT = 0.5
 """Of the answers to known shapes among themselves (IoU of filled cells) ..."""
 _LEAST_LEAD = 0.05
 """... and how much more that is than with the plain answer."""
+_MOST_PLAIN_AGREEMENT = 0.75
+"""Above it the plain answer is taken: it is like them, and has P's own mirror images on its side."""
 _LEAST_PLAIN_AGREEMENT = 0.5
 """Below it the plain answer does not count beside them."""
 _LIKELY = -0.5
@@ -80,7 +82,9 @@ def answers_that_count(
         shapes_alone: leave the plain one out whatever it is like.
     """
     among, with_plain = _mean_overlap(shown[0], shown[1:]), _mean_overlap(plain, shown)
-    if among < _LEAST_AGREEMENT or among < with_plain + _LEAST_LEAD:
+    if among < max(_LEAST_AGREEMENT, with_plain + _LEAST_LEAD):
+        return []
+    if with_plain > _MOST_PLAIN_AGREEMENT:
         return []
     if shapes_alone or with_plain < _LEAST_PLAIN_AGREEMENT:
         return list(shown)

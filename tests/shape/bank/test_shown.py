@@ -16,4 +16,5 @@ def test_answers_count_that_agree_and_more_than_with_the_plain_one():
     assert answers([1.0, 0.9], 0.6, shapes_alone=True) == [pytest.approx(s) for s in (1.0, 0.9)]
     assert answers([1.0, 0.9], 0.2) == [pytest.approx(s) for s in (1.0, 0.9)]  # plain is far off
     assert answers([1.0, 0.9], 0.95) == []  # nothing new
+    assert answers([1.0, 1.0], 0.8) == []  # next to nothing new
     assert answers([1.0, 0.3], 0.1) == []  # no agreement
