@@ -34,6 +34,8 @@ _MOST_REFINED = 60
 _POSES_PER_SHAPE = 6
 _COARSE_POINTS, _FINE_POINTS, _SEEN_POINTS = 150, 300, 6000
 _FAR = 0.12
+_MARGIN = 1 / 6
+"""Of the shape's side: more than ``_FAR`` of a part that fits into the shape."""
 _TURNS = 16
 _SHARES = (1.0, 0.85, 0.72, 0.6, 0.5)
 """How much of the shape P is along the axis where it is most of it ..."""
@@ -156,9 +158,9 @@ def _turn(yaw_rad: float) -> FloatArray:  # [3, 3]
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def _distances(cells: NDArray[np.bool_]) -> FloatArray:  # [C, C, C] -> [2 C, 2 C, 2 C]
-    """Return the distance from a surface in a cube of twice the shape's side."""
-    padded = np.pad(cells, len(cells) // 2)
+def _distances(cells: NDArray[np.bool_]) -> FloatArray:  # [C, C, C] -> [F, F, F]
+    """Return the distance from a surface in the shape's cube and ``_MARGIN`` round it."""
+    padded = np.pad(cells, round(_MARGIN * len(cells)))
     field: FloatArray = distance_transform_edt(~padded, sampling=1.0 / len(cells))
     return field
 
@@ -186,8 +188,8 @@ def _coarse(
             places = [(0.0, 0.5, 1.0) if r > _NEXT_TO_NO_ROOM else (0.5,) for r in room]
             at = np.stack(np.meshgrid(*places, indexing="ij"), axis=-1).reshape(-1, 3)
             shifts = low + at * room - scale * corner
-            cell = np.floor((scale * turned + shifts[:, None] + 1.0) * half).astype(np.int32)
-            x, y, z = np.clip(cell, 0, 2 * half - 1).transpose(2, 0, 1)
+            cell = np.floor((scale * turned + shifts[:, None] + 0.5 + _MARGIN) * half)
+            x, y, z = np.clip(cell.astype(np.int32), 0, len(field) - 1).transpose(2, 0, 1)
             away = np.minimum(field[x, y, z] / scale, _FAR).mean(axis=1)
             costs = away - _SHARE_COST * math.log(share)
             for k in np.argsort(costs, kind="stable")[:2]:
@@ -197,7 +199,7 @@ def _coarse(
 
 
 def _refined(
-    field: FloatArray,  # [2 C, 2 C, 2 C]
+    field: FloatArray,  # [F, F, F]
     points: FloatArray,  # [N, 3]
     pose: Pose,
 ) -> tuple[float, Pose]:
@@ -212,7 +214,7 @@ def _refined(
         return Pose(pose.yaw_rad + float(change[0]), scales, pose.shift + change[1:4])
 
     def away(change: FloatArray) -> FloatArray:  # [N]
-        place = (moved(change).to_shape(points) + 1.0) * (len(field) / 2) - 0.5
+        place = (moved(change).to_shape(points) + 0.5 + _MARGIN) * BANK_CELLS - 0.5
         found: FloatArray = map_coordinates(field, place.T, order=1, mode="nearest")
         return np.minimum(found / size, _FAR)
 

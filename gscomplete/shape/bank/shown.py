@@ -18,9 +18,9 @@ from gscomplete.shape.predict import predict_occupancy
 
 _ORIENTATIONS = 2
 """In which the network is asked with each known shape (``predict.ORIENTATIONS`` without)."""
-_LEAST_AGREEMENT = 0.5
+_LEAST_AGREEMENT = 0.45
 """Of the answers to known shapes among themselves (IoU of filled cells) ..."""
-_LEAST_LEAD = 0.05
+_LEAST_LEAD = 0.08
 """... and how much more that is than with the plain answer."""
 _MOST_PLAIN_AGREEMENT = 0.75
 """Above it the plain answer is taken: it is like them, and has P's own mirror images on its side."""
