@@ -23,7 +23,7 @@ _LEAST_AGREEMENT = 0.45
 _LEAST_LEAD = 0.08
 """... and how much more that is than with the plain answer."""
 _MOST_PLAIN_AGREEMENT = 0.75
-"""Above it the plain answer is taken: it is like them, and has P's own mirror images on its side."""
+"""Above it the plain answer is taken: it is like them, and mirrors P itself."""
 _LEAST_PLAIN_AGREEMENT = 0.5
 """Below it the plain answer does not count beside them."""
 _LIKELY = -0.5
