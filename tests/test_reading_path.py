@@ -185,6 +185,6 @@ def test_a_request_is_short_to_follow(tmp_path):
     ]
     returns = len(visits) - len(set(visits))
     walk = "\n".join(visits)
-    assert "gscomplete.shape.predict" in visits, walk
+    assert "gscomplete.shape.guess" in visits, walk
     assert len(visits) <= MOST_VISITS, walk
     assert returns <= MOST_RETURNS, walk

@@ -61,6 +61,9 @@ class HowToComplete:
     mirror: str = "guess"
     """Upright plane that P is mirrored through: guess, none, or AZIMUTH,OFFSET (of its normal in
     degrees as in --view; from the frame's centre in object sizes). A run prints the one it took."""
+    known_shapes: bool = True
+    """Let known shapes of the prompt's noun ("chair") that suit P help the guess where P leaves it
+    open. A run prints which did."""
     alternatives: int = 0
     """Also guess the complete object through this many likely planes (at most 8) and through none,
     and draw these guesses below the result into alternatives.png, each with the --mirror that makes

@@ -125,6 +125,7 @@ def settings_of(options: HowToComplete, prior: Prior) -> CompletionSettings:
     if options.mirror != "guess":
         settings = dataclasses.replace(settings, mirror=_mirror(options.mirror))
         _require_guess("--mirror", options, settings, prior)
+    settings = dataclasses.replace(settings, known_shapes=options.known_shapes)
     if not 0 <= options.alternatives <= 8:
         raise UserError(f"--alternatives: expected 0 to 8, found {options.alternatives}")
     if options.alternatives:
@@ -143,6 +144,7 @@ def _require_plain_fill(options: HowToComplete) -> None:
         "--steps": options.steps is not None,
         "--mirror": options.mirror != "guess",
         "--alternatives": options.alternatives != 0,
+        "--no-known-shapes": not options.known_shapes,
         "--text-only": options.text_only,
         "--negative-prompt": options.negative_prompt is not None,
     }

@@ -69,7 +69,13 @@ def guess_alternatives(
     for mirror in (*mirrors[:-1][:count], *mirrors[-1:]):
         generator = generator_for(settings.seed, 0, "first guess")
         guess = prior.first_guess(
-            partial, distribution, conditioning, generator, settings.new_splats, mirror
+            partial,
+            distribution,
+            conditioning,
+            generator,
+            settings.new_splats,
+            mirror,
+            known_shapes=settings.known_shapes,
         )
         if guess is not None:
             found.append(Alternative(mirror, guess.splats))

@@ -169,9 +169,10 @@ def execute(run: Run, on_step: Callable[[StepReport], None]) -> dict[str, Any]:
     started = time.perf_counter()
     title = run.request.completion.prompt
     with stage("pictures"):
-        sheet = preview_sheet(completed.partial, together, completed.views, title=title)
+        views = completed.views.to_show(together.means.double().numpy())
+        sheet = preview_sheet(completed.partial, together, views, title=title)
         save_image(sheet, out / "preview.png")
-        save_turntable(together, completed.views, out / "turntable.webp")
+        save_turntable(together, views, out / "turntable.webp")
     run.timings["pictures_s"] = time.perf_counter() - started
     started = time.perf_counter()
     with stage("alternatives"):

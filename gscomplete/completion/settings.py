@@ -123,6 +123,8 @@ class CompletionSettings:
     """Where new splats start."""
     mirror: Mirror = "guess"
     """``start="guess"``: the plane of symmetry that P is mirrored through."""
+    known_shapes: bool = True
+    """``start="guess"``: known shapes of the prompt's noun that suit P help the guess."""
     warmup_steps: int = 50
     """Steps at the start whose preservation loss is unmasked (n_init, section 3.3)."""
     preservation_weight: float = 2.0

@@ -104,6 +104,7 @@ def _guess(
         generator_for(settings.seed, 0, "first guess"),
         settings.new_splats,
         settings.mirror,
+        known_shapes=settings.known_shapes,
     )
     if guess is None or (not len(guess.splats) and settings.steps):
         return None

@@ -226,6 +226,8 @@ class ShapePrior(Protocol):
         generator: torch.Generator,
         count: int,
         mirror: Mirror = "guess",
+        *,
+        known_shapes: bool = True,
     ) -> FirstGuess | None:
         """Guess what is missing.
 
@@ -236,6 +238,7 @@ class ShapePrior(Protocol):
             generator: chooses where splats sit.
             count: most splats.
             mirror: the plane of symmetry.
+            known_shapes: whether known shapes of the prompt's noun may help.
 
         Returns:
             None if these weights cannot guess; no splats if nothing seems to be missing.

@@ -56,7 +56,8 @@ def card_of(subject: Subject, row: Row, most_splats: int) -> dict[str, Any]:
 
 def _picture(subject: Subject) -> str:
     """Draw input above completion from the same views, errors on P inset; as a data URL."""
-    ring = subject.views.ring(360, _PICTURE_PX)
+    views = subject.views.to_show(subject.completed.means.double().numpy())
+    ring = views.ring(360, _PICTURE_PX)
     cameras = ring[[int(angle) for angle in VIEWS_DEG]]
     sheet = Image.new("RGB", (_PICTURE_PX * len(VIEWS_DEG), 2 * _PICTURE_PX))
     side = int(_INSET_SHARE * _PICTURE_PX)

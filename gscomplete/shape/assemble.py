@@ -102,7 +102,7 @@ def assemble_splats(
     """
     copies = None
     most = int(_MOST_MIRRORED_SHARE * settings.count)
-    if most and prediction.symmetry_score >= _LEAST_SYMMETRY_SCORE:
+    if most and is_mirrored_by_splats(prediction):
         copies = _new_copies(prediction, partial, most, generator)
     if copies is None or not len(copies):
         level = _surface_logit(prediction, settings)
@@ -118,6 +118,11 @@ def assemble_splats(
     )
     surface = surface_splats(prediction.output, prediction.seen, partial, beside, generator, copies)
     return AssembledSplats(concatenate([copies, surface]), len(copies))
+
+
+def is_mirrored_by_splats(prediction: Prediction) -> bool:
+    """Say whether the plane of symmetry is sure enough for P's own splats to be mirrored."""
+    return prediction.symmetry_score >= _LEAST_SYMMETRY_SCORE
 
 
 def _surface_logit(prediction: Prediction, settings: AssembleSettings) -> float:

@@ -13,14 +13,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from gscomplete.shape.evidence import Evidence, gather_evidence
+from gscomplete.shape.planes.features import PartSamples, part_samples
 from gscomplete.shape.symmetry import (
     SymmetryMap,
     second_symmetry,
     with_composition,
 )
-from gscomplete.shape.symmetry_features import PartSamples, part_samples
 from gscomplete.shape.voxels import (
     CELLS,
     COARSE_CELLS,
@@ -31,6 +33,11 @@ from gscomplete.shape.voxels import (
 )
 from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution
+
+_SHAPE_REACH = 0.008
+"""Points of a surface count this far to their sides, too, object sizes."""
+_SHAPE_SCORE = 0.5
+"""Belief in a known shape, on the scale of planes' scores."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +81,29 @@ class PartialVoxels:
             volumes.append(fill_colored(copies, turned, self.opacities, self.colors, CELLS))
         scores = np.array([s.score for s in symmetries], np.float32)
         return ShapeInputs(np.stack(volumes), self.shares, scores, symmetries)
+
+    def with_shape(
+        self,
+        seen: ShapeInputs,
+        points: NDArray[np.float64],  # [M, 3]
+    ) -> ShapeInputs:
+        """Return inputs with a surface, in the colours of P's nearest splats, as the first copy.
+
+        Args:
+            seen: what :meth:`with_copies` returned, whose last copy gives way.
+            points: of the surface, object frame.
+        """
+        places = np.ascontiguousarray(points, np.float32)
+        _, nearest = cKDTree(self.positions).query(places)
+        tangents = np.zeros((len(places), 2, 3), np.float32)
+        tangents[:, 0, 0] = tangents[:, 1, 2] = _SHAPE_REACH
+        surface = fill_colored(
+            places, tangents, np.ones(len(places), np.float32), self.colors[nearest], CELLS
+        )
+        volumes = np.stack([seen.volumes[0], surface, *seen.volumes[1:-1]])
+        scores = np.array([_SHAPE_SCORE, *seen.scores[:-1]], np.float32)
+        same = SymmetryMap(np.eye(3, dtype=np.float32), np.zeros(3, np.float32), _SHAPE_SCORE)
+        return ShapeInputs(volumes, seen.evidence, scores, (same, *seen.symmetries[:-1]))
 
 
 def voxelize_partial(partial: Splats, distribution: ViewDistribution) -> PartialVoxels:

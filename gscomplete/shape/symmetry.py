@@ -1,7 +1,7 @@
 """Mirror images of P that may show what is missing.
 
 Most objects have an upright plane of symmetry, and many have two: on real objects the copy of P
-through one well-chosen plane holds most of what is missing. ``symmetry_proposals`` finds likely
+through one well-chosen plane holds most of what is missing. ``planes.proposals`` finds likely
 planes, ``symmetry_choice`` chooses among them; the shape network is given the copies through two
 that differ and their composition, and decides what to take.
 

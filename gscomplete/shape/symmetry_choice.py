@@ -28,8 +28,8 @@ from torch import Tensor
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter, cpu_precision
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs
+from gscomplete.shape.planes.proposals import candidate_planes
 from gscomplete.shape.symmetry import SymmetryMap, mirror, no_symmetries
-from gscomplete.shape.symmetry_proposals import candidate_planes
 from gscomplete.shape.voxels import FloatArray, grown, surface_cells
 from gscomplete.util.stages import stage
 

@@ -143,7 +143,7 @@ def run_kernel(kernel: Callable[..., None], count: int, grain: int, *arguments: 
         grain: fewest tasks that are handing to another thread takes the time of.
         arguments: what the kernel is given besides.
     """
-    threads = numba.get_num_threads()
+    threads = numba.get_num_threads() if count > grain else 1
     runs = min(-(-count // grain), threads * _RUNS_PER_THREAD) if threads > 1 else 1
     if runs <= 1:
         kernel(0, count, *arguments)

@@ -51,9 +51,9 @@ from gscomplete.framing.decide import FramingRequest
 from gscomplete.priors import Prior, load_prior
 from gscomplete.priors.base import prior_identity
 from gscomplete.shape.partial_voxels import voxelize_partial
+from gscomplete.shape.planes.proposals import candidate_planes
 from gscomplete.shape.symmetry import mirror_image
 from gscomplete.shape.symmetry_choice import CANDIDATES
-from gscomplete.shape.symmetry_proposals import candidate_planes
 from gscomplete.splats import Splats, colors_to_sh, concatenate, read_splats, write_splats
 from gscomplete.splats.transform import transform_splats
 from gscomplete.util import jsonio

@@ -10,6 +10,7 @@ Conventions
 
 from __future__ import annotations
 
+import collections
 import dataclasses
 import logging
 import platform
@@ -36,9 +37,10 @@ from gscomplete.priors.embedded.weights import (
     load_weights,
     save_weights,
 )
-from gscomplete.shape.coarse_scorer import COARSE_SCORER_FILE
-from gscomplete.shape.fine_scorer import FINE_SCORER_FILE
+from gscomplete.shape.bank.store import BANK_CELLS, BANK_FILE, ShapeBank, read_bank
 from gscomplete.shape.network import ShapeCompleter, ShapeModelConfig
+from gscomplete.shape.planes.coarse_scorer import COARSE_SCORER_FILE
+from gscomplete.shape.planes.fine_scorer import FINE_SCORER_FILE
 from gscomplete.shape.voxels import CELL_SIDE, CELLS
 from gscomplete.util.jsonio import from_json, read_json
 from recipes.train_embedded_prior.config import ShapeTrainConfig, TrainConfig
@@ -200,6 +202,7 @@ def card(
     losses: dict[str, dict[str, float]],
     shape_losses: dict[str, float],
     history: str = "",
+    bank: ShapeBank | None = None,
 ) -> str:
     """Describe the weights in Markdown."""
     views, training = config.views, config.training
@@ -252,6 +255,7 @@ def card(
             "",
         ]
     lines += [
+        *_bank_lines(bank),
         "Known limits: one object at a time, the things named by its words and simple shapes. The",
         "shape network continues coarse shape; colours and patterns are taken from P and its",
         "mirror images, so what P does not show is guessed by symmetry; thin parts are often",
@@ -260,6 +264,22 @@ def card(
         "",
     ]
     return "\n".join(lines)
+
+
+def _bank_lines(bank: ShapeBank | None) -> list[str]:
+    """Say where the known shapes are from; none = none goes with the weights."""
+    if bank is None:
+        return []
+    packs = collections.Counter(name.pack for name in bank.names)
+    listed = ", ".join(f"{pack} {count}" for pack, count in packs.most_common())
+    return [
+        "## Known shapes",
+        "",
+        f"`{BANK_FILE}`: surfaces of {len(bank.names)} free meshes (CC0; no colours), "
+        f"{BANK_CELLS}^3 cells each, with their nouns, packed by `shape_bank.py`. "
+        f"By id's first part: {listed}.",
+        "",
+    ]
 
 
 def measure_export(
@@ -336,7 +356,9 @@ def main() -> int:
     except UserError as error:
         _LOG.error("%s", error)
         return error.exit_code
-    text = card(config, model, shape_model, losses, shape_losses, options.history)
+    packed = options.out / BANK_FILE
+    bank = read_bank(packed) if packed.is_file() else None
+    text = card(config, model, shape_model, losses, shape_losses, options.history, bank)
     (options.out / "CARD.md").write_text(text, encoding="utf-8")
     size = sum(path.stat().st_size for path in options.out.iterdir())
     _LOG.info("%s: %.1f MB, %d words", options.out, size / 1e6, len(config.words))

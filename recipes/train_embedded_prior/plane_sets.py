@@ -24,10 +24,10 @@ from rich.console import Console
 from rich.progress import track
 
 from gscomplete.priors.embedded.text import Tokenizer
-from gscomplete.shape.coarse_scorer import packaged_coarse_scorer
 from gscomplete.shape.partial_voxels import voxelize_partial
-from gscomplete.shape.symmetry_features import plane_features
-from gscomplete.shape.symmetry_proposals import FINELY_SCORED, distinct_planes
+from gscomplete.shape.planes.coarse_scorer import packaged_coarse_scorer
+from gscomplete.shape.planes.features import plane_features
+from gscomplete.shape.planes.proposals import FINELY_SCORED, distinct_planes
 from gscomplete.shape.voxels import FloatArray
 from gscomplete.util.atomic import atomic_path
 from recipes.train_embedded_prior.config import ShapeDataConfig

@@ -26,9 +26,9 @@ from rich.progress import track
 from torch import Tensor, nn
 
 from gscomplete.priors.embedded.prior import packaged_weights
-from gscomplete.shape.coarse_scorer import COARSE_SCORER_FILE, LAYERS, CoarseSymmetryScorer
 from gscomplete.shape.partial_voxels import voxelize_partial
-from gscomplete.shape.symmetry_features import FEATURES, plane_features
+from gscomplete.shape.planes.coarse_scorer import COARSE_SCORER_FILE, LAYERS, CoarseSymmetryScorer
+from gscomplete.shape.planes.features import FEATURES, plane_features
 from gscomplete.shape.voxels import FloatArray
 from recipes.entry_point import start
 from recipes.train_embedded_prior.data.copies import Truth

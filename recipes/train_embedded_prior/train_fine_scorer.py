@@ -34,17 +34,17 @@ from torch import Tensor
 from gscomplete.cli.guard import run_guarded
 from gscomplete.fitting.step_loop import require_same_identity
 from gscomplete.priors.embedded.prior import packaged_weights
-from gscomplete.shape.coarse_scorer import packaged_coarse_scorer
-from gscomplete.shape.fine_scorer import (
+from gscomplete.shape.network import cpu_precision
+from gscomplete.shape.planes.coarse_scorer import packaged_coarse_scorer
+from gscomplete.shape.planes.features import plane_places
+from gscomplete.shape.planes.fine_scorer import (
     FINE_SCORER_FILE,
     FineSymmetryScorer,
     FoldedVolumes,
     colored_cells,
     folded_volumes,
 )
-from gscomplete.shape.network import cpu_precision
-from gscomplete.shape.symmetry_features import plane_places
-from gscomplete.shape.symmetry_proposals import FINELY_SCORED
+from gscomplete.shape.planes.proposals import FINELY_SCORED
 from gscomplete.util.atomic import atomic_path
 from gscomplete.util.jsonio import to_json, write_json
 from recipes.train_embedded_prior.data.shape_dataset import unpack_cells

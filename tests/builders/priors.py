@@ -24,7 +24,7 @@ class GuessingPrior(OraclePrior):
         super().__init__(truth)
         self.guess = guess
 
-    def first_guess(self, partial, *arguments):
+    def first_guess(self, partial, *arguments, **options):
         return self.guess
 
     def likely_mirrors(self, *arguments):

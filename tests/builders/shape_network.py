@@ -7,9 +7,9 @@ import torch
 
 from gscomplete.shape.network import ShapeCompleter, ShapeModelConfig
 from gscomplete.shape.partial_voxels import ShapeInputs, voxelize_partial
+from gscomplete.shape.planes.proposals import candidate_planes
 from gscomplete.shape.symmetry import SymmetryMap
 from gscomplete.shape.symmetry_choice import CANDIDATES
-from gscomplete.shape.symmetry_proposals import candidate_planes
 from gscomplete.shape.voxels import COARSE_CELLS
 from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution

@@ -6,6 +6,7 @@ import torch
 from gscomplete.shape.mirror_plane import MirrorPlane
 from gscomplete.shape.network import ShapeOutput
 from gscomplete.shape.partial_voxels import voxelize_partial
+from gscomplete.shape.planes.proposals import candidate_planes
 from gscomplete.shape.symmetry import SOURCES, plane_of
 from gscomplete.shape.symmetry_choice import (
     CANDIDATES,
@@ -15,7 +16,6 @@ from gscomplete.shape.symmetry_choice import (
     sureness,
     symmetry_scores_of_answers,
 )
-from gscomplete.shape.symmetry_proposals import candidate_planes
 from gscomplete.shape.voxels import CELLS, COARSE_CELLS
 from gscomplete.views import ViewDistribution
 from tests.builders.objects import ball, half

@@ -161,3 +161,32 @@ def test_sides_are_c_and_views_of_v_on_either_hand() -> None:
     torch.testing.assert_close(sides.camera_from_world, expected.camera_from_world)
     steep = ViewDistribution(0.0, 90.0).sides(32).camera_from_world
     assert bool(steep.isfinite().all())
+
+
+def test_the_direction_is_towards_the_input_camera() -> None:
+    views = ViewDistribution(35.0, -20.0, target=(0.1, -0.4, 0.2))
+    place = views.input_camera(8).positions[0].double().numpy() - np.array(views.target)
+    assert np.allclose(views.direction(), place / np.linalg.norm(place), atol=1e-6)
+
+
+@pytest.mark.parametrize("radius", [1.0, 2.2, 5.0])
+def test_pictures_have_room_for_what_outgrew_the_frame(radius: float) -> None:
+    views = ViewDistribution(20.0, 10.0, radius=radius)
+    inside = np.array([[-0.3, -0.3, -0.3], [0.3, 0.2, 0.3]]) * radius
+    assert views.to_show(inside) is views
+    assert views.to_show(inside[:0]) is views
+    many = np.concatenate([np.tile(inside, (2000, 1)), np.full((1, 3), 1e17)])
+    assert views.to_show(many) is views  # one stray
+    for wild in (1e17, np.inf, np.nan):
+        assert views.to_show(np.full((4, 3), wild)) is views
+    tall = np.array([[0.0, 0.0, -1.2], [0.1, 0.1, 0.4]]) * radius
+    wider = views.to_show(tall)
+    assert wider.azimuth_deg == views.azimuth_deg
+    assert wider.elevation_deg == views.elevation_deg
+    assert np.allclose(wider.target, tall.mean(axis=0), atol=1e-2)
+    ring = wider.ring(4, 64)
+    points = torch.nn.functional.pad(torch.from_numpy(tall).float(), (0, 1), value=1.0)
+    seen = points @ ring.camera_from_world.transpose(1, 2)
+    pixels = seen[..., :2] / seen[..., 2:3] * ring.focal_px[:, None] + ring.center_px[:, None]
+    assert float(pixels.min()) > 0
+    assert float(pixels.max()) < 64

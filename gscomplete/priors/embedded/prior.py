@@ -6,13 +6,14 @@ Conventions
   so the loss of :meth:`EmbeddedPrior.distill` counts differences on that scale.
 * P may be withheld (text-only mode); guidance pulls towards P and towards the text with separate
   scales (``diffusion.guided_x0``).
-* The network runs in bfloat16 where the processor multiplies it in hardware, else in float32;
-  schedules and losses are always float32.
+* The network runs in 8 bits and bfloat16 (``int8``) or in bfloat16 where the processor multiplies
+  them in hardware, else in float32; schedules and losses are always float32.
 """
 
 from __future__ import annotations
 
 import contextlib
+import copy
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -38,23 +39,18 @@ from gscomplete.priors.embedded.model import INPUT_CHANNELS, VIEWS, FourViewDeno
 from gscomplete.priors.embedded.rays import ring_numbers
 from gscomplete.priors.embedded.text import Tokenizer
 from gscomplete.priors.embedded.weights import PriorConfig, read_weights, weights_digest
-from gscomplete.shape.assemble import (
-    AssembleSettings,
-    assemble_splats,
-    mirror_plane_of,
-    notes_of,
-)
+from gscomplete.shape.assemble import mirror_plane_of
+from gscomplete.shape.bank.store import BANK_FILE
+from gscomplete.shape.guess import Asked, KnownShapes, guess_complete
 from gscomplete.shape.mirror_plane import ChosenMirror, Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter
 from gscomplete.shape.partial_voxels import voxelize_partial
-from gscomplete.shape.predict import predict
 from gscomplete.shape.symmetry_choice import score_planes
 from gscomplete.splats import Splats
 from gscomplete.util.same_bits import fixed_sum
-from gscomplete.util.stages import stage
 from gscomplete.views import ViewDistribution
 
-Precision = Literal["auto", "bfloat16", "float32"]
+Precision = Literal["auto", "int8", "bfloat16", "float32"]
 
 DEFAULT_GUIDANCE = Guidance(text_scale=1.0, input_scale=1.0, rescale=0.0)
 """With P in sight plain conditional denoising is best, and takes a single pass."""
@@ -78,6 +74,7 @@ class EmbeddedConditioning:
     tokens: Tensor  # [L]
     negative_tokens: Tensor  # [L]
     report: tuple[str, ...]
+    prompt: str
 
     @property
     def has_text(self) -> bool:
@@ -117,6 +114,7 @@ class EmbeddedPrior:
         device: torch.device | str = "cpu",
         precision: Precision = "auto",
         shape: ShapeCompleter | None = None,
+        bank: Path | None = None,
     ) -> None:
         """Wrap a denoiser and a shape network.
 
@@ -124,15 +122,24 @@ class EmbeddedPrior:
             model: in evaluation mode, or what makes it when it is first asked.
             config: what goes with it.
             device: where it runs.
-            precision: of the network; ``auto`` = bfloat16 where hardware has it.
+            precision: of the network; ``int8`` = residual blocks in 8 bits and the rest in
+                bfloat16, on the CPU; ``auto`` = the fastest that the hardware has.
             shape: in evaluation mode; None = no first guess of the complete object.
+            bank: file of known shapes; None = none is known.
         """
         self.views: PriorViews = config.views
         self._device = torch.device(device)
         self._given_model = model
+        self._bank = bank
         self._shape = shape  # always on the CPU: one pass of a second
         self._tokenizer = Tokenizer(config.words, config.model.text_length)
         self._bfloat16 = _is_bfloat16(precision, self._device)
+        self._int8 = precision == "int8" or (
+            precision == "auto"
+            and self._device.type == "cpu"
+            and self._bfloat16
+            and _multiplies_bytes()
+        )
         self._shape_bfloat16 = _is_bfloat16(precision, torch.device("cpu"))
         if self._device.type != "cpu":
             _ = self._model  # a device that cannot be used is told before anything else is done
@@ -145,7 +152,14 @@ class EmbeddedPrior:
             UserError: the weights are missing or damaged.
         """
         stored = read_weights(folder)
-        prior = cls(stored.denoiser, stored.config, device, shape=stored.shape())
+        bank = next((f for f in (folder, packaged_weights()) if (f / BANK_FILE).is_file()), None)
+        prior = cls(
+            stored.denoiser,
+            stored.config,
+            device,
+            shape=stored.shape(),
+            bank=None if bank is None else bank / BANK_FILE,
+        )
         prior.identity = EmbeddedIdentity(weights_digest(folder))
         return prior
 
@@ -154,6 +168,10 @@ class EmbeddedPrior:
         """The denoiser on its device; a default completion never asks it."""
         given = self._given_model
         model = given if isinstance(given, FourViewDenoiser) else given()
+        if self._int8:
+            from gscomplete.priors.embedded.int8 import in_bytes
+
+            return in_bytes(copy.deepcopy(model))
         return model.to(self._device)
 
     def default_guidance(self, *, sees_input: bool) -> Guidance:
@@ -167,7 +185,10 @@ class EmbeddedPrior:
             lines = self._tokenizer.understood(negative_prompt).lines()
             report += tuple(f"negative {line}" for line in lines)
         return EmbeddedConditioning(
-            self._tokenizer.encode(prompt), self._tokenizer.encode(negative_prompt or ""), report
+            self._tokenizer.encode(prompt),
+            self._tokenizer.encode(negative_prompt or ""),
+            report,
+            prompt,
         )
 
     def first_guess(
@@ -178,6 +199,8 @@ class EmbeddedPrior:
         generator: torch.Generator,
         count: int,
         mirror: Mirror = "guess",
+        *,
+        known_shapes: bool = True,
     ) -> FirstGuess | None:
         """Return the complete object as the shape network sees it; see :class:`base.ShapePrior`."""
         if self._shape is None:
@@ -193,20 +216,16 @@ class EmbeddedPrior:
             if cut is not None and cut.is_symmetric and abs(cut.offset) <= 1:
                 mirror = MirrorPlane(cut.azimuth_deg, cut.offset)
                 notes += (_SQUARE_CUT_NOTE,)
-        prediction = predict(
+        asked = Asked(
             self._shape,
-            partial,
-            distribution,
             conditioning.tokens,
-            ends_in_plane=cut is not None,
-            no_tokens=self._tokenizer.encode(""),
+            self._tokenizer.encode(""),
             bfloat16=self._shape_bfloat16,
-            mirror_plane=mirror,
+            ends_in_plane=cut is not None,
         )
-        settings = AssembleSettings(count=count)
-        with stage("surface"):
-            assembled = assemble_splats(prediction, partial, settings, generator)
-        return FirstGuess(assembled.splats, notes + notes_of(prediction, assembled.mirrored))
+        known = KnownShapes(self._bank if known_shapes else None, conditioning.prompt)
+        guess = guess_complete(asked, partial, distribution, mirror, known, count, generator)
+        return FirstGuess(guess.splats, notes + guess.notes)
 
     def likely_mirrors(
         self, partial: Splats, distribution: ViewDistribution, conditioning: Conditioning
@@ -371,7 +390,9 @@ def load_embedded(folder: Path | None, device: torch.device | str) -> EmbeddedPr
 
 def _is_bfloat16(precision: Precision, device: torch.device) -> bool:
     """Whether a network runs in bfloat16 on a device."""
-    return precision == "bfloat16" or (precision == "auto" and _multiplies_bfloat16(device))
+    return precision in ("int8", "bfloat16") or (
+        precision == "auto" and _multiplies_bfloat16(device)
+    )
 
 
 def _multiplies_bfloat16(device: torch.device) -> bool:
@@ -379,3 +400,12 @@ def _multiplies_bfloat16(device: torch.device) -> bool:
     if device.type == "cpu":
         return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())
     return device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)
+
+
+def _multiplies_bytes() -> bool:
+    """Whether the CPU multiplies bytes itself and PyTorch has convolutions of them."""
+    return (
+        torch.backends.mkldnn.is_available()
+        and bool(getattr(torch.cpu, "_is_vnni_supported", bool)())
+        and hasattr(torch.ops.onednn, "qconv2d_pointwise")
+    )

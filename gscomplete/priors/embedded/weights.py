@@ -2,7 +2,7 @@
 
 ``model.safetensors`` holds the four-view denoiser, ``shape.safetensors`` the shape network (it may
 be absent), ``config.json`` what goes with them, and ``CARD.md`` tells people about them. The
-package's folder also holds ``planes.safetensors`` (``shape.coarse_scorer``) and
+package's folder also holds ``planes.safetensors`` (``shape.planes.coarse_scorer``) and
 ``plane_judge.safetensors``, which are not read from any other: like the grid, they are part of what
 the shape network was trained with.
 

@@ -37,6 +37,7 @@ class PackEntry:
     noun: str
     caption: str
     source: str
+    licence: str
     colour: str
 
 

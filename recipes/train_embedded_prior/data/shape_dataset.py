@@ -22,13 +22,13 @@ from torch import Tensor
 
 from gscomplete.framing.guess import FramingSettings, guess_framing
 from gscomplete.priors.embedded.text import Tokenizer
-from gscomplete.shape.coarse_scorer import packaged_coarse_scorer
-from gscomplete.shape.fine_scorer import packaged_fine_scorer
 from gscomplete.shape.partial_voxels import ShapeInputs, voxelize_partial
+from gscomplete.shape.planes.coarse_scorer import packaged_coarse_scorer
+from gscomplete.shape.planes.fine_scorer import packaged_fine_scorer
+from gscomplete.shape.planes.proposals import candidate_planes
 from gscomplete.shape.predict import turned
 from gscomplete.shape.symmetry import COPIES, SOURCES, no_symmetries
 from gscomplete.shape.symmetry_choice import CANDIDATES
-from gscomplete.shape.symmetry_proposals import candidate_planes
 from gscomplete.shape.voxels import (
     CELLS,
     COARSE_CELLS,

@@ -37,6 +37,9 @@ from splatcomplete_data.multiview.training.ssim import Reference, ssim_map
 
 CHECK_EVERY = 100
 """Steps between two checks for values that are not finite, besides the one before every save."""
+_ARRAYS_PER_REFERENCE = 3
+_REFERENCE_BYTES = 2**30
+"""Blurs of photos are kept up to this many bytes; beyond it they are made in every step."""
 _DIVISIONS_PER_RUN = 18
 """At least this many intervals of division fit into a run, of which the schedule uses about ten:
 with the interval of long runs, short ones would hardly divide."""
@@ -115,12 +118,24 @@ def _half(image: Tensor) -> Tensor:  # [H, W, C] -> [H // 2, W // 2, C]
     return blocks.mean(dim=(1, 3))
 
 
-def photo_loss(image: Tensor, photo: Tensor, ssim_weight: float) -> Tensor:  # [H, W, 3] twice
-    """Return (1 - w) L1 + w (1 - SSIM) (Kerbl et al. 2023, Equation 7)."""
+def photo_loss(
+    image: Tensor,  # [H, W, 3]
+    photo: Tensor,  # [H, W, 3]
+    ssim_weight: float,
+    reference: Reference | None = None,
+) -> Tensor:  # []
+    """Return (1 - w) L1 + w (1 - SSIM) (Kerbl et al. 2023, Equation 7).
+
+    Args:
+        image: a render.
+        photo: what it is compared with.
+        ssim_weight: w.
+        reference: the photo with its blurs; None = they are computed.
+    """
     difference = fixed_mean((image - photo).abs())
     if ssim_weight == 0:
         return difference
-    similarity = fixed_mean(ssim_map(image, Reference.of(photo)))
+    similarity = fixed_mean(ssim_map(image, reference or Reference.of(photo)))
     return (1 - ssim_weight) * difference + ssim_weight * (1 - similarity)
 
 
@@ -149,6 +164,9 @@ class Training:
         self._device = device or torch.device("cpu")
         self._targets = [Target.of(view, self._device) for view in views]
         self._halves = [target.halved() for target in self._targets]
+        self._references: dict[int, Reference] = {}
+        pixels = sum(t.colors.numel() for t in (*self._targets, *self._halves))
+        self._keeps_references = 4 * _ARRAYS_PER_REFERENCE * pixels <= _REFERENCE_BYTES
         start = initial.with_sh_degree(settings.sh_degree).to(self._device)
         self.parameters = PhotoParameters(start, settings.rates, extent)
         self._statistics = GradientStatistics(len(start), self._device)
@@ -197,7 +215,8 @@ class Training:
             photo = photo * target.alpha + background * (1 - target.alpha)
         if target.weight is not None:
             image, photo = image * target.weight, photo * target.weight
-        loss = photo_loss(image, photo, settings.ssim_weight)
+        reference = None if background is not None else self._reference(target, photo)
+        loss = photo_loss(image, photo, settings.ssim_weight, reference)
         loss.backward()
         self._updating = True
         self.parameters.step(number / settings.steps)
@@ -221,6 +240,14 @@ class Training:
         order = torch.randperm(count, generator=generator_for(self.settings.seed, round_, "photos"))
         small = number < self.settings.half_size_share * self.settings.steps
         return (self._halves if small else self._targets)[int(order[place])]
+
+    def _reference(self, target: Target, photo: Tensor) -> Reference | None:
+        """Return a photo with its blurs, kept where those of all photos take little memory."""
+        if not self._keeps_references or self.settings.ssim_weight == 0:
+            return None
+        if id(target) not in self._references:
+            self._references[id(target)] = Reference.of(photo)
+        return self._references[id(target)]
 
     def _background(self, target: Target, number: int) -> Tensor | None:  # [3]
         """Return a random colour where the photo has a mask: only transparency fits all of them."""

@@ -7,6 +7,7 @@ from gscomplete.priors.embedded.model import (
     FourViewDenoiser,
     ModelConfig,
     count_parameters,
+    fold_cells,
     symmetric_copies,
 )
 from gscomplete.priors.embedded.rays import ring_rays
@@ -55,6 +56,12 @@ def test_turning_the_ring_turns_the_output():
         torch.testing.assert_close(moved, plain[:, order], rtol=1e-4, atol=1e-5)
 
 
+def test_cells_are_folded_as_a_pixel_unshuffle_folds_them():
+    images = torch.rand(2, 4, 5, 16, 16)
+    expected = torch.nn.functional.pixel_unshuffle(images, 2)
+    assert torch.equal(fold_cells(images), expected)
+
+
 def test_symmetric_copies_are_renders_of_turned_and_mirrored_objects():
     g = torch.Generator().manual_seed(0)
     count = 60
@@ -77,7 +84,8 @@ def test_symmetric_copies_are_renders_of_turned_and_mirrored_objects():
         across = torch.stack([-torch.sin(angle), torch.cos(angle), torch.tensor(0.0)])
         return torch.eye(3) - 2 * torch.outer(across, across)
 
-    copies = symmetric_copies(seen(torch.eye(3)))
+    folded = symmetric_copies(fold_cells(seen(torch.eye(3)))).flatten(0, 1)
+    copies = torch.nn.functional.pixel_shuffle(folded, 2)[None]
     # Round splats, so moving the means moves the object; 1/255: alphas at the threshold may flip.
     for index, matrix in ((0, quarter), (1, quarter @ quarter)):
         copy = copies[:, :, 3 * index : 3 * index + 3]

@@ -5,7 +5,9 @@ import torch
 
 from gscomplete.errors import UserError
 from gscomplete.priors import load_prior
+from gscomplete.priors.embedded.prior import packaged_weights
 from gscomplete.priors.embedded.weights import load_weights
+from gscomplete.shape.bank.store import BANK_FILE, read_bank
 from recipes.train_embedded_prior.export import (
     ExportConfig,
     TrainedRun,
@@ -65,6 +67,10 @@ def test_exported_weights_make_a_prior(tmp_path):
     assert "7 steps, 14 four-view sets" in text
     assert "Held-out iou: 0.5000" in text
     assert "History: one seed was changed" in text
+    assert "Known shapes" not in text
+    named = read_bank(packaged_weights() / BANK_FILE)
+    text = card(read, model, shape_model, losses, {}, bank=named)
+    assert f"surfaces of {len(named.names)} free meshes" in text
 
 
 def test_weights_without_a_shape_network_make_a_prior_that_does_not_guess(tmp_path):

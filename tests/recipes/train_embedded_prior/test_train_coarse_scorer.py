@@ -1,7 +1,7 @@
 import numpy as np
 import torch
 
-from gscomplete.shape.symmetry_features import ANGLES, FEATURES
+from gscomplete.shape.planes.features import ANGLES, FEATURES
 from recipes.train_embedded_prior.train_coarse_scorer import (
     CoarseScorerConfig,
     fit,

@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from gscomplete.errors import UserError
-from gscomplete.shape.symmetry_features import ANGLES, FEATURES, OFFSETS
-from gscomplete.shape.symmetry_proposals import FINELY_SCORED
+from gscomplete.shape.planes.features import ANGLES, FEATURES, OFFSETS
+from gscomplete.shape.planes.proposals import FINELY_SCORED
 from gscomplete.shape.voxels import COARSE_CELLS
 from recipes.train_embedded_prior.plane_sets import (
     BEST_PLANES,

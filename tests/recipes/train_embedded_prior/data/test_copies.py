@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gscomplete.shape.symmetry_features import ANGLES, OFFSETS
+from gscomplete.shape.planes.features import ANGLES, OFFSETS
 from gscomplete.shape.voxels import CELLS
 from recipes.train_embedded_prior.data.copies import Truth, cells_away
 from tests.builders.objects import ball, half

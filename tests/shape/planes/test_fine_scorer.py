@@ -6,7 +6,9 @@ import torch
 from safetensors.torch import save_file
 
 from gscomplete.errors import UserError
-from gscomplete.shape.fine_scorer import (
+from gscomplete.shape.partial_voxels import voxelize_partial
+from gscomplete.shape.planes.features import FEATURES
+from gscomplete.shape.planes.fine_scorer import (
     FINE_SCORER_FILE,
     SIZE,
     STEP,
@@ -16,8 +18,6 @@ from gscomplete.shape.fine_scorer import (
     folded_volumes,
     packaged_fine_scorer,
 )
-from gscomplete.shape.partial_voxels import voxelize_partial
-from gscomplete.shape.symmetry_features import FEATURES
 from gscomplete.shape.voxels import COARSE_CELLS, cell_centers
 from gscomplete.views import ViewDistribution
 from tests.builders.objects import ball

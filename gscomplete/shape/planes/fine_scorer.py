@@ -33,7 +33,7 @@ from torch import Tensor, nn
 
 from gscomplete.errors import UserError
 from gscomplete.shape.network import PACKAGED_WEIGHTS
-from gscomplete.shape.symmetry_features import FEATURES
+from gscomplete.shape.planes.features import FEATURES
 from gscomplete.shape.voxels import CELL_SIDE, HALF_SIDE, FloatArray
 from gscomplete.util.atomic import atomic_path
 from gscomplete.util.kernels import KERNEL
@@ -100,7 +100,7 @@ class FineSymmetryScorer(nn.Module):
     def forward(
         self,
         volumes: FoldedVolumes,
-        features: Tensor,  # [K, F] of ``symmetry_features``
+        features: Tensor,  # [K, F] of ``planes.features``
         ranked: Tensor,  # [K] the coarse scorer's logits
     ) -> tuple[Tensor, Tensor]:  # [K] logits of being the best, [K] scores
         """Score planes."""

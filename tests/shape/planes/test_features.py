@@ -5,7 +5,7 @@ import pytest
 
 from gscomplete.shape.evidence import gather_evidence
 from gscomplete.shape.partial_voxels import voxelize_partial
-from gscomplete.shape.symmetry_features import (
+from gscomplete.shape.planes.features import (
     ANGLES,
     FEATURES,
     OFFSETS,

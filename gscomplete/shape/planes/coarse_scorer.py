@@ -5,7 +5,7 @@ prefer planes whose copy of P covers much of what is missing and little that is 
 
 Conventions
 -----------
-* Scores are logits over all planes of ``symmetry_features``: their softmax is the belief in each.
+* Scores are logits over all planes of ``planes.features``: their softmax is the belief in each.
 * The file holds float32 tensors: two of scaling, then weight and bias of each layer.
 """
 
@@ -22,7 +22,7 @@ from safetensors.numpy import load_file, save
 
 from gscomplete.errors import UserError
 from gscomplete.shape.network import PACKAGED_WEIGHTS
-from gscomplete.shape.symmetry_features import FEATURES
+from gscomplete.shape.planes.features import FEATURES
 from gscomplete.shape.voxels import FloatArray
 from gscomplete.util.atomic import atomic_path
 

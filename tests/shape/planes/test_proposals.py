@@ -9,15 +9,15 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from gscomplete.shape.partial_voxels import voxelize_partial
-from gscomplete.shape.symmetry_choice import CANDIDATES
-from gscomplete.shape.symmetry_features import ANGLES, OFFSETS
-from gscomplete.shape.symmetry_proposals import (
+from gscomplete.shape.planes.features import ANGLES, OFFSETS
+from gscomplete.shape.planes.proposals import (
     APART_DEG,
     APART_OFFSET,
     candidate_planes,
     distinct_planes,
     refined,
 )
+from gscomplete.shape.symmetry_choice import CANDIDATES
 from gscomplete.shape.voxels import CELL_SIDE
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.transform import Similarity, transform_splats

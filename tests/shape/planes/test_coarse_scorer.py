@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from gscomplete.errors import UserError
-from gscomplete.shape.coarse_scorer import CoarseSymmetryScorer, packaged_coarse_scorer
-from gscomplete.shape.symmetry_features import FEATURES
+from gscomplete.shape.planes.coarse_scorer import CoarseSymmetryScorer, packaged_coarse_scorer
+from gscomplete.shape.planes.features import FEATURES
 
 
 def test_the_scorer_is_a_perceptron():

@@ -6,7 +6,7 @@ agree.
 
 Conventions
 -----------
-* Planes are numbered as in ``symmetry_features``: (angle, offset).
+* Planes are numbered as in ``planes.features``: (angle, offset).
 * A plane's score is the fine scorer's belief in it and those near it, in [0, 1].
 """
 
@@ -20,23 +20,23 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gscomplete.shape.coarse_scorer import CoarseSymmetryScorer, packaged_coarse_scorer
 from gscomplete.shape.evidence import Evidence
-from gscomplete.shape.fine_scorer import (
-    colored_cells,
-    folded_volumes,
-    packaged_fine_scorer,
-)
 from gscomplete.shape.network import cpu_precision
 from gscomplete.shape.partial_voxels import PartialVoxels
-from gscomplete.shape.symmetry import SymmetryMap, mirror
-from gscomplete.shape.symmetry_features import (
+from gscomplete.shape.planes.coarse_scorer import CoarseSymmetryScorer, packaged_coarse_scorer
+from gscomplete.shape.planes.features import (
     ANGLES,
     OFFSETS,
     PartSamples,
     plane_features,
     plane_places,
 )
+from gscomplete.shape.planes.fine_scorer import (
+    colored_cells,
+    folded_volumes,
+    packaged_fine_scorer,
+)
+from gscomplete.shape.symmetry import SymmetryMap, mirror
 from gscomplete.shape.voxels import CELL_SIDE, FloatArray
 
 FINELY_SCORED = 48

@@ -1,0 +1,258 @@
+"""Known shapes fitted to P: turned about the vertical, scaled along their axes, and moved.
+
+Poses are tried coarsely (turns, sizes, and P's box against the sides of the shape's box), and the
+best of all shapes refined. A fit is judged by how far P's points are from the shape's surface, how
+much of the shape would hide P from c, how much of what c sees of it P does not have, and how much
+larger than P it is: a large shape has a place for any small part.
+
+Conventions
+-----------
+* A pose takes a point p of the object frame to ``scales * (R(yaw) p) + shift`` in the shape's frame
+  (``store``), with R a turn about z.
+* Distances count in P's largest side, up to ``_FAR`` of it: what P has and the shape lacks.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, map_coordinates
+from scipy.spatial import cKDTree
+
+from gscomplete.shape.bank.store import BANK_CELLS, ShapeBank, ShapeName
+
+FloatArray = NDArray[np.float64]
+
+_MOST_SHAPES = 80
+"""Shapes of the prompt's noun that are looked at."""
+_MOST_REFINED = 60
+"""Poses of all shapes together."""
+_POSES_PER_SHAPE = 6
+_COARSE_POINTS, _FINE_POINTS, _SEEN_POINTS = 150, 300, 6000
+_FAR = 0.12
+_MARGIN = 1 / 6
+"""Of the shape's side: more than ``_FAR`` of a part that fits into the shape."""
+_TURNS = 16
+_SHARES = (1.0, 0.85, 0.72, 0.6, 0.5)
+"""How much of the shape P is along the axis where it is most of it ..."""
+_SLACK = 1.08
+"""... of which it may be a little more."""
+_NEXT_TO_NO_ROOM = 0.06
+"""Of the shape's side: P sits in the middle of less room than this."""
+_SHARE_COST = 0.03
+_TURN_STEP, _SCALE_STEP, _STIFFNESS = 0.5, 0.2, 0.03
+"""Radians and logarithms by which a pose changes at the price of ``_STIFFNESS``, per point."""
+_IN_FRONT_COST, _UNSEEN_COST, _GROWTH_COST = 0.15, 0.06, 0.012
+_MOST_COST = 0.065
+"""Worse shapes are left out; of two random shapes of one noun most are."""
+_MOST_GROWTH = math.log(3.0)
+"""A shape that needs more than three times P's box is left out: P is no more than a face of it, and
+what is behind a face may have any size."""
+_PICTURE_PX = 40
+_TOLERANCE = 0.06
+"""In front of P by more than this, object sizes, a shape would hide it."""
+_SEEN_DEPTH, _NEAR = 0.03, 0.07
+"""What lies this near behind the nearest part of a shape is seen of it; P has what is this near."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Where a shape is; see the module's description."""
+
+    yaw_rad: float
+    scales: FloatArray  # [3]
+    shift: FloatArray  # [3]
+
+    def to_shape(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
+        """Take points of the object frame to the shape's frame."""
+        placed: FloatArray = self.scales * (points @ _turn(self.yaw_rad).T) + self.shift
+        return placed
+
+    def to_object(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
+        """Undo :meth:`to_shape`."""
+        placed: FloatArray = ((points - self.shift) / self.scales) @ _turn(self.yaw_rad)
+        return placed
+
+
+@dataclass(frozen=True, slots=True)
+class FittedShape:
+    """A known shape in the place that suits P best."""
+
+    name: ShapeName
+    points: FloatArray  # [M, 3] centres of its surface's cells, object frame
+    residual: float
+    """Mean distance of P's points from its surface."""
+    in_front: float
+    """Share of it that would hide P from c."""
+    unseen: float
+    """Share of what c sees of it that P does not have."""
+    growth: float
+    """Logarithm of the volume of its box and P's together over that of P's."""
+
+    @property
+    def cost(self) -> float:
+        """How badly it suits P; less is better."""
+        contradicted = _IN_FRONT_COST * self.in_front + _UNSEEN_COST * self.unseen
+        return self.residual + contradicted + _GROWTH_COST * self.growth
+
+
+def fit_known_shapes(
+    bank: ShapeBank,
+    prompt: str,
+    points: FloatArray,  # [N, 3]
+    toward_c: FloatArray,  # [3]
+    count: int,
+) -> list[FittedShape]:
+    """Return the shapes of the prompt's noun that suit P, the best first, one from each pack.
+
+    Shapes of one maker are alike, so their agreement says little.
+
+    Args:
+        bank: known shapes.
+        prompt: names the noun.
+        points: of P, object frame.
+        toward_c: unit vector from the object towards the input view.
+        count: most shapes.
+    """
+    low, high = points.min(axis=0), points.max(axis=0)
+    size, middle = float((high - low).max()), (low + high) / 2
+    if not size > 0:
+        return []
+    part = (points - middle) / size
+    few, more, many = (_spread(part, n) for n in (_COARSE_POINTS, _FINE_POINTS, _SEEN_POINTS))
+    shapes = {k: bank.surface(k) for k in bank.named(prompt, _MOST_SHAPES)}
+    tried = [(cost, k, pose) for k, cells in shapes.items() for cost, pose in _coarse(cells, few)]
+    tried.sort(key=lambda entry: entry[:2])
+    fields: dict[int, FloatArray] = {}
+    found: dict[int, FittedShape] = {}
+    for _, index, pose in tried[:_MOST_REFINED]:
+        if index not in fields:
+            fields[index] = _distances(shapes[index])
+        residual, refined = _refined(fields[index], more, pose)
+        fitted = _judged(bank.names[index], shapes[index], refined, residual, many, toward_c)
+        if index not in found or fitted.cost < found[index].cost:
+            found[index] = fitted
+    best: dict[str, FittedShape] = {}
+    for shape in sorted(found.values(), key=lambda shape: shape.cost):
+        suits = shape.cost <= _MOST_COST and shape.growth <= _MOST_GROWTH
+        if suits and len(best) < count:
+            best.setdefault(shape.name.pack, shape)
+    return [
+        dataclasses.replace(shape, points=shape.points * size + middle) for shape in best.values()
+    ]
+
+
+def _spread(points: FloatArray, count: int) -> FloatArray:
+    """Return at most ``count`` of the points, evenly along their order."""
+    if len(points) <= count:
+        return points
+    return points[np.linspace(0, len(points) - 1, count).astype(np.int64)]
+
+
+def _turn(yaw_rad: float) -> FloatArray:  # [3, 3]
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _distances(cells: NDArray[np.bool_]) -> FloatArray:  # [C, C, C] -> [F, F, F]
+    """Return the distance from a surface in the shape's cube and ``_MARGIN`` round it."""
+    padded = np.pad(cells, round(_MARGIN * len(cells)))
+    field: FloatArray = distance_transform_edt(~padded, sampling=1.0 / len(cells))
+    return field
+
+
+def _coarse(
+    surface: NDArray[np.bool_],  # [C, C, C]
+    points: FloatArray,  # [N, 3]
+) -> list[tuple[float, Pose]]:
+    """Try poses; return the best with their costs."""
+    half = BANK_CELLS // 2
+    cells = np.asarray(surface.reshape(half, 2, half, 2, half, 2).any(axis=(1, 3, 5)))
+    field = _distances(cells)
+    filled = np.argwhere(cells)
+    low, high = filled.min(axis=0) / half - 0.5, (filled.max(axis=0) + 1) / half - 0.5
+    sides = high - low
+    found = []
+    for yaw in 2 * math.pi * np.arange(_TURNS) / _TURNS:
+        turned = points @ _turn(yaw).T
+        corner = turned.min(axis=0)
+        extent = np.maximum(np.ptp(turned, axis=0), 0.02)
+        largest = _SLACK * float((sides / extent).min())
+        for share in _SHARES:
+            scale = largest * share
+            room = sides - scale * extent
+            places = [(0.0, 0.5, 1.0) if r > _NEXT_TO_NO_ROOM else (0.5,) for r in room]
+            at = np.stack(np.meshgrid(*places, indexing="ij"), axis=-1).reshape(-1, 3)
+            shifts = low + at * room - scale * corner
+            cell = np.floor((scale * turned + shifts[:, None] + 0.5 + _MARGIN) * half)
+            x, y, z = np.clip(cell.astype(np.int32), 0, len(field) - 1).transpose(2, 0, 1)
+            away = np.minimum(field[x, y, z] / scale, _FAR).mean(axis=1)
+            costs = away - _SHARE_COST * math.log(share)
+            for k in np.argsort(costs, kind="stable")[:2]:
+                found.append((float(costs[k]), Pose(float(yaw), np.full(3, scale), shifts[k])))
+    found.sort(key=lambda entry: entry[0])
+    return found[:_POSES_PER_SHAPE]
+
+
+def _refined(
+    field: FloatArray,  # [F, F, F]
+    points: FloatArray,  # [N, 3]
+    pose: Pose,
+) -> tuple[float, Pose]:
+    """Improve a pose; return the mean distance and the pose."""
+    from scipy.optimize import least_squares  # half a second to load
+
+    size = float(pose.scales[0])
+    stiffness = math.sqrt(len(points)) * _STIFFNESS / np.array([_TURN_STEP, *(_SCALE_STEP,) * 3])
+
+    def moved(change: FloatArray) -> Pose:  # [7] yaw, shift, log scales
+        scales = pose.scales * np.exp(change[4:])
+        return Pose(pose.yaw_rad + float(change[0]), scales, pose.shift + change[1:4])
+
+    def away(change: FloatArray) -> FloatArray:  # [N]
+        place = (moved(change).to_shape(points) + 0.5 + _MARGIN) * BANK_CELLS - 0.5
+        found: FloatArray = map_coordinates(field, place.T, order=1, mode="nearest")
+        return np.minimum(found / size, _FAR)
+
+    def residuals(change: FloatArray) -> FloatArray:  # [N + 4]
+        bent = stiffness * change[[0, 4, 5, 6]]
+        return np.concatenate([np.sqrt(0.3 * away(change)), bent])
+
+    change = least_squares(residuals, np.zeros(7), max_nfev=12, diff_step=1e-2).x
+    return float(away(change).mean()), moved(change)
+
+
+def _judged(
+    name: ShapeName,
+    cells: NDArray[np.bool_],  # [C, C, C]
+    pose: Pose,
+    residual: float,
+    part: FloatArray,  # [N, 3]
+    toward_c: FloatArray,  # [3]
+) -> FittedShape:
+    """Compare a placed shape with P as seen from c, by parallel rays."""
+    surface = pose.to_object((np.argwhere(cells) + 0.5) / BANK_CELLS - 0.5)
+    right = np.cross((0.0, 0.0, 1.0), toward_c)
+    right = right / np.linalg.norm(right) if np.linalg.norm(right) > 1e-6 else np.array([1.0, 0, 0])
+    axes = np.stack([right, np.cross(toward_c, right), toward_c])
+    p, s = part @ axes.T, surface @ axes.T
+    corner = np.minimum(p[:, :2].min(axis=0), s[:, :2].min(axis=0))
+    scale = (_PICTURE_PX - 1) / max(float(np.ptp(p[:, :2], axis=0).max()), 1e-6)
+    p_px, s_px = (np.floor((q[:, :2] - corner) * scale).astype(np.int64) for q in (p, s))
+    shape = tuple(np.maximum(p_px.max(axis=0), s_px.max(axis=0)) + 1)
+    part_depth, shape_depth = np.full(shape, -np.inf), np.full(shape, -np.inf)
+    np.maximum.at(part_depth, tuple(p_px.T), p[:, 2])
+    np.maximum.at(shape_depth, tuple(s_px.T), s[:, 2])
+    behind = part_depth[tuple(s_px.T)]
+    in_front = np.isfinite(behind) & (s[:, 2] > behind + _TOLERANCE)
+    seen = s[:, 2] > shape_depth[tuple(s_px.T)] - _SEEN_DEPTH
+    distance, _ = cKDTree(part).query(surface[seen], distance_upper_bound=_NEAR)
+    low = np.minimum(part.min(axis=0), surface.min(axis=0))
+    high = np.maximum(part.max(axis=0), surface.max(axis=0))
+    growth = math.log(np.prod(high - low) / np.prod(np.maximum(np.ptp(part, axis=0), 0.05)))
+    unseen = float(np.isinf(distance).mean())
+    return FittedShape(name, surface, residual, float(in_front.mean()), unseen, growth)

@@ -1,0 +1,100 @@
+"""What the network answers when it is shown known shapes in the place of a mirror image.
+
+Each answer to a known shape is often wrong. They count where they agree, and more than with the
+plain answer, that to none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from gscomplete.shape.bank.fit import FittedShape
+from gscomplete.shape.network import ShapeCompleter
+from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs
+from gscomplete.shape.predict import predict_occupancy
+
+_ORIENTATIONS = 2
+"""In which the network is asked with each known shape (``predict.ORIENTATIONS`` without)."""
+_LEAST_AGREEMENT = 0.45
+"""Of the answers to known shapes among themselves (IoU of filled cells) ..."""
+_LEAST_LEAD = 0.08
+"""... and how much more that is than with the plain answer."""
+_MOST_PLAIN_AGREEMENT = 0.75
+"""Above it the plain answer is taken: it is like them, and mirrors P itself."""
+_LEAST_PLAIN_AGREEMENT = 0.5
+"""Below it the plain answer does not count beside them."""
+_LIKELY = -0.5
+"""Cells are compared where they are filled from this logit on."""
+
+
+def occupancy_by_shapes(
+    model: ShapeCompleter,
+    voxels: PartialVoxels,
+    seen: ShapeInputs,
+    plain: Tensor,  # [1, C, C, C] logits, the answer to ``seen``
+    shapes: Sequence[FittedShape],
+    tokens: Tensor,  # [L]
+    *,
+    bfloat16: bool,
+    shapes_alone: bool = False,
+) -> Tensor | None:  # [1, C, C, C] logits
+    """Return what is filled by the answers that count; None where the plain one stays as it is.
+
+    Args:
+        model: in evaluation mode, on the CPU.
+        voxels: P.
+        seen: what the plain answer was given.
+        plain: the plain answer.
+        shapes: known shapes in place, the best first.
+        tokens: the prompt.
+        bfloat16: precision of the network.
+        shapes_alone: leave the plain answer out whatever it is like.
+    """
+    if len(shapes) < 2:
+        return None
+    shown = []
+    for shape in shapes:
+        given = voxels.with_shape(seen, shape.points)
+        answer = predict_occupancy(
+            model, given, tokens, orientations=_ORIENTATIONS, bfloat16=bfloat16
+        )
+        shown.append(answer.occupancy)
+    counting = answers_that_count(shown, plain, shapes_alone=shapes_alone)
+    return torch.stack(counting).mean(dim=0) if counting else None
+
+
+def answers_that_count(
+    shown: Sequence[Tensor],  # logits, answers to known shapes, the best first
+    plain: Tensor,  # logits, the answer to none
+    *,
+    shapes_alone: bool = False,
+) -> list[Tensor]:
+    """Return the answers that the guess is the mean of; none = the plain one as it is.
+
+    Where the plain answer is very unlike those to known shapes, they count alone.
+
+    Args:
+        shown: answers to known shapes.
+        plain: answer to none.
+        shapes_alone: leave the plain one out whatever it is like.
+    """
+    among, with_plain = _mean_overlap(shown[0], shown[1:]), _mean_overlap(plain, shown)
+    if among < max(_LEAST_AGREEMENT, with_plain + _LEAST_LEAD):
+        return []
+    if with_plain > _MOST_PLAIN_AGREEMENT:
+        return []
+    if shapes_alone or with_plain < _LEAST_PLAIN_AGREEMENT:
+        return list(shown)
+    return [plain, *shown]
+
+
+def _mean_overlap(one: Tensor, others: Sequence[Tensor]) -> float:
+    """Return the mean overlap (IoU) of the cells that answers fill, as counted here."""
+    return sum(_overlap(one > _LIKELY, other > _LIKELY) for other in others) / len(others)
+
+
+def _overlap(one: Tensor, other: Tensor) -> float:
+    return float((one & other).sum()) / max(float((one | other).sum()), 1.0)

@@ -1,0 +1,208 @@
+"""The bank of known shapes on disk: surfaces of free meshes as bits, with what they are called.
+
+Conventions
+-----------
+* A shape's frame: z up, box centred, longest side 1; ``BANK_CELLS`` cells along each axis of that
+  cube, indexed [x, y, z]; a cell is marked where the surface passes it.
+* ``shapes.safetensors`` holds the packed bits of every shape deflated one by one (``blob``, from
+  ``offsets``), so that only shapes that are asked for are unpacked; ids, nouns and captions are
+  lists in the file's metadata.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import re
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+
+from gscomplete.errors import UserError
+from gscomplete.util.atomic import atomic_path
+
+BANK_FILE = "shapes.safetensors"
+BANK_CELLS = 48
+_BITS = BANK_CELLS**3 // 8
+_WORD = re.compile(r"[^\W\d_]+")
+_HEAD_SCORE, _WORD_SCORE, _OTHER_SCORE = 3.0, 2.0, 0.3
+"""A shape of that very noun, one that is also called so, and each further word in common."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeName:
+    """What a known shape is called."""
+
+    id: str
+    noun: str
+    caption: str
+
+    @property
+    def pack(self) -> str:
+        """Return whose shape it is: the first part of its id."""
+        return self.id.split("/")[0]
+
+
+class ShapeBank:
+    """Known shapes; surfaces are unpacked when they are asked for."""
+
+    def __init__(
+        self,
+        names: Sequence[ShapeName],
+        blob: NDArray[np.uint8],  # [B]
+        offsets: NDArray[np.int64],  # [N + 1]
+    ) -> None:
+        """Index the names.
+
+        Raises:
+            ValueError: names and offsets do not go together.
+        """
+        if len(offsets) != len(names) + 1 or offsets[0] != 0 or (np.diff(offsets) < 0).any():
+            raise ValueError(f"expected rising offsets of {len(names)} shapes")
+        if offsets[-1] != len(blob):
+            raise ValueError(f"expected {offsets[-1]} bytes of shapes, found {len(blob)}")
+        self.names = tuple(names)
+        self._blob, self._offsets = blob, offsets
+        self._heads = [_words(name.noun)[-1:] for name in self.names]
+        self._words = [frozenset(_words(f"{name.noun} {name.caption}")) for name in self.names]
+
+    def __len__(self) -> int:
+        """Return the number of shapes."""
+        return len(self.names)
+
+    def surface(self, index: int) -> NDArray[np.bool_]:  # [C, C, C]
+        """Unpack one shape.
+
+        Raises:
+            UserError: the bits are damaged.
+        """
+        stored = self._blob[self._offsets[index] : self._offsets[index + 1]].tobytes()
+        try:
+            bits = zlib.decompressobj().decompress(stored, _BITS + 1)
+        except zlib.error as error:
+            raise UserError(f"{BANK_FILE}: {self.names[index].id}: damaged ({error})") from error
+        if len(bits) != _BITS:
+            raise UserError(
+                f"{BANK_FILE}: {self.names[index].id}: expected {_BITS} bytes, found {len(bits)}"
+            )
+        flat = np.unpackbits(np.frombuffer(bits, np.uint8)).astype(bool)
+        return flat.reshape((BANK_CELLS,) * 3)
+
+    def named(self, prompt: str, limit: int) -> list[int]:
+        """Return the shapes that the prompt's noun names, the best matches first.
+
+        Args:
+            prompt: any text; the noun is :func:`head_noun`.
+            limit: most shapes.
+        """
+        noun = head_noun(prompt)
+        if noun is None:
+            return []
+        forms = _forms(noun)
+        others = set(_words(prompt)) - forms
+        scores = []
+        for head, words in zip(self._heads, self._words, strict=True):
+            by_noun = _HEAD_SCORE * bool(forms.intersection(head))
+            by_word = _WORD_SCORE * bool(forms & words)
+            scores.append(
+                (by_noun + by_word) and by_noun + by_word + _OTHER_SCORE * len(others & words)
+            )
+        order = np.argsort(-np.array(scores), kind="stable")[:limit]
+        return [int(k) for k in order if scores[k] > 0]
+
+
+_BEFORE = frozenset(
+    (
+        *("with", "of", "in", "on", "for", "from", "that", "which", "by", "at", "without"),
+        *("to", "lying", "upside", "seen", "under", "next"),
+    )
+)
+"""The noun of a prompt comes before the first of these."""
+
+
+_COLORS = frozenset(
+    (
+        *("red", "orange", "yellow", "green", "blue", "purple", "pink", "brown", "black", "white"),
+        *("grey", "gray", "beige", "gold", "golden", "silver", "turquoise", "teal", "multi"),
+    )
+)
+_ANYTHING = frozenset(
+    ("object", "thing", "item", "model", "toy", "figure", "character", "part", "piece", "set")
+)
+"""Words that tell nothing of a shape."""
+
+
+def head_noun(prompt: str) -> str | None:
+    """Return the word of a prompt that says what the object is; None = there is no such word.
+
+    It is the last one before the first preposition that is no colour, unless there are colours
+    alone: "a blue mug with a handle" is a mug, and "an orange" an orange.
+    """
+    words = _words(prompt)
+    stop = next((k for k, word in enumerate(words) if k and word in _BEFORE), len(words))
+    plain = [word for word in words[:stop] if word not in _COLORS] or words[:stop]
+    return plain[-1] if plain and plain[-1] not in _ANYTHING else None
+
+
+def _words(text: str) -> list[str]:
+    return [word for word in _WORD.findall(text.lower()) if word not in ("a", "an", "the")]
+
+
+def _forms(noun: str) -> frozenset[str]:
+    """Return a noun, its singular and its plural."""
+    forms = {noun, noun + "s", noun + "es"}
+    if noun.endswith("s") and not noun.endswith("ss"):
+        forms |= {noun[:-1], noun.removesuffix("es")}
+    return frozenset(form for form in forms if len(form) > 1)
+
+
+def write_bank(
+    path: Path, names: Sequence[ShapeName], surfaces: Sequence[NDArray[np.bool_]]
+) -> None:
+    """Write a bank.
+
+    Args:
+        path: of the file.
+        names: of the shapes.
+        surfaces: [C, C, C] each.
+    """
+    packed = [zlib.compress(np.packbits(surface).tobytes(), 9) for surface in surfaces]
+    offsets = np.concatenate([[0], np.cumsum([len(p) for p in packed])]).astype(np.int64)
+    tensors = {
+        "blob": torch.from_numpy(np.frombuffer(b"".join(packed), np.uint8).copy()),
+        "offsets": torch.from_numpy(offsets),
+    }
+    columns = {
+        field: json.dumps([getattr(name, field) for name in names])
+        for field in ("id", "noun", "caption")
+    }
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(save(tensors, metadata={"cells": str(BANK_CELLS), **columns}))
+
+
+@functools.cache
+def read_bank(path: Path) -> ShapeBank:
+    """Read a bank.
+
+    Raises:
+        UserError: the file is damaged or of another kind.
+    """
+    try:
+        with safe_open(path, framework="pt") as file:
+            metadata = file.metadata() or {}
+            blob = file.get_tensor("blob").numpy()
+            offsets = file.get_tensor("offsets").numpy()
+        columns = [json.loads(metadata[field]) for field in ("id", "noun", "caption")]
+        names = [ShapeName(*map(str, row)) for row in zip(*columns, strict=True)]
+        if metadata["cells"] != str(BANK_CELLS):
+            raise ValueError(f"cells: expected {BANK_CELLS}, found {metadata['cells']}")
+        return ShapeBank(names, blob, offsets)
+    except (SafetensorError, OSError, KeyError, ValueError, TypeError) as error:
+        raise UserError(f"{path}: expected a bank of shapes, found damage ({error})") from error

@@ -1,0 +1,64 @@
+"""A frame that has room for the known shapes, where the guessed one has not.
+
+P's box tells little of what stands below or behind it: a chair's seat and back leave no room for
+legs. Known shapes that suit P tell more.
+
+Conventions
+-----------
+* ``wider_from_object`` takes the object frame to one of the same axes in which the box of P and of
+  the best known shape is centred and its largest side is 1.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from gscomplete.shape.bank.fit import FittedShape, FloatArray
+from gscomplete.shape.symmetry import SymmetryMap
+from gscomplete.shape.voxels import HALF_SIDE
+from gscomplete.splats.transform import Similarity
+from gscomplete.views import ViewDistribution
+
+_LEAST_OUTSIDE = 0.05
+"""Share of the best known shape outside of the grid, from which on there is no room for it."""
+
+
+def wider_from_object(
+    points: FloatArray,  # [N, 3] of P
+    known: Sequence[FittedShape],
+) -> Similarity | None:
+    """Return the wider frame; None where the object frame has room for the best known shape."""
+    if not known:
+        return None
+    outside = (np.abs(known[0].points) > HALF_SIDE).any(axis=1)
+    if float(outside.mean()) < _LEAST_OUTSIDE:
+        return None
+    both = np.concatenate([points, known[0].points])
+    low, high = both.min(axis=0), both.max(axis=0)
+    scale = 1.0 / float((high - low).max())
+    center = torch.from_numpy((low + high) / 2)
+    return Similarity(scale, torch.eye(3, dtype=torch.float64), -scale * center)
+
+
+def shape_in(shape: FittedShape, frame: Similarity) -> FittedShape:
+    """Return a known shape in another frame."""
+    points = frame.apply(torch.from_numpy(shape.points)).numpy()
+    return dataclasses.replace(shape, points=points)
+
+
+def views_in(views: ViewDistribution, frame: Similarity) -> ViewDistribution:
+    """Return the same cameras in a frame of the same axes."""
+    target = frame.apply(torch.tensor(views.target, dtype=torch.float64))
+    x, y, z = target.tolist()
+    return dataclasses.replace(views, target=(x, y, z), radius=views.radius * frame.scale)
+
+
+def symmetry_in(symmetry: SymmetryMap, frame: Similarity) -> SymmetryMap:
+    """Return a map of P in a frame of the same axes."""
+    move = frame.translation.numpy()
+    shift = frame.scale * symmetry.shift + move - symmetry.matrix @ move
+    return dataclasses.replace(symmetry, shift=shift.astype(np.float32))

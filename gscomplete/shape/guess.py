@@ -1,0 +1,204 @@
+"""The guess of the complete object, from P and the prompt to new splats.
+
+The network is asked (``predict``). Where P is not to be mirrored, known shapes of the prompt's noun
+are fitted to it (``bank.fit``), and the network is asked again with them (``bank.shown``), in the
+object frame or in one that has room for them (``bank.wider``). The answer becomes splats
+(``assemble``).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gscomplete.shape.assemble import (
+    AssembleSettings,
+    assemble_splats,
+    is_mirrored_by_splats,
+    notes_of,
+)
+from gscomplete.shape.bank.fit import FittedShape, fit_known_shapes
+from gscomplete.shape.bank.shown import occupancy_by_shapes
+from gscomplete.shape.bank.store import head_noun, read_bank
+from gscomplete.shape.bank.wider import (
+    shape_in,
+    symmetry_in,
+    views_in,
+    wider_from_object,
+)
+from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
+from gscomplete.shape.network import ShapeCompleter
+from gscomplete.shape.predict import Prediction, predict
+from gscomplete.splats import Splats
+from gscomplete.splats.transform import Similarity, transform_splats
+from gscomplete.util.stages import stage
+from gscomplete.views import ViewDistribution
+
+_MOST_SHOWN = 3
+"""Known shapes that the network is shown."""
+
+
+@dataclass(frozen=True, slots=True)
+class Guess:
+    """What completes P."""
+
+    splats: Splats
+    """New splats in the object frame."""
+    known: tuple[FittedShape, ...]
+    """Known shapes that had a part in it."""
+    notes: tuple[str, ...]
+    """What decided it, for the user."""
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """The network and how it is asked."""
+
+    model: ShapeCompleter
+    """In evaluation mode, on the CPU."""
+    tokens: Tensor  # [L] the prompt
+    no_tokens: Tensor  # [L] no prompt
+    bfloat16: bool
+    """Precision of the network."""
+    ends_in_plane: bool
+    """Whether P was cut along a plane (``framing.cut_plane``)."""
+
+
+@dataclass(frozen=True, slots=True)
+class KnownShapes:
+    """Known shapes that may help."""
+
+    bank: Path | None
+    """File of the bank; None = no shape is known."""
+    prompt: str
+    """Names the noun."""
+
+    def fitted(self, partial: Splats, views: ViewDistribution) -> tuple[FittedShape, ...]:
+        """Return those that suit P, in place, the best first."""
+        if self.bank is None:
+            return ()
+        points = partial.means.double().numpy()
+        return _fitted(self.bank, self.prompt, points.tobytes(), views.direction().tobytes())
+
+    def notes(self, used: tuple[FittedShape, ...]) -> tuple[str, ...]:
+        """Say which of them helped, or why none did."""
+        noun = head_noun(self.prompt)
+        if self.bank is None or noun is None:
+            return ()
+        if used:
+            names = ", ".join(shape.name.id for shape in used)
+            return (f"{noun}: by known shapes, {names} (--no-known-shapes: without)",)
+        if read_bank(self.bank).named(self.prompt, 1):
+            return (f"{noun}: known shapes do not suit P, do not agree, or add nothing",)
+        return (f"{noun}: no known shape is called so",)
+
+
+@functools.lru_cache(maxsize=1)
+def _fitted(bank: Path, prompt: str, points: bytes, toward_c: bytes) -> tuple[FittedShape, ...]:
+    """Fit shapes once for all guesses about one part."""
+    places, direction = np.frombuffer(points).reshape(-1, 3), np.frombuffer(toward_c)
+    with stage("known shapes"):
+        return tuple(fit_known_shapes(read_bank(bank), prompt, places, direction, _MOST_SHOWN))
+
+
+def guess_complete(
+    asked: Asked,
+    partial: Splats,
+    views: ViewDistribution,
+    mirror: Mirror,
+    known: KnownShapes,
+    count: int,
+    generator: torch.Generator,
+) -> Guess:
+    """Guess the complete object.
+
+    Args:
+        asked: the network.
+        partial: P in the object frame.
+        views: V.
+        mirror: the plane of symmetry.
+        known: shapes that may help.
+        count: most new splats.
+        generator: chooses where splats sit.
+    """
+    settings = AssembleSettings(count=count)
+    plain = _predict(asked, partial, views, mirror)
+    notes: tuple[str, ...] = ()
+    is_mirrored = isinstance(mirror, MirrorPlane) or is_mirrored_by_splats(plain)
+    if not is_mirrored:  # else little is left to guess from a noun
+        shapes = known.fitted(partial, views)
+        found = _by_known_shapes(asked, plain, partial, views, mirror, shapes, settings, generator)
+        if found is not None:
+            return dataclasses.replace(found, notes=known.notes(shapes) + found.notes)
+        notes = known.notes(())
+    with stage("surface"):
+        assembled = assemble_splats(plain, partial, settings, generator)
+    return Guess(assembled.splats, (), notes + notes_of(plain, assembled.mirrored))
+
+
+def _by_known_shapes(
+    asked: Asked,
+    plain: Prediction,
+    partial: Splats,
+    views: ViewDistribution,
+    mirror: Mirror,
+    shapes: tuple[FittedShape, ...],
+    settings: AssembleSettings,
+    generator: torch.Generator,
+) -> Guess | None:
+    """Guess with known shapes, where they have room; None where their answers do not count."""
+    frame = wider_from_object(partial.means.double().numpy(), shapes)
+    there = shapes
+    if frame is not None:
+        partial = transform_splats(partial.with_sh_degree(0), frame)
+        there = tuple(shape_in(shape, frame) for shape in shapes)
+        plain = _predict(asked, partial, views_in(views, frame), mirror)
+    with stage("known shapes"):
+        occupancy = occupancy_by_shapes(
+            asked.model,
+            plain.voxels,
+            plain.seen,
+            plain.output.occupancy,
+            there,
+            asked.tokens,
+            bfloat16=asked.bfloat16,
+            shapes_alone=frame is not None,  # the plain answer knows nothing of what had no room
+        )
+    if occupancy is None:
+        return None
+    heeded = dataclasses.replace(
+        plain, output=dataclasses.replace(plain.output, occupancy=occupancy)
+    )
+    with stage("surface"):
+        assembled = assemble_splats(heeded, partial, settings, generator)
+    if frame is None:
+        return Guess(assembled.splats, shapes, notes_of(heeded, assembled.mirrored))
+    back = frame.inverse()
+    notes = notes_of(_carried(heeded, back), assembled.mirrored)
+    return Guess(transform_splats(assembled.splats, back), shapes, notes)
+
+
+def _predict(asked: Asked, partial: Splats, views: ViewDistribution, mirror: Mirror) -> Prediction:
+    return predict(
+        asked.model,
+        partial,
+        views,
+        asked.tokens,
+        ends_in_plane=asked.ends_in_plane,
+        no_tokens=asked.no_tokens,
+        bfloat16=asked.bfloat16,
+        mirror_plane=mirror,
+    )
+
+
+def _carried(prediction: Prediction, frame: Similarity) -> Prediction:
+    """Return a prediction whose mirror images are told in another frame."""
+    maps = tuple(symmetry_in(symmetry, frame) for symmetry in prediction.seen.symmetries)
+    seen = dataclasses.replace(prediction.seen, symmetries=maps)
+    return dataclasses.replace(prediction, seen=seen)

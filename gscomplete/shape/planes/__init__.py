@@ -1,0 +1,1 @@
+"""Planes of symmetry that P suggests: all of them ranked, the likely ones scored."""

@@ -1,0 +1,92 @@
+import pytest
+import torch
+
+from gscomplete.shape.bank.store import BANK_FILE, ShapeName, write_bank
+from gscomplete.shape.guess import Asked, KnownShapes, guess_complete
+from gscomplete.shape.mirror_plane import MirrorPlane
+from gscomplete.shape.network import ShapeCompleter, ShapeOutput
+from gscomplete.shape.voxels import COARSE_CELLS
+from gscomplete.splats import Splats
+from gscomplete.views import ViewDistribution
+from tests.builders.known_shapes import cell_points, chair_cells
+from tests.builders.objects import round_splats
+from tests.builders.shape_network import TINY
+
+# the chair's back is at low x: c sees its front
+VIEWS = ViewDistribution(0.0, 15.0)
+
+
+class Believing(ShapeCompleter):
+    """Fills what P or the first copy fills, and nothing else."""
+
+    def forward(self, volumes, evidence, scores, tokens):
+        filled = volumes[:, :2, 0].amax(dim=1) > 0.5
+        half = (COARSE_CELLS,) * 3
+        colors = torch.full((len(volumes), 3, *half), 0.5)
+        sources = torch.zeros(len(volumes), volumes.shape[1] + 1, *half)
+        return ShapeOutput(torch.where(filled, 4.0, -4.0), colors, sources)
+
+
+@pytest.fixture(scope="module")
+def bank(tmp_path_factory):
+    path = tmp_path_factory.mktemp("bank") / BANK_FILE
+    thinner = chair_cells() & ~chair_cells().all(axis=0)
+    names = [ShapeName(f"{pack}/chair", "chair", "a chair") for pack in ("a", "b")]
+    write_bank(path, names, [chair_cells(), thinner])
+    return path
+
+
+@pytest.fixture(scope="module")
+def asked():
+    torch.manual_seed(0)
+    model = Believing(TINY, COARSE_CELLS).eval()
+    words = torch.ones(4, dtype=torch.int64)
+    return Asked(model, words, torch.zeros_like(words), bfloat16=False, ends_in_plane=False)
+
+
+def seat_and_back() -> Splats:
+    """Return what is above the legs of a chair, in the frame that its box suggests."""
+    points = cell_points(chair_cells())
+    upper = points[points[:, 2] > 0.0]
+    low, high = upper.min(axis=0), upper.max(axis=0)
+    placed = (upper - (low + high) / 2) / (high - low).max()
+    return round_splats(torch.from_numpy(placed).float(), scale=0.014)
+
+
+def guess(asked, prompt, bank, mirror="none"):
+    generator = torch.Generator().manual_seed(0)
+    known = KnownShapes(bank, prompt)
+    return guess_complete(asked, seat_and_back(), VIEWS, mirror, known, 4000, generator)
+
+
+def test_known_chairs_give_the_legs_that_p_has_not(asked, bank):
+    found = guess(asked, "a wooden chair", bank)
+    bottom = float(seat_and_back().means[:, 2].min())
+    assert {shape.name.id for shape in found.known} == {"a/chair", "b/chair"}
+    legs = found.splats.means[found.splats.means[:, 2] < bottom - 0.1]
+    assert len(legs) > 300
+    assert float(legs[:, 2].min()) < bottom - 0.3  # far below the object frame's grid
+    assert torch.isfinite(found.splats.means).all()
+    known = torch.from_numpy(found.known[0].points).float()
+    # cells of the grid are .03 of the wider frame
+    assert float(torch.cdist(legs, known).amin(dim=1).quantile(0.9)) < 0.1
+    assert found.notes[0].startswith("chair: by known shapes, ")
+
+
+def test_known_shapes_change_nothing_where_none_is_called_so(asked, bank):
+    plain = guess(asked, "a wooden chair", None)
+    assert plain.known == ()
+    assert not any("known shape" in note for note in plain.notes)
+    other = guess(asked, "a wooden unicorn", bank)
+    assert other.notes[0] == "unicorn: no known shape is called so"
+    for (_, one), (_, two) in zip(other.splats.fields(), plain.splats.fields(), strict=True):
+        assert torch.equal(one, two)
+
+
+def test_a_part_that_is_mirrored_through_a_plane_asks_for_no_known_shape(asked, bank):
+    plane = MirrorPlane(0.0, -0.1)
+    one, two = (guess(asked, "a wooden chair", b, plane) for b in (bank, None))
+    assert one.known == ()
+    assert one.notes == two.notes
+    assert len(one.splats.means) == len(two.splats.means)
+    assert torch.equal(one.splats.means, two.splats.means)
