@@ -27,13 +27,15 @@ from safetensors.torch import save
 
 from gscomplete.errors import UserError
 from gscomplete.util.atomic import atomic_path
+from gscomplete.util.synonyms import synonyms_of
 
 BANK_FILE = "shapes.safetensors"
 BANK_CELLS = 48
 _BITS = BANK_CELLS**3 // 8
 _WORD = re.compile(r"[^\W\d_]+")
-_HEAD_SCORE, _WORD_SCORE, _OTHER_SCORE = 3.0, 2.0, 0.3
-"""A shape of that very noun, one that is also called so, and each further word in common."""
+_HEAD_SCORE, _SYNONYM_SCORE, _WORD_SCORE, _OTHER_SCORE = 3.0, 2.5, 2.0, 0.3
+"""A shape of that very noun, of a synonym, one that is also called so, and each further word in
+common."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,10 +108,12 @@ class ShapeBank:
         if noun is None:
             return []
         forms = _forms(noun)
+        alike = frozenset(s for form in forms for s in synonyms_of(form))
         others = set(_words(prompt)) - forms
         scores = []
         for head, words in zip(self._heads, self._words, strict=True):
             by_noun = _HEAD_SCORE * bool(forms.intersection(head))
+            by_noun = by_noun or _SYNONYM_SCORE * bool(alike.intersection(head))
             by_word = _WORD_SCORE * bool(forms & words)
             scores.append(
                 (by_noun + by_word) and by_noun + by_word + _OTHER_SCORE * len(others & words)
@@ -121,7 +125,7 @@ class ShapeBank:
 _BEFORE = frozenset(
     (
         *("with", "of", "in", "on", "for", "from", "that", "which", "by", "at", "without"),
-        *("to", "lying", "upside", "seen", "under", "next"),
+        *("to", "lying", "upside", "seen", "under", "next", "made", "having", "standing"),
     )
 )
 """The noun of a prompt comes before the first of these."""
@@ -137,6 +141,8 @@ _ANYTHING = frozenset(
     ("object", "thing", "item", "model", "toy", "figure", "character", "part", "piece", "set")
 )
 """Words that tell nothing of a shape."""
+_AMOUNTS = frozenset(("pair", "set", "piece", "part", "couple", "half", "rest"))
+"""Before "of" these tell how much there is of what follows it."""
 
 
 def head_noun(prompt: str) -> str | None:
@@ -146,6 +152,9 @@ def head_noun(prompt: str) -> str | None:
     alone: "a blue mug with a handle" is a mug, and "an orange" an orange.
     """
     words = _words(prompt)
+    amount = next((k for k, word in enumerate(words[1:]) if word == "of"), None)
+    if amount is not None and words[amount] in _AMOUNTS:
+        words = words[amount + 2 :]
     stop = next((k for k, word in enumerate(words) if k and word in _BEFORE), len(words))
     plain = [word for word in words[:stop] if word not in _COLORS] or words[:stop]
     return plain[-1] if plain and plain[-1] not in _ANYTHING else None

@@ -20,6 +20,7 @@ NAMES = (
     ShapeName("a/bench", "bench", "a chair for three"),
     ShapeName("b/table", "dining table", "a table"),
     ShapeName("b/red_table", "side table", "a red table"),
+    ShapeName("c/sofa", "sofa", "a sofa"),
 )
 
 
@@ -44,6 +45,7 @@ def test_shapes_of_the_very_noun_come_before_those_that_are_also_called_so(path)
     assert bank.named("a wooden chair", 9) == [0, 1]
     assert bank.named("two chairs", 1) == [0]
     assert bank.named("a red table with a chair", 9) == [3, 2]
+    assert bank.named("two couches", 9) == [4]
     assert bank.named("a unicorn", 9) == []
     assert bank.named("", 9) == []
 
@@ -63,6 +65,10 @@ def test_shapes_of_the_very_noun_come_before_those_that_are_also_called_so(path)
         ("a chair, blue", "chair"),
         ("an orange", "orange"),
         ("a toy", None),
+        ("the rest of a chair", "chair"),
+        ("a bench made of wood", "bench"),
+        ("a cup of tea", "cup"),
+        ("half of", None),
     ],
 )
 def test_the_noun_is_what_the_first_preposition_follows(prompt, noun):
@@ -94,7 +100,7 @@ def test_damage_is_told(path, tmp_path):
     broken = tmp_path / "broken.safetensors"
     broken.write_bytes(stored)
     bank = read_bank(broken)
-    with pytest.raises(UserError, match="b/"):
+    with pytest.raises(UserError, match="c/"):
         bank.surface(len(bank) - 1)
 
 
