@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from gscomplete.util.synonyms import synonyms_of
+from gscomplete.shape.bank.nouns import synonyms_of
 
 PAD_TOKEN = 0
 NO_TEXT_TOKEN = 1

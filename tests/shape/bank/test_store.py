@@ -1,7 +1,5 @@
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from gscomplete.errors import UserError
 from gscomplete.priors.embedded.prior import packaged_weights
@@ -9,7 +7,6 @@ from gscomplete.shape.bank.store import (
     BANK_CELLS,
     BANK_FILE,
     ShapeName,
-    head_noun,
     read_bank,
     write_bank,
 )
@@ -48,37 +45,6 @@ def test_shapes_of_the_very_noun_come_before_those_that_are_also_called_so(path)
     assert bank.named("two couches", 9) == [4]
     assert bank.named("a unicorn", 9) == []
     assert bank.named("", 9) == []
-
-
-@pytest.mark.parametrize(
-    ("prompt", "noun"),
-    [
-        ("a blue mug with a handle", "mug"),
-        ("A pale yellow bowl upside down", "bowl"),
-        ("a red and white box", "box"),
-        ("statue of a seated figure", "statue"),
-        ("chair", "chair"),
-        ("the", None),
-        ("", None),
-        ("123 ...", None),
-        ("android figure orange", None),
-        ("a chair, blue", "chair"),
-        ("an orange", "orange"),
-        ("a toy", None),
-        ("the rest of a chair", "chair"),
-        ("a bench made of wood", "bench"),
-        ("a cup of tea", "cup"),
-        ("half of", None),
-    ],
-)
-def test_the_noun_is_what_the_first_preposition_follows(prompt, noun):
-    assert head_noun(prompt) == noun
-
-
-@given(st.text(max_size=60))
-def test_any_text_has_a_noun_of_its_own_or_none(text):
-    noun = head_noun(text)
-    assert noun is None or noun in text.lower()
 
 
 def test_the_bank_of_the_package_is_whole_and_free():
