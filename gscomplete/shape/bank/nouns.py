@@ -95,7 +95,6 @@ bicycle bike
 airplane aeroplane plane aircraft
 ship boat
 pistol handgun revolver
-sword blade
 knife dagger
 axe hatchet
 rock stone boulder
