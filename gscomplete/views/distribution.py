@@ -46,6 +46,10 @@ _FIRST_MEASURED_VIEW = 20_000
 """Place in the sequence of V's views from which on they are for measuring."""
 _ROOM = 0.75
 """Object sizes to every side of the target that the usual cameras show, with a margin."""
+_STRAYS = 0.001
+"""Share of points at either end of an axis that pictures need not show."""
+_LARGEST = 4.0
+"""Pictures are taken from at most so many times V's distance."""
 _SIDES = (0.0, -0.6, 0.6)
 """Azimuths of c and of views to both sides of it, in ranges of V about c."""
 _MAX_SIDE_ELEVATION_DEG = 80.0
@@ -149,16 +153,22 @@ class ViewDistribution:
         self,
         points: NDArray[np.floating],  # [N, 3]
     ) -> ViewDistribution:
-        """Return the same directions with room for all points, for pictures; self if there is."""
+        """Return the same directions with room for the points, for pictures; self if there is.
+
+        Strays do not count, nor is anything drawn at less than a quarter of its size.
+        """
         if not len(points):
             return self
-        low, high = points.min(axis=0).astype(float), points.max(axis=0).astype(float)
+        low, high = np.quantile(points.astype(float), (_STRAYS, 1 - _STRAYS), axis=0)
         room = _ROOM * self.radius / RADIUS
         if np.abs(np.stack([low, high]) - self.target).max() <= room:
             return self
         middle, half = (low + high) / 2, float((high - low).max()) / 2
+        largest = _LARGEST * self.radius
+        if not (np.abs(middle).max() <= largest and half <= largest):
+            return self
         x, y, z = middle.tolist()
-        radius = max(self.radius, 2 * half * RADIUS)
+        radius = min(max(self.radius, 2 * half * RADIUS), largest)
         return dataclasses.replace(self, target=(x, y, z), radius=radius)
 
     def sides(self, size_px: int) -> Cameras:

@@ -13,7 +13,8 @@ What is measured
 * Colour PSNR: over the pixels of the mesh's silhouette, both pictures over mid-grey, so that holes
   and rims count as errors.
 * With ``--overhang``: the largest aspect of a splat, and how far the farthest one reaches beyond
-  the mesh at half its opacity, in spacings (``RIM_POINTS`` places round every splat).
+  the mesh at half its opacity, in spacings (``RIM_POINTS`` places round every splat; what is
+  inside does not count).
 * IoU and PSNR come twice: with the splats' picture taken at one sample per pixel, as the renderer
   draws it with 3DGS's blur of 0.3 px^2, which widens every silhouette by about a pixel; and at
   ``render_samples``^2 samples per pixel, as the ray caster's picture is taken.
@@ -50,6 +51,8 @@ from splatcomplete_data.mesh.files.parts import MeshPart
 
 GREY = 0.5
 RIM_POINTS = 16
+_BEHIND = 0.7
+"""Cosine from which a way off a triangle leads straight behind it."""
 FOV_DEG = 40.0
 
 
@@ -203,6 +206,8 @@ def measure(
 def overhang(splats: Splats, mesh: Mesh, frame: ObjectFrame) -> float:
     """Return how far the farthest splat reaches beyond a mesh at half its opacity, object sizes.
 
+    What lies straight behind its nearest triangle is inside, not beyond.
+
     Args:
         splats: in the object frame, x and y of each in its tangent plane.
         mesh: in its file's frame.
@@ -221,8 +226,11 @@ def overhang(splats: Splats, mesh: Mesh, frame: ObjectFrame) -> float:
         rim = splats.means + half * (
             math.cos(angle) * axes[..., 0] + math.sin(angle) * axes[..., 1]
         )
-        away = scene.compute_distance(core.Tensor(rim.numpy().astype(np.float32))).numpy()
-        farthest = max(farthest, float(away.max()))
+        nearest = scene.compute_closest_points(core.Tensor(rim.numpy().astype(np.float32)))
+        away = rim.numpy() - nearest["points"].numpy()
+        distance = np.linalg.norm(away, axis=1)
+        along = np.einsum("nc,nc->n", away, nearest["primitive_normals"].numpy())
+        farthest = max(farthest, float(distance[along > -_BEHIND * distance].max(initial=0.0)))
     return farthest
 
 

@@ -50,6 +50,10 @@ class MeshOptions(ObjectOptions):
     rest (pymeshlab), each with a count."""
     sigma: float = 0.5
     """Tangent standard deviation over the cell's side; below 0.45 holes show."""
+    outline_px: float = 512.0
+    """Pixels of the object's largest side in pictures whose outlines are to be right. 3DGS's blur
+    widens outlines, so splats lie half such a pixel below the surface, 0.3 spacings at most; 0
+    leaves them on it."""
     cut: tuple[str, ...] = ()
     """What to keep for partial.ply: plane:AZIMUTH[,OFFSET], box:LX,LY,LZ,HX,HY,HZ (object frame) or
     scan:AZ/EL[,AZ/EL...]."""
@@ -108,7 +112,9 @@ def make(options: MeshOptions, enter: StageCallback = ignore_stage) -> ObjectDra
 
         enter("repairing", 0.1)
         mesh, repairs = repair_mesh(mesh)
-    settings = ConvertSettings(options.mode, options.sigma, seed=options.seed)
+    settings = ConvertSettings(
+        options.mode, options.sigma, outline_px=options.outline_px, seed=options.seed
+    )
     count = 100_000 if options.count is None and options.spacing is None else options.count
     request = framing_request(options, up_of_mesh_file(options.file))
     light = BakedLight.from_above(request.up) if options.light else None

@@ -28,11 +28,12 @@ from gscomplete.errors import UserError
 from gscomplete.splats import Splats, colors_to_sh
 from splatcomplete_data.mesh.allot import MAX_SPLATS, Allotment, allot_by_count, allot_by_spacing
 from splatcomplete_data.mesh.cells import Cells, cut_into_cells, keep_within
-from splatcomplete_data.mesh.edges import marked_edges
+from splatcomplete_data.mesh.edges import find_edges, inside_of, marked_edges
 from splatcomplete_data.mesh.files.load import BakedLight, Mesh
 from splatcomplete_data.mesh.grid import grid_cells
 from splatcomplete_data.mesh.sampling import point_frames, poisson_points, uniform_points
 from splatcomplete_data.mesh.shading import shade_cells
+from splatcomplete_data.mesh.sink import sink, sinking_depth
 from splatcomplete_data.objects import StepRecord
 
 FloatArray = NDArray[np.float32]
@@ -64,6 +65,9 @@ class ConvertSettings:
     splats has an alpha of 0.84; below 0.45 holes show, above 0.6 texture blurs."""
     opacity: float = 0.99
     """Opacity of every splat, in (0, 1)."""
+    outline_px: float = 512.0
+    """Pixels of the object's largest side in pictures whose outlines are to be right: ``cells``
+    puts splats so much below the surface as 3DGS's blur widens these; 0 = on the surface."""
     seed: int = 0
     """Seed of ``random`` and ``poisson``; the others draw no random numbers."""
 
@@ -105,7 +109,7 @@ def convert_mesh(
     vertices = np.concatenate([part.vertices for part in mesh.parts])
     normals = np.cross(*np.diff(vertices.astype(np.float64), axis=1).swapaxes(0, 1))
     areas = 0.5 * np.linalg.norm(normals, axis=1)
-    allotment: Allotment | None = None
+    raised: FloatArray | None = None
     if chosen.mode in ("random", "poisson"):
         number = count or max(1, round(float(areas.sum()) / float(spacing or 1.0) ** 2))
         _check_number(number)
@@ -120,7 +124,7 @@ def convert_mesh(
             allotment = allot_by_count(vertices, areas, int(count or 1))
         else:
             allotment = allot_by_spacing(vertices, areas, spacing)
-        cells, step = _even_cells(vertices, areas, normals, allotment, chosen)
+        cells, raised, step = _even_cells(vertices, areas, normals, allotment, chosen)
         side = allotment.spacing
     rgba = shade_cells(mesh.parts, cells)
     opacities = np.full(len(rgba), chosen.opacity, np.float32)
@@ -142,7 +146,7 @@ def convert_mesh(
     if light is not None:
         unit = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
         colors = colors * light.shade(unit[cells.triangle])[:, None]
-    splats = _splats(vertices, cells, colors, opacities, chosen)
+    splats = _splats(vertices, cells, raised, colors, opacities, chosen)
     if hidden:
         splats = splats.select(torch.from_numpy(kept))
     return Conversion(splats, side, steps)
@@ -158,6 +162,10 @@ def _check(count: int | None, spacing: float | None, settings: ConvertSettings) 
         raise UserError(f"mesh: count: expected a positive number, found {count}")
     if not 0 < settings.opacity < 1 or settings.sigma_per_cell <= 0:
         raise UserError("mesh: expected an opacity in (0, 1) and a positive sigma_per_cell")
+    if not 0 <= settings.outline_px < math.inf:
+        raise UserError(
+            f"mesh: outline_px: expected a number of pixels or 0, found {settings.outline_px}"
+        )
 
 
 def _load_steps(mesh: Mesh) -> tuple[StepRecord, ...]:
@@ -190,16 +198,22 @@ def _even_cells(
     normals: NDArray[np.float64],
     allotment: Allotment,
     settings: ConvertSettings,
-) -> tuple[Cells, StepRecord]:
-    """Cut every triangle into its cells; those of tiny triangles get the size they stand for."""
-    marked, ends = marked_edges(vertices, normals, _FOLD_DEG)
-    marked[allotment.tiny_area > 0] = 0
+) -> tuple[Cells, FloatArray, StepRecord]:
+    """Cut every triangle into its cells; those of tiny triangles get the size they stand for.
+
+    Returns:
+        The cells, how far from them along their normals the splats lie, and a record.
+    """
+    edges = find_edges(vertices)
+    marked, ends = marked_edges(edges, normals, _FOLD_DEG)
+    inside = inside_of(edges, vertices, normals)
+    depth = sinking_depth(vertices, allotment.spacing, settings.outline_px)
     cells = _empty(allotment.total)
     cut_into_cells(
         vertices,
         allotment.counts,
         areas,
-        marked,
+        np.where(allotment.tiny_area > 0, np.uint8(0), marked),
         ends,
         INSET,
         allotment.spacing,
@@ -209,6 +223,9 @@ def _even_cells(
         cells.axes,
         cells.sizes,
     )
+    stands_for = allotment.tiny_area[cells.triangle]
+    shared = stands_for > 0
+    cells.sizes[shared] = np.sqrt(stands_for[shared])[:, None]
     keep_within(
         vertices,
         marked,
@@ -219,18 +236,18 @@ def _even_cells(
         MOST_OVERHANG * allotment.spacing,
         cells.sizes,
     )
-    stands_for = allotment.tiny_area[cells.triangle]
-    shared = stands_for > 0
-    cells.sizes[shared] = np.sqrt(stands_for[shared])[:, None]
+    raised = sink(vertices, cells, inside, depth, allotment.spacing)
     carrying = int((allotment.counts > 0).sum())
     note = f"spacing {allotment.spacing:.4g}"
     if allotment.tiny:
         note += f"; {allotment.tiny:,} tiny triangles share splats, none is lost"
+    if raised.any():
+        note += f"; splats lie up to {depth:.3g} below the surface, for outlines"
     step = StepRecord("triangles_with_splats", len(areas), carrying, {}, note)
     if carrying < len(areas):
         shared_out = {"represented_by_a_neighbour": len(areas) - carrying}
         step = StepRecord("triangles_with_splats", len(areas), carrying, shared_out, note)
-    return cells, step
+    return cells, raised, step
 
 
 def _point_cells(
@@ -293,6 +310,7 @@ def _check_number(number: float) -> None:
 def _splats(
     vertices: FloatArray,
     cells: Cells,
+    raised: FloatArray | None,
     colors: FloatArray,
     opacities: FloatArray,
     settings: ConvertSettings,
@@ -302,7 +320,8 @@ def _splats(
     means = np.empty((count, 3), np.float32)
     quaternions = np.empty((count, 4), np.float32)
     scales = np.empty((count, 3), np.float32)
-    _place(vertices, cells.triangle, cells.weights, cells.axes, means, quaternions)
+    raised = np.zeros(count, np.float32) if raised is None else raised
+    _place(vertices, cells.triangle, cells.weights, cells.axes, raised, means, quaternions)
     scales[:, :2] = cells.sizes * np.float32(settings.sigma_per_cell)
     flatness = 1.0 if settings.mode == "random" else _NORMAL_PER_TANGENT
     scales[:, 2] = scales[:, :2].min(axis=1) * np.float32(flatness)
@@ -321,6 +340,7 @@ def _place(
     triangle: NDArray[np.int64],  # [N]
     weights: FloatArray,  # [N, 3]
     axes: FloatArray,  # [N, 2, 3]
+    raised: FloatArray,  # [N] how far the splat lies from its cell, along x cross y
     means: FloatArray,  # [N, 3] out
     quaternions: FloatArray,  # [N, 4] out, wxyz
 ) -> None:
@@ -335,6 +355,9 @@ def _place(
         a, d, g = axes[n, 0, 0], axes[n, 0, 1], axes[n, 0, 2]  # columns of the rotation
         b, e, h = axes[n, 1, 0], axes[n, 1, 1], axes[n, 1, 2]
         c, f, i = d * h - g * e, g * b - a * h, a * e - d * b
+        means[n, 0] += raised[n] * c
+        means[n, 1] += raised[n] * f
+        means[n, 2] += raised[n] * i
         # the largest of the four squares divides: at least 1 of their sum of 4
         if a + e + i > 0.0:
             w, x, y, z = 1.0 + a + e + i, h - f, c - g, d - b

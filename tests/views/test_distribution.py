@@ -175,11 +175,15 @@ def test_pictures_have_room_for_what_outgrew_the_frame(radius: float) -> None:
     inside = np.array([[-0.3, -0.3, -0.3], [0.3, 0.2, 0.3]]) * radius
     assert views.to_show(inside) is views
     assert views.to_show(inside[:0]) is views
-    tall = np.array([[0.0, 0.0, -3.0], [0.1, 0.1, 0.5]]) * radius
+    many = np.concatenate([np.tile(inside, (2000, 1)), np.full((1, 3), 1e17)])
+    assert views.to_show(many) is views  # one stray
+    for wild in (1e17, np.inf, np.nan):
+        assert views.to_show(np.full((4, 3), wild)) is views
+    tall = np.array([[0.0, 0.0, -1.2], [0.1, 0.1, 0.4]]) * radius
     wider = views.to_show(tall)
     assert wider.azimuth_deg == views.azimuth_deg
     assert wider.elevation_deg == views.elevation_deg
-    assert np.allclose(wider.target, tall.mean(axis=0))
+    assert np.allclose(wider.target, tall.mean(axis=0), atol=1e-2)
     ring = wider.ring(4, 64)
     points = torch.nn.functional.pad(torch.from_numpy(tall).float(), (0, 1), value=1.0)
     seen = points @ ring.camera_from_world.transpose(1, 2)

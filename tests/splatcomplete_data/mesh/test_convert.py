@@ -15,7 +15,7 @@ from gscomplete.splats.rotations import rotation_matrices
 from splatcomplete_data.mesh import convert
 from splatcomplete_data.mesh.allot import allot_by_spacing
 from splatcomplete_data.mesh.convert import ConvertSettings, convert_mesh
-from splatcomplete_data.mesh.edges import marked_edges
+from splatcomplete_data.mesh.edges import find_edges, marked_edges
 from splatcomplete_data.mesh.files.load import Mesh, load_mesh
 from splatcomplete_data.mesh.files.parts import MeshPart
 
@@ -170,7 +170,7 @@ def test_a_fine_mesh_is_not_counted_per_triangle() -> None:
 def test_borders_and_folds_are_marked_and_inset() -> None:
     square = np.array([[[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]])
     normals = np.tile([0.0, 0.0, 1.0], (2, 1))
-    edges, ends = marked_edges(square.astype(np.float32), normals, 35.0)
+    edges, ends = marked_edges(find_edges(square.astype(np.float32)), normals, 35.0)
     assert (edges.tolist(), ends.tolist()) == ([0b011, 0b110], [0b111, 0b111])
     lows = []
     for inset in (0.0, 0.4):
@@ -182,7 +182,8 @@ def test_borders_and_folds_are_marked_and_inset() -> None:
     folded = square.copy()
     folded[1, 2] = [0, 0, 1]
     normals = np.cross(folded[:, 1] - folded[:, 0], folded[:, 2] - folded[:, 0]).astype(float)
-    assert marked_edges(folded.astype(np.float32), normals, 35.0)[0].tolist() == [0b111, 0b111]
+    edges, _ = marked_edges(find_edges(folded.astype(np.float32)), normals, 35.0)
+    assert edges.tolist() == [0b111, 0b111]
 
 
 def fan(number: int) -> np.ndarray:  # [number, 3, 3]
@@ -198,7 +199,7 @@ def test_only_the_middle_of_a_flat_fan_is_surrounded(height: float, expected: in
     cone = fan(8)
     cone[:, 0, 2] = height
     normals = np.cross(cone[:, 1] - cone[:, 0], cone[:, 2] - cone[:, 0])
-    edges, ends = marked_edges(cone.astype(np.float32), normals, 35.0)
+    edges, ends = marked_edges(find_edges(cone.astype(np.float32)), normals, 35.0)
     assert set(edges.tolist()) == {0b010}
     assert set(ends.tolist()) == {expected}
 
