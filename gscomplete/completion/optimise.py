@@ -55,6 +55,25 @@ class StepReport:
     seconds: float
 
 
+@dataclass(frozen=True, slots=True)
+class _Pull:
+    """Where the prior moves the pixels of a ring, kept for the steps until it is asked again."""
+
+    color: Tensor  # [4, H, W, 3] gradient of the prior's loss
+    alpha: Tensor  # [4, H, W]
+    loss: Tensor  # []
+
+    def on(self, view: Render) -> Tensor:  # []
+        """Return a term of the loss's gradient and value."""
+        term = (view.color * self.color).sum() + (view.alpha * self.alpha).sum()
+        return term - term.detach() + self.loss
+
+    @property
+    def tensors(self) -> dict[str, Tensor]:
+        """For a checkpoint."""
+        return {"pull.color": self.color, "pull.alpha": self.alpha, "pull.loss": self.loss}
+
+
 class Optimisation:
     """The steps of a completion: the new splats, their optimiser and the current targets."""
 
@@ -92,6 +111,7 @@ class Optimisation:
         self._statistics = GradientStatistics(len(self.parameters), self._device)
         self._rings = RingMemory(settings.ring_memory)
         self._renders = PartialViews(self.partial)
+        self._pull: _Pull | None = None
         self._updating = False
 
     @property
@@ -138,8 +158,12 @@ class Optimisation:
         background = random_background(generator_for(settings.seed, step, "background"))
         background = background.to(self._device)
         view = _part(drawn, 0, 4)
-        with stage("prior"):
-            guidance = self._guidance_loss(view, ring_cameras, ring, timestep, background)
+        pull = self._held_pull(view)
+        if pull is not None:
+            guidance = pull.on(view)
+        else:
+            with stage("prior"):
+                guidance = self._guidance_loss(view, ring_cameras, ring, timestep, background)
         total, preservation = guidance, None
         if preserving:
             preservation = preservation_loss(
@@ -149,8 +173,14 @@ class Optimisation:
                 masked=not schedules.is_warmup(settings, step),
             )
             total = total + settings.preservation_weight * preservation
+        asked = settings.prior_every > 1 and settings.mode == "distill" and pull is None
+        if asked:
+            view.color.retain_grad()
+            view.alpha.retain_grad()
         with stage("gradients"):
             total.backward()
+        if asked:
+            pull = _Pull(_gradient(view.color), _gradient(view.alpha), guidance.detach())
         losses = {"the prior's loss": guidance, "the preservation loss": preservation}
         require_finite(step, **losses, **self.parameters.gradients())
         require_finite(step, **{"gradient of screen positions": offsets.grad})
@@ -160,6 +190,7 @@ class Optimisation:
         self.parameters.step(step / settings.steps)
         require_finite(step, **self.parameters.values())
         self._edit_splats(step)
+        self._pull = pull
         self.step_number += 1
         self._updating = False
         return StepReport(
@@ -179,6 +210,7 @@ class Optimisation:
             "statistics.views": self._statistics.views,
             **self.parameters.state(),
             **self._rings.tensors,
+            **({} if self._pull is None else self._pull.tensors),
         }
 
     def restore(self, state: dict[str, Tensor]) -> None:
@@ -196,6 +228,10 @@ class Optimisation:
         self._statistics.total = state["statistics.total"].clone()
         self._statistics.views = state["statistics.views"].clone()
         self._rings.restore(state)
+        self._pull = None
+        if "pull.loss" in state:
+            pulled = (state[f"pull.{name}"] for name in ("color", "alpha", "loss"))
+            self._pull = _Pull(*pulled)
         if self.settings.mode == "reconstruct" and self.step_number and not len(self._rings):
             raise ValueError("ring.0.color: expected the targets of a round, found none")
 
@@ -252,10 +288,18 @@ class Optimisation:
         settings, step = self.settings, self.step_number
         size_px = schedules.resolution_at(settings, step, self._size_px)
         if settings.mode == "distill":
-            return random_ring(self._prior.views, size_px, settings.seed, step), None
+            asked = step - step % settings.prior_every
+            return random_ring(self._prior.views, size_px, settings.seed, asked), None
         pick = uniform(generator_for(settings.seed, step, "ring"), 0, len(self._rings))
         ring = self._rings[int(pick)]
         return ring.cameras.resized(size_px, size_px), ring
+
+    def _held_pull(self, view: Render) -> _Pull | None:
+        """Return where the prior last moved the pixels of this ring; None = it is to be asked."""
+        pull = self._pull
+        if self.step_number % self.settings.prior_every == 0 or pull is None:
+            return None
+        return pull if pull.alpha.shape == view.alpha.shape else None
 
     def _preservation_view(self) -> Cameras:
         """Return this step's view of V."""
@@ -307,6 +351,11 @@ class Optimisation:
 def _stays_on_cpu(name: str) -> bool:
     """Whether a tensor of a checkpoint is a camera, or a count that Adam keeps there."""
     return name.endswith(("step", "_px", "camera_from_world"))
+
+
+def _gradient(value: Tensor) -> Tensor:
+    """Return what a value's gradient is, zeros where nothing depends on it."""
+    return torch.zeros_like(value) if value.grad is None else value.grad.detach()
 
 
 def _part(drawn: Render, start: int, stop: int) -> Render:

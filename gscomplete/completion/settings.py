@@ -134,6 +134,9 @@ class CompletionSettings:
     preservation_views: int | None = None
     """Evenly spread views of V that the preservation loss draws from, so that P is prepared for
     each of them once; None = a new random view every time (the paper)."""
+    prior_every: int = 1
+    """``distill``: the prior is asked at every k-th step; steps until the next draw the same ring
+    and move its pixels the same way. 1 = at every step (the paper)."""
     timesteps: tuple[TimestepStage, ...] = (
         TimestepStage(0.5, 392.0, 588.0),
         TimestepStage(0.75, 20.0, 343.0),
@@ -181,6 +184,7 @@ class CompletionSettings:
             "warmup_steps": 0,
             "preservation_weight": 0,
             "preservation_every": 1,
+            "prior_every": 1,
             "rounds": 1,
             "denoise_steps": 1,
             "ring_memory": 1,

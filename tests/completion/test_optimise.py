@@ -76,7 +76,38 @@ def test_same_seed_same_splats_and_other_seed_other_splats():
     assert len(other) != len(one) or not torch.equal(other.means, one.means)
 
 
-@pytest.mark.parametrize("base", [DISTILL, RECONSTRUCT], ids=["distill", "reconstruct"])
+TWICE = dataclasses.replace(DISTILL, prior_every=2)
+
+
+def test_a_prior_asked_at_every_second_step_pulls_both_alike(monkeypatch):
+    asked, gradients = [], []
+
+    class Counting(OraclePrior):
+        def distill(self, views, timestep, *arguments, **options):
+            asked.append(timestep)
+            return super().distill(views, timestep, *arguments, **options)
+
+    settings = dataclasses.replace(TWICE, **QUICK, preservation_weight=0.0)
+    job = completion(settings, Counting(TRUTH))
+
+    def stand_still(progress):
+        gradients.append({name: g.clone() for name, g in job.parameters.gradients().items()})
+        for value in job.parameters._values.values():
+            value.grad = None
+
+    monkeypatch.setattr(job.parameters, "step", stand_still)
+    reports = [job.step() for _ in range(4)]
+    assert len(asked) == 2
+    for first, second in ((0, 1), (2, 3)):
+        assert reports[first].guidance_loss == reports[second].guidance_loss
+        for name, value in gradients[first].items():
+            assert torch.equal(gradients[second][name], value), name
+    assert reports[0].guidance_loss != reports[2].guidance_loss
+
+
+@pytest.mark.parametrize(
+    "base", [DISTILL, RECONSTRUCT, TWICE], ids=["distill", "reconstruct", "every second step"]
+)
 @pytest.mark.parametrize("stop", [1, 17, 40])
 def test_resumed_run_equals_unbroken_run(base, stop):
     settings = dataclasses.replace(base, **QUICK, rounds=5)

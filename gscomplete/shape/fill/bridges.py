@@ -113,7 +113,10 @@ def _meets_all_round(patch: Patch, nodes: _Nodes) -> bool:
     """Tell whether a patch has no edge of its own, as it has between two slats."""
     reach = 2 * _REACH * nodes.spacing
     places, normals = patch.points.numpy().astype(np.float64), patch.normals.numpy()
-    near = cKDTree(places).query(nodes.places, distance_upper_bound=reach)[0] < np.inf
+    inside = (nodes.places >= places.min(axis=0) - reach).all(axis=1)
+    inside &= (nodes.places <= places.max(axis=0) + reach).all(axis=1)
+    near = np.flatnonzero(inside)  # in the patch's box: few of all nodes
+    near = near[cKDTree(places).query(nodes.places[near], distance_upper_bound=reach)[0] < np.inf]
     together = _Nodes(
         np.concatenate([places, nodes.places[near]]),
         np.concatenate([normals, nodes.normals[near]]).astype(np.float64),
@@ -150,7 +153,10 @@ def _cells(
     axis = np.abs(units).argmax(axis=1)
     side = 2 * axis + (units[np.arange(len(units)), axis] > 0)
     cells = np.column_stack([np.floor(places / spacing).astype(np.int64), side])
-    cell = np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
+    cells -= cells.min(axis=0)
+    # one number instead of four: sorted several times as fast, into the same order
+    number = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
+    cell = np.unique(number, return_inverse=True)[1].reshape(-1).astype(np.int64)
     return cell, np.bincount(cell).astype(np.float64)
 
 
