@@ -43,6 +43,8 @@ _MOST_COPY_IN_FRONT = 0.5
 _LEAST_SYMMETRY_SCORE = 0.75
 """Score of the first mirror image, by the network's output, from which on its splats are used;
 below it the network's surface is all there is."""
+_LITTLE = 0.05
+"""Where P lacks less of the network's surface, mirrored splats would only stand beside P's own."""
 _LOGIT_BESIDE = 0.0
 """Cells of the network's surface beside mirrored splats count as filled from this logit on."""
 _SYMMETRY_SCORES = (0.1, 0.3)
@@ -122,14 +124,20 @@ def assemble_splats(
 
 def is_mirrored_by_splats(prediction: Prediction) -> bool:
     """Say whether the plane of symmetry is sure enough for P's own splats to be mirrored."""
-    return prediction.symmetry_score >= _LEAST_SYMMETRY_SCORE
+    is_sure = prediction.symmetry_score >= _LEAST_SYMMETRY_SCORE
+    return is_sure and _missing_share(prediction) >= _LITTLE
+
+
+def _missing_share(prediction: Prediction) -> float:  # in [0, 1]
+    """Return how much of the network's surface P does not have."""
+    surface = surface_cells(prediction.output.occupancy > 0)
+    away = surface & (grown(torch.from_numpy(prediction.voxels.volume[:1])) <= 0)
+    return float(away.sum()) / max(float(surface.sum()), 1.0)
 
 
 def _surface_logit(prediction: Prediction, settings: AssembleSettings) -> float:
     """Return the logit from which on cells count as filled, by how much is missing."""
-    surface = surface_cells(prediction.output.occupancy > 0)
-    away = surface & (grown(torch.from_numpy(prediction.voxels.volume[:1])) <= 0)
-    share = float(away.sum()) / max(float(surface.sum()), 1.0)
+    share = _missing_share(prediction)
     levels = (settings.occupancy_threshold_high, settings.occupancy_threshold_low)
     by_share = float(np.interp(share, settings.threshold_missing_shares, levels))
     if not _is_mirrored(prediction):

@@ -24,8 +24,9 @@ from gscomplete.shape.assemble import (
     notes_of,
 )
 from gscomplete.shape.bank.fit import FittedShape, fit_known_shapes
+from gscomplete.shape.bank.nouns import head_noun
 from gscomplete.shape.bank.shown import occupancy_by_shapes
-from gscomplete.shape.bank.store import head_noun, read_bank
+from gscomplete.shape.bank.store import read_bank
 from gscomplete.shape.bank.wider import (
     shape_in,
     symmetry_in,

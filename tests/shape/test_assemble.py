@@ -9,6 +9,7 @@ from gscomplete.render import render
 from gscomplete.shape.assemble import (
     AssembleSettings,
     assemble_splats,
+    is_mirrored_by_splats,
     notes_of,
     select_consistent,
 )
@@ -204,3 +205,13 @@ def test_copies_that_network_or_views_contradict_are_left_out():
     above = dataclasses.replace(partial, means=1.2 * partial.means)
     facing = above.select(above.means[:, 0] > 0.42)
     assert len(select_consistent(facing, everywhere, voxels.evidence)) < 0.05 * len(facing)
+
+
+def test_what_lacks_nothing_is_not_mirrored_beside_itself():
+    complete = ball()
+    voxels = voxelize_partial(complete, VIEWS)
+    prediction = dataclasses.replace(
+        predicted(0.9), voxels=voxels, seen=voxels.with_copies(mirrors())
+    )
+    assert is_mirrored_by_splats(predicted(0.9))
+    assert not is_mirrored_by_splats(prediction)

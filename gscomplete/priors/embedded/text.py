@@ -4,7 +4,8 @@ Conventions
 -----------
 * Token 0 is padding, token 1 stands for "no text", words follow from 2 in vocabulary order.
 * Text is lower-cased and split at everything but letters and digits, so hyphens split too.
-* A word is looked up as it is, then by spelling variant, then with simple endings taken off.
+* A word is looked up as it is, then by spelling variant, then with simple endings taken off, then
+  by synonym.
   A word that is still not found is reported and never used.
 """
 
@@ -16,6 +17,8 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+
+from gscomplete.shape.bank.nouns import synonyms_of
 
 PAD_TOKEN = 0
 NO_TEXT_TOKEN = 1
@@ -117,8 +120,10 @@ class Tokenizer:
         return FIRST_WORD_TOKEN + len(self.words)
 
     def lookup(self, word: str) -> int | None:
-        """Return the id of a word or of its stem, None when unknown."""
-        for candidate in _stems(word):
+        """Return the id of a word, of its stem or of a synonym, None when unknown."""
+        stems = _stems(word)
+        synonyms = [other for stem in stems for other in synonyms_of(stem)]
+        for candidate in (*stems, *synonyms):
             if candidate in self._ids:
                 return self._ids[candidate]
         return None

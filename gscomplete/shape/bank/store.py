@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import functools
 import json
-import re
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,14 +25,15 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
 from gscomplete.errors import UserError
+from gscomplete.shape.bank.nouns import forms_of, head_noun, synonyms_of, words_of
 from gscomplete.util.atomic import atomic_path
 
 BANK_FILE = "shapes.safetensors"
 BANK_CELLS = 48
 _BITS = BANK_CELLS**3 // 8
-_WORD = re.compile(r"[^\W\d_]+")
-_HEAD_SCORE, _WORD_SCORE, _OTHER_SCORE = 3.0, 2.0, 0.3
-"""A shape of that very noun, one that is also called so, and each further word in common."""
+_HEAD_SCORE, _SYNONYM_SCORE, _WORD_SCORE, _OTHER_SCORE = 3.0, 2.5, 2.0, 0.3
+"""A shape of that very noun, of a synonym, one that is also called so, and each further word in
+common."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +70,8 @@ class ShapeBank:
             raise ValueError(f"expected {offsets[-1]} bytes of shapes, found {len(blob)}")
         self.names = tuple(names)
         self._blob, self._offsets = blob, offsets
-        self._heads = [_words(name.noun)[-1:] for name in self.names]
-        self._words = [frozenset(_words(f"{name.noun} {name.caption}")) for name in self.names]
+        self._heads = [words_of(name.noun)[-1:] for name in self.names]
+        self._words = [frozenset(words_of(f"{name.noun} {name.caption}")) for name in self.names]
 
     def __len__(self) -> int:
         """Return the number of shapes."""
@@ -105,62 +105,19 @@ class ShapeBank:
         noun = head_noun(prompt)
         if noun is None:
             return []
-        forms = _forms(noun)
-        others = set(_words(prompt)) - forms
+        forms = forms_of(noun)
+        alike = frozenset(s for form in forms for s in synonyms_of(form))
+        others = set(words_of(prompt)) - forms
         scores = []
         for head, words in zip(self._heads, self._words, strict=True):
             by_noun = _HEAD_SCORE * bool(forms.intersection(head))
+            by_noun = by_noun or _SYNONYM_SCORE * bool(alike.intersection(head))
             by_word = _WORD_SCORE * bool(forms & words)
             scores.append(
                 (by_noun + by_word) and by_noun + by_word + _OTHER_SCORE * len(others & words)
             )
         order = np.argsort(-np.array(scores), kind="stable")[:limit]
         return [int(k) for k in order if scores[k] > 0]
-
-
-_BEFORE = frozenset(
-    (
-        *("with", "of", "in", "on", "for", "from", "that", "which", "by", "at", "without"),
-        *("to", "lying", "upside", "seen", "under", "next"),
-    )
-)
-"""The noun of a prompt comes before the first of these."""
-
-
-_COLORS = frozenset(
-    (
-        *("red", "orange", "yellow", "green", "blue", "purple", "pink", "brown", "black", "white"),
-        *("grey", "gray", "beige", "gold", "golden", "silver", "turquoise", "teal", "multi"),
-    )
-)
-_ANYTHING = frozenset(
-    ("object", "thing", "item", "model", "toy", "figure", "character", "part", "piece", "set")
-)
-"""Words that tell nothing of a shape."""
-
-
-def head_noun(prompt: str) -> str | None:
-    """Return the word of a prompt that says what the object is; None = there is no such word.
-
-    It is the last one before the first preposition that is no colour, unless there are colours
-    alone: "a blue mug with a handle" is a mug, and "an orange" an orange.
-    """
-    words = _words(prompt)
-    stop = next((k for k, word in enumerate(words) if k and word in _BEFORE), len(words))
-    plain = [word for word in words[:stop] if word not in _COLORS] or words[:stop]
-    return plain[-1] if plain and plain[-1] not in _ANYTHING else None
-
-
-def _words(text: str) -> list[str]:
-    return [word for word in _WORD.findall(text.lower()) if word not in ("a", "an", "the")]
-
-
-def _forms(noun: str) -> frozenset[str]:
-    """Return a noun, its singular and its plural."""
-    forms = {noun, noun + "s", noun + "es"}
-    if noun.endswith("s") and not noun.endswith("ss"):
-        forms |= {noun[:-1], noun.removesuffix("es")}
-    return frozenset(form for form in forms if len(form) > 1)
 
 
 def write_bank(

@@ -31,6 +31,7 @@ def test_words_are_sorted_into_known_unknown_and_ignored():
         ("grey", "gray"),
         ("wood", "wooden"),
         ("RED", "red"),
+        ("teacups", "mug"),
     ],
 )
 def test_simple_forms_are_found(written, stored):

@@ -1,7 +1,5 @@
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from gscomplete.errors import UserError
 from gscomplete.priors.embedded.prior import packaged_weights
@@ -9,7 +7,6 @@ from gscomplete.shape.bank.store import (
     BANK_CELLS,
     BANK_FILE,
     ShapeName,
-    head_noun,
     read_bank,
     write_bank,
 )
@@ -20,6 +17,7 @@ NAMES = (
     ShapeName("a/bench", "bench", "a chair for three"),
     ShapeName("b/table", "dining table", "a table"),
     ShapeName("b/red_table", "side table", "a red table"),
+    ShapeName("c/sofa", "sofa", "a sofa"),
 )
 
 
@@ -44,35 +42,9 @@ def test_shapes_of_the_very_noun_come_before_those_that_are_also_called_so(path)
     assert bank.named("a wooden chair", 9) == [0, 1]
     assert bank.named("two chairs", 1) == [0]
     assert bank.named("a red table with a chair", 9) == [3, 2]
+    assert bank.named("two couches", 9) == [4]
     assert bank.named("a unicorn", 9) == []
     assert bank.named("", 9) == []
-
-
-@pytest.mark.parametrize(
-    ("prompt", "noun"),
-    [
-        ("a blue mug with a handle", "mug"),
-        ("A pale yellow bowl upside down", "bowl"),
-        ("a red and white box", "box"),
-        ("statue of a seated figure", "statue"),
-        ("chair", "chair"),
-        ("the", None),
-        ("", None),
-        ("123 ...", None),
-        ("android figure orange", None),
-        ("a chair, blue", "chair"),
-        ("an orange", "orange"),
-        ("a toy", None),
-    ],
-)
-def test_the_noun_is_what_the_first_preposition_follows(prompt, noun):
-    assert head_noun(prompt) == noun
-
-
-@given(st.text(max_size=60))
-def test_any_text_has_a_noun_of_its_own_or_none(text):
-    noun = head_noun(text)
-    assert noun is None or noun in text.lower()
 
 
 def test_the_bank_of_the_package_is_whole_and_free():
@@ -94,7 +66,7 @@ def test_damage_is_told(path, tmp_path):
     broken = tmp_path / "broken.safetensors"
     broken.write_bytes(stored)
     bank = read_bank(broken)
-    with pytest.raises(UserError, match="b/"):
+    with pytest.raises(UserError, match="c/"):
         bank.surface(len(bank) - 1)
 
 
