@@ -1,0 +1,1 @@
+"""Splat files through readers and writers that others wrote."""
