@@ -89,7 +89,7 @@ REFINE = dataclasses.replace(
     DEFAULT,
     mode="distill",
     steps=80,
-    prior_every=2,
+    prior_every=3,
     timesteps=annealed_timesteps(900.0, 300.0, 50.0),
     learning_rates=LearningRates(
         means=2e-4,

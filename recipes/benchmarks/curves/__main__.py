@@ -2,7 +2,7 @@
 
 Reads what the benchmarks left in a folder, each under the name that its panel's command gives it,
 and writes ``curves.html`` there: for every panel the chart, its points, and the command. A panel
-whose file is missing says so and shows the command alone.
+whose file is missing says so and shows the command alone. ``curves.png`` has all the charts.
 
 Conventions
 -----------
@@ -13,6 +13,7 @@ Conventions
 from __future__ import annotations
 
 import base64
+import dataclasses
 import html
 import io
 import statistics
@@ -22,6 +23,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from PIL import Image
 
 from gscomplete.errors import UserError
 from gscomplete.util import jsonio
@@ -39,7 +42,7 @@ class Options:
     """Draw the page."""
 
     results: Path
-    """Folder with the benchmarks' results, where ``curves.html`` is written."""
+    """Folder with the benchmarks' results, where ``curves.html`` and ``curves.png`` are written."""
 
 
 @dataclass(frozen=True)
@@ -182,6 +185,21 @@ PANELS = (
 )
 
 
+def charts_of(panel: Panel, folder: Path) -> list[Chart] | None:
+    """Return a panel's charts; None = it was not measured.
+
+    Raises:
+        UserError: its file is not what its benchmark writes.
+    """
+    path = folder / panel.file
+    if not path.is_file():
+        return None
+    try:
+        return panel.read(jsonio.read_json(path))
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise UserError(f"{path}: expected what this writes: {panel.command}") from error
+
+
 def page(folder: Path) -> str:
     """Return the page of a folder of results.
 
@@ -191,17 +209,26 @@ def page(folder: Path) -> str:
     parts = [_HEAD]
     for panel in PANELS:
         parts.append(f"<h2>{panel.title}</h2>\n<pre>{html.escape(panel.command)}</pre>\n")
-        path = folder / panel.file
-        if not path.is_file():
+        charts = charts_of(panel, folder)
+        if charts is None:
             parts.append(f"<p>Not measured: there is no {html.escape(panel.file)}.</p>\n")
-            continue
-        try:
-            charts = panel.read(jsonio.read_json(path))
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise UserError(f"{path}: expected what this writes: {panel.command}") from error
-        for chart in charts:
+        for chart in charts or ():
             parts.append(_figure(chart))
     return "".join(parts)
+
+
+def picture(folder: Path) -> Image.Image | None:
+    """Return all charts of a folder of results side by side; None = nothing was measured.
+
+    Raises:
+        UserError: a file is not what its benchmark writes.
+    """
+    charts = [
+        dataclasses.replace(chart, title=f"{panel.title}: {chart.title}")
+        for panel in PANELS
+        for chart in charts_of(panel, folder) or ()
+    ]
+    return draw_charts(charts, 2).quantize(_COLORS) if charts else None
 
 
 def _figure(chart: Chart) -> str:
@@ -240,6 +267,10 @@ def main(options: Options) -> None:
     text = page(options.results)
     with atomic_path(options.results / "curves.html") as temporary:
         temporary.write_text(text, encoding="utf-8")
+    sheet = picture(options.results)
+    if sheet is not None:
+        with atomic_path(options.results / "curves.png") as temporary:
+            sheet.save(temporary, "PNG", optimize=True)
     sys.stdout.write(f"written: {options.results / 'curves.html'}, {len(text) / 1e3:.0f} kB\n")
 
 

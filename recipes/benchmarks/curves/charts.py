@@ -8,7 +8,10 @@ from dataclasses import dataclass, field
 
 from PIL import Image, ImageDraw, ImageFont
 
-_COLORS = ("#1f5fa8", "#c8401c", "#2a8a4a", "#8a4ab0", "#a07800", "#108a98")
+_COLORS = (
+    "#1f5fa8", "#c8401c", "#2a8a4a", "#8a4ab0", "#a07800", "#108a98", "#d0508a", "#606060",
+    "#7a4a20",
+)  # fmt: skip
 _INK, _GRID = "#202020", "#dcdcdc"
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 150, 34, 46
 _STEPS = (1.0, 2.0, 5.0)
@@ -89,7 +92,9 @@ def _short(value: float) -> str:
     for factor, unit in ((1e6, "M"), (1e3, "k")):
         if abs(value) >= factor:
             return f"{value / factor:g}{unit}"
-    return f"{value:.0e}".replace("e-0", "e-") if 0 < abs(value) < 1e-2 else f"{value:.3g}"
+    if 0 < abs(value) < 1e-2:
+        return f"{value:.1e}".replace("e-0", "e-").replace(".0e", "e")
+    return f"{value:.3g}"
 
 
 def _draw_chart(chart: Chart, size: tuple[int, int]) -> Image.Image:

@@ -2,6 +2,7 @@ import json
 import re
 
 import pytest
+from PIL import Image
 
 from gscomplete.errors import UserError
 from recipes.benchmarks.curves import __main__ as curves
@@ -38,6 +39,8 @@ def test_every_panel_shows_its_command_and_what_was_measured(tmp_path):
     _write(tmp_path, "mesh_conversion.json", {"scores": scores})
     curves.main(curves.Options(tmp_path))
     text = (tmp_path / "curves.html").read_text()
+    with Image.open(tmp_path / "curves.png") as picture:
+        assert picture.size == (2 * 580, 4 * 340)  # seven charts
     for panel in curves.PANELS:
         assert panel.command.split(" --")[0].split("; do ")[-1] in text
     assert "there is no captures.json" in text
@@ -55,6 +58,10 @@ def test_every_panel_shows_its_command_and_what_was_measured(tmp_path):
 )
 def test_counts_near_each_other_are_one(count, asked):
     assert curves._rounded(count) == asked
+
+
+def test_small_numbers_are_told_apart():
+    assert [charts._short(x) for x in (1e-4, 1.2e-4, 0.02, 3e6)] == ["1e-4", "1.2e-4", "0.02", "3M"]
 
 
 def test_narrow_logarithmic_axes_have_ticks():
