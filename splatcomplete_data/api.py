@@ -32,10 +32,11 @@ def mesh_to_splats(path: str | Path, count: int = 100_000, *, seed: int = 0) -> 
     Raises:
         UserError: the mesh cannot be read or has no surface.
     """
-    from splatcomplete_data.mesh.convert import ConvertSettings, convert_mesh
+    from splatcomplete_data.mesh.convert import OUTLINE_PX, ConvertSettings, convert_mesh
     from splatcomplete_data.mesh.files.load import load_mesh
 
-    return convert_mesh(load_mesh(Path(path)), count, settings=ConvertSettings(seed=seed)).splats
+    settings = ConvertSettings(outline_px=OUTLINE_PX, seed=seed)
+    return convert_mesh(load_mesh(Path(path)), count, settings=settings).splats
 
 
 def depth_to_splats(

@@ -45,7 +45,7 @@ from gscomplete.util.optional import import_open3d
 from gscomplete.views import Cameras, ObjectFrame, UpAxis, orbit_cameras
 from recipes.benchmarks.mesh_truth import Truth, cast_mesh, scene_of
 from recipes.entry_point import start
-from splatcomplete_data.mesh.convert import ConvertMode, ConvertSettings, convert_mesh
+from splatcomplete_data.mesh.convert import OUTLINE_PX, ConvertMode, ConvertSettings, convert_mesh
 from splatcomplete_data.mesh.files.load import Mesh, load_mesh
 from splatcomplete_data.mesh.files.parts import MeshPart
 
@@ -188,7 +188,8 @@ def measure(
 ) -> Score:
     """Convert in one mode and compare."""
     started = time.perf_counter()
-    conversion = convert_mesh(mesh, count, settings=ConvertSettings(mode=mode))
+    settings = ConvertSettings(mode=mode, outline_px=OUTLINE_PX)
+    conversion = convert_mesh(mesh, count, settings=settings)
     seconds = time.perf_counter() - started
     splats = conversion.splats
     moved = transform_splats(splats, frame.object_from_file)
@@ -315,7 +316,8 @@ def _warm_up() -> None:
     part = MeshPart(corners, np.ones_like(corners), corners[:, :, :2].copy(), texture)
     modes: tuple[ConvertMode, ...] = ("cells", "grid", "random")
     for mode in modes:
-        convert_mesh(Mesh((part,)), 100, settings=ConvertSettings(mode=mode))
+        settings = ConvertSettings(mode=mode, outline_px=OUTLINE_PX)
+        convert_mesh(Mesh((part,)), 100, settings=settings)
 
 
 if __name__ == "__main__":

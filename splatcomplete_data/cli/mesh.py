@@ -50,10 +50,10 @@ class MeshOptions(ObjectOptions):
     rest (pymeshlab), each with a count."""
     sigma: float = 0.5
     """Tangent standard deviation over the cell's side; below 0.45 holes show."""
-    outline_px: float = 512.0
+    outline_px: float | None = None
     """Pixels of the object's largest side in pictures whose outlines are to be right. 3DGS's blur
     widens outlines, so splats lie half such a pixel below the surface, 0.3 spacings at most; 0
-    leaves them on it."""
+    leaves them on it. None = 512, and 0 with a scan: cut, which sees surfaces."""
     cut: tuple[str, ...] = ()
     """What to keep for partial.ply: plane:AZIMUTH[,OFFSET], box:LX,LY,LZ,HX,HY,HZ (object frame) or
     scan:AZ/EL[,AZ/EL...]."""
@@ -92,8 +92,8 @@ def make(options: MeshOptions, enter: StageCallback = ignore_stage) -> ObjectDra
     """
     from gscomplete.views import ObjectFrame
     from splatcomplete_data.cli.common import framing_request
-    from splatcomplete_data.cuts.named import apply_cuts, parse_cut, scanner_position
-    from splatcomplete_data.mesh.convert import ConvertSettings, convert_mesh
+    from splatcomplete_data.cuts.named import ScanCut, apply_cuts, parse_cut, scanner_position
+    from splatcomplete_data.mesh.convert import OUTLINE_PX, ConvertSettings, convert_mesh
     from splatcomplete_data.mesh.files.load import BakedLight, load_mesh
     from splatcomplete_data.mesh.files.up_axis import up_of_mesh_file
     from splatcomplete_data.points import offset_note, without_offset
@@ -112,8 +112,11 @@ def make(options: MeshOptions, enter: StageCallback = ignore_stage) -> ObjectDra
 
         enter("repairing", 0.1)
         mesh, repairs = repair_mesh(mesh)
+    outline_px = options.outline_px
+    if outline_px is None:
+        outline_px = 0.0 if any(isinstance(cut, ScanCut) for cut in cuts) else OUTLINE_PX
     settings = ConvertSettings(
-        options.mode, options.sigma, outline_px=options.outline_px, seed=options.seed
+        options.mode, options.sigma, outline_px=outline_px, seed=options.seed
     )
     count = 100_000 if options.count is None and options.spacing is None else options.count
     request = framing_request(options, up_of_mesh_file(options.file))

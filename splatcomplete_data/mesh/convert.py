@@ -54,6 +54,10 @@ _FOLD_DEG = 35.0
 """Angle between two triangles from which their edge is a fold."""
 
 
+OUTLINE_PX = 512.0
+"""Where splats are to be looked at: pixels that an object's largest side has in a usual picture."""
+
+
 @dataclass(frozen=True, slots=True)
 class ConvertSettings:
     """Every knob of the conversion."""
@@ -65,9 +69,10 @@ class ConvertSettings:
     splats has an alpha of 0.84; below 0.45 holes show, above 0.6 texture blurs."""
     opacity: float = 0.99
     """Opacity of every splat, in (0, 1)."""
-    outline_px: float = 512.0
-    """Pixels of the object's largest side in pictures whose outlines are to be right: ``cells``
-    puts splats so much below the surface as 3DGS's blur widens these; 0 = on the surface."""
+    outline_px: float = 0.0
+    """Pixels of the object's largest side in pictures whose outlines are to be right
+    (``OUTLINE_PX``): ``cells`` puts splats so much below the surface as 3DGS's blur widens these;
+    0 = on the surface."""
     seed: int = 0
     """Seed of ``random`` and ``poisson``; the others draw no random numbers."""
 
