@@ -35,6 +35,8 @@ from splatcomplete_data.scan.support import PlaneSettings, SupportPlane, find_su
 BoolArray = NDArray[np.bool_]
 Points = NDArray[np.float64]
 
+_SEED_REACH = 0.1
+"""Of the diagonal of all points: a seed point farther from all of them is a mistake."""
 DOUBTFUL_SHARE = 0.5
 """Cleaning that keeps less of what the boxes keep is warned about."""
 
@@ -138,6 +140,7 @@ def clean(
         log.apply("outliers", kept, f"beyond {chosen.outlier_ratio:g} standard deviations")
     if chosen.seed_point is not None:
         seed = np.asarray(chosen.seed_point, np.float64)
+        _require_near(seed, points[log.keep])
         kept = object_at(points[log.keep], colors[log.keep], seed, spacing, viewpoint=eye, up=up)
         log.apply("clutter", kept, "the object at the seed point stays")
     elif chosen.clusters > 0:
@@ -150,6 +153,25 @@ def clean(
     warnings = (*missing, *(() if inside.all() else log.warnings()))
     reasons = tuple(log.reasons)
     return Cleaned(log.keep, log.reason, reasons, tuple(log.steps), tuple(planes), warnings)
+
+
+def _require_near(
+    seed: NDArray[np.float64],  # [3]
+    points: NDArray[np.floating],  # [N, 3]
+) -> None:
+    """Refuse a seed point that no object is at.
+
+    Raises:
+        UserError: the nearest point is far away.
+    """
+    away = float(np.linalg.norm(points - seed, axis=1).min())
+    low, high = points.min(axis=0), points.max(axis=0)
+    if not away <= _SEED_REACH * float(np.linalg.norm(high - low)):
+        box = " to ".join(",".join(f"{value:.4g}" for value in corner) for corner in (low, high))
+        raise UserError(
+            "--seed-point: expected a point on an object, found the nearest point "
+            f"{away:.4g} away; points lie in {box} (--propose lists objects)"
+        )
 
 
 class _Log:

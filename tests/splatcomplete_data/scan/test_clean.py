@@ -72,6 +72,8 @@ def test_every_step_has_a_switch() -> None:
     seed = tuple(points[9200])
     seeded = clean(grey(points), CleanSettings(seed_point=seed))  # type: ignore[arg-type]
     assert 500 < seeded.keep.sum() < 700
+    with pytest.raises(UserError, match="--seed-point: expected a point on an object"):
+        clean(grey(points), CleanSettings(seed_point=(0.0, 0.0, 1e3)))
 
 
 def test_outliers_and_small_clouds() -> None:
