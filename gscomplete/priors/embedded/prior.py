@@ -18,7 +18,7 @@ import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -36,6 +36,7 @@ from gscomplete.priors.embedded.diffusion import (
 )
 from gscomplete.priors.embedded.inputs import images_to_color_alpha, input_map, network_images
 from gscomplete.priors.embedded.model import INPUT_CHANNELS, VIEWS, FourViewDenoiser
+from gscomplete.priors.embedded.precision import Precision, is_bfloat16, multiplies_bytes
 from gscomplete.priors.embedded.rays import ring_numbers
 from gscomplete.priors.embedded.text import Tokenizer
 from gscomplete.priors.embedded.weights import PriorConfig, read_weights, weights_digest
@@ -49,8 +50,6 @@ from gscomplete.shape.symmetry_choice import score_planes
 from gscomplete.splats import Splats
 from gscomplete.util.same_bits import fixed_sum
 from gscomplete.views import ViewDistribution
-
-Precision = Literal["auto", "int8", "bfloat16", "float32"]
 
 DEFAULT_GUIDANCE = Guidance(text_scale=1.0, input_scale=1.0, rescale=0.0)
 """With P in sight plain conditional denoising is best, and takes a single pass."""
@@ -133,14 +132,14 @@ class EmbeddedPrior:
         self._bank = bank
         self._shape = shape  # always on the CPU: one pass of a second
         self._tokenizer = Tokenizer(config.words, config.model.text_length)
-        self._bfloat16 = _is_bfloat16(precision, self._device)
+        self._bfloat16 = is_bfloat16(precision, self._device)
         self._int8 = precision == "int8" or (
             precision == "auto"
             and self._device.type == "cpu"
             and self._bfloat16
-            and _multiplies_bytes()
+            and multiplies_bytes()
         )
-        self._shape_bfloat16 = _is_bfloat16(precision, torch.device("cpu"))
+        self._shape_bfloat16 = is_bfloat16(precision, torch.device("cpu"))
         if self._device.type != "cpu":
             _ = self._model  # a device that cannot be used is told before anything else is done
 
@@ -386,26 +385,3 @@ def load_embedded(folder: Path | None, device: torch.device | str) -> EmbeddedPr
         return EmbeddedPrior.from_folder(folder or packaged_weights(), device)
     except (RuntimeError, AssertionError) as error:
         raise UserError(f"prior: device: cannot use {device} ({error})") from error
-
-
-def _is_bfloat16(precision: Precision, device: torch.device) -> bool:
-    """Whether a network runs in bfloat16 on a device."""
-    return precision in ("int8", "bfloat16") or (
-        precision == "auto" and _multiplies_bfloat16(device)
-    )
-
-
-def _multiplies_bfloat16(device: torch.device) -> bool:
-    """Whether a device multiplies bfloat16 itself; emulated, it is slower than float32."""
-    if device.type == "cpu":
-        return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())
-    return device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)
-
-
-def _multiplies_bytes() -> bool:
-    """Whether the CPU multiplies bytes itself and PyTorch has convolutions of them."""
-    return (
-        torch.backends.mkldnn.is_available()
-        and bool(getattr(torch.cpu, "_is_vnni_supported", bool)())
-        and hasattr(torch.ops.onednn, "qconv2d_pointwise")
-    )

@@ -14,13 +14,14 @@ from gscomplete.priors.embedded.int8 import (
     normalised_silu,
 )
 from gscomplete.priors.embedded.model import CopiesConvolution, fold_cells, symmetric_copies
-from gscomplete.priors.embedded.prior import _multiplies_bytes, packaged_weights
+from gscomplete.priors.embedded.precision import multiplies_bytes
+from gscomplete.priors.embedded.prior import packaged_weights
 from gscomplete.priors.embedded.weights import read_weights
 from tests.builders.tiny_denoiser import tiny_model
 from tests.priors.embedded.test_model import inputs
 
 pytestmark = pytest.mark.skipif(
-    not _multiplies_bytes(), reason="the processor does not multiply bytes itself"
+    not multiplies_bytes(), reason="the processor does not multiply bytes itself"
 )
 CHANNELS_LAST = torch.channels_last
 

@@ -1,0 +1,32 @@
+"""In which numbers the embedded prior's networks run, by what the device multiplies itself."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import torch
+
+Precision = Literal["auto", "int8", "bfloat16", "float32"]
+
+
+def is_bfloat16(precision: Precision, device: torch.device) -> bool:
+    """Whether a network runs in bfloat16 on a device."""
+    return precision in ("int8", "bfloat16") or (
+        precision == "auto" and multiplies_bfloat16(device)
+    )
+
+
+def multiplies_bfloat16(device: torch.device) -> bool:
+    """Whether a device multiplies bfloat16 itself; emulated, it is slower than float32."""
+    if device.type == "cpu":
+        return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())
+    return device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)
+
+
+def multiplies_bytes() -> bool:
+    """Whether the CPU multiplies bytes itself and PyTorch has convolutions of them."""
+    return (
+        torch.backends.mkldnn.is_available()
+        and bool(getattr(torch.cpu, "_is_vnni_supported", bool)())
+        and hasattr(torch.ops.onednn, "qconv2d_pointwise")
+    )
