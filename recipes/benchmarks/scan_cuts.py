@@ -2,12 +2,11 @@
 
 ``python -m recipes.benchmarks.scan_cuts --data DIR``: textured meshes of the data folder's manifest
 become splats, each is cut by a scan from a direction of its own, and a ray (Open3D) goes from the
-scanner to every splat's place: the point of the mesh that is nearest to its centre, which lies
-below the surface.
+scanner to every splat's centre.
 
-* visible: the ray meets nothing more than ``_AT`` object sizes before the place. Of these splats
+* visible: the ray meets nothing more than ``_AT`` object sizes before the centre. Of these splats
   all are to be kept.
-* hidden: the ray meets the mesh more than ``_BEHIND`` before the place. Of these none is to be
+* hidden: the ray meets the mesh more than ``_BEHIND`` before the centre. Of these none is to be
   kept; what lies between the two counts for neither.
 """
 
@@ -71,9 +70,7 @@ def seen_by_rays(
         eye: where the scanner stands.
     """
     core = import_open3d("ray casting").core
-    centers = core.Tensor(splats.means.numpy().astype(np.float32))
-    nearest = scene.compute_closest_points(centers)  # type: ignore[attr-defined]
-    away = nearest["points"].numpy().astype(np.float64) - eye
+    away = splats.means.double().numpy() - eye
     distance = np.linalg.norm(away, axis=1)
     rays = np.concatenate([np.broadcast_to(eye, away.shape), away / distance[:, None]], axis=1)
     hit = scene.cast_rays(core.Tensor(rays.astype(np.float32)))["t_hit"].numpy()  # type: ignore[attr-defined]

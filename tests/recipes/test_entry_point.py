@@ -28,7 +28,7 @@ def started(*arguments: str) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize(
     ("recipe", "named"),
     [
-        (["recipes.benchmarks.ply_io", "--folder", "nowhere"], "nowhere"),
+        (["recipes.benchmarks.formats.ply_io", "--folder", "nowhere"], "nowhere"),
         (["recipes.benchmarks.multiview", "--images", "nowhere"], "nowhere"),
         (["recipes.real_objects.complete", "--data", "nowhere", "--out", "{out}"], "nowhere"),
     ],
@@ -43,7 +43,7 @@ def test_wrong_input_is_one_line(tmp_path: Path, recipe: list[str], named: str) 
 
 
 def test_help_begins_with_what_the_recipe_is_for() -> None:
-    done = started("recipes.benchmarks.ply_io", "--help")
+    done = started("recipes.benchmarks.formats.ply_io", "--help")
     assert done.returncode == 0
     assert "PLY" in done.stdout.split("options")[0]
 

@@ -12,8 +12,6 @@ _BEFORE = frozenset(
     )
 )
 """The noun of a prompt comes before the first of these."""
-
-
 _COLORS = frozenset(
     (
         *("red", "orange", "yellow", "green", "blue", "purple", "pink", "brown", "black", "white"),

@@ -18,7 +18,7 @@ def capture_seeds(folder: Path) -> list[tuple[str, Callable[[Path], object]]]:
     from PIL import Image
 
     from gscomplete.splats import write_splats
-    from recipes.benchmarks.ply_io import random_splats
+    from recipes.benchmarks.formats.ply_io import random_splats
     from splatcomplete_data.multiview.photos.colmap_model import read_colmap
     from splatcomplete_data.multiview.photos.transforms_json import read_transforms
     from splatcomplete_data.multiview.scene import read_scene

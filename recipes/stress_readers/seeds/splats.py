@@ -19,7 +19,7 @@ def splat_seeds(folder: Path) -> list[tuple[str, Callable[[Path], object]]]:
     from gscomplete.splats import write_splats
     from gscomplete.splats.formats.any_file import write_any_splats
     from gscomplete.splats.validation import validate_file
-    from recipes.benchmarks.ply_io import random_splats
+    from recipes.benchmarks.formats.ply_io import random_splats
 
     splats = random_splats(40, 1)
     write_splats(folder / "splats.ply", splats)

@@ -1,8 +1,9 @@
 """Splat files through readers and writers that others wrote, both ways.
 
-``python -m recipes.benchmarks.round_trips --splat-transform PATH`` writes splats in every format,
-has them read by another program, and the other way round, and compares with what was written:
-positions over the scene's size, rotations, log scales, opacities, base colours, and harmonics.
+``python -m recipes.benchmarks.formats.round_trips --splat-transform PATH`` writes splats in every
+format, has them read by another program, and the other way round, and compares with what was
+written: positions over the scene's size, rotations, log scales, opacities, base colours, and
+harmonics.
 
 * ``splat-transform``: PlayCanvas' converter (``npm install @playcanvas/splat-transform``); PATH is
   its ``bin/cli.mjs``. It reads what we write to a PLY, and writes what we read.

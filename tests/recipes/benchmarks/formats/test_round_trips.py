@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from gscomplete.splats import Splats
-from recipes.benchmarks.round_trips.__main__ import Report, by_gsply, random_splats
+from recipes.benchmarks.formats.round_trips import Report, by_gsply, random_splats
 
 
 def report_of(wanted: Splats, found: Splats) -> Report:

@@ -1,4 +1,6 @@
-"""Time splat PLY reading and writing against the floor: ``python -m recipes.benchmarks.ply_io``.
+"""Time splat PLY reading and writing against the floor.
+
+``python -m recipes.benchmarks.formats.ply_io``
 
 What is measured, warm (the file is in the page cache), medians over repeats that take turns
 with the floor's, so that other load meets both

@@ -1,0 +1,1 @@
+"""Splat files: speed of reading and writing, and what other programs read of them."""

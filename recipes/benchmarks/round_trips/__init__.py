@@ -1,1 +1,0 @@
-"""Splat files through readers and writers that others wrote."""
