@@ -3,7 +3,8 @@
 Conventions
 -----------
 * Object k is that of the shape network's sets of another seed; it is a pure function of (seed, k).
-* Objects are kept in files of ``FILE_OBJECTS``: made once, whatever is trained on them.
+* Objects are kept in files of ``FILE_OBJECTS``: made once, whatever is trained on them. Those of the
+  first file are of the held-out seed: of a pack of meshes, they show its validation split.
 * An object's planes are those that the coarse scorer puts first, then the best by the truth.
 """
 
@@ -32,6 +33,8 @@ from gscomplete.shape.voxels import FloatArray
 from gscomplete.util.atomic import atomic_path
 from recipes.train_embedded_prior.config import ShapeDataConfig
 from recipes.train_embedded_prior.data.copies import Truth
+from recipes.train_embedded_prior.data.dataset import HELD_OUT_SEED_OFFSET, Source
+from recipes.train_embedded_prior.data.mesh_source import MixedSource
 from recipes.train_embedded_prior.data.shape_dataset import PosedObject, ShapeSetMaker, pack_cells
 from recipes.train_embedded_prior.data.source import procedural_source
 
@@ -86,40 +89,49 @@ def joined(parts: list[PlaneSets]) -> PlaneSets:
     return PlaneSets(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
 
 
-def plane_sets(folder: Path, seed: int, objects: int, workers: int) -> PlaneSets:
+def plane_sets(
+    folder: Path, seed: int, objects: int, workers: int, meshes: Path | None
+) -> PlaneSets:
     """Return the first objects of a seed, rounded up to whole files; make those not yet made.
 
     Args:
         folder: for the files.
-        seed: of the objects.
-        objects: how many.
+        seed: of the objects; below ``HELD_OUT_SEED_OFFSET``.
+        objects: how many, the held-out ones of the first file included.
         workers: processes that make them.
+        meshes: pack of meshes to take objects from beside procedural ones; None = none.
     """
     folder.mkdir(parents=True, exist_ok=True)
     starts = range(0, objects, FILE_OBJECTS)
-    key = hashlib.sha256(f"{seed} {packaged_coarse_scorer().digest()}".encode()).hexdigest()[:8]
+    name = f"{seed} {packaged_coarse_scorer().digest()} {meshes is not None}"
+    key = hashlib.sha256(name.encode()).hexdigest()[:8]
     paths = {start: folder / f"planes-{key}-{start:06d}.npz" for start in starts}
     missing = [start for start in starts if not paths[start].is_file()]
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, mp_context=context) as pool:
         console = Console(file=sys.stderr)
         for start in track(missing, f"objects, {FILE_OBJECTS} at a time", console=console):
-            tasks = [(seed, index) for index in range(start, start + FILE_OBJECTS)]
+            of_seed = seed + HELD_OUT_SEED_OFFSET if start == 0 else seed
+            tasks = [(of_seed, index, meshes) for index in range(start, start + FILE_OBJECTS)]
             _store(joined(list(pool.map(_made, tasks, chunksize=4))), paths[start])
     return joined([_stored(path) for path in paths.values()])
 
 
-def posed_object(task: tuple[int, int]) -> tuple[PosedObject, np.random.Generator]:
-    """Return object (seed, index) with a part of it, and what further draws are made from."""
-    seed, index = task
+Task = tuple[int, int, Path | None]
+"""Seed, index, and the pack of meshes."""
+
+
+def posed_object(task: Task) -> tuple[PosedObject, np.random.Generator]:
+    """Return an object with a part of it, and what further draws are made from."""
+    seed, index, meshes = task
     rng = np.random.default_rng((seed, index, 2))
     # Where little is missing, copies show little: planes are learned where they matter.
     data = ShapeDataConfig(slight_share=0.0)
-    maker = ShapeSetMaker(procedural_source, data, Tokenizer((), 1), seed)
-    return maker.posed(index, rng), rng
+    source: Source = procedural_source if meshes is None else MixedSource(meshes, data.mesh_share)
+    return ShapeSetMaker(source, data, Tokenizer((), 1), seed).posed(index, rng), rng
 
 
-def _made(task: tuple[int, int]) -> PlaneSets:  # (seed, index)
+def _made(task: Task) -> PlaneSets:
     torch.set_num_threads(1)
     return planes_of(*posed_object(task))
 

@@ -4,7 +4,7 @@ Conventions
 -----------
 * The loss is the cross entropy of the filled cells, heavier near the complete object's surface and
   at thin parts, plus what Tversky indices of the filled cells and of their shadows (along the axes
-  and four oblique directions) lack of 1, plus the absolute error of the surface's colour where P
+  and two oblique directions) lack of 1, plus the absolute error of the surface's colour where P
   is not. The cross entropy alone leaves thin objects out: they have few cells, none certain.
 * While training, a source's colour in a cell is that of its filled cells nearby.
 """
@@ -158,7 +158,7 @@ def shape_losses(
     shadow = torch.stack(
         [
             shadow_overlap(filled, solid, (1, 2, 3)),
-            *(shadow_overlap(*_turned(filled, solid, rng), (1, 2)) for _ in range(2)),
+            shadow_overlap(*_turned(filled, solid, rng), (1, 2)),
         ]
     )
     return {

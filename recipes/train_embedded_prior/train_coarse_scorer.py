@@ -32,7 +32,7 @@ from gscomplete.shape.planes.features import FEATURES, plane_features
 from gscomplete.shape.voxels import FloatArray
 from recipes.entry_point import start
 from recipes.train_embedded_prior.data.copies import Truth
-from recipes.train_embedded_prior.plane_sets import posed_object
+from recipes.train_embedded_prior.plane_sets import Task, posed_object
 
 _LOG = logging.getLogger(__name__)
 _HELD_OUT_EVERY = 5
@@ -60,7 +60,7 @@ class CoarseScorerConfig:
     """Processes that make objects."""
 
 
-def _measured(task: tuple[int, int]) -> tuple[FloatArray, FloatArray]:  # (seed, index)
+def _measured(task: Task) -> tuple[FloatArray, FloatArray]:
     """Return the planes' features and true scores for one object."""
     torch.set_num_threads(1)
     posed, _ = posed_object(task)
@@ -71,7 +71,7 @@ def _measured(task: tuple[int, int]) -> tuple[FloatArray, FloatArray]:  # (seed,
 
 def measured_planes(config: CoarseScorerConfig) -> tuple[Tensor, Tensor]:  # [N, A, O, F], [N, A, O]
     """Make the objects and measure all planes of each."""
-    tasks = [(config.seed, index) for index in range(config.objects)]
+    tasks: list[Task] = [(config.seed, index, None) for index in range(config.objects)]
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(config.workers, mp_context=context) as pool:
         made = pool.map(_measured, tasks, chunksize=8)

@@ -78,7 +78,11 @@ class FineScorerConfig:
     """File to write; the default is the package's own."""
     objects: int = 6000
     """Objects to learn from, the held-out ones included."""
-    seed: int = 6_000_000
+    meshes: Path | None = None
+    """Pack of meshes to take objects from beside procedural ones; None = none."""
+    start_from: Path | None = None
+    """Scorer to start from, such as the package's own; None = random numbers."""
+    seed: int = 600_000
     steps: int = 3000
     batch_objects: int = 8
     planes: int = 12
@@ -134,7 +138,7 @@ def _planes(
         chosen: which of its planes.
         rng: for changes that leave true scores as they are; None = none.
     """
-    cells = colored_cells(unpack_cells(sets.cells[index]))
+    cells = colored_cells(unpack_cells(sets.cells[index][None])[0])
     if rng is not None:
         cells[:, 3:6] = cells[:, 3:6][:, rng.permutation(3)] * rng.uniform(0.6, 1.0, 3)
     evidence = sets.evidence[index].astype(np.float32) / 255
@@ -177,6 +181,8 @@ class FineScorerTraining:
         self.scorer = FineSymmetryScorer()
         self.scorer.center.copy_(features.mean(dim=(0, 1)))
         self.scorer.spread.copy_(features.std(dim=(0, 1)).clamp_min(1e-3))
+        if config.start_from is not None:
+            self.scorer.load_state_dict(FineSymmetryScorer.load(config.start_from).state_dict())
         self.average = copy.deepcopy(self.scorer)
         self.optimizer = torch.optim.AdamW(
             self.scorer.parameters(),
@@ -271,7 +277,8 @@ def score_of_choice(scorer: FineSymmetryScorer, sets: PlaneSets) -> tuple[float,
 def train(config: FineScorerConfig) -> int:
     """Train, from the last checkpoint if there is one, and write the scorer."""
     open_run(config)
-    sets = plane_sets(config.run / "objects", config.seed, config.objects, config.workers)
+    folder = config.run / "objects"
+    sets = plane_sets(folder, config.seed, config.objects, config.workers, config.meshes)
     training = FineScorerTraining(config, torch.from_numpy(sets.features))
     training.resume()
     started, smoothed = time.monotonic(), math.nan

@@ -223,28 +223,31 @@ def pack_cells(
     return packed
 
 
-def unpack_cells(packed: NDArray[np.uint8]) -> FloatArray:  # [most, 7] -> [4, C, C, C]
-    """Undo :func:`pack_cells`."""
-    volume = np.zeros((4, CELLS, CELLS, CELLS), np.float32)
-    filled = packed[packed[:, 6] > 0]
-    x, y, z = filled[:, :3].T.astype(np.intp)
-    volume[0, x, y, z] = filled[:, 6] / 255
-    volume[1:, x, y, z] = filled[:, 3:6].T / 255
-    return volume
+def unpack_cells(
+    packed: NDArray[np.uint8],  # [K, most, 7]
+) -> FloatArray:  # [K, 4, C, C, C]
+    """Undo :func:`pack_cells` for many volumes."""
+    volumes = np.zeros((len(packed), 4, CELLS**3), np.float32)
+    for volume, cells in zip(volumes, packed, strict=True):
+        filled = cells[cells[:, 6] > 0]
+        x, y, z = filled[:, :3].T.astype(np.intp)
+        place = (x * CELLS + y) * CELLS + z
+        for channel, column in enumerate((6, 3, 4, 5)):
+            volume[channel, place] = filled[:, column].astype(np.float32) / 255
+    return volumes.reshape(-1, 4, CELLS, CELLS, CELLS)
 
 
 def decode_sets(stored: np.ndarray) -> ShapeBatch:  # [B] of set_dtype
     """Turn stored sets into a batch."""
-    volumes = np.stack([np.stack([unpack_cells(c) for c in one]) for one in stored["cells"]])
+    seen = unpack_cells(stored["cells"].reshape(-1, MOST_CELLS, 7))
     bits = np.unpackbits(stored["solid"], axis=1).reshape(-1, CELLS, CELLS, CELLS)
-    surface = np.stack([unpack_cells(one) for one in stored["surface"]])
     return ShapeBatch(
-        torch.from_numpy(volumes),
+        torch.from_numpy(seen.reshape(-1, SOURCES, *seen.shape[1:])),
         torch.from_numpy(np.ascontiguousarray(stored["evidence"])).float() / 255,
         torch.from_numpy(np.ascontiguousarray(stored["scores"])),
         torch.from_numpy(stored["tokens"].astype(np.int64)),
         torch.from_numpy(bits).float(),
-        torch.from_numpy(surface),
+        torch.from_numpy(unpack_cells(stored["surface"])),
     )
 
 

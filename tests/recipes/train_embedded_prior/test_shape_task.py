@@ -54,7 +54,7 @@ def test_what_is_shown_follows_the_shares(tmp_path, monkeypatch):
         monkeypatch.setattr(shape_dataset, "_BEST_COPY_SHARE", best_copy)
         monkeypatch.setattr(shape_dataset, "_LEAST_SCORE", least_score)
         stored = spec.maker()(3)
-        volumes = [unpack_cells(cells)[0] > 0 for cells in stored["cells"]]
+        volumes = unpack_cells(stored["cells"])[:, 0] > 0
         return volumes, stored["scores"]
 
     volumes, scores = shown(1.0)
@@ -134,9 +134,9 @@ def test_cells_survive_storage():
     volume = np.zeros((4, CELLS, CELLS, CELLS), np.float32)
     place = rng.integers(CELLS, size=(50, 3))
     volume[:, place[:, 0], place[:, 1], place[:, 2]] = rng.random((4, 50)) * 0.9 + 0.1
-    found = unpack_cells(pack_cells(volume, 4096, rng))
+    found = unpack_cells(pack_cells(volume, 4096, rng)[None])[0]
     np.testing.assert_allclose(found, volume, atol=0.51 / 255)
-    few = unpack_cells(pack_cells(volume, 20, rng))
+    few = unpack_cells(pack_cells(volume, 20, rng)[None])[0]
     assert (few[0] > 0).sum() == 20
     assert np.all((few[0] == 0) | (np.abs(few[0] - volume[0]) < 0.01))
 

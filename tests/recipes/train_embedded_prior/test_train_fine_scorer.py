@@ -100,7 +100,7 @@ def test_the_learning_rate_falls_to_nothing():
 
 
 def test_planes_of_an_object_are_measured_alike_again():
-    made = [planes_of(*posed_object((7, 3))) for _ in range(2)]
+    made = [planes_of(*posed_object((7, 3, None))) for _ in range(2)]
     for field in dataclasses.fields(PlaneSets):
         one, other = (getattr(sets, field.name) for sets in made)
         np.testing.assert_array_equal(one, other)
