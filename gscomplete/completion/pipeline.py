@@ -23,6 +23,7 @@ from typing import Any
 import torch
 
 import gscomplete
+from gscomplete.completion.doubts import doubts_of_guess, doubts_of_result
 from gscomplete.completion.optimise import Optimisation, StepReport
 from gscomplete.completion.preserve.bounds import preserve_hard
 from gscomplete.completion.preserve.outcome import HardPreservationReport
@@ -90,6 +91,8 @@ class Prepared:
     steps: Optimisation
     notes: tuple[str, ...]
     """What was decided and why, for the user."""
+    doubts: tuple[str, ...]
+    """Those of the notes that make the guess doubtful (``doubts``)."""
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -122,6 +125,8 @@ class Completed:
     """V, from whose views P keeps its appearance."""
     notes: tuple[str, ...]
     """What was decided and why, a line each."""
+    doubts: tuple[str, ...]
+    """Those of the notes that make the result doubtful (``doubts``)."""
     seam_colors: SeamColorReport | None
     """What matching colours at the seam did; None = not asked for."""
     hard_preservation: HardPreservationReport | None
@@ -243,6 +248,10 @@ def prepare(
     steps = Optimisation(partial, start.splats, prior, conditioning, views, settings, device)
 
     notes += (start.note, *((moved,) if moved else ()), *conditioning.report)
+    doubts: tuple[str, ...] = ()
+    if start.is_guess and len(start.splats):
+        doubts = doubts_of_guess(partial, start.splats, views, start.sureness)
+        notes += doubts
     if request.negative_prompt and not steps.heeds_negative_prompt:
         notes += ("negative prompt: without effect here (with this prior: --text-only)",)
     return Prepared(
@@ -256,6 +265,7 @@ def prepare(
         conditioning,
         steps,
         notes,
+        doubts,
     )
 
 
@@ -298,7 +308,11 @@ def finish(prepared: Prepared, given: SplatFile | Splats) -> Completed:
             )
         new, bounds = bounded.splats, bounded.report
         notes += (bounds.summary,)
+    doubts = prepared.doubts
+    if settings.start == "guess":
+        found = doubts_of_result(partial, new, bounds)
+        doubts, notes = doubts + found, notes + found
     seconds = time.perf_counter() - started
     return Completed(
-        given, partial, new, prepared.frame, prepared.views, notes, colors, bounds, seconds
+        given, partial, new, prepared.frame, prepared.views, notes, doubts, colors, bounds, seconds
     )

@@ -187,6 +187,7 @@ def execute(run: Run, on_step: Callable[[StepReport], None]) -> dict[str, Any]:
         "seam_colors": jsonio.to_json(completed.seam_colors),
         "hard_preservation": jsonio.to_json(completed.hard_preservation),
         "alternatives": alternatives,
+        "doubts": list(completed.doubts),
     }
     return _write_run_file(run, "finished", result)
 

@@ -35,6 +35,8 @@ class Start:
     """Whether the prior guessed them; False = scattered in a sphere."""
     note: str
     """How they came about, for the user."""
+    sureness: float | None = None
+    """Of the prior in its guess; see :class:`gscomplete.priors.base.FirstGuess`."""
 
 
 def start_splats(
@@ -109,7 +111,7 @@ def _guess(
     if guess is None or (not len(guess.splats) and settings.steps):
         return None
     how_many = f"start: {len(guess.splats):,} splats that the prior guesses"
-    return Start(guess.splats, True, "; ".join([how_many, *guess.notes]))
+    return Start(guess.splats, True, "; ".join([how_many, *guess.notes]), guess.sureness)
 
 
 def scale_bounds(views: PriorViews, settings: CompletionSettings) -> Bounds:

@@ -1,0 +1,94 @@
+"""Reasons to doubt a completion, in words for whoever asked for it.
+
+Conventions
+-----------
+* Everything is in the object frame, where the complete object's largest side was guessed as 1.
+* A doubt names what was found, and the options that may help. It changes nothing.
+"""
+
+from __future__ import annotations
+
+import torch
+
+from gscomplete.completion.preserve.outcome import HardPreservationReport
+from gscomplete.framing.input_view import hidden_share
+from gscomplete.splats import Splats, concatenate
+from gscomplete.splats.filters import thinned
+from gscomplete.views import ViewDistribution
+
+MARK = "doubtful: "
+"""Begins each doubt among the notes of a run."""
+_MOST_HIDDEN = 0.1
+"""Share of P's pixels that a guess may hide from about c."""
+_MOST_SPLATS = 20_000
+"""Splats of P that are drawn to tell, chosen at random where it has more."""
+_LEAST_SURE = 0.6
+"""Least mean sureness of the shape network; see ``shape.symmetry_choice.sureness``."""
+_MOST_LOST = 0.5
+"""Share of the new splats that bounds on E_color and E_depth may remove or fade."""
+_OPEN_SIDE = 0.9
+"""P whose largest side is shorter than this was guessed to be open to one side, ..."""
+_LEAST_GROWTH = 0.25
+"""... and of what it lacks of the guessed size at least this share is filled."""
+
+
+def doubts_of_guess(
+    partial: Splats, guess: Splats, views: ViewDistribution, sureness: float | None
+) -> tuple[str, ...]:
+    """Return what indicates a wrong guess or a wrong input view, before any step is taken.
+
+    Args:
+        partial: P.
+        guess: what the prior guesses to be missing.
+        views: V as settled.
+        sureness: how far the network's answer is from one half, 0 to 1; None = not known.
+    """
+    found = []
+    shown = thinned(partial.with_sh_degree(0), _MOST_SPLATS, torch.Generator().manual_seed(0))
+    hidden = hidden_share(shown, concatenate([shown, guess]), views)
+    if hidden > _MOST_HIDDEN:
+        found.append(
+            f"from the input view the guess hides {hidden:.0%} of P, which P was seen from: the "
+            "view or the guess is wrong (--view, --mirror, --alternatives)"
+        )
+    if sureness is not None and sureness < _LEAST_SURE:
+        found.append(
+            f"the network is unsure of the shape ({sureness:.2f} of 1): compare other guesses "
+            "(--alternatives 4) or name the object (--prompt)"
+        )
+    return tuple(MARK + reason for reason in found)
+
+
+def doubts_of_result(
+    partial: Splats, new: Splats, bounds: HardPreservationReport | None
+) -> tuple[str, ...]:
+    """Return what makes the result doubtful.
+
+    Args:
+        partial: P.
+        new: the new splats.
+        bounds: what the bounds on E_color and E_depth took; None = there were none.
+    """
+    found = []
+    if bounds is not None and bounds.total:
+        lost = (bounds.faded + sum(bounds.dropped.values())) / bounds.total
+        if lost > _MOST_LOST:
+            found.append(
+                f"keeping P's appearance removed or faded {lost:.0%} of the new splats: the guess "
+                "stood before P (--view, --mirror)"
+            )
+    own = _largest_side(partial)
+    together = _largest_side(partial, new)
+    if own < _OPEN_SIDE and together - own < _LEAST_GROWTH * (1 - own):
+        found.append(
+            f"P seems open to one side, yet the result is hardly larger than P ({together:.2f} of "
+            f"the guessed size, P {own:.2f}): if P is complete, nothing need be added; else give "
+            "the size (--object-size)"
+        )
+    return tuple(MARK + reason for reason in found)
+
+
+def _largest_side(*parts: Splats) -> float:
+    """Return the largest side of the box about the middles of splats."""
+    means = torch.cat([part.means for part in parts])
+    return float((means.amax(dim=0) - means.amin(dim=0)).max())

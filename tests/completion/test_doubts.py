@@ -1,0 +1,67 @@
+"""Doubts name what is wrong, and are absent where nothing is."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from gscomplete.api import complete
+from gscomplete.completion.doubts import MARK, doubts_of_guess, doubts_of_result
+from gscomplete.completion.presets import DEFAULT
+from gscomplete.completion.preserve.outcome import CheckedErrors, HardPreservationReport
+from gscomplete.priors.base import FirstGuess
+from gscomplete.splats import transform_splats
+from gscomplete.splats.transform import Similarity
+from gscomplete.views import ViewDistribution
+from tests.builders.objects import ball, cylinder, half_cylinder
+from tests.builders.priors import GuessingPrior
+
+PART, REST = half_cylinder(75.0), half_cylinder(255.0)
+RIGHT, WRONG = ViewDistribution(75.0, 15.0), ViewDistribution(255.0, 15.0)
+CLEAN = CheckedErrors(0.0, 0.0)
+REPORT = HardPreservationReport(CLEAN, CLEAN, True, 100, 100, 0, 0, 0, {}, 0, 0, 0, 0.0)
+
+
+def test_a_guess_behind_p_is_not_doubted_one_before_p_is():
+    assert doubts_of_guess(PART, REST, RIGHT, 0.9) == ()
+    (found,) = doubts_of_guess(PART, REST, WRONG, 0.9)
+    assert found.startswith(MARK)
+    assert "hides" in found
+    assert "--view" in found
+
+
+@pytest.mark.parametrize(("sureness", "count"), [(None, 0), (0.95, 0), (0.2, 1)])
+def test_an_unsure_network_is_told(sureness, count):
+    found = doubts_of_guess(PART, REST, RIGHT, sureness)
+    assert len(found) == count
+    assert all("unsure" in doubt for doubt in found)
+
+
+@pytest.mark.parametrize(("faded", "dropped", "count"), [(20, 10, 0), (20, 60, 1), (80, 0, 1)])
+def test_most_new_splats_lost_is_told(faded, dropped, count):
+    report = dataclasses.replace(REPORT, faded=faded, dropped={"in_the_way": dropped})
+    found = doubts_of_result(cylinder(), REST, report)
+    assert len(found) == count
+    assert all(f"{faded + dropped}%" in doubt for doubt in found)
+
+
+def test_a_result_no_larger_than_an_open_part_is_told():
+    half_size = Similarity(0.5, torch.eye(3).double(), torch.zeros(3).double())
+    small = transform_splats(cylinder(), half_size)
+    (found,) = doubts_of_result(small, small.select(torch.arange(5)), REPORT)
+    assert "hardly larger" in found
+    beside = dataclasses.replace(small, means=small.means + torch.tensor([0.4, 0.0, 0.0]))
+    assert doubts_of_result(small, beside, REPORT) == ()
+    assert doubts_of_result(cylinder(), small, REPORT) == ()  # P fills the frame
+
+
+def test_doubts_stand_among_the_notes_of_a_completion():
+    truth = ball(1500)
+    part = truth.select(truth.means[:, 0] > 0)
+    known = {"view_deg": (180.0, 0.0), "center_file": (0.0, 0.0, 0.0), "size_file": 0.8}
+    rest = truth.select(truth.means[:, 0] <= 0)
+    prior = GuessingPrior(truth, FirstGuess(rest, (), 0.1))
+    found = complete(part, "a ball", prior=prior, settings=DEFAULT, **known)
+    assert any("hides" in doubt for doubt in found.doubts)
+    assert any("unsure" in doubt for doubt in found.doubts)
+    assert set(found.doubts) <= set(found.notes)
