@@ -15,7 +15,7 @@ import dataclasses
 import logging
 import platform
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,6 +44,7 @@ from gscomplete.shape.planes.fine_scorer import FINE_SCORER_FILE
 from gscomplete.shape.voxels import CELL_SIDE, CELLS
 from gscomplete.util.jsonio import from_json, read_json
 from recipes.train_embedded_prior.config import ShapeTrainConfig, TrainConfig
+from recipes.train_embedded_prior.data.mesh_pack import PackEntry, read_manifest
 from recipes.train_embedded_prior.data.mesh_source import MixedSource
 from recipes.train_embedded_prior.data.source import procedural_source
 from recipes.train_embedded_prior.evaluate import held_out_sets, measure_losses
@@ -203,6 +204,7 @@ def card(
     shape_losses: dict[str, float],
     history: str = "",
     bank: ShapeBank | None = None,
+    meshes: Sequence[PackEntry] = (),
 ) -> str:
     """Describe the weights in Markdown."""
     views, training = config.views, config.training
@@ -255,6 +257,7 @@ def card(
             "",
         ]
     lines += [
+        *_mesh_lines(meshes),
         *_bank_lines(bank),
         "Known limits: one object at a time, the things named by its words and simple shapes. The",
         "shape network continues coarse shape; colours and patterns are taken from P and its",
@@ -264,6 +267,33 @@ def card(
         "",
     ]
     return "\n".join(lines)
+
+
+def _mesh_lines(meshes: Sequence[PackEntry]) -> list[str]:
+    """Name the sources of the meshes trained on, and authors whose licence asks for it."""
+    if not meshes:
+        return []
+    counts = collections.Counter((entry.source, entry.licence) for entry in meshes)
+    lines = [
+        "## Meshes that the shape network was trained on",
+        "",
+        "Beside procedural objects; none of the pack's validation split. Shapes alone are learned: "
+        "the weights hold no mesh.",
+        "",
+        "| source | objects | licence |",
+        "| --- | --- | --- |",
+        *(f"| {name} | {count} | {terms} |" for (name, terms), count in counts.most_common()),
+        "",
+    ]
+    named = {_plain_author(entry.author) for entry in meshes if entry.licence.startswith("CC-BY")}
+    if named:
+        lines += [f"Authors of those under CC-BY: {', '.join(sorted(named, key=str.lower))}.", ""]
+    return lines
+
+
+def _plain_author(text: str) -> str:
+    """Return an author's name without what stands around it."""
+    return text.rsplit(">", 1)[-1].strip().strip('"')
 
 
 def _bank_lines(bank: ShapeBank | None) -> list[str]:
@@ -280,6 +310,20 @@ def _bank_lines(bank: ShapeBank | None) -> list[str]:
         f"By id's first part: {listed}.",
         "",
     ]
+
+
+def trained_meshes(options: ExportConfig) -> list[PackEntry]:
+    """Return the meshes that the shape network's run was trained on; none where it had no pack.
+
+    Raises:
+        UserError: the run or its pack cannot be read.
+    """
+    if options.shape_run is None:
+        return []
+    record = from_json(RunRecord, read_json(options.shape_run / RUN), str(options.shape_run / RUN))
+    if record.config.meshes is None:
+        return []
+    return [entry for entry in read_manifest(record.config.meshes) if entry.split == "train"]
 
 
 def measure_export(
@@ -352,13 +396,14 @@ def main() -> int:
     try:
         run, left_out = export_runs(options)
         losses, shape_losses = measure_export(run, options)
+        meshes = trained_meshes(options)
         model, shape_model, config = load_weights(options.out)
     except UserError as error:
         _LOG.error("%s", error)
         return error.exit_code
     packed = options.out / BANK_FILE
     bank = read_bank(packed) if packed.is_file() else None
-    text = card(config, model, shape_model, losses, shape_losses, options.history, bank)
+    text = card(config, model, shape_model, losses, shape_losses, options.history, bank, meshes)
     (options.out / "CARD.md").write_text(text, encoding="utf-8")
     size = sum(path.stat().st_size for path in options.out.iterdir())
     _LOG.info("%s: %.1f MB, %d words", options.out, size / 1e6, len(config.words))

@@ -3,8 +3,8 @@
 Conventions
 -----------
 * Object k is that of the shape network's sets of another seed; it is a pure function of (seed, k).
-* Objects are kept in files of ``FILE_OBJECTS``: made once, whatever is trained on them. Those of the
-  first file are of the held-out seed: of a pack of meshes, they show its validation split.
+* Objects are kept in files of ``FILE_OBJECTS``: made once, whatever is trained on them. Those of
+  the first file are of the held-out seed: of a pack of meshes, they show its validation split.
 * An object's planes are those that the coarse scorer puts first, then the best by the truth.
 """
 

@@ -7,8 +7,8 @@ import torch
 
 from gscomplete.api import complete
 from gscomplete.completion.doubts import MARK, doubts_of_guess, doubts_of_result
-from gscomplete.completion.presets import DEFAULT
 from gscomplete.completion.preserve.outcome import CheckedErrors, HardPreservationReport
+from gscomplete.completion.presets import DEFAULT
 from gscomplete.priors.base import FirstGuess
 from gscomplete.splats import transform_splats
 from gscomplete.splats.transform import Similarity

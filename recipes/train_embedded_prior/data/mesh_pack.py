@@ -7,7 +7,8 @@ Conventions
   ``fc`` [F] indices into the palette ``pal`` uint8 [K, 3], one colour a face; or ``tex``, the bytes
   of a square picture in which every two faces share a block of ``s`` x ``s`` px, row by row.
 * ``MANIFEST.tsv`` names, for each object, its id (the file's path without ending), split, noun,
-  caption, source, licence, author and colour (``none`` where only the shape is known).
+  caption, source, licence, author and colour (``none`` where only the shape is known). Authors
+  taken from XML carry what stood before their name.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ class PackEntry:
     caption: str
     source: str
     licence: str
+    author: str
     colour: str
 
 
