@@ -22,8 +22,6 @@ _MOST_HIDDEN = 0.1
 """Share of P's pixels that a guess may hide from about c."""
 _MOST_SPLATS = 20_000
 """Splats of P that are drawn to tell, chosen at random where it has more."""
-_LEAST_SURE = 0.6
-"""Least mean sureness of the shape network; see ``shape.symmetry_choice.sureness``."""
 _MOST_LOST = 0.5
 """Share of the new splats that bounds on E_color and E_depth may remove or fade."""
 _OPEN_SIDE = 0.9
@@ -32,16 +30,13 @@ _LEAST_GROWTH = 0.25
 """... and of what it lacks of the guessed size at least this share is filled."""
 
 
-def doubts_of_guess(
-    partial: Splats, guess: Splats, views: ViewDistribution, sureness: float | None
-) -> tuple[str, ...]:
+def doubts_of_guess(partial: Splats, guess: Splats, views: ViewDistribution) -> tuple[str, ...]:
     """Return what indicates a wrong guess or a wrong input view, before any step is taken.
 
     Args:
         partial: P.
         guess: what the prior guesses to be missing.
         views: V as settled.
-        sureness: how far the network's answer is from one half, 0 to 1; None = not known.
     """
     found = []
     shown = thinned(partial.with_sh_degree(0), _MOST_SPLATS, torch.Generator().manual_seed(0))
@@ -50,11 +45,6 @@ def doubts_of_guess(
         found.append(
             f"from the input view the guess hides {hidden:.0%} of P, which P was seen from: the "
             "view or the guess is wrong (--view, --mirror, --alternatives)"
-        )
-    if sureness is not None and sureness < _LEAST_SURE:
-        found.append(
-            f"the network is unsure of the shape ({sureness:.2f} of 1): compare other guesses "
-            "(--alternatives 4) or name the object (--prompt)"
         )
     return tuple(MARK + reason for reason in found)
 

@@ -250,7 +250,7 @@ def prepare(
     notes += (start.note, *((moved,) if moved else ()), *conditioning.report)
     doubts: tuple[str, ...] = ()
     if start.is_guess and len(start.splats):
-        doubts = doubts_of_guess(partial, start.splats, views, start.sureness)
+        doubts = doubts_of_guess(partial, start.splats, views)
         notes += doubts
     if request.negative_prompt and not steps.heeds_negative_prompt:
         notes += ("negative prompt: without effect here (with this prior: --text-only)",)

@@ -35,8 +35,6 @@ class Start:
     """Whether the prior guessed them; False = scattered in a sphere."""
     note: str
     """How they came about, for the user."""
-    sureness: float | None = None
-    """Of the prior in its guess; see :class:`gscomplete.priors.base.FirstGuess`."""
 
 
 def start_splats(
@@ -111,7 +109,7 @@ def _guess(
     if guess is None or (not len(guess.splats) and settings.steps):
         return None
     how_many = f"start: {len(guess.splats):,} splats that the prior guesses"
-    return Start(guess.splats, True, "; ".join([how_many, *guess.notes]), guess.sureness)
+    return Start(guess.splats, True, "; ".join([how_many, *guess.notes]))
 
 
 def scale_bounds(views: PriorViews, settings: CompletionSettings) -> Bounds:

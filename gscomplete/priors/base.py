@@ -212,8 +212,6 @@ class FirstGuess:
     """In the object frame, where P has none."""
     notes: tuple[str, ...]
     """How it came about, for the user."""
-    sureness: float | None = None
-    """How far the answer is from one half, on average, 0 to 1; None = not known."""
 
 
 @runtime_checkable

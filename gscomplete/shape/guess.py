@@ -36,7 +36,6 @@ from gscomplete.shape.bank.wider import (
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter
 from gscomplete.shape.predict import Prediction, predict
-from gscomplete.shape.symmetry_choice import sureness
 from gscomplete.splats import Splats
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.util.stages import stage
@@ -56,8 +55,6 @@ class Guess:
     """Known shapes that had a part in it."""
     notes: tuple[str, ...]
     """What decided it, for the user."""
-    sureness: float
-    """Of the network in the answer; see ``symmetry_choice.sureness``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,8 +140,7 @@ def guess_complete(
         notes = known.notes(())
     with stage("surface"):
         assembled = assemble_splats(plain, partial, settings, generator)
-    notes += notes_of(plain, assembled.mirrored)
-    return Guess(assembled.splats, (), notes, _sureness(plain))
+    return Guess(assembled.splats, (), notes + notes_of(plain, assembled.mirrored))
 
 
 def _by_known_shapes(
@@ -183,11 +179,10 @@ def _by_known_shapes(
     with stage("surface"):
         assembled = assemble_splats(heeded, partial, settings, generator)
     if frame is None:
-        notes = notes_of(heeded, assembled.mirrored)
-        return Guess(assembled.splats, shapes, notes, _sureness(heeded))
+        return Guess(assembled.splats, shapes, notes_of(heeded, assembled.mirrored))
     back = frame.inverse()
     notes = notes_of(_carried(heeded, back), assembled.mirrored)
-    return Guess(transform_splats(assembled.splats, back), shapes, notes, _sureness(heeded))
+    return Guess(transform_splats(assembled.splats, back), shapes, notes)
 
 
 def _predict(asked: Asked, partial: Splats, views: ViewDistribution, mirror: Mirror) -> Prediction:
@@ -201,10 +196,6 @@ def _predict(asked: Asked, partial: Splats, views: ViewDistribution, mirror: Mir
         bfloat16=asked.bfloat16,
         mirror_plane=mirror,
     )
-
-
-def _sureness(prediction: Prediction) -> float:
-    return float(sureness(prediction.output.occupancy.float().sigmoid()))
 
 
 def _carried(prediction: Prediction, frame: Similarity) -> Prediction:

@@ -23,18 +23,11 @@ REPORT = HardPreservationReport(CLEAN, CLEAN, True, 100, 100, 0, 0, 0, {}, 0, 0,
 
 
 def test_a_guess_behind_p_is_not_doubted_one_before_p_is():
-    assert doubts_of_guess(PART, REST, RIGHT, 0.9) == ()
-    (found,) = doubts_of_guess(PART, REST, WRONG, 0.9)
+    assert doubts_of_guess(PART, REST, RIGHT) == ()
+    (found,) = doubts_of_guess(PART, REST, WRONG)
     assert found.startswith(MARK)
     assert "hides" in found
     assert "--view" in found
-
-
-@pytest.mark.parametrize(("sureness", "count"), [(None, 0), (0.95, 0), (0.2, 1)])
-def test_an_unsure_network_is_told(sureness, count):
-    found = doubts_of_guess(PART, REST, RIGHT, sureness)
-    assert len(found) == count
-    assert all("unsure" in doubt for doubt in found)
 
 
 @pytest.mark.parametrize(("faded", "dropped", "count"), [(20, 10, 0), (20, 60, 1), (80, 0, 1)])
@@ -60,8 +53,7 @@ def test_doubts_stand_among_the_notes_of_a_completion():
     part = truth.select(truth.means[:, 0] > 0)
     known = {"view_deg": (180.0, 0.0), "center_file": (0.0, 0.0, 0.0), "size_file": 0.8}
     rest = truth.select(truth.means[:, 0] <= 0)
-    prior = GuessingPrior(truth, FirstGuess(rest, (), 0.1))
+    prior = GuessingPrior(truth, FirstGuess(rest, ()))
     found = complete(part, "a ball", prior=prior, settings=DEFAULT, **known)
     assert any("hides" in doubt for doubt in found.doubts)
-    assert any("unsure" in doubt for doubt in found.doubts)
     assert set(found.doubts) <= set(found.notes)

@@ -224,7 +224,7 @@ class EmbeddedPrior:
         )
         known = KnownShapes(self._bank if known_shapes else None, conditioning.prompt)
         guess = guess_complete(asked, partial, distribution, mirror, known, count, generator)
-        return FirstGuess(guess.splats, notes + guess.notes, guess.sureness)
+        return FirstGuess(guess.splats, notes + guess.notes)
 
     def likely_mirrors(
         self, partial: Splats, distribution: ViewDistribution, conditioning: Conditioning

@@ -8,6 +8,7 @@ from gscomplete.priors import load_prior
 from gscomplete.priors.embedded.prior import packaged_weights
 from gscomplete.priors.embedded.weights import load_weights
 from gscomplete.shape.bank.store import BANK_FILE, read_bank
+from recipes.train_embedded_prior.data.mesh_pack import PackEntry
 from recipes.train_embedded_prior.export import (
     ExportConfig,
     TrainedRun,
@@ -108,3 +109,19 @@ def test_an_export_of_nothing_is_refused_before_anything_is_written(tmp_path):
     with pytest.raises(UserError, match="expected --run, --shape-run or both"):
         export_runs(ExportConfig(out=tmp_path))
     assert not list(tmp_path.iterdir())
+
+
+def test_the_card_names_sources_and_the_authors_whose_licence_asks_for_it(tmp_path):
+    views = trained(ViewsTask(tiny_run(tmp_path / "a"), stub_source, WORDS))
+    config = exported(views, None, ("ball",), tmp_path / "out", "int8")
+    model, _, _ = load_weights(tmp_path / "out")
+    rows = [("CC0", "me"), ("CC-BY-3.0", '"Can</name> <author> <name>Ann"'), ("CC-BY-3.0", "Bo")]
+    meshes = [
+        PackEntry(str(k), "train", "box", "a box", "one", licence, author, "flat")
+        for k, (licence, author) in enumerate(rows)
+    ]
+    text = card(config, model, None, {}, {}, meshes=meshes)
+    assert "| one | 2 | CC-BY-3.0 |" in text
+    assert "| one | 1 | CC0 |" in text
+    assert "Authors of those under CC-BY: Ann, Bo." in text
+    assert "sources" not in card(config, model, None, {}, {}).split("Licence")[1]
