@@ -23,13 +23,13 @@ from typing import Any
 import torch
 
 import gscomplete
-from gscomplete.completion.doubts import doubts_of_guess, doubts_of_result
 from gscomplete.completion.optimise import Optimisation, StepReport
 from gscomplete.completion.preserve.bounds import preserve_hard
 from gscomplete.completion.preserve.outcome import HardPreservationReport
 from gscomplete.completion.seam import SeamColorReport, match_seam_colors
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.completion.start import start_splats
+from gscomplete.evaluate.doubts import doubts_of_guess, doubts_of_result
 from gscomplete.framing.check import (
     check_given_frame,
     describe_frame,
@@ -310,7 +310,7 @@ def finish(prepared: Prepared, given: SplatFile | Splats) -> Completed:
         notes += (bounds.summary,)
     doubts = prepared.doubts
     if settings.start == "guess":
-        found = doubts_of_result(partial, new, bounds)
+        found = doubts_of_result(partial, new, None if bounds is None else bounds.lost)
         doubts, notes = doubts + found, notes + found
     seconds = time.perf_counter() - started
     return Completed(

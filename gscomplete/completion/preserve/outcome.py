@@ -59,6 +59,11 @@ class HardPreservationReport:
     seconds: float
 
     @property
+    def lost(self) -> float:
+        """Share of the splats that were removed or faded; 0 where there were none."""
+        return (self.faded + sum(self.dropped.values())) / max(self.total, 1)
+
+    @property
     def summary(self) -> str:
         """Describe what was done in one line."""
         before, after = self.before, self.after

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import torch
 
-from gscomplete.completion.preserve.outcome import HardPreservationReport
 from gscomplete.framing.input_view import hidden_share
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.filters import thinned
@@ -49,24 +48,21 @@ def doubts_of_guess(partial: Splats, guess: Splats, views: ViewDistribution) -> 
     return tuple(MARK + reason for reason in found)
 
 
-def doubts_of_result(
-    partial: Splats, new: Splats, bounds: HardPreservationReport | None
-) -> tuple[str, ...]:
+def doubts_of_result(partial: Splats, new: Splats, lost: float | None) -> tuple[str, ...]:
     """Return what makes the result doubtful.
 
     Args:
         partial: P.
         new: the new splats.
-        bounds: what the bounds on E_color and E_depth took; None = there were none.
+        lost: share of the new splats that bounds on E_color and E_depth removed or faded; None =
+            there were no bounds.
     """
     found = []
-    if bounds is not None and bounds.total:
-        lost = (bounds.faded + sum(bounds.dropped.values())) / bounds.total
-        if lost > _MOST_LOST:
-            found.append(
-                f"keeping P's appearance removed or faded {lost:.0%} of the new splats: the guess "
-                "stood before P (--view, --mirror)"
-            )
+    if lost is not None and lost > _MOST_LOST:
+        found.append(
+            f"keeping P's appearance removed or faded {lost:.0%} of the new splats: the guess "
+            "stood before P (--view, --mirror)"
+        )
     own = _largest_side(partial)
     together = _largest_side(partial, new)
     if own < _OPEN_SIDE and together - own < _LEAST_GROWTH * (1 - own):

@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from gscomplete.api import complete
-from gscomplete.completion.doubts import MARK, doubts_of_guess, doubts_of_result
 from gscomplete.completion.preserve.outcome import CheckedErrors, HardPreservationReport
 from gscomplete.completion.presets import DEFAULT
+from gscomplete.evaluate.doubts import MARK, doubts_of_guess, doubts_of_result
 from gscomplete.priors.base import FirstGuess
 from gscomplete.splats import transform_splats
 from gscomplete.splats.transform import Similarity
@@ -33,7 +33,7 @@ def test_a_guess_behind_p_is_not_doubted_one_before_p_is():
 @pytest.mark.parametrize(("faded", "dropped", "count"), [(20, 10, 0), (20, 60, 1), (80, 0, 1)])
 def test_most_new_splats_lost_is_told(faded, dropped, count):
     report = dataclasses.replace(REPORT, faded=faded, dropped={"in_the_way": dropped})
-    found = doubts_of_result(cylinder(), REST, report)
+    found = doubts_of_result(cylinder(), REST, report.lost)
     assert len(found) == count
     assert all(f"{faded + dropped}%" in doubt for doubt in found)
 
@@ -41,11 +41,11 @@ def test_most_new_splats_lost_is_told(faded, dropped, count):
 def test_a_result_no_larger_than_an_open_part_is_told():
     half_size = Similarity(0.5, torch.eye(3).double(), torch.zeros(3).double())
     small = transform_splats(cylinder(), half_size)
-    (found,) = doubts_of_result(small, small.select(torch.arange(5)), REPORT)
+    (found,) = doubts_of_result(small, small.select(torch.arange(5)), REPORT.lost)
     assert "hardly larger" in found
     beside = dataclasses.replace(small, means=small.means + torch.tensor([0.4, 0.0, 0.0]))
-    assert doubts_of_result(small, beside, REPORT) == ()
-    assert doubts_of_result(cylinder(), small, REPORT) == ()  # P fills the frame
+    assert doubts_of_result(small, beside, REPORT.lost) == ()
+    assert doubts_of_result(cylinder(), small, REPORT.lost) == ()  # P fills the frame
 
 
 def test_doubts_stand_among_the_notes_of_a_completion():
