@@ -92,7 +92,7 @@ class Prepared:
     notes: tuple[str, ...]
     """What was decided and why, for the user."""
     doubts: tuple[str, ...]
-    """Those of the notes that make the guess doubtful (``doubts``)."""
+    """Those of the notes that make the guess doubtful (``evaluate.doubts``)."""
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -126,7 +126,7 @@ class Completed:
     notes: tuple[str, ...]
     """What was decided and why, a line each."""
     doubts: tuple[str, ...]
-    """Those of the notes that make the result doubtful (``doubts``)."""
+    """Those of the notes that make the result doubtful (``evaluate.doubts``)."""
     seam_colors: SeamColorReport | None
     """What matching colours at the seam did; None = not asked for."""
     hard_preservation: HardPreservationReport | None

@@ -10,12 +10,11 @@ Conventions
 
 from __future__ import annotations
 
-import collections
 import dataclasses
 import logging
 import platform
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,7 +24,7 @@ from torch import Tensor
 
 from gscomplete.errors import UserError
 from gscomplete.priors.base import PriorViews
-from gscomplete.priors.embedded.model import FourViewDenoiser, ModelConfig, count_parameters
+from gscomplete.priors.embedded.model import FourViewDenoiser, ModelConfig
 from gscomplete.priors.embedded.prior import packaged_weights
 from gscomplete.priors.embedded.text import FIRST_WORD_TOKEN, STOP_WORDS, split_words
 from gscomplete.priors.embedded.weights import (
@@ -37,12 +36,10 @@ from gscomplete.priors.embedded.weights import (
     load_weights,
     save_weights,
 )
-from gscomplete.shape.bank.store import BANK_CELLS, BANK_FILE, ShapeBank, read_bank
-from gscomplete.shape.network import ShapeCompleter, ShapeModelConfig
-from gscomplete.shape.planes.coarse_scorer import COARSE_SCORER_FILE
-from gscomplete.shape.planes.fine_scorer import FINE_SCORER_FILE
-from gscomplete.shape.voxels import CELL_SIDE, CELLS
+from gscomplete.shape.bank.store import BANK_FILE, read_bank
+from gscomplete.shape.network import ShapeModelConfig
 from gscomplete.util.jsonio import from_json, read_json
+from recipes.train_embedded_prior.card import card
 from recipes.train_embedded_prior.config import ShapeTrainConfig, TrainConfig
 from recipes.train_embedded_prior.data.mesh_pack import PackEntry, read_manifest
 from recipes.train_embedded_prior.data.mesh_source import MixedSource
@@ -194,122 +191,6 @@ def export(
     tensors = None if shape is None else shape.weights(kept)
     save_weights(out, denoiser.weights(kept), config, tensors)
     return config
-
-
-def card(
-    config: PriorConfig,
-    model: FourViewDenoiser,
-    shape: ShapeCompleter | None,
-    losses: dict[str, dict[str, float]],
-    shape_losses: dict[str, float],
-    history: str = "",
-    bank: ShapeBank | None = None,
-    meshes: Sequence[PackEntry] = (),
-) -> str:
-    """Describe the weights in Markdown."""
-    views, training = config.views, config.training
-    lines = [
-        "# Embedded prior",
-        "",
-        "A four-view, camera-, text- and input-conditioned denoiser of premultiplied RGBA images,",
-        "and a three-dimensional network that guesses the complete object from a part; both",
-        "trained by `recipes/train_embedded_prior`: the denoiser on procedural objects, the shape",
-        "network on these and on free meshes (sources below). No third-party models, no downloads.",
-        "Licence: Apache-2.0, as the rest of the repository.",
-        "",
-        f"* Parameters: {count_parameters(model) / 1e6:.1f} million, stored as {config.storage}.",
-        f"* Images: {views.resolution_px} x {views.resolution_px}, field of view "
-        f"{views.fov_deg:g} degrees, visible extent {views.extent_range[0]:g} to "
-        f"{views.extent_range[1]:g} object sizes, elevation {views.elevation_range_deg[0]:g} to "
-        f"{views.elevation_range_deg[1]:g} degrees.",
-        f"* Words: {len(config.words)}.",
-        f"* Training: {training.steps} steps, {training.sets} four-view sets, each seen once, "
-        f"{training.hours:.2f} hours on {training.machine}, seed {training.seed}.",
-        "",
-    ]
-    if losses:
-        lines += [
-            "Mean squared error of v on held-out objects (all timesteps; see `evaluate.py`):",
-            "",
-            "| weights | seeing P | text alone |",
-            "| --- | --- | --- |",
-            *(
-                f"| {name} | {values['input_mean']:.4f} | {values['text_mean']:.4f} |"
-                for name, values in losses.items()
-            ),
-            "",
-        ]
-    if shape is not None and config.shape is not None:
-        made = config.shape.training
-        lines += [
-            "## Shape network",
-            "",
-            f"* Parameters: {count_parameters(shape) / 1e6:.1f} million, stored as "
-            f"{config.storage}; {CELLS}^3 cells of {CELL_SIDE:g} object sizes.",
-            f"* Training: {made.steps} steps, {made.sets} objects with their parts, each seen "
-            f"about twice in different orientations, {made.hours:.2f} hours on {made.machine}, "
-            f"seed {made.seed}.",
-            f"* Planes that P is mirrored through are scored by `{COARSE_SCORER_FILE}` and then "
-            f"by `{FINE_SCORER_FILE}`, trained before it by `train_coarse_scorer.py` and "
-            "`train_fine_scorer.py` of `recipes/train_embedded_prior`.",
-            *([f"* History: {history}"] if history else []),
-            *(f"* Held-out {name}: {value:.4f}" for name, value in shape_losses.items()),
-            "",
-        ]
-    lines += [
-        *_mesh_lines(meshes),
-        *_bank_lines(bank),
-        "Known limits: one object at a time, the things named by its words and simple shapes. The",
-        "shape network continues coarse shape; colours and patterns are taken from P and its",
-        "mirror images, so what P does not show is guessed by symmetry; thin parts are often",
-        "missed where no mirror image is sure enough to be shown by P's own splats. The denoiser",
-        "follows the colours of prompts, hardly their shapes: from text alone it gives blobs.",
-        "",
-    ]
-    return "\n".join(lines)
-
-
-def _mesh_lines(meshes: Sequence[PackEntry]) -> list[str]:
-    """Name the sources of the meshes trained on, and authors whose licence asks for it."""
-    if not meshes:
-        return []
-    counts = collections.Counter((entry.source, entry.licence) for entry in meshes)
-    lines = [
-        "## Meshes that the shape network was trained on",
-        "",
-        "Beside procedural objects; none of the pack's validation split. Shapes alone are learned: "
-        "the weights hold no mesh.",
-        "",
-        "| source | objects | licence |",
-        "| --- | --- | --- |",
-        *(f"| {name} | {count} | {terms} |" for (name, terms), count in counts.most_common()),
-        "",
-    ]
-    named = {_plain_author(entry.author) for entry in meshes if entry.licence.startswith("CC-BY")}
-    if named:
-        lines += [f"Authors of those under CC-BY: {', '.join(sorted(named, key=str.lower))}.", ""]
-    return lines
-
-
-def _plain_author(text: str) -> str:
-    """Return an author's name without what stands around it."""
-    return text.rsplit(">", 1)[-1].strip().strip('"')
-
-
-def _bank_lines(bank: ShapeBank | None) -> list[str]:
-    """Say where the known shapes are from; none = none goes with the weights."""
-    if bank is None:
-        return []
-    packs = collections.Counter(name.pack for name in bank.names)
-    listed = ", ".join(f"{pack} {count}" for pack, count in packs.most_common())
-    return [
-        "## Known shapes",
-        "",
-        f"`{BANK_FILE}`: surfaces of {len(bank.names)} free meshes (CC0; no colours), "
-        f"{BANK_CELLS}^3 cells each, with their nouns, packed by `shape_bank.py`. "
-        f"By id's first part: {listed}.",
-        "",
-    ]
 
 
 def trained_meshes(options: ExportConfig) -> list[PackEntry]:

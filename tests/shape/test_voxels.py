@@ -1,5 +1,7 @@
 import numpy as np
 import pytest
+import torch
+import torch.nn.functional as F
 
 from gscomplete.shape.voxels import (
     CELL_SIDE,
@@ -7,6 +9,7 @@ from gscomplete.shape.voxels import (
     HALF_SIDE,
     cell_centers,
     fill_colored,
+    grown,
     splat_arrays,
 )
 from tests.builders.objects import ball
@@ -48,3 +51,12 @@ def test_cell_centers_are_where_points_of_the_cell_fall():
     assert centers[0, 0, 0] == pytest.approx(np.full(3, -HALF_SIDE + CELL_SIDE / 2), abs=1e-6)
     found = np.floor((centers + HALF_SIDE) / CELL_SIDE).astype(int)
     assert np.array_equal(found[3, 5, 7], [3, 5, 7])
+
+
+@pytest.mark.parametrize("shape", [(2, 5, 6, 7), (3, 1, 1, 1)])
+def test_growing_axis_by_axis_is_the_pooling_of_all_neighbours(shape):
+    """Largest values are exact, whatever the order."""
+    values = torch.randn(shape, generator=torch.Generator().manual_seed(0))
+    before = values.clone()
+    assert torch.equal(grown(values), F.max_pool3d(values, 3, 1, 1))
+    assert torch.equal(values, before)

@@ -8,11 +8,11 @@ from gscomplete.priors import load_prior
 from gscomplete.priors.embedded.prior import packaged_weights
 from gscomplete.priors.embedded.weights import load_weights
 from gscomplete.shape.bank.store import BANK_FILE, read_bank
+from recipes.train_embedded_prior.card import card
 from recipes.train_embedded_prior.data.mesh_pack import PackEntry
 from recipes.train_embedded_prior.export import (
     ExportConfig,
     TrainedRun,
-    card,
     export,
     export_runs,
     words_seen,
