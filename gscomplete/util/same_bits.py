@@ -5,6 +5,8 @@ Conventions
 * On the CPU, PyTorch adds up all elements of a large tensor, and the channels-last features of a
   group norm, in as many parts as there are threads. Sums over some dimensions are safe: one thread
   adds up each result.
+* Processors that multiply tiles (AMX) add up the long sums of a matrix product in as many parts as
+  there are threads, where the product itself is too small to be shared out.
 * Sigmoids and fractional powers of 32,768 elements and more are safe only in one thread: the last
   elements of every thread's part are rounded in another way than those before them. Exponentials,
   logarithms and arithmetic are safe.
@@ -55,6 +57,15 @@ class GroupNorm(nn.GroupNorm):
 
     def forward(self, input: Tensor) -> Tensor:  # noqa: A002  # [B, C, ...]
         """Return the normalised features."""
+        with one_thread(input):
+            return super().forward(input)
+
+
+class Linear(nn.Linear):
+    """A linear layer of many inputs and few outputs that one thread computes on the CPU."""
+
+    def forward(self, input: Tensor) -> Tensor:  # noqa: A002  # [..., K] -> [..., N]
+        """Return the products."""
         with one_thread(input):
             return super().forward(input)
 

@@ -4,6 +4,7 @@ import torch
 
 from gscomplete.util.same_bits import (
     GroupNorm,
+    Linear,
     fixed_mean,
     fixed_power,
     fixed_sigmoid,
@@ -70,6 +71,21 @@ def test_group_norm_of_channels_last_features(dtype):
     # bfloat16 keeps 8 bits: values of up to 2 are rounded by up to 2**-8
     tolerance = 1e-5 if dtype == torch.float32 else 2**-7
     np.testing.assert_allclose(normalised().numpy().reshape(8, -1), expected, atol=tolerance)
+
+
+def test_long_products_of_few_outputs():
+    """Tile processors split the sums of 960 terms over threads in a plain linear layer."""
+    rows, layer = numbers(1, 256, 960), Linear(960, 320)
+
+    def product() -> torch.Tensor:
+        with torch.no_grad(), torch.autocast("cpu", torch.bfloat16):
+            return layer(rows).float()
+
+    assert len(bits_with_each_number_of_threads(product)) == 1
+    weight, bias = layer.weight.bfloat16().double(), layer.bias.double()
+    expected = (rows.bfloat16().double() @ weight.T + bias).detach()
+    # one rounding of the result to 8 bits, and one of the bias
+    torch.testing.assert_close(product().double(), expected, rtol=2**-7, atol=2**-8)
 
 
 @pytest.mark.parametrize("shape", [(), (0,), (7,), (4096,), (4097,), (3, 50, 1001)])

@@ -22,7 +22,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from gscomplete.priors.embedded.rays import RAY_CHANNELS, camera_vector, ring_rays
-from gscomplete.util.same_bits import GroupNorm
+from gscomplete.util.same_bits import GroupNorm, Linear
 
 IMAGE_CHANNELS = 4
 INPUT_CHANNELS = 5
@@ -135,7 +135,7 @@ class JointTransformer(nn.Module):
             nn.init.zeros_(self.out_text.weight)
         self.norm_mlp = nn.LayerNorm(width)
         self.mlp_in = nn.Linear(width, 3 * width)
-        self.mlp_out = nn.Linear(3 * width, width)
+        self.mlp_out = Linear(3 * width, width)
         nn.init.zeros_(self.out_self.weight)
         nn.init.zeros_(self.mlp_out.weight)
 
