@@ -18,14 +18,14 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from gscomplete.fitting.row_adam import RowAdam, values_of
+from gscomplete.fitting.row_adam import Rate, RowAdam, values_of
 from gscomplete.fitting.settings import LearningRates
 from gscomplete.splats import SH_C0, Splats
 from gscomplete.util.same_bits import fixed_sigmoid
 
 
 class Rates(Protocol):
-    """Adam's step sizes: besides these two, one of each name of the parameters."""
+    """Adam's step sizes: besides these two, those that :meth:`SplatParameters.rates` reads."""
 
     @property
     def means(self) -> float:
@@ -72,19 +72,18 @@ class SplatParameters:
         )
         return {name: value.detach() for name, value in zip(self.names, values, strict=True)}
 
-    def harmonics(self) -> Tensor:  # [N, K, 3]
-        """Return the colours, connected to the parameters."""
-        return self._values["sh"]
-
     def splats(self, degree: int | None = None) -> Splats:
         """Return activated splats connected to the parameters, with harmonics up to ``degree``."""
-        value, sh = self._values, self.harmonics()
+        value = self._values
+        bands = value["sh"].shape[1] if degree is None else (degree + 1) ** 2
+        # A slice of all bands would be copied on the way back.
+        sh = value["sh"] if bands == value["sh"].shape[1] else value["sh"][:, :bands]
         return Splats(
             value["means"],
             torch.nn.functional.normalize(value["quaternions"], dim=1),
             value["log_scales"].exp(),
             fixed_sigmoid(value["opacity_logits"]),
-            sh if degree is None else sh[:, : (degree + 1) ** 2],
+            sh,
         )
 
     def step(self, progress: float) -> None:
@@ -120,10 +119,14 @@ class SplatParameters:
         self._adam = self._new_adam()
         self._adam.restore(state)
 
-    def _new_adam(self) -> RowAdam:
+    def rates(self) -> dict[str, Rate]:
+        """Return Adam's step sizes at the start by name."""
         rates = {name: getattr(self._rates, name) for name in self._values}
         rates["means"] *= self._length_unit
-        return RowAdam(self._values, rates, fused=self.fused)
+        return rates
+
+    def _new_adam(self) -> RowAdam:
+        return RowAdam(self._values, self.rates(), fused=self.fused)
 
 
 def splats_of_state(state: dict[str, Tensor]) -> Splats:

@@ -4,28 +4,39 @@ Conventions
 -----------
 * Every value has one row per splat; Adam's first and second moments follow their rows, and rows
   that are added start at rest.
-* The numbers are those of ``torch.optim.Adam``, bit for bit. That class loads PyTorch's compiler on
-  its first use, which takes longer than many runs that take no step.
+* The numbers are those of ``torch.optim.Adam``, bit for bit (of rates that differ by column, within
+  rounding). That class loads PyTorch's compiler on its first use, which takes longer than many runs
+  that take no step.
+* A step size is a number, or [C]: one for each column of a value's rows.
 * A state is flat, for checkpoints: ``value.NAME`` and ``adam.NAME.KEY``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from typing import Any
 
+import numba
+import numpy as np
 import torch
 from torch import Tensor
+
+from gscomplete.util.kernels import KERNEL, run_kernel
+
+Rate = float | Tensor
 
 MOMENTS = ("exp_avg", "exp_avg_sq")
 _BETAS = (0.9, 0.999)
 _EPS = 1e-15
+_ROWS_PER_RUN = 4096
+"""Fewest rows that are handed to a thread at once."""
 
 
 class RowAdam:
     """The optimiser of one set of values; rows are edited by making another."""
 
     def __init__(
-        self, values: Mapping[str, Tensor], rates: Mapping[str, float], *, fused: bool = False
+        self, values: Mapping[str, Tensor], rates: Mapping[str, Rate], *, fused: bool = False
     ) -> None:
         """Start at rest.
 
@@ -50,8 +61,14 @@ class RowAdam:
                 at_rest = {key: torch.zeros_like(value) for key in MOMENTS}
                 count = torch.zeros((), device=value.device if self._fused else "cpu")
                 self.moments[name] = {"step": count, **at_rest}
-            update = self._update_fused if self._fused else _update
-            update(value, gradient, self.moments[name], self.rates[name])
+            rate, moments = self.rates[name], self.moments[name]
+            if not isinstance(rate, Tensor):
+                update = self._update_fused if self._fused else _update
+                update(value, gradient, moments, rate)
+            elif value.device.type == "cpu":
+                _update_columns(value, gradient, moments, rate)
+            else:
+                _update(value, gradient, moments, rate.to(value.device))
 
     def forget(self, name: str) -> None:
         """Put one value at rest, as if it had never moved; its count goes on."""
@@ -117,7 +134,7 @@ class RowAdam:
         )
 
 
-def _update(value: Tensor, gradient: Tensor, moments: dict[str, Tensor], rate: float) -> None:
+def _update(value: Tensor, gradient: Tensor, moments: dict[str, Tensor], rate: Rate) -> None:
     """Move one value."""
     first, second = _BETAS
     moments["step"] += 1
@@ -126,7 +143,48 @@ def _update(value: Tensor, gradient: Tensor, moments: dict[str, Tensor], rate: f
     mean.lerp_(gradient, 1 - first)
     square.mul_(second).addcmul_(gradient, gradient, value=1 - second)
     deviation = (square.sqrt() / (1 - second**step) ** 0.5).add_(_EPS)
-    value.addcdiv_(mean, deviation, value=-(rate / (1 - first**step)))
+    if isinstance(rate, Tensor):
+        scaled = mean / (1 - first**step) * rate.reshape(value.shape[1:])
+        value.addcdiv_(scaled, deviation, value=-1.0)
+    else:
+        value.addcdiv_(mean, deviation, value=-(rate / (1 - first**step)))
+
+
+def _update_columns(
+    value: Tensor, gradient: Tensor, moments: dict[str, Tensor], rate: Tensor
+) -> None:
+    """Move one value on the CPU in one pass, each column at its own rate."""
+    first, second = _BETAS
+    moments["step"] += 1
+    step = moments["step"].item()
+    arrays = (value.detach(), gradient.contiguous(), *(moments[key] for key in MOMENTS))
+    rows = [array.numpy().reshape(len(value), -1) for array in arrays]
+    rates = (rate.double() / (1 - first**step)).float().numpy()
+    scale = np.float32((1 - second**step) ** -0.5)
+    run_kernel(_move_rows, len(value), _ROWS_PER_RUN, *rows, rates, scale)
+
+
+@numba.njit(**KERNEL)
+def _move_rows(
+    first: int,
+    last: int,
+    value: Any,  # [N, C] float32, moved
+    gradient: Any,  # [N, C]
+    mean: Any,  # [N, C] moments, moved along
+    square: Any,
+    rates: Any,  # [C] over the bias of the means
+    scale: Any,  # float32: of the deviations, for their bias
+) -> None:
+    """Do Adam's step for the rows from ``first`` up to ``last``."""
+    keep, add = np.float32(_BETAS[1]), np.float32(1 - _BETAS[1])
+    move, eps = np.float32(1 - _BETAS[0]), np.float32(_EPS)
+    for i in range(first, last):
+        for c in range(np.uint64(0), np.uint64(value.shape[1])):
+            g = gradient[i, c]
+            m = mean[i, c] + move * (g - mean[i, c])
+            s = keep * square[i, c] + add * g * g
+            mean[i, c], square[i, c] = m, s
+            value[i, c] -= rates[c] * m / (np.sqrt(s) * scale + eps)
 
 
 def values_of(state: Mapping[str, Tensor], names: Iterable[str]) -> dict[str, Tensor]:

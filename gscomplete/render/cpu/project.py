@@ -11,7 +11,9 @@ import numpy as np
 from gscomplete.render.cpu.layout import (
     EDGE_SLACK,
     MAX_VARIANCE_PX2,
+    P_BLUE,
     P_DEPTH,
+    P_GREEN,
     P_HALF_H,
     P_HALF_W,
     P_LA,
@@ -102,11 +104,11 @@ def project(
             fill_basis(basis, bands, dx * inverse, dy * inverse, dz * inverse)
         else:
             basis[0] = 0.28209479177387814
-        finite = True
-        for channel in range(3):
-            value = 0.5
-            for k in range(bands):
-                value += basis[k] * sh[i, k, channel]
-            finite = finite and abs(value) < MAX_VALUE
-            packed[i, P_RED + channel] = max(value, 0.0)
-        visible[i] = finite
+        red = green = blue = 0.5
+        for k in range(bands):
+            red += basis[k] * sh[i, k, 0]
+            green += basis[k] * sh[i, k, 1]
+            blue += basis[k] * sh[i, k, 2]
+        packed[i, P_RED], packed[i, P_GREEN] = max(red, 0.0), max(green, 0.0)
+        packed[i, P_BLUE] = max(blue, 0.0)
+        visible[i] = abs(red) < MAX_VALUE and abs(green) < MAX_VALUE and abs(blue) < MAX_VALUE

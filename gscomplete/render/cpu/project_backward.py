@@ -29,7 +29,7 @@ from gscomplete.render.cpu.layout import (
     SUMS,
 )
 from gscomplete.render.cpu.screen import FAST_HELPER, FAST_KERNEL, factor, screen_rows
-from gscomplete.render.cpu.spherical_harmonics import fill_basis, fill_basis_gradient
+from gscomplete.render.cpu.spherical_harmonics import basis_gradient, fill_basis
 
 
 @numba.njit(**FAST_KERNEL)
@@ -68,7 +68,8 @@ def project_backward(
     eye_y = -(camera[1] * camera[3] + camera[5] * camera[7] + camera[9] * camera[11])
     eye_z = -(camera[2] * camera[3] + camera[6] * camera[7] + camera[10] * camera[11])
     basis = np.empty(16, np.float64)
-    basis_gradient = np.empty((16, 3), np.float64)
+    weights = np.empty(16, np.float64)
+    upstream = np.empty(3, np.float64)
     total = np.empty(SUMS, np.float64)
     for i in range(first, last):
         start, stop = slot_start[i], slot_start[i + 1]
@@ -125,17 +126,16 @@ def project_backward(
         inverse = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
         dx, dy, dz = dx * inverse, dy * inverse, dz * inverse
         fill_basis(basis, bands, dx, dy, dz)
-        fill_basis_gradient(basis_gradient, bands, dx, dy, dz)
-        gdx, gdy, gdz = 0.0, 0.0, 0.0
         for channel in range(3):
-            if packed[i, P_RED + channel] > 0.0:
-                upstream = total[S_RED + channel]
-                for k in range(bands):
-                    grad_sh[i, k, channel] += basis[k] * upstream
-                    weight = upstream * sh[i, k, channel]
-                    gdx += basis_gradient[k, 0] * weight
-                    gdy += basis_gradient[k, 1] * weight
-                    gdz += basis_gradient[k, 2] * weight
+            shown = packed[i, P_RED + channel] > 0.0
+            upstream[channel] = total[S_RED + channel] if shown else 0.0
+        red, green, blue = upstream[0], upstream[1], upstream[2]
+        for k in range(bands):
+            grad_sh[i, k, 0] += basis[k] * red
+            grad_sh[i, k, 1] += basis[k] * green
+            grad_sh[i, k, 2] += basis[k] * blue
+            weights[k] = red * sh[i, k, 0] + green * sh[i, k, 1] + blue * sh[i, k, 2]
+        gdx, gdy, gdz = basis_gradient(weights, bands, dx, dy, dz)
         along = gdx * dx + gdy * dy + gdz * dz
         grad_means[i, 0] += (gdx - along * dx) * inverse
         grad_means[i, 1] += (gdy - along * dy) * inverse

@@ -72,39 +72,25 @@ def fill_basis(basis: Any, bands: int, x: float, y: float, z: float) -> None:
 
 
 @numba.njit(**HELPER)
-def fill_basis_gradient(gradient: Any, bands: int, x: float, y: float, z: float) -> None:
-    """Write d basis / d (x, y, z) into ``gradient`` [16, 3], as if x, y, z were independent."""
-    for k in range(bands):
-        gradient[k, 0] = 0.0
-        gradient[k, 1] = 0.0
-        gradient[k, 2] = 0.0
+def basis_gradient(weights: Any, bands: int, x: float, y: float, z: float) -> Any:
+    """Return d (weights . basis) / d (x, y, z), as if x, y, z were independent."""
+    w = weights
+    gx = gy = gz = 0.0
     if bands > 1:
-        gradient[1, 1] = -C1
-        gradient[2, 2] = C1
-        gradient[3, 0] = -C1
+        gx, gy, gz = -C1 * w[3], -C1 * w[1], C1 * w[2]
     if bands > 4:
-        gradient[4, 0], gradient[4, 1] = C20 * y, C20 * x
-        gradient[5, 1], gradient[5, 2] = C21 * z, C21 * y
-        gradient[6, 0], gradient[6, 1], gradient[6, 2] = (
-            -2.0 * C22 * x,
-            -2.0 * C22 * y,
-            4.0 * C22 * z,
-        )
-        gradient[7, 0], gradient[7, 2] = C23 * z, C23 * x
-        gradient[8, 0], gradient[8, 1] = 2.0 * C24 * x, -2.0 * C24 * y
+        gx += C20 * y * w[4] - 2.0 * C22 * x * w[6] + C23 * z * w[7] + 2.0 * C24 * x * w[8]
+        gy += C20 * x * w[4] + C21 * z * w[5] - 2.0 * C22 * y * w[6] - 2.0 * C24 * y * w[8]
+        gz += C21 * y * w[5] + 4.0 * C22 * z * w[6] + C23 * x * w[7]
     if bands > 9:
-        gradient[9, 0] = 6.0 * C30 * x * y
-        gradient[9, 1] = 3.0 * C30 * (x * x - y * y)
-        gradient[10, 0], gradient[10, 1], gradient[10, 2] = C31 * y * z, C31 * x * z, C31 * x * y
-        gradient[11, 0] = -2.0 * C32 * x * y
-        gradient[11, 1] = C32 * (4.0 * z * z - x * x - 3.0 * y * y)
-        gradient[11, 2] = 8.0 * C32 * y * z
-        gradient[12, 0], gradient[12, 1] = -6.0 * C33 * x * z, -6.0 * C33 * y * z
-        gradient[12, 2] = C33 * (6.0 * z * z - 3.0 * x * x - 3.0 * y * y)
-        gradient[13, 0] = C34 * (4.0 * z * z - 3.0 * x * x - y * y)
-        gradient[13, 1] = -2.0 * C34 * x * y
-        gradient[13, 2] = 8.0 * C34 * x * z
-        gradient[14, 0], gradient[14, 1] = 2.0 * C35 * x * z, -2.0 * C35 * y * z
-        gradient[14, 2] = C35 * (x * x - y * y)
-        gradient[15, 0] = 3.0 * C36 * (x * x - y * y)
-        gradient[15, 1] = -6.0 * C36 * x * y
+        xx, yy, zz = x * x, y * y, z * z
+        xy, xz, yz = x * y, x * z, y * z
+        gx += 6.0 * C30 * xy * w[9] + C31 * yz * w[10] - 2.0 * C32 * xy * w[11]
+        gx += C34 * (4.0 * zz - 3.0 * xx - yy) * w[13] - 6.0 * C33 * xz * w[12]
+        gx += 2.0 * C35 * xz * w[14] + 3.0 * C36 * (xx - yy) * w[15]
+        gy += 3.0 * C30 * (xx - yy) * w[9] + C31 * xz * w[10]
+        gy += C32 * (4.0 * zz - xx - 3.0 * yy) * w[11] - 6.0 * C33 * yz * w[12]
+        gy -= 2.0 * (C34 * xy * w[13] + C35 * yz * w[14] + 3.0 * C36 * xy * w[15])
+        gz += C31 * xy * w[10] + 8.0 * C32 * yz * w[11] + 8.0 * C34 * xz * w[13]
+        gz += C33 * (6.0 * zz - 3.0 * xx - 3.0 * yy) * w[12] + C35 * (xx - yy) * w[14]
+    return gx, gy, gz

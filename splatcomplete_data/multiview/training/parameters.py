@@ -1,4 +1,4 @@
-"""Splats under training from photos, with the colours' constant band apart from the others.
+"""Splats under training from photos.
 
 Conventions
 -----------
@@ -13,14 +13,16 @@ import torch
 from torch import Tensor
 
 from gscomplete.fitting.parameters import SplatParameters
+from gscomplete.fitting.row_adam import Rate
 from gscomplete.splats import Splats
+from splatcomplete_data.multiview.training.settings import LearningRates
 
 
 class PhotoParameters(SplatParameters):
     """Trainable splats and the optimiser that moves them."""
 
-    names = ("means", "quaternions", "log_scales", "opacity_logits", "sh_base", "sh_rest")
     fused = True
+    _rates: LearningRates
 
     def raw(self, splats: Splats) -> dict[str, Tensor]:
         """Turn activated splats into raw values by name."""
@@ -29,15 +31,19 @@ class PhotoParameters(SplatParameters):
             splats.quaternions,
             splats.scales.clamp_min(1e-12).log(),
             torch.logit(splats.opacities.clamp(1e-6, 1 - 1e-6)),
-            splats.sh[:, :1],
-            splats.sh[:, 1:],
+            splats.sh,
         )
         pairs = zip(self.names, values, strict=True)
         return {name: value.detach().contiguous() for name, value in pairs}
 
-    def harmonics(self) -> Tensor:  # [N, K, 3]
-        """Return the colours, connected to the parameters."""
-        return torch.cat([self._values["sh_base"], self._values["sh_rest"]], dim=1)
+    def rates(self) -> dict[str, Rate]:
+        """Return Adam's step sizes at the start by name."""
+        bands = self._values["sh"].shape[1]
+        sh = torch.full((bands, 3), self._rates.sh_rest)
+        sh[0] = self._rates.sh_base
+        rates = {name: getattr(self._rates, name) for name in self.names if name != "sh"}
+        rates["means"] *= self._length_unit
+        return {**rates, "sh": sh.flatten()}
 
     def first_nonfinite(self) -> str | None:
         """Return the name of the first parameter that is not finite."""

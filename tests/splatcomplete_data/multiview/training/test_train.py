@@ -215,7 +215,7 @@ def test_half_size_targets_see_the_same_scene(capture):
 
 def test_values_that_are_not_finite_stop_the_run(capture):
     training = Training(*capture, 3.0, dataclasses.replace(SETTINGS, steps=1))
-    training.parameters._values["sh_base"].data[3] = float("inf")
+    training.parameters._values["sh"].data[3] = float("inf")
     with pytest.raises(NonFiniteError, match="not finite"):
         training.step()
 
