@@ -60,6 +60,34 @@ def test_values_and_gradients_match_float64(degree):
         assert difference <= 1e-3, (name, float(difference))
 
 
+def test_what_others_hide_is_left_out_of_the_way_back(monkeypatch):
+    """Gradients stay as near to float64: what is left out is below the rounding of what hides it."""
+    generator = torch.Generator().manual_seed(3)
+    points = torch.randn(3000, 3, generator=generator)
+    points = 0.4 * points / points.norm(dim=1, keepdim=True)
+    colors = torch.rand(3000, 3, generator=generator)
+    base = round_splats(points, scale=0.02, opacity=0.95, color=colors)
+    weights = [torch.randn(4, 48, 48, *c, generator=generator) for c in ((3,), (), ())]
+    hidden: list[float] = []
+    way_back = one_view.differentiate
+
+    def counted(view, *arguments):
+        hidden.append(float((view.felt == 0).mean()))
+        way_back(view, *arguments)
+
+    monkeypatch.setattr(one_view, "differentiate", counted)
+    grads = []
+    for chosen, backend in ((EXACT, "reference"), (EXACT, "cpu"), (RenderSettings(), "cpu")):
+        splats = leaves(base)
+        loss(render(splats, cameras(), settings=chosen, backend=backend), weights).backward()
+        grads.append({name: value.grad for name, value in splats.fields()})
+    assert max(hidden[:4]) == 0.0
+    assert min(hidden[4:]) > 0.3
+    for name in ("means", "scales", "opacities", "sh"):
+        errors = [(found[name] - grads[0][name]).norm() / grads[0][name].norm() for found in grads]
+        assert errors[2] <= 1.1 * errors[1] + 1e-5, name
+
+
 def test_frozen_splats_are_drawn_but_get_no_gradient():
     base = random_splats(300, seed=3)
     first, second = base.select(torch.arange(100)), base.select(torch.arange(100, 300))
