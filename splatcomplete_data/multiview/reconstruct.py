@@ -337,11 +337,12 @@ def _identity(
 
 def _option_identity(request: Request) -> dict[str, Any]:
     """Return the part of the identity that is known before anything is read."""
+    training = dataclasses.replace(request.training, rates=request.training.step_sizes)
     return {
         "max_side_px": request.max_side_px,
         "hold_out": request.hold_out,
         "mask_means": request.mask_means,
-        "training": jsonio.to_json(request.training),
+        "training": jsonio.to_json(training),
     }
 
 

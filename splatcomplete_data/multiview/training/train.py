@@ -168,7 +168,7 @@ class Training:
         pixels = sum(t.colors.numel() for t in (*self._targets, *self._halves))
         self._keeps_references = 4 * _ARRAYS_PER_REFERENCE * pixels <= _REFERENCE_BYTES
         start = initial.with_sh_degree(settings.sh_degree).to(self._device)
-        self.parameters = PhotoParameters(start, settings.rates, extent)
+        self.parameters = PhotoParameters(start, settings.step_sizes, extent)
         self._statistics = GradientStatistics(len(start), self._device)
         self._draw = RenderSettings(near=settings.near_extent * extent)
         self._updating = False

@@ -262,5 +262,5 @@ def test_masks_restrict_the_splats_to_the_object(tmp_path):
     assert images(folder, tmp_path / "a") == 0
     means = read_splats(tmp_path / "a/splats.ply").splats.means
     # Without masks random points reach 4.5 to either side; within them, less than half of that,
-    # and the halves of those divided not much farther.
-    assert means.abs().max() < 3.0
+    # and training moves them not much farther.
+    assert means.abs().max() < 3.6
