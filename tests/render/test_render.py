@@ -61,7 +61,7 @@ def test_values_and_gradients_match_float64(degree):
 
 
 def test_what_others_hide_is_left_out_of_the_way_back(monkeypatch):
-    """Gradients stay as near to float64: what is left out is below the rounding of what hides it."""
+    """Gradients stay as near to float64: what is left out is below the rounding of the rest."""
     generator = torch.Generator().manual_seed(3)
     points = torch.randn(3000, 3, generator=generator)
     points = 0.4 * points / points.norm(dim=1, keepdim=True)

@@ -1,8 +1,8 @@
 """Every knob of the training of splats from photos.
 
 Defaults are those of the original 3DGS (Kerbl et al. 2023, 30,000 steps) with its schedules as
-shares of ``steps``, and larger steps in runs that are much shorter (``LearningRates.for_steps``).
-Runs too short for opacities to recover from a reset have none.
+shares of ``steps``. Runs of fewer than ``LONG_STEPS`` take larger steps and have no resets of
+opacities.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass, field
 
 LONG_STEPS = 12_000
-"""Runs of at least this many steps move splats as far per step as the original 3DGS."""
+"""Runs of at least this many steps do as the original 3DGS does."""
 _LARGEST_FACTOR = 4.0
 """Steps of the shortest runs are this many times larger."""
 
@@ -37,8 +37,8 @@ class LearningRates:
     def for_steps(steps: int) -> LearningRates:
         """Return the step sizes of a run: the fewer steps, the larger each.
 
-        By the square root of ``LONG_STEPS`` over ``steps``; opacities are fast enough, and positions
-        end as precisely as in long runs.
+        By the square root of ``LONG_STEPS`` over ``steps``. Opacities are fast enough, and
+        positions end as precisely as in long runs.
         """
         factor = min(_LARGEST_FACTOR, max(1.0, math.sqrt(LONG_STEPS / steps)))
         rates = LearningRates()
@@ -71,9 +71,9 @@ class GrowthSettings:
     every: int = 100
     """Steps between two divisions; fewer in runs shorter than 18 times this, but at least 10."""
     reset_share: float | None = 0.1
-    """Opacities are lowered every this share of the steps while splats are divided, and at most
-    every 600 steps, which is what they need to recover; None = never. What is needed recovers,
-    floaters do not."""
+    """In runs of ``LONG_STEPS`` or more opacities are lowered every this share of the steps while
+    splats are divided; None = never. What is needed recovers, floaters do not. Shorter runs lose
+    by it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,6 +30,7 @@ from splatcomplete_data.multiview.training.growth import GrowthReport, grow
 from splatcomplete_data.multiview.training.parameters import PhotoParameters
 from splatcomplete_data.multiview.training.settings import (
     GROWTH_UNTIL_SHARE,
+    LONG_STEPS,
     RESET_OPACITY,
     TrainingSettings,
 )
@@ -45,10 +46,6 @@ _DIVISIONS_PER_RUN = 18
 with the interval of long runs, short ones would hardly divide."""
 _FEWEST_STEPS_PER_DIVISION = 10
 """Gradients are averaged over at least this many steps before splats are divided by them."""
-_RECOVERY_STEPS = 600
-"""Fewest steps between two resets of opacities, and after the last: from 0.01 a splat needs over a
-hundred of its own steps to become opaque again. Resets that come sooner leave short runs with
-splats that are removed or kept by rounding errors."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,8 +258,8 @@ class Training:
         growth, number, steps = self.settings.growth, self.step_number, self.settings.steps
         report = None
         reset_every = 0
-        if growth.reset_share is not None:
-            reset_every = max(_RECOVERY_STEPS, round(growth.reset_share * steps))
+        if growth.reset_share is not None and steps >= LONG_STEPS:
+            reset_every = round(growth.reset_share * steps)
         every = min(growth.every, max(_FEWEST_STEPS_PER_DIVISION, steps // _DIVISIONS_PER_RUN))
         if number % every == 0 and number > growth.from_share * steps:
             report = grow(
