@@ -30,7 +30,7 @@ class ImagesOptions:
 
     Finds the cameras with COLMAP (or takes yours), trains splats as the original 3DGS does, and
     writes a capture folder: splats.ply, capture.json, preview.png. Then `crop` cuts the object out
-    into an object folder. On two cores the defaults take about 15 minutes.
+    into an object folder. On two cores the defaults take about 8 minutes.
 
     DIR holds the photos, or a folder `images` with them. Poses that are found there are used:
     transforms.json (nerfstudio, instant-ngp) or sparse/0 (COLMAP). Alpha channels or a folder of
@@ -65,7 +65,7 @@ class ImagesOptions:
     cloud where it can be had."""
     random_points: int = 30_000
     """Number of random points, where they are used."""
-    steps: int = 7000
+    steps: int = 3500
     """Optimiser steps, one photo each; all schedules stretch with it."""
     max_splats: int = 120_000
     """Never more splats than this."""

@@ -80,7 +80,7 @@ class GrowthSettings:
 class TrainingSettings:
     """Everything that decides the result, given photos and initial splats."""
 
-    steps: int = 7_000
+    steps: int = 3_500
     """Optimiser steps, one photo each."""
     seed: int = 0
     """Order of photos, split splats, and random backgrounds follow from it."""
