@@ -8,7 +8,7 @@ Conventions
 from __future__ import annotations
 
 import collections
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from gscomplete.priors.embedded.model import FourViewDenoiser, count_parameters
 from gscomplete.priors.embedded.weights import PriorConfig
@@ -28,18 +28,20 @@ def card(
     shape_losses: dict[str, float],
     history: str = "",
     bank: ShapeBank | None = None,
-    meshes: Sequence[PackEntry] = (),
+    meshes: Mapping[str, Sequence[PackEntry]] | None = None,
 ) -> str:
-    """Describe the weights in Markdown."""
+    """Describe the weights in Markdown; ``meshes`` are those that each network was trained on."""
     views, training = config.views, config.training
+    trained_on = meshes or {}
     lines = [
         "# Embedded prior",
         "",
         "A four-view, camera-, text- and input-conditioned denoiser of premultiplied RGBA images,",
         "and a three-dimensional network that guesses the complete object from a part; both",
-        "trained by `recipes/train_embedded_prior`: the denoiser on procedural objects, the shape",
-        "network on these and on free meshes (sources below). No third-party models, no downloads.",
-        "Licence: Apache-2.0, as the rest of the repository.",
+        "trained by `recipes/train_embedded_prior` on procedural objects"
+        + "".join(f", the {network} on free meshes, too" for network in trained_on)
+        + ".",
+        "No third-party models, no downloads. Licence: Apache-2.0, as the rest of the repository.",
         "",
         f"* Parameters: {count_parameters(model) / 1e6:.1f} million, stored as {config.storage}.",
         f"* Images: {views.resolution_px} x {views.resolution_px}, field of view "
@@ -81,7 +83,7 @@ def card(
             "",
         ]
     lines += [
-        *_mesh_lines(meshes),
+        *(line for network, used in trained_on.items() for line in _mesh_lines(network, used)),
         *_bank_lines(bank),
         "Known limits: one object at a time, the things named by its words and simple shapes. The",
         "shape network continues coarse shape; colours and patterns are taken from P and its",
@@ -93,13 +95,11 @@ def card(
     return "\n".join(lines)
 
 
-def _mesh_lines(meshes: Sequence[PackEntry]) -> list[str]:
+def _mesh_lines(network: str, meshes: Sequence[PackEntry]) -> list[str]:
     """Name the sources of the meshes trained on, and authors whose licence asks for it."""
-    if not meshes:
-        return []
     counts = collections.Counter((entry.source, entry.licence) for entry in meshes)
     lines = [
-        "## Meshes that the shape network was trained on",
+        f"## Meshes that the {network} was trained on",
         "",
         "Beside procedural objects; none of the pack's validation split.",
         "",

@@ -4,6 +4,8 @@ Conventions
 -----------
 * The averaged (EMA) weights are exported. Words that no caption of the run's generator holds are
   left out, with their embeddings, so that the prior never claims to understand them.
+* A network that no run is given for is kept as ``out`` holds it. With a shape network that is kept
+  its words are, these and no others: its answers stay the same.
 * ``CARD.md`` states what the weights are, how they were made, and what they cost in quality to
   store in eight bits.
 """
@@ -28,6 +30,7 @@ from gscomplete.priors.embedded.model import FourViewDenoiser, ModelConfig
 from gscomplete.priors.embedded.prior import packaged_weights
 from gscomplete.priors.embedded.text import FIRST_WORD_TOKEN, STOP_WORDS, split_words
 from gscomplete.priors.embedded.weights import (
+    CONFIG_FILE,
     FORMAT_VERSION,
     PriorConfig,
     ShapeRecord,
@@ -60,7 +63,7 @@ class ExportConfig:
     run: Path | None = None
     """Folder of the denoiser's training run; None = keep the denoiser that ``out`` holds."""
     shape_run: Path | None = None
-    """Folder of the shape network's training run; None = export no shape network."""
+    """Folder of the shape network's training run; None = keep that of ``out``, if it has one."""
     out: Path = dataclasses.field(default_factory=packaged_weights)
     """Folder for the weights; the default is the package's own."""
     storage: Storage = "int8"
@@ -193,18 +196,21 @@ def export(
     return config
 
 
-def trained_meshes(options: ExportConfig) -> list[PackEntry]:
-    """Return the meshes that the shape network's run was trained on; none where it had no pack.
+def trained_meshes(options: ExportConfig) -> dict[str, list[PackEntry]]:
+    """Return the meshes that each network's run was trained on; networks without are left out.
 
     Raises:
-        UserError: the run or its pack cannot be read.
+        UserError: a run or its pack cannot be read.
     """
-    if options.shape_run is None:
-        return []
-    record = from_json(RunRecord, read_json(options.shape_run / RUN), str(options.shape_run / RUN))
-    if record.config.meshes is None:
-        return []
-    return [entry for entry in read_manifest(record.config.meshes) if entry.split == "train"]
+    found = {}
+    for network, run in (("denoiser", options.run), ("shape network", options.shape_run)):
+        if run is None:
+            continue
+        record = from_json(RunRecord, read_json(run / RUN), str(run / RUN))
+        if record.config.meshes is not None:
+            entries = read_manifest(record.config.meshes)
+            found[network] = [entry for entry in entries if entry.split == "train"]
+    return found
 
 
 def measure_export(
@@ -249,25 +255,57 @@ def export_runs(options: ExportConfig) -> tuple[TrainedRun | None, set[str]]:
         raise UserError("export: expected --run, --shape-run or both, found neither")
     run = None if options.run is None else TrainedRun.load(options.run)
     shape_run = None if options.shape_run is None else TrainedRun.load(options.shape_run)
-    if run is None:
-        model, _, held = load_weights(options.out)
-        denoiser = Exportable(held.model, model.state_dict(), held.words, held.training)
-        views = held.views
-    else:
+    denoiser, views, shape = _held(options.out, needed=run is None)
+    if run is not None:
         assert isinstance(run.config, TrainConfig)
         denoiser = run.exportable()
         views = run.config.data.views(run.config.model.resolution_px)
-    shape = None if shape_run is None else shape_run.exportable()
-    seed = 0 if run is None else run.config.seed
-    captions = [make_object(seed, index).caption for index in range(options.words_from)]
-    words = denoiser.words
-    if shape_run is not None and shape is not None:
-        words = tuple(dict.fromkeys([*words, *shape.words]))
-        if shape_run.config.meshes is not None:
-            captions += MixedSource(shape_run.config.meshes).captions()
-    kept = words_seen(words, captions)
+    assert denoiser is not None
+    assert views is not None
+    if shape_run is None and shape is not None:
+        kept = shape.words
+    else:
+        shape = None if shape_run is None else shape_run.exportable()
+        kept = _words_to_keep(denoiser, shape, [run, shape_run], options.words_from)
     export(denoiser, views, shape, kept, options.out, options.storage)
     return run, set(denoiser.words) - set(kept) - STOP_WORDS
+
+
+def _held(
+    folder: Path, *, needed: bool
+) -> tuple[Exportable | None, PriorViews | None, Exportable | None]:
+    """Return what a folder of weights holds: denoiser, its framing, shape network.
+
+    Raises:
+        UserError: they cannot be read, and are needed or there.
+    """
+    if not needed and not (folder / CONFIG_FILE).is_file():
+        return None, None, None
+    model, shape, held = load_weights(folder)
+    denoiser = Exportable(held.model, model.state_dict(), held.words, held.training)
+    if shape is None or held.shape is None:
+        return denoiser, held.views, None
+    record = held.shape
+    return (
+        denoiser,
+        held.views,
+        Exportable(record.model, shape.state_dict(), held.words, record.training),
+    )
+
+
+def _words_to_keep(
+    denoiser: Exportable, shape: Exportable | None, runs: list[TrainedRun | None], count: int
+) -> tuple[str, ...]:
+    """Return the words of both networks that a caption of their training holds."""
+    given = [run for run in runs if run is not None]
+    first = runs[0]
+    seed = 0 if first is None else first.config.seed
+    captions = [make_object(seed, index).caption for index in range(count)]
+    for meshes in {run.config.meshes for run in given} - {None}:
+        assert meshes is not None
+        captions += MixedSource(meshes).captions()
+    words = (*denoiser.words, *(() if shape is None else shape.words))
+    return words_seen(tuple(dict.fromkeys(words)), captions)
 
 
 def main() -> int:

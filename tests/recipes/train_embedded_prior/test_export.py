@@ -105,6 +105,29 @@ def test_the_denoiser_can_be_kept_while_the_shape_network_is_trained_on(tmp_path
     assert config.shape.training.sets == 16
 
 
+def test_the_shape_network_can_be_kept_while_the_denoiser_is_trained_on(tmp_path):
+    """Its words stay, though the denoiser has learned more, so nothing of its answers changes."""
+    views = trained(ViewsTask(tiny_run(tmp_path / "a"), stub_source, WORDS), steps=7)
+    shape = trained(ShapeTask(tiny_shape_run(tmp_path / "b"), stub_source, WORDS), steps=5)
+    out = tmp_path / "out"
+    exported(views, shape, ("ball", "red"), out, "int8")
+    _, kept, config = load_weights(out)
+    assert kept is not None
+    going_on = trained(ViewsTask(tiny_run(tmp_path / "c"), stub_source, WORDS), steps=3)
+    run, left_out = export_runs(ExportConfig(run=tmp_path / "c", out=out))
+    model, again, written = load_weights(out)
+    assert again is not None
+    assert run is not None
+    assert "blue" in left_out
+    assert (written.words, written.shape) == (config.words, config.shape)
+    before = kept.state_dict()
+    assert all(torch.equal(value, before[name]) for name, value in again.state_dict().items())
+    trained_rows = going_on.exportable().weights(config.words)["text.words.weight"]
+    # Eight bits hold 127 steps of a row's largest weight.
+    error = (model.state_dict()["text.words.weight"] - trained_rows).abs().amax(dim=1)
+    assert (error <= trained_rows.abs().amax(dim=1) / 127).all()
+
+
 def test_an_export_of_nothing_is_refused_before_anything_is_written(tmp_path):
     with pytest.raises(UserError, match="expected --run, --shape-run or both"):
         export_runs(ExportConfig(out=tmp_path))
@@ -120,7 +143,9 @@ def test_the_card_names_sources_and_the_authors_whose_licence_asks_for_it(tmp_pa
         PackEntry(str(k), "train", "box", "a box", "one", licence, author, "flat")
         for k, (licence, author) in enumerate(rows)
     ]
-    text = card(config, model, None, {}, {}, meshes=meshes)
+    text = card(config, model, None, {}, {}, meshes={"denoiser": meshes})
+    assert "the denoiser on free meshes, too" in text
+    assert "Meshes that the denoiser was trained on" in text
     assert "| one | 2 | CC-BY-3.0 |" in text
     assert "| one | 1 | CC0 |" in text
     assert "Authors of those under CC-BY: Ann, Bo." in text
