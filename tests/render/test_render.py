@@ -72,7 +72,7 @@ def test_what_others_hide_is_left_out_of_the_way_back(monkeypatch):
     way_back = one_view.differentiate
 
     def counted(view, *arguments):
-        hidden.append(float((view.felt == 0).mean()))
+        hidden.append(float((view.contributes == 0).mean()))
         way_back(view, *arguments)
 
     monkeypatch.setattr(one_view, "differentiate", counted)

@@ -14,8 +14,8 @@ Conventions
   ``exp`` is a polynomial, so that LLVM turns them into vector code.
 * A tile stops once all its pixels' transmittances are below ``transmittance_min``; ``done`` keeps
   how many entries were drawn, and the backward pass walks the same entries in the same order. It
-  leaves out those that ``felt`` says are hidden: their weights w sum to less than HIDDEN times
-  ``transmittance_min`` times their opacity. Of discs smaller than pixels these are many.
+  leaves out hidden ones, those whose weights w sum to less than HIDDEN times ``transmittance_min``
+  times their opacity; ``contributes`` marks the others. Of discs smaller than pixels many are hidden.
 * With w_i = alpha_i T_i and A_i the upstream gradient dotted with splat i's values,
   dL/dalpha_i = T_i A_i - (sum over j > i of w_j A_j) / (1 - alpha_i); the sum behind is the
   total minus the running prefix, so nothing is ever divided by a vanished transmittance.
@@ -59,7 +59,7 @@ BATCH = 64
 STOP_EVERY = 8
 """Entries between two looks at a tile's largest transmittance."""
 HIDDEN = np.float32(0.1)
-"""At 1 gradients of opacities lose as much by what is left out as by all else together."""
+"""At 1 the error of opacities' gradients is four times as large, at 0.1 no larger than without."""
 MAX_POWER = 12.0
 """Exponents are clamped here; exp(-12) = 6e-6 is below the smallest alpha_min allowed (1e-5)."""
 
@@ -165,7 +165,7 @@ def composite(
     transmittance_min: Any,
     image: Any,  # [H, W, CHANNELS] written in active tiles
     done: Any,  # [tiles] int32, written for active tiles: how many entries were drawn
-    felt: Any,  # [E] uint8, written for drawn entries: whether it is not hidden; or [0]
+    contributes: Any,  # [E] uint8, written for drawn entries: 0 = hidden; or [0] for nobody
 ) -> None:
     """Draw the active tiles: premultiplied colour, sum of w * depth, and alpha."""
     buffer = np.empty(7 * PIXELS, np.float32)
@@ -186,7 +186,7 @@ def composite(
                 transmittance_min,
                 buffer,
                 batch,
-                felt,
+                contributes,
             )
             _store_tile(buffer, tile, tiles_x, image)
 
@@ -220,7 +220,7 @@ def _tile_forward(
     transmittance_min: Any,
     buffer: Any,
     batch: Any,
-    felt: Any,
+    contributes: Any,
 ) -> int:
     """Composite one tile's entries into its buffer; return how many were drawn."""
     zero, half = np.float32(0.0), np.float32(0.5)
@@ -248,8 +248,8 @@ def _tile_forward(
             buffer[B_2 + p] += w * cb
             buffer[B_3 + p] += w * cd
             buffer[B_THROUGH + p] -= w
-        if felt.shape[0] > 0:
-            felt[e] = total >= HIDDEN * transmittance_min * opacity
+        if contributes.shape[0] > 0:
+            contributes[e] = total >= HIDDEN * transmittance_min * opacity
         if (e - start) % STOP_EVERY == STOP_EVERY - 1:
             largest = zero
             for p in range(FIRST, LAST):
@@ -276,7 +276,7 @@ def composite_backward(
     alpha_max: Any,
     image: Any,  # [H, W, CHANNELS] of the forward pass
     done: Any,  # [tiles]
-    felt: Any,  # [E]
+    contributes: Any,  # [E]
     upstream: Any,  # [H, W, CHANNELS] dL/dimage
     sums: Any,  # [slots, SUMS] zeros, written
 ) -> None:
@@ -288,7 +288,7 @@ def composite_backward(
             tile = active[k]
             start = tile_start[tile]
             last = start + done[tile] - 1
-            while skip_idle and last >= start and (slots[last] < 0 or felt[last] == 0):
+            while skip_idle and last >= start and (slots[last] < 0 or contributes[last] == 0):
                 last -= 1
             if last < start:
                 continue
@@ -308,7 +308,7 @@ def composite_backward(
                 alpha_max,
                 buffer,
                 batch,
-                felt,
+                contributes,
                 sums,
             )
 
@@ -326,7 +326,7 @@ def _tile_backward(
     alpha_max: Any,
     buffer: Any,
     batch: Any,
-    felt: Any,
+    contributes: Any,
     sums: Any,
 ) -> None:
     """Walk one tile's entries front to back up to the last trainable one."""
@@ -335,7 +335,7 @@ def _tile_backward(
         place = (e - start) % BATCH
         if place == 0:
             _read_rows(frozen_rows, rows, entries, e, min(e + BATCH, last + 1), batch)
-        if felt[e] == 0:
+        if contributes[e] == 0:
             continue
         row = batch[place]
         u, v, opacity = row[P_U], row[P_V], row[P_OPACITY]

@@ -82,7 +82,7 @@ class DrawnView:
     slot_start: Any
     active: Any  # [A] tiles that were drawn, not copied
     done: Any  # [tiles]
-    felt: Any  # [E] uint8 drawn entries that are not hidden; [0] where there are no slots
+    contributes: Any  # [E] uint8 drawn entries that are not hidden; [0] without slots
 
 
 def splat_arrays(splats: Splats) -> Arrays:
@@ -183,7 +183,7 @@ def draw(
         tile_start, entries, slots, active = _join(lists, prepared, settings)
     tiles_x, _ = _grid(camera)
     done = np.zeros(len(tile_start) - 1, np.int32)
-    felt = np.zeros(len(slots), np.uint8)
+    contributes = np.zeros(len(slots), np.uint8)
     length = np.diff(tile_start)[active]
     run_kernel(
         comp.composite,
@@ -201,7 +201,7 @@ def draw(
         np.float32(settings.transmittance_min),
         image,
         done,
-        felt,
+        contributes,
     )
     return DrawnView(
         camera,
@@ -214,7 +214,7 @@ def draw(
         lists.slot_start,
         active,
         done,
-        felt,
+        contributes,
     )
 
 
@@ -263,7 +263,7 @@ def differentiate(
         np.float32(settings.alpha_max),
         image,
         view.done,
-        view.felt,
+        view.contributes,
         upstream,
         sums,
     )
