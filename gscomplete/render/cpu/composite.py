@@ -15,7 +15,7 @@ Conventions
 * A tile stops once all its pixels' transmittances are below ``transmittance_min``; ``done`` keeps
   how many entries were drawn, and the backward pass walks the same entries in the same order. It
   leaves out hidden ones, those whose weights w sum to less than HIDDEN times ``transmittance_min``
-  times their opacity; ``contributes`` marks the others. Of discs smaller than pixels many are hidden.
+  times their opacity; ``contributes`` marks the others. Many discs smaller than pixels are hidden.
 * With w_i = alpha_i T_i and A_i the upstream gradient dotted with splat i's values,
   dL/dalpha_i = T_i A_i - (sum over j > i of w_j A_j) / (1 - alpha_i); the sum behind is the
   total minus the running prefix, so nothing is ever divided by a vanished transmittance.
