@@ -96,7 +96,7 @@ def _guess(
     views: ViewDistribution,
     settings: CompletionSettings,
 ) -> Start | None:
-    """Return the prior's guess; None where it has none that the steps could start from."""
+    """Return the prior's guess, which is empty where it finds nothing missing; None = no guess."""
     guess = prior.first_guess(
         partial,
         views,
@@ -106,7 +106,7 @@ def _guess(
         settings.mirror,
         known_shapes=settings.known_shapes,
     )
-    if guess is None or (not len(guess.splats) and settings.steps):
+    if guess is None:
         return None
     how_many = f"start: {len(guess.splats):,} splats that the prior guesses"
     return Start(guess.splats, True, "; ".join([how_many, *guess.notes]))

@@ -326,7 +326,7 @@ def main() -> int:
     (options.out / "CARD.md").write_text(text, encoding="utf-8")
     size = sum(path.stat().st_size for path in options.out.iterdir())
     _LOG.info("%s: %.1f MB, %d words", options.out, size / 1e6, len(config.words))
-    _LOG.info("left out, in no caption: %s", " ".join(sorted(left_out)) or "none")
+    _LOG.info("words left out: %s", " ".join(sorted(left_out)) or "none")
     return 0
 
 
