@@ -25,7 +25,7 @@ from gscomplete.util.same_bits import fixed_sigmoid
 
 
 class Rates(Protocol):
-    """Adam's step sizes: besides these two, those that :meth:`SplatParameters.rates` reads."""
+    """Adam's step sizes: besides these two, those that :meth:`SplatParameters.rate` reads."""
 
     @property
     def means(self) -> float:
@@ -119,14 +119,15 @@ class SplatParameters:
         self._adam = self._new_adam()
         self._adam.restore(state)
 
-    def rates(self) -> dict[str, Rate]:
-        """Return Adam's step sizes at the start by name."""
-        rates = {name: getattr(self._rates, name) for name in self._values}
-        rates["means"] *= self._length_unit
-        return rates
+    def rate(self, name: str) -> Rate:
+        """Return Adam's step size of a value, of positions in length units."""
+        rate: float = getattr(self._rates, name)
+        return rate
 
     def _new_adam(self) -> RowAdam:
-        return RowAdam(self._values, self.rates(), fused=self.fused)
+        rates = {name: self.rate(name) for name in self._values}
+        rates["means"] *= self._length_unit
+        return RowAdam(self._values, rates, fused=self.fused)
 
 
 def splats_of_state(state: dict[str, Tensor]) -> Splats:

@@ -36,14 +36,13 @@ class PhotoParameters(SplatParameters):
         pairs = zip(self.names, values, strict=True)
         return {name: value.detach().contiguous() for name, value in pairs}
 
-    def rates(self) -> dict[str, Rate]:
-        """Return Adam's step sizes at the start by name."""
-        bands = self._values["sh"].shape[1]
-        sh = torch.full((bands, 3), self._rates.sh_rest)
-        sh[0] = self._rates.sh_base
-        rates = {name: getattr(self._rates, name) for name in self.names if name != "sh"}
-        rates["means"] *= self._length_unit
-        return {**rates, "sh": sh.flatten()}
+    def rate(self, name: str) -> Rate:
+        """Return Adam's step size of a value; colours have one for each column."""
+        if name != "sh":
+            return super().rate(name)
+        rates = torch.full((self._values["sh"].shape[1], 3), self._rates.sh_rest)
+        rates[0] = self._rates.sh_base
+        return rates.flatten()
 
     def first_nonfinite(self) -> str | None:
         """Return the name of the first parameter that is not finite."""

@@ -29,7 +29,7 @@ from splatcomplete_data.multiview.training.train import (
 )
 from tests.builders import captures
 
-GROWTH = GrowthSettings(max_splats=900, from_share=0.1, every=10, reset_share=0.5)
+GROWTH = GrowthSettings(max_splats=900, from_share=0.1, every=10)
 FAST = LearningRates(means=2e-3, log_scales=0.02, opacity_logits=0.1, sh_base=0.05)
 SETTINGS = TrainingSettings(steps=60, sh_share=0.1, rates=FAST, growth=GROWTH)
 
@@ -54,8 +54,7 @@ def test_training_learns_the_photos(capture):
     ball = captures.ball()
     noise = torch.randn(ball.means.shape, generator=torch.Generator().manual_seed(1))
     start = dataclasses.replace(ball, means=ball.means + 0.03 * noise, sh=0 * ball.sh)
-    growth = dataclasses.replace(GROWTH, reset_share=None)
-    settings = dataclasses.replace(SETTINGS, steps=120, growth=growth)
+    settings = dataclasses.replace(SETTINGS, steps=120)
     before = np.mean(evaluate_views(start, views, 3.0, settings))
     trained = run((views, start), settings).splats()
     after = np.mean(evaluate_views(trained, views, 3.0, settings))
@@ -182,7 +181,7 @@ def test_nothing_grows_outside_an_object_mask(tmp_path):
 def test_ignored_pixels_pass_no_gradient(capture):
     views, start = capture
     blind = [dataclasses.replace(view, weight=np.zeros_like(view.weight)) for view in views]
-    settings = dataclasses.replace(SETTINGS, growth=dataclasses.replace(GROWTH, reset_share=None))
+    settings = SETTINGS
     training = Training(blind, start, 3.0, settings)
     report = training.step()
     assert report.loss == pytest.approx(0.0, abs=1e-6)
