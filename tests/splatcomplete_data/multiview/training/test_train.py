@@ -181,8 +181,7 @@ def test_nothing_grows_outside_an_object_mask(tmp_path):
 def test_ignored_pixels_pass_no_gradient(capture):
     views, start = capture
     blind = [dataclasses.replace(view, weight=np.zeros_like(view.weight)) for view in views]
-    settings = SETTINGS
-    training = Training(blind, start, 3.0, settings)
+    training = Training(blind, start, 3.0, SETTINGS)
     report = training.step()
     assert report.loss == pytest.approx(0.0, abs=1e-6)
     assert torch.allclose(training.splats().means, start.means, atol=1e-7)
