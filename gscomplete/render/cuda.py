@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from gscomplete.errors import UserError
+from gscomplete.render.record import Render, render_from_sums
 from gscomplete.render.settings import RenderSettings
 from gscomplete.splats import Splats, concatenate
 from gscomplete.views import Cameras
@@ -51,9 +52,9 @@ def check_cuda_renderer(device: torch.device) -> None:
     cameras = Cameras(torch.eye(4)[None], torch.full((1, 2), 8.0), torch.full((1, 2), 4.0), 8, 8)
     gsplat = _gsplat()
     try:
-        images = rasterize(splats, cameras, None, None, RenderSettings())
-        images.sum().backward()
-        visible = float(images[..., 4].detach().max()) > 0.1
+        drawn = rasterize(splats, cameras, None, None, RenderSettings())
+        (drawn.color.sum() + drawn.depth.sum() + drawn.alpha.sum()).backward()
+        visible = float(drawn.alpha.detach().max()) > 0.1
     except Exception as error:
         raise _unusable(error) from error
     if not visible:
@@ -74,8 +75,8 @@ def rasterize(
     frozen: Splats | None,
     offsets: Tensor | None,  # [V, N, 2]
     settings: RenderSettings,
-) -> Tensor:  # [V, H, W, 5]
-    """Draw red, green, blue, sum of w * depth, alpha; gradients reach ``splats`` and ``offsets``.
+) -> Render:
+    """Draw over black; gradients reach ``splats`` and ``offsets`` only.
 
     Raises:
         UserError: gsplat is missing, or a setting differs from what its kernels have built in.
@@ -112,7 +113,7 @@ def rasterize(
     )
     if offsets is not None and offsets.requires_grad:
         _pass_center_gradients(meta["means2d"], offsets, first=len(together) - len(splats))
-    return torch.cat([colors, alphas], dim=-1)
+    return render_from_sums(torch.cat([colors, alphas], dim=-1))
 
 
 def _pass_center_gradients(centers: Tensor, offsets: Tensor, first: int) -> None:

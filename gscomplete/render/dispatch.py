@@ -9,7 +9,7 @@ from torch import Tensor
 
 from gscomplete.errors import UserError
 from gscomplete.render.frozen import PreparedFrozen, PreparedView
-from gscomplete.render.record import Render, render_from_sums
+from gscomplete.render.record import Render
 from gscomplete.render.settings import RenderSettings
 from gscomplete.splats import Splats
 from gscomplete.views import Cameras
@@ -55,8 +55,8 @@ def render(
         frozen.check(cameras, settings)
         if chosen != "cpu":
             frozen = frozen.splats
-    images = _backend(chosen).rasterize(splats, cameras, frozen, screen_offsets, settings)
-    return render_from_sums(images, background)
+    drawn: Render = _backend(chosen).rasterize(splats, cameras, frozen, screen_offsets, settings)
+    return drawn.over(background)
 
 
 def prepare_frozen(
@@ -86,8 +86,8 @@ def prepare_frozen(
         if chosen == "cpu":
             views = _backend(chosen).prepare_views(frozen, cameras, settings)
         else:
-            images = _backend(chosen).rasterize(frozen, cameras, None, None, settings)
-            views = tuple(PreparedView(image, None) for image in images)
+            drawn = _backend(chosen).rasterize(frozen, cameras, None, None, settings)
+            views = tuple(PreparedView(drawn[v : v + 1], None) for v in range(len(cameras)))
     return PreparedFrozen(frozen, cameras, settings, views)
 
 

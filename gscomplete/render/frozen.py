@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from gscomplete.render.record import Render, render_from_sums
+from gscomplete.render.record import Render, join_renders
 from gscomplete.render.settings import RenderSettings
 from gscomplete.splats import Splats
 from gscomplete.views import Cameras, join_cameras
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 class PreparedView:
     """A frozen set in one view."""
 
-    image: Tensor  # [H, W, 5] of the set alone: red, green, blue, sum of w * depth, alpha
+    picture: Render  # of the set alone, over black; V = 1
     lists: FrozenLists | None  # what the CPU renderer keeps; None: prepared by another backend
 
 
@@ -61,13 +61,14 @@ class PreparedFrozen:
     def nbytes(self) -> int:
         """Memory that images and lists take, in bytes (without the splats themselves)."""
         lists = sum(view.lists.nbytes for view in self.views if view.lists is not None)
-        return lists + sum(view.image.nbytes for view in self.views)
+        return lists + sum(view.picture.nbytes for view in self.views)
 
     def picture(self, background: Tensor | None = None) -> Render:  # [3] or to [V, H, W, 3]
         """Return the set's own render, without drawing it again."""
-        nothing = torch.zeros(0, self.cameras.height, self.cameras.width, 5)
-        images = torch.stack([view.image for view in self.views]) if self.views else nothing
-        return render_from_sums(images, background)
+        if not self.views:
+            shape = 0, self.cameras.height, self.cameras.width
+            return Render(torch.zeros(*shape, 3), torch.zeros(shape), torch.zeros(shape))
+        return join_renders([view.picture for view in self.views]).over(background)
 
     def check(self, cameras: Cameras, settings: RenderSettings) -> None:
         """Make sure that a render is one that this was prepared for.

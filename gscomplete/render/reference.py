@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
+from gscomplete.render.record import Render, render_from_sums
 from gscomplete.render.settings import MAX_VALUE, RenderSettings
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.rotations import rotation_matrices
@@ -81,20 +82,20 @@ def rasterize(
     frozen: Splats | None,
     offsets: Tensor | None,  # [V, N, 2]
     settings: RenderSettings,
-) -> Tensor:  # [V, H, W, 5] float64
-    """Draw in float64: red, green, blue, sum of w * depth, alpha."""
+) -> Render:
+    """Draw in float64, over black."""
     first = 0 if frozen is None else len(frozen)
     everything = splats if frozen is None else concatenate([frozen.detach(), splats])
     everything = everything.to("cpu", torch.float64)
     cameras = cameras.to("cpu", torch.float64)
     if len(cameras) == 0:
-        return torch.zeros(0, cameras.height, cameras.width, 5, dtype=torch.float64)
-    return torch.stack(
-        [
-            _view(everything, cameras[v], None if offsets is None else offsets[v], first, settings)
-            for v in range(len(cameras))
-        ]
-    )
+        nothing = torch.zeros(0, cameras.height, cameras.width, 5, dtype=torch.float64)
+        return render_from_sums(nothing)
+    views = [
+        _view(everything, cameras[v], None if offsets is None else offsets[v], first, settings)
+        for v in range(len(cameras))
+    ]
+    return render_from_sums(torch.stack(views))
 
 
 def _view(

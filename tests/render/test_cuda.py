@@ -53,14 +53,16 @@ def rasterization(
     focal = torch.stack([Ks[:, 0, 0], Ks[:, 1, 1]], dim=1)
     cameras = Cameras(viewmats, focal, Ks[:, :2, 2], width, height)
     centers = torch.zeros(len(viewmats), len(means), 2, requires_grad=True)
-    images = reference.rasterize(
+    drawn = reference.rasterize(
         Splats(means, quats, scales, opacities, colors),
         cameras,
         None,
         centers * 1.0,
         RenderSettings(near=near_plane, blur_px2=eps2d),
     )
-    return images[..., :4].float(), images[..., 4:].float(), {"means2d": centers}
+    summed_depth = (drawn.depth * drawn.alpha)[..., None]
+    colors = torch.cat([drawn.color, summed_depth], dim=-1)
+    return colors.float(), drawn.alpha[..., None].float(), {"means2d": centers}
 
 
 @pytest.fixture

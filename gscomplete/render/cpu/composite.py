@@ -2,14 +2,18 @@
 
 Conventions
 -----------
-* Images are [H, W, CHANNELS] float32, channels as ``C_*``. Pixel k of a tile is at row k // TILE,
-  column k % TILE; pixels of a tile beyond the image are drawn but not stored.
+* A picture is three float32 arrays: premultiplied colour [H, W, 3], expected depth [H, W] (0 where
+  nothing is drawn) and alpha [H, W]. Pixel k of a tile is at row k // TILE, column k % TILE; pixels
+  of a tile beyond the picture are drawn but not stored.
 * A tile's per-pixel state lives in one flat float32 buffer, plane after plane (``B_*``): inner
   loops run over contiguous floats, and LLVM can tell that the planes do not overlap.
 * An entry below the number of frozen rows is a frozen row; others count on into the other rows.
 * Rows are read a batch ahead: a tile's rows are scattered over megabytes, and many reads under way
   at once take the time of one, while a read in the middle of compositing is waited for.
 * Only the tiles listed in ``active`` are drawn; tiles do not depend on each other.
+* Upstream gradients are those of the picture; an array [0, ...] stands for zeros. Depth is the sum
+  of w * depth over alpha, so dL/dsum = dL/ddepth / alpha, and alpha's own gradient loses
+  dL/dsum times depth.
 * Inner loops have no branches and no calls: alphas below the threshold are multiplied by zero, and
   ``exp`` is a polynomial, so that LLVM turns them into vector code.
 * A tile stops once all its pixels' transmittances are below ``transmittance_min``; ``done`` keeps
@@ -45,8 +49,6 @@ from gscomplete.render.cpu.layout import (
 from gscomplete.render.cpu.tiles import TILE
 from gscomplete.util.kernels import HELPER, KERNEL
 
-C_RED, C_GREEN, C_BLUE, C_DEPTH, C_ALPHA = range(5)
-CHANNELS = 5
 PIXELS = TILE * TILE
 B_X, B_Y, B_THROUGH, B_0, B_1, B_2, B_3, B_4, B_5 = (np.uint64(k * PIXELS) for k in range(9))
 """Offsets in a tile's buffer: pixel centre, transmittance, then accumulators (forward: the colour
@@ -115,37 +117,58 @@ def _start_tile(buffer: Any, tile: int, tiles_x: int) -> None:
 
 
 @numba.njit(**_HELPER)
-def _store_tile(buffer: Any, tile: int, tiles_x: int, image: Any) -> None:
-    """Write a finished tile into the image."""
+def _store_tile(buffer: Any, tile: int, tiles_x: int, color: Any, depth: Any, alpha: Any) -> None:
+    """Write a finished tile into the picture."""
     top, left = tile // tiles_x * TILE, tile % tiles_x * TILE
-    for row in range(min(TILE, image.shape[0] - top)):
-        for column in range(min(TILE, image.shape[1] - left)):
+    for row in range(min(TILE, alpha.shape[0] - top)):
+        for column in range(min(TILE, alpha.shape[1] - left)):
             p = np.uint64(row * TILE + column)
-            pixel = image[top + row, left + column]
-            pixel[C_RED] = buffer[B_0 + p]
-            pixel[C_GREEN] = buffer[B_1 + p]
-            pixel[C_BLUE] = buffer[B_2 + p]
-            pixel[C_DEPTH] = buffer[B_3 + p]
-            pixel[C_ALPHA] = np.float32(1.0) - buffer[B_THROUGH + p]
+            y, x = top + row, left + column
+            color[y, x, 0] = buffer[B_0 + p]
+            color[y, x, 1] = buffer[B_1 + p]
+            color[y, x, 2] = buffer[B_2 + p]
+            drawn = np.float32(1.0) - buffer[B_THROUGH + p]
+            alpha[y, x] = drawn
+            depth[y, x] = buffer[B_3 + p] / drawn if drawn > np.float32(0.0) else np.float32(0.0)
 
 
 @numba.njit(**_HELPER)
-def _load_upstream(buffer: Any, tile: int, tiles_x: int, image: Any, upstream: Any) -> Any:
-    """Write upstream gradients and their dot product with the image; return 0 if all are 0."""
+def _load_upstream(
+    buffer: Any,
+    tile: int,
+    tiles_x: int,
+    color: Any,
+    depth: Any,
+    alpha: Any,
+    grad_color: Any,
+    grad_depth: Any,
+    grad_alpha: Any,
+) -> Any:
+    """Write gradients of the sums, and their dot product with them; return 0 if all are 0."""
     top, left = tile // tiles_x * TILE, tile % tiles_x * TILE
     loudest = np.float32(0.0)
     for k in range(B_0, np.uint64(9 * PIXELS)):
         buffer[k] = np.float32(0.0)
-    for row in range(min(TILE, image.shape[0] - top)):
-        for column in range(min(TILE, image.shape[1] - left)):
+    for row in range(min(TILE, alpha.shape[0] - top)):
+        for column in range(min(TILE, alpha.shape[1] - left)):
             p = np.uint64(row * TILE + column)
-            total = np.float32(0.0)
-            for c in range(CHANNELS):
-                gradient = upstream[top + row, left + column, c]
-                buffer[B_0 + np.uint64(c * PIXELS) + p] = gradient
-                total += gradient * image[top + row, left + column, c]
-                loudest += abs(gradient)  # a maximum would pass over NaN
-            buffer[B_5 + p] = total
+            y, x = top + row, left + column
+            drawn = alpha[y, x]
+            total = gd = ga = np.float32(0.0)
+            # Absolute values: a maximum would pass over NaN.
+            if grad_color.shape[0] > 0:
+                gr, gg, gb = grad_color[y, x, 0], grad_color[y, x, 1], grad_color[y, x, 2]
+                buffer[B_0 + p], buffer[B_1 + p], buffer[B_2 + p] = gr, gg, gb
+                total = gr * color[y, x, 0] + gg * color[y, x, 1] + gb * color[y, x, 2]
+                loudest += abs(gr) + abs(gg) + abs(gb)
+            if grad_alpha.shape[0] > 0:
+                ga = grad_alpha[y, x]
+                total += ga * drawn
+            if grad_depth.shape[0] > 0 and drawn > np.float32(0.0):
+                gd = grad_depth[y, x] / drawn
+                ga -= gd * depth[y, x]
+            buffer[B_3 + p], buffer[B_4 + p], buffer[B_5 + p] = gd, ga, total
+            loudest += abs(gd) + abs(ga)
     return loudest
 
 
@@ -163,11 +186,13 @@ def composite(
     alpha_min: Any,  # float32
     alpha_max: Any,
     transmittance_min: Any,
-    image: Any,  # [H, W, CHANNELS] written in active tiles
+    color: Any,  # [H, W, 3] written in active tiles, as depth and alpha
+    depth: Any,  # [H, W]
+    alpha: Any,  # [H, W]
     done: Any,  # [tiles] int32, written for active tiles: how many entries were drawn
     contributes: Any,  # [E] uint8, written for drawn entries: 0 = hidden; or [0] for nobody
 ) -> None:
-    """Draw the active tiles: premultiplied colour, sum of w * depth, and alpha."""
+    """Draw the active tiles."""
     buffer = np.empty(7 * PIXELS, np.float32)
     batch = np.empty((BATCH, PACKED), np.float32)
     for share in range(first, last):
@@ -188,7 +213,7 @@ def composite(
                 batch,
                 contributes,
             )
-            _store_tile(buffer, tile, tiles_x, image)
+            _store_tile(buffer, tile, tiles_x, color, depth, alpha)
 
 
 @numba.njit(**_HELPER)
@@ -274,13 +299,18 @@ def composite_backward(
     tiles_x: int,
     alpha_min: Any,
     alpha_max: Any,
-    image: Any,  # [H, W, CHANNELS] of the forward pass
+    color: Any,  # [H, W, 3] of the forward pass
+    depth: Any,  # [H, W]
+    alpha: Any,  # [H, W]
     done: Any,  # [tiles]
     contributes: Any,  # [E]
-    upstream: Any,  # [H, W, CHANNELS] dL/dimage
-    sums: Any,  # [slots, SUMS] zeros, written
+    grad_color: Any,  # [H, W, 3] dL/dcolor, or [0, 0, 0]
+    grad_depth: Any,  # [H, W] or [0, 0]
+    grad_alpha: Any,  # [H, W] or [0, 0]
+    summed: Any,  # [slots] uint8 zeros, 1 is written where sums are
+    sums: Any,  # [slots, SUMS] written
 ) -> None:
-    """Write, for every (trainable splat, tile) entry, the sums that its gradient is made of."""
+    """Write, for (trainable splat, tile) entries, the sums that its gradient is made of."""
     buffer = np.empty(9 * PIXELS, np.float32)
     batch = np.empty((BATCH, PACKED), np.float32)
     for share in range(first, last):
@@ -293,7 +323,17 @@ def composite_backward(
             if last < start:
                 continue
             _start_tile(buffer, tile, tiles_x)
-            loudest = _load_upstream(buffer, tile, tiles_x, image, upstream)
+            loudest = _load_upstream(
+                buffer,
+                tile,
+                tiles_x,
+                color,
+                depth,
+                alpha,
+                grad_color,
+                grad_depth,
+                grad_alpha,
+            )
             if skip_idle and loudest == np.float32(0.0):
                 continue
             _tile_backward(
@@ -309,6 +349,7 @@ def composite_backward(
                 buffer,
                 batch,
                 contributes,
+                summed,
                 sums,
             )
 
@@ -327,6 +368,7 @@ def _tile_backward(
     buffer: Any,
     batch: Any,
     contributes: Any,
+    summed: Any,
     sums: Any,
 ) -> None:
     """Walk one tile's entries front to back up to the last trainable one."""
@@ -386,6 +428,7 @@ def _tile_backward(
             sg += w * gg
             sb += w * gb
             sd += w * gd
+        summed[slot] = 1
         sums[slot, 0], sums[slot, 1], sums[slot, 2] = s1, sx, sy
         sums[slot, 3], sums[slot, 4], sums[slot, 5] = sxx, sxy, syy
         sums[slot, 6], sums[slot, 7], sums[slot, 8], sums[slot, 9] = sr, sg, sb, sd

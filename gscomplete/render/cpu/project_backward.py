@@ -44,6 +44,7 @@ def project_backward(
     camera: Any,  # 21 float64
     packed: Any,  # [N, PACKED] rows of the forward pass
     slot_start: Any,  # [N + 1] int64: rows of ``sums`` that belong to each splat
+    summed: Any,  # [slots] uint8 from composite_backward: 0 = the row of sums is not written
     sums: Any,  # [slots, SUMS] float32 from composite_backward
     grad_means: Any,  # [N, 3] float32, added to
     grad_quaternions: Any,  # [N, 4], added to
@@ -77,8 +78,9 @@ def project_backward(
             continue
         total[:] = 0.0
         for slot in range(start, stop):
-            for k in range(SUMS):
-                total[k] += sums[slot, k]
+            if summed[slot]:
+                for k in range(SUMS):
+                    total[k] += sums[slot, k]
         felt = 0.0
         for k in range(SUMS):
             felt += abs(total[k])

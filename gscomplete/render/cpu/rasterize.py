@@ -1,7 +1,4 @@
-"""The CPU renderer as one autograd function over a batch of views.
-
-Depth is the w-weighted sum here; ``record`` turns it into the expected depth.
-"""
+"""The CPU renderer as one autograd function over a batch of views."""
 
 from __future__ import annotations
 
@@ -12,15 +9,18 @@ import torch
 from torch import Tensor
 
 from gscomplete.render.cpu import view as one_view
-from gscomplete.render.cpu.composite import CHANNELS
 from gscomplete.render.frozen import PreparedFrozen, PreparedView
+from gscomplete.render.record import Render, join_renders
 from gscomplete.render.settings import RenderSettings
 from gscomplete.splats import Splats
 from gscomplete.views import Cameras
 
+_NO_GRADIENT = tuple(np.empty((1, 0, 0, *last), np.float32) for last in ((3,), (), ()))
+"""Stands for zeros, which are neither written nor read then."""
+
 
 class _Rasterize(torch.autograd.Function):
-    """Images [V, H, W, 5] of (red, green, blue, w * depth, alpha)."""
+    """Colour [V, H, W, 3] over black, expected depth [V, H, W] and alpha [V, H, W]."""
 
     @staticmethod
     def forward(
@@ -35,14 +35,15 @@ class _Rasterize(torch.autograd.Function):
         prepared: tuple[PreparedView, ...] | None,
         cameras: Cameras,
         settings: RenderSettings,
-    ) -> Tensor:
+    ) -> tuple[Tensor, Tensor, Tensor]:
         splats = Splats(means, quaternions, scales, opacities, sh)
         arrays = one_view.splat_arrays(splats)
         frozen_arrays = None if frozen is None else one_view.splat_arrays(frozen)
-        shape = (len(cameras), cameras.height, cameras.width, CHANNELS)
-        images = torch.zeros(shape)
         if prepared:
-            torch.stack([view.image for view in prepared], out=images)
+            drawn = join_renders([view.picture for view in prepared])
+            pictures = drawn.color, drawn.depth, drawn.alpha
+        else:
+            pictures = _blank(cameras)
         shifts = np.empty((len(cameras), 0, 2), np.float32)
         if offsets is not None:
             shifts = offsets.detach().contiguous().numpy()
@@ -54,26 +55,30 @@ class _Rasterize(torch.autograd.Function):
                 frozen_arrays, arrays, shifts[v], camera, settings, with_slots=with_slots
             )
             kept = None if prepared is None else prepared[v].lists
-            views.append(one_view.draw(lists, kept, camera, settings, images[v].numpy()))
+            views.append(one_view.draw(lists, kept, camera, settings, _one(pictures, v)))
         ctx.arrays, ctx.views, ctx.settings = arrays, views, settings
         ctx.wants_offsets = offsets is not None
-        ctx.save_for_backward(images)
-        return images
+        ctx.save_for_backward(*pictures)
+        ctx.set_materialize_grads(False)
+        return pictures
 
     @staticmethod
-    def backward(ctx: Any, grad_images: Tensor) -> Any:
-        (images,) = ctx.saved_tensors
-        upstream = grad_images.contiguous().numpy()
+    def backward(ctx: Any, *upstream: Tensor | None) -> Any:
+        gradients = [
+            none if given is None else given.contiguous().numpy()
+            for given, none in zip(upstream, _NO_GRADIENT, strict=True)
+        ]
         grads = [np.zeros(array.shape, np.float32) for array in ctx.arrays]
         count = len(ctx.arrays[0]) if ctx.wants_offsets else 0
         grad_offsets = np.zeros((len(ctx.views), count, 2), np.float32)
         for v, view in enumerate(ctx.views):
+            color, depth, alpha = (array[v if len(array) > 1 else 0] for array in gradients)
             one_view.differentiate(
                 view,
                 ctx.arrays,
                 ctx.settings,
-                images[v].numpy(),
-                upstream[v],
+                _one(ctx.saved_tensors, v),
+                (color, depth, alpha),
                 grads,
                 grad_offsets[v],
             )
@@ -82,21 +87,33 @@ class _Rasterize(torch.autograd.Function):
         return (*tensors, offsets, None, None, None, None)
 
 
+def _blank(cameras: Cameras) -> tuple[Tensor, Tensor, Tensor]:
+    """Return pictures of every view to write to."""
+    shape = len(cameras), cameras.height, cameras.width
+    return torch.empty(*shape, 3), torch.empty(shape), torch.empty(shape)
+
+
+def _one(pictures: tuple[Tensor, Tensor, Tensor], v: int) -> one_view.Picture:
+    """Return the arrays of a view."""
+    color, depth, alpha = pictures
+    return color[v].numpy(), depth[v].numpy(), alpha[v].numpy()
+
+
 def rasterize(
     splats: Splats,
     cameras: Cameras,
     frozen: Splats | PreparedFrozen | None,
     offsets: Tensor | None,  # [V, N, 2]
     settings: RenderSettings,
-) -> Tensor:  # [V, H, W, 5]
-    """Draw ``frozen`` and ``splats`` together; gradients reach ``splats`` and ``offsets`` only."""
+) -> Render:
+    """Draw both sets together over black; gradients reach ``splats`` and ``offsets`` only."""
     prepared = None
     if isinstance(frozen, PreparedFrozen):
         if all(view.lists is not None for view in frozen.views):
             prepared, frozen = frozen.views, None
         else:
             frozen = frozen.splats
-    return _Rasterize.apply(
+    color, depth, alpha = _Rasterize.apply(
         *(value for _, value in splats.to("cpu", torch.float32).fields()),
         offsets,
         None if frozen is None else frozen.to("cpu", torch.float32),
@@ -104,6 +121,7 @@ def rasterize(
         cameras.to("cpu"),
         settings,
     )
+    return Render(color, alpha, depth)
 
 
 def prepare_views(
@@ -114,8 +132,8 @@ def prepare_views(
     cameras = cameras.to("cpu")
     views = []
     for v in range(len(cameras)):
-        image = torch.zeros(cameras.height, cameras.width, CHANNELS)
+        color, depth, alpha = _blank(cameras[v])
         camera = one_view.camera_numbers(cameras, v, settings)
-        lists = one_view.prepare(arrays, camera, settings, image.numpy())
-        views.append(PreparedView(image, lists))
+        lists = one_view.prepare(arrays, camera, settings, _one((color, depth, alpha), 0))
+        views.append(PreparedView(Render(color, alpha, depth), lists))
     return tuple(views)

@@ -1,4 +1,4 @@
-"""Depth order and exact tile lists of one view.
+"""Exact tile lists of one view.
 
 Conventions
 -----------
@@ -41,67 +41,6 @@ CHUNKS = 16
 KEPT_ROWS = 3
 """Tile rows of a splat whose tiles are kept from counting to filling; taller ones are rare."""
 SPAN = 2 + 2 * KEPT_ROWS
-
-_RADIX_BITS = 11
-_SWEEPS = 4
-
-
-def depth_order(visible: Any, depth_bits: Any) -> Any:  # [N] uint8, [N] uint64
-    """Return visible splats sorted by depth, ties by index, and their keys.
-
-    Depths are positive float64 seen as integers, of which the upper 44 bits are sorted: float32
-    depths would swap neighbours that overlap, which shows in the picture.
-    """
-    count = int(np.count_nonzero(visible))
-    index, keys = np.empty((2, count), np.int32), np.empty((2, count), np.uint64)
-    histogram = np.zeros((_SWEEPS, 1 << _RADIX_BITS), np.int64)
-    result = _radix_sort(visible, depth_bits, *index, *keys, histogram)
-    return index[result], keys[result]
-
-
-@numba.njit(**KERNEL)
-def _radix_sort(
-    visible: Any,  # [N] uint8
-    depth_bits: Any,  # [N] uint64
-    index: Any,  # [M] int32, written, as those below
-    index2: Any,
-    key: Any,  # [M] uint64
-    key2: Any,
-    histogram: Any,  # [_SWEEPS, 1 << _RADIX_BITS] zeros
-) -> int:
-    """Sort stably by the upper bits; return which of the two pairs of arrays has the result."""
-    count = index.shape[0]
-    buckets = 1 << _RADIX_BITS
-    low_bits = np.uint64(buckets - 1)
-    n = 0
-    for i in range(visible.shape[0]):
-        if visible[i]:
-            k = depth_bits[i] >> np.uint64(64 - _SWEEPS * _RADIX_BITS)
-            index[n], key[n] = i, k
-            for sweep in range(_SWEEPS):
-                histogram[sweep, (k >> np.uint64(sweep * _RADIX_BITS)) & low_bits] += 1
-            n += 1
-    result = 0
-    for sweep in range(_SWEEPS):
-        shift = np.uint64(sweep * _RADIX_BITS)
-        running = 0
-        constant = False
-        for b in range(buckets):
-            here = histogram[sweep, b]
-            constant = constant or here == count
-            histogram[sweep, b] = running
-            running += here
-        if constant:
-            continue
-        for j in range(count):
-            bucket = (key[j] >> shift) & low_bits
-            place = histogram[sweep, bucket]
-            histogram[sweep, bucket] = place + 1
-            index2[place], key2[place] = index[j], key[j]
-        index, index2 = index2, index
-        key, key2 = key2, key
-        result = 1 - result
-    return result
 
 
 @numba.njit(**HELPER)

@@ -16,6 +16,7 @@ import numpy as np
 from gscomplete.errors import UserError
 from gscomplete.render.cpu import composite as comp
 from gscomplete.render.cpu import layout, merge, tiles
+from gscomplete.render.cpu.depth_order import depth_order
 from gscomplete.render.cpu.project import project
 from gscomplete.render.cpu.project_backward import project_backward
 from gscomplete.render.cpu.spherical_harmonics import used_bands
@@ -25,6 +26,8 @@ from gscomplete.util.kernels import run_kernel
 from gscomplete.views import Cameras
 
 Arrays = tuple[Any, ...]
+Picture = tuple[Any, Any, Any]
+"""Colour [H, W, 3], expected depth [H, W] and alpha [H, W] of a view, or gradients of them."""
 MAX_ENTRIES = 2**31 - 1
 """Most entries of all tile lists of a view: they are numbered with int32."""
 SHARES = 64
@@ -32,6 +35,8 @@ SHARES = 64
 _PER_RUN = 1024
 """Fewest splats that are handed to a thread at once."""
 _TILES_PER_RUN = 64
+_TILE_WORK = 4
+"""Of a tile that nothing is in, in entries."""
 _SKIP_IDLE_TILES = True
 """Copy tiles of a prepared frozen set that no other splat can change, and visit in the backward
 pass only tiles that receive a gradient and show a splat that takes one. False = walk every tile:
@@ -139,7 +144,7 @@ def list_tiles(
         bands = used_bands(arrays[4]) if arrays[4].shape[1] > 1 else 1
         written = packed[place], depths[place], visible[place]
         run_kernel(project, len(arrays[0]), _PER_RUN, *arrays, bands, shift, camera, *written)
-    order, keys = tiles.depth_order(visible, depths.view(np.uint64))
+    order, keys = depth_order(visible, depths.view(np.uint64))
     rows = np.empty((len(order), layout.PACKED), np.float32)
     run_kernel(tiles.gather_ranked, len(order), _PER_RUN, packed, order, rows)
     tiles_x, tiles_y = _grid(camera)
@@ -171,13 +176,13 @@ def draw(
     prepared: FrozenLists | None,
     camera: Any,
     settings: RenderSettings,
-    image: Any,  # [H, W, CHANNELS] float32: zeros, or the prepared image; written
+    picture: Picture,  # float32: the prepared one if there is one, else any values; written
 ) -> DrawnView:
-    """Composite the tiles that anything is in, or that differ from the prepared image."""
+    """Composite all tiles, or those that differ from the prepared picture."""
     if prepared is None:
         frozen_rows = np.empty((0, layout.PACKED), np.float32)
         tile_start, entries, slots = lists.tile_start, lists.entries, lists.slots
-        active = np.flatnonzero(np.diff(tile_start)).astype(np.int32)
+        active = np.arange(len(tile_start) - 1, dtype=np.int32)
     else:
         frozen_rows = prepared.rows
         tile_start, entries, slots, active = _join(lists, prepared, settings)
@@ -199,7 +204,7 @@ def draw(
         np.float32(settings.alpha_min),
         np.float32(settings.alpha_max),
         np.float32(settings.transmittance_min),
-        image,
+        *picture,
         done,
         contributes,
     )
@@ -222,13 +227,13 @@ def prepare(
     frozen: Arrays,
     camera: Any,
     settings: RenderSettings,
-    image: Any,  # [H, W, CHANNELS] zeros, written
+    picture: Picture,  # written
 ) -> FrozenLists:
     """Draw the frozen set alone and keep what drawing others with it needs."""
     nothing = tuple(array[:0] for array in frozen)
     no_offsets = np.empty((0, 2), np.float32)
     lists = list_tiles(frozen, nothing, no_offsets, camera, settings, with_slots=False)
-    done = draw(lists, None, camera, settings, image).done
+    done = draw(lists, None, camera, settings, picture).done
     entries, cut_start, ranks = merge.cut_lists(
         lists.tile_start, lists.entries, done, len(lists.rows)
     )
@@ -239,13 +244,14 @@ def differentiate(
     view: DrawnView,
     trainable: Arrays,
     settings: RenderSettings,
-    image: Any,  # [H, W, CHANNELS] that was drawn
-    upstream: Any,  # [H, W, CHANNELS] dL/dimage
+    picture: Picture,  # that was drawn
+    upstream: Picture,  # gradients of it; [0, ...] for zeros
     grads: list[Any],  # of the trainable arrays, added to
     grad_offsets: Any,  # [N, 2] written, or [0, 2]
 ) -> None:
     """Add the view's gradients of every trainable splat."""
-    sums = np.zeros((int(view.slot_start[-1]), layout.SUMS), np.float32)
+    summed = np.zeros(int(view.slot_start[-1]), np.uint8)
+    sums = np.empty((len(summed), layout.SUMS), np.float32)
     run_kernel(
         comp.composite_backward,
         SHARES,
@@ -261,13 +267,14 @@ def differentiate(
         _grid(view.camera)[0],
         np.float32(settings.alpha_min),
         np.float32(settings.alpha_max),
-        image,
+        *picture,
         view.done,
         view.contributes,
-        upstream,
+        *upstream,
+        summed,
         sums,
     )
-    read = *trainable, view.camera, view.packed, view.slot_start, sums
+    read = *trainable, view.camera, view.packed, view.slot_start, summed, sums
     run_kernel(project_backward, len(trainable[0]), _PER_RUN, *read, *grads, grad_offsets)
 
 
@@ -278,7 +285,7 @@ def _grid(camera: Any) -> tuple[int, int]:
 
 def _shares(work: Any) -> Any:  # [A] -> [SHARES + 1] int64
     """Cut a row of tasks into runs of about the same work; threads are given whole runs."""
-    ends = np.cumsum(work, dtype=np.int64)
+    ends = np.cumsum(work + _TILE_WORK, dtype=np.int64)
     total = ends[-1] if len(ends) else 0
     cuts = np.searchsorted(ends, total * np.arange(1, SHARES) // SHARES, side="right")
     return np.concatenate([[0], cuts, [len(ends)]])
