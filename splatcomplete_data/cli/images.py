@@ -76,7 +76,8 @@ class ImagesOptions:
     sfm_lens_per_photo: bool = False
     """Estimate a lens for every photo: zoom or camera changed."""
     sfm_matching: Literal["auto", "exhaustive", "sequential"] = "auto"
-    """Which pairs of photos are compared; sequential for frames of a video."""
+    """Which pairs of photos are compared; sequential for frames of a video. auto = for known poses
+    near ones, else all up to 250 photos."""
     sfm_features: int = 4096
     """SIFT features per photo."""
     sfm_size: int = 1200

@@ -27,6 +27,8 @@ from typing import Any
 import numpy as np
 import pycolmap
 
+from splatcomplete_data.multiview.sfm.folder import PAIRS_FILE
+
 _POLL_S = 0.5
 
 
@@ -89,6 +91,7 @@ def _extract(request: dict[str, Any]) -> None:
     """Extract SIFT features; photos that the database holds already are passed over."""
     extraction = pycolmap.FeatureExtractionOptions(max_image_size=request["max_image_px"])
     extraction.sift.max_num_features = request["max_features"]
+    extraction.sift.first_octave = -1 if request["enlarge"] else 0
     for group in request["groups"]:
         reader = pycolmap.ImageReaderOptions(camera_model=group["model"])
         reader.camera_params = group["params"]
@@ -106,6 +109,8 @@ def _extract(request: dict[str, Any]) -> None:
 def _pairs(request: dict[str, Any]) -> int:
     """Return how many pairs of photos are compared, at most."""
     total = int(request["total"])
+    if request["matching"] == "listed":
+        return len(request["pairs"])
     if request["matching"] == "exhaustive":
         return total * (total - 1) // 2
     return total * int(request["overlap"])
@@ -115,6 +120,16 @@ def _match(request: dict[str, Any]) -> None:
     """Match features and check the geometry of every pair."""
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = request["seed"]
+    if request["matching"] == "listed":
+        names = Path(request["work"]) / PAIRS_FILE
+        with names.open("w", encoding="utf-8") as file:
+            file.writelines(f"{one} {other}\n" for one, other in request["pairs"])
+        pycolmap.match_image_pairs(
+            request["database"],
+            pairing_options=pycolmap.ImportedPairingOptions(match_list_path=names),
+            verification_options=verification,
+        )
+        return
     if request["matching"] == "exhaustive":
         pycolmap.match_exhaustive(request["database"], verification_options=verification)
         return

@@ -25,6 +25,7 @@ from gscomplete.util.digests import sha256_of
 MADE_FROM_FILE = "made_from.json"
 DATABASE_FILE = "database.db"
 LOG_FILE = "colmap.log"
+PAIRS_FILE = "pairs.txt"
 POSES_MODEL = Path("sparse", "0")
 POINTS_MODEL = Path("triangulated")
 _WRITTEN = (
@@ -32,6 +33,7 @@ _WRITTEN = (
     DATABASE_FILE,
     *(f"{DATABASE_FILE}-{part}" for part in ("journal", "shm", "wal")),
     LOG_FILE,
+    PAIRS_FILE,
     str(POSES_MODEL.parent),
     str(POINTS_MODEL),
     f"{POINTS_MODEL}.part",

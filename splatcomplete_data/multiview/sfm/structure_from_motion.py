@@ -31,13 +31,14 @@ from splatcomplete_data.multiview.photos.images import left_out_note, list_photo
 from splatcomplete_data.multiview.photos.lens import Lens
 from splatcomplete_data.multiview.photos.posed import FEWEST_PHOTOS, PosedPhotos
 from splatcomplete_data.multiview.sfm import folder as sfm_folder
+from splatcomplete_data.multiview.sfm.pairs import near_pairs
 from splatcomplete_data.scan import PointCloud
 
 Progress = Callable[[str, int, int], None]
 """Called with (stage, done, total)."""
 Matching = Literal["auto", "exhaustive", "sequential"]
 """``exhaustive``: every pair. ``sequential``: neighbours in the order of names, for videos.
-``auto``: exhaustive up to 250 photos."""
+``auto``: for known poses near ones (``pairs``), else exhaustive up to 250 photos."""
 LensModel = Literal["SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE"]
 
 MOST_EXHAUSTIVE = 250
@@ -66,7 +67,7 @@ class SfmSettings:
     matching: Matching = "auto"
     """Which pairs of photos are compared."""
     overlap: int = 12
-    """Neighbours compared in sequential matching."""
+    """Neighbours compared in sequential matching, and of known poses."""
     seed: int = 0
     """Seed of COLMAP's random sampling."""
 
@@ -103,7 +104,8 @@ def find_poses(
     if not registry.is_file():
         groups = [{"names": names, "model": settings.lens, "params": "", "shared": shared}]
         request = _request(images, work, settings, groups, len(names))
-        _run_colmap({**request, "model": str(model), "poses": None}, progress)
+        found = {"model": str(model), "poses": None, "enlarge": True}
+        _run_colmap({**request, **found}, progress)
     registered = len(image_names(model)) if registry.is_file() else 0
     fewest = max(FEWEST_PHOTOS, round(_FEWEST_REGISTERED * len(names)))
     left_out = left_out_note(images)
@@ -161,7 +163,11 @@ def triangulate(
             kind, params = _colmap_lens(lens)
             groups.append({"names": names, "model": kind, "params": params, "shared": True})
         request = _request(capture.folder, work, settings, groups, len(named))
-        _run_colmap({**request, "model": str(model), "poses": poses}, progress)
+        found = {"model": str(model), "poses": poses, "enlarge": False}
+        if settings.matching == "auto" and not any(set(name) & set(" \t") for name in named):
+            matrices = {name: photo.camera_from_world for name, photo in named.items()}
+            found |= {"matching": "listed", "pairs": near_pairs(matrices, settings.overlap)}
+        _run_colmap({**request, **found}, progress)
     return read_points(model), notes
 
 

@@ -137,3 +137,21 @@ def test_colmap_knows_photos_in_folders_by_these_names(tmp_path):
     with contextlib.closing(sqlite3.connect(tmp_path / "w/database.db")) as database:
         stored = {name for (name,) in database.execute("SELECT name FROM images")}
     assert stored == set(posed.names)
+
+
+def test_known_poses_say_which_photos_are_compared(colmap, tmp_path):
+    posed = read_transforms(captures.transforms_capture(tmp_path) / "transforms.json")
+    sfm.triangulate(posed, tmp_path / "w")
+    sfm.triangulate(posed, tmp_path / "all", sfm.SfmSettings(matching="exhaustive"))
+    spaced = tmp_path / "with spaces"
+    spaced.mkdir()
+    photos = tuple(
+        dataclasses.replace(photo, path=photo.path.rename(spaced / f"photo {index}.png"))
+        for index, photo in enumerate(posed.photos)
+    )
+    sfm.triangulate(dataclasses.replace(posed, photos=photos), tmp_path / "s")
+    near, everything, unlisted = colmap.requests
+    assert near["matching"] == "listed"
+    assert {name for pair in near["pairs"] for name in pair} == set(posed.names)
+    assert everything["matching"] == "exhaustive"
+    assert unlisted["matching"] == "exhaustive"  # COLMAP's list of pairs is divided by spaces
