@@ -1,4 +1,4 @@
-"""Composite tile lists front to back, and differentiate the result (one view).
+"""Composite tile lists front to back (one view); ``composite_backward`` is the way back.
 
 Conventions
 -----------
@@ -11,18 +11,12 @@ Conventions
 * Rows are read a batch ahead: a tile's rows are scattered over megabytes, and many reads under way
   at once take the time of one, while a read in the middle of compositing is waited for.
 * Only the tiles listed in ``active`` are drawn; tiles do not depend on each other.
-* Upstream gradients are those of the picture; an array [0, ...] stands for zeros. Depth is the sum
-  of w * depth over alpha, so dL/dsum = dL/ddepth / alpha, and alpha's own gradient loses
-  dL/dsum times depth.
 * Inner loops have no branches and no calls: alphas below the threshold are multiplied by zero, and
   ``exp`` is a polynomial, so that LLVM turns them into vector code.
 * A tile stops once all its pixels' transmittances are below ``transmittance_min``; ``done`` keeps
-  how many entries were drawn, and the backward pass walks the same entries in the same order. It
-  leaves out hidden ones, those whose weights w sum to less than HIDDEN times ``transmittance_min``
-  times their opacity; ``contributes`` marks the others. Many discs smaller than pixels are hidden.
-* With w_i = alpha_i T_i and A_i the upstream gradient dotted with splat i's values,
-  dL/dalpha_i = T_i A_i - (sum over j > i of w_j A_j) / (1 - alpha_i); the sum behind is the
-  total minus the running prefix, so nothing is ever divided by a vanished transmittance.
+  how many entries were drawn.
+* Hidden entries, whose weights w sum to less than HIDDEN times ``transmittance_min`` times their
+  opacity, are drawn; ``contributes`` marks the others. Many discs smaller than pixels are hidden.
 """
 
 from __future__ import annotations
@@ -79,11 +73,12 @@ E0, E1, E2, E3 = np.float32(_E0), np.float32(_E1), np.float32(_E2), np.float32(_
 E4, E5, E6 = np.float32(_E4), np.float32(_E5), np.float32(_E6)
 
 _FAST = {"contract", "nsz", "arcp", "reassoc", "afn"}
-_KERNEL: dict[str, Any] = KERNEL | {"fastmath": _FAST, "boundscheck": False}
-_HELPER: dict[str, Any] = HELPER | {"fastmath": _FAST, "boundscheck": False}
+TILE_KERNEL: dict[str, Any] = KERNEL | {"fastmath": _FAST, "boundscheck": False}
+"""Options of the compositing kernels."""
+TILE_HELPER: dict[str, Any] = HELPER | {"fastmath": _FAST, "boundscheck": False}
 
 
-@numba.njit(**_HELPER)
+@numba.njit(**TILE_HELPER)
 def exp_neg(power: Any) -> Any:
     """Return exp(-power) for power in [0, 12] in float32 arithmetic."""
     x = power * np.float32(1.0 / 16.0)
@@ -94,8 +89,8 @@ def exp_neg(power: Any) -> Any:
     return y * y
 
 
-@numba.njit(**_HELPER)
-def _pixel_rows(v: Any, half_h: Any, tile_y: int) -> Any:
+@numba.njit(**TILE_HELPER)
+def pixel_rows(v: Any, half_h: Any, tile_y: int) -> Any:
     """Return the pixels a splat reaches: whole pairs of rows, so a multiple of 16."""
     top = v - half_h - np.float32(tile_y * TILE) - np.float32(0.51)
     bottom = v + half_h - np.float32(tile_y * TILE) - np.float32(0.49)
@@ -104,8 +99,8 @@ def _pixel_rows(v: Any, half_h: Any, tile_y: int) -> Any:
     return np.uint64(first * TILE), np.uint64(last * TILE)
 
 
-@numba.njit(**_HELPER)
-def _start_tile(buffer: Any, tile: int, tiles_x: int) -> None:
+@numba.njit(**TILE_HELPER)
+def start_tile(buffer: Any, tile: int, tiles_x: int) -> None:
     """Write pixel centres, full transmittance and empty sums into a tile's buffer."""
     for p in range(FIRST, LAST):
         row, column = np.int64(p) // TILE, np.int64(p) % TILE
@@ -116,7 +111,7 @@ def _start_tile(buffer: Any, tile: int, tiles_x: int) -> None:
         buffer[k] = np.float32(0.0)
 
 
-@numba.njit(**_HELPER)
+@numba.njit(**TILE_HELPER)
 def _store_tile(buffer: Any, tile: int, tiles_x: int, color: Any, depth: Any, alpha: Any) -> None:
     """Write a finished tile into the picture."""
     top, left = tile // tiles_x * TILE, tile % tiles_x * TILE
@@ -132,47 +127,7 @@ def _store_tile(buffer: Any, tile: int, tiles_x: int, color: Any, depth: Any, al
             depth[y, x] = buffer[B_3 + p] / drawn if drawn > np.float32(0.0) else np.float32(0.0)
 
 
-@numba.njit(**_HELPER)
-def _load_upstream(
-    buffer: Any,
-    tile: int,
-    tiles_x: int,
-    color: Any,
-    depth: Any,
-    alpha: Any,
-    grad_color: Any,
-    grad_depth: Any,
-    grad_alpha: Any,
-) -> Any:
-    """Write gradients of the sums, and their dot product with them; return 0 if all are 0."""
-    top, left = tile // tiles_x * TILE, tile % tiles_x * TILE
-    loudest = np.float32(0.0)
-    for k in range(B_0, np.uint64(9 * PIXELS)):
-        buffer[k] = np.float32(0.0)
-    for row in range(min(TILE, alpha.shape[0] - top)):
-        for column in range(min(TILE, alpha.shape[1] - left)):
-            p = np.uint64(row * TILE + column)
-            y, x = top + row, left + column
-            drawn = alpha[y, x]
-            total = gd = ga = np.float32(0.0)
-            # Absolute values: a maximum would pass over NaN.
-            if grad_color.shape[0] > 0:
-                gr, gg, gb = grad_color[y, x, 0], grad_color[y, x, 1], grad_color[y, x, 2]
-                buffer[B_0 + p], buffer[B_1 + p], buffer[B_2 + p] = gr, gg, gb
-                total = gr * color[y, x, 0] + gg * color[y, x, 1] + gb * color[y, x, 2]
-                loudest += abs(gr) + abs(gg) + abs(gb)
-            if grad_alpha.shape[0] > 0:
-                ga = grad_alpha[y, x]
-                total += ga * drawn
-            if grad_depth.shape[0] > 0 and drawn > np.float32(0.0):
-                gd = grad_depth[y, x] / drawn
-                ga -= gd * depth[y, x]
-            buffer[B_3 + p], buffer[B_4 + p], buffer[B_5 + p] = gd, ga, total
-            loudest += abs(gd) + abs(ga)
-    return loudest
-
-
-@numba.njit(**_KERNEL)
+@numba.njit(**TILE_KERNEL)
 def composite(
     first: int,
     last: int,
@@ -198,7 +153,7 @@ def composite(
     for share in range(first, last):
         for k in range(shares[share], shares[share + 1]):
             tile = active[k]
-            _start_tile(buffer, tile, tiles_x)
+            start_tile(buffer, tile, tiles_x)
             done[tile] = _tile_forward(
                 frozen_rows,
                 rows,
@@ -216,10 +171,8 @@ def composite(
             _store_tile(buffer, tile, tiles_x, color, depth, alpha)
 
 
-@numba.njit(**_HELPER)
-def _read_rows(
-    frozen_rows: Any, rows: Any, entries: Any, first: int, last: int, batch: Any
-) -> None:
+@numba.njit(**TILE_HELPER)
+def read_rows(frozen_rows: Any, rows: Any, entries: Any, first: int, last: int, batch: Any) -> None:
     """Copy the rows of the entries from ``first`` up to ``last`` side by side."""
     frozen = frozen_rows.shape[0]
     for e in range(first, last):
@@ -232,7 +185,7 @@ def _read_rows(
                 batch[e - first, column] = rows[k - frozen, column]
 
 
-@numba.njit(**_HELPER)
+@numba.njit(**TILE_HELPER)
 def _tile_forward(
     frozen_rows: Any,
     rows: Any,
@@ -252,12 +205,12 @@ def _tile_forward(
     for e in range(start, stop):
         place = (e - start) % BATCH
         if place == 0:
-            _read_rows(frozen_rows, rows, entries, e, min(e + BATCH, stop), batch)
+            read_rows(frozen_rows, rows, entries, e, min(e + BATCH, stop), batch)
         row = batch[place]
         u, v, opacity = row[P_U], row[P_V], row[P_OPACITY]
         la, lb, lc = row[P_LA], row[P_LB], row[P_LC]
         cr, cg, cb, cd = row[P_RED], row[P_GREEN], row[P_BLUE], row[P_DEPTH]
-        low, high = _pixel_rows(v, row[P_HALF_H], tile_y)
+        low, high = pixel_rows(v, row[P_HALF_H], tile_y)
         total = zero
         for p in range(low, high):
             dy = buffer[B_Y + p] - v
@@ -282,153 +235,3 @@ def _tile_forward(
             if largest < transmittance_min:
                 return e - start + 1
     return stop - start
-
-
-@numba.njit(**_KERNEL)
-def composite_backward(
-    first: int,
-    last: int,
-    frozen_rows: Any,  # [F, PACKED]
-    rows: Any,  # [M, PACKED]
-    tile_start: Any,  # [tiles + 1]
-    entries: Any,  # [E]
-    slots: Any,  # [E] gradient row, or -1 for frozen splats
-    active: Any,  # [A] tiles that the forward pass drew
-    shares: Any,  # [S + 1]
-    skip_idle: bool,  # leave out tiles whose sums are all zero
-    tiles_x: int,
-    alpha_min: Any,
-    alpha_max: Any,
-    color: Any,  # [H, W, 3] of the forward pass
-    depth: Any,  # [H, W]
-    alpha: Any,  # [H, W]
-    done: Any,  # [tiles]
-    contributes: Any,  # [E]
-    grad_color: Any,  # [H, W, 3] dL/dcolor, or [0, 0, 0]
-    grad_depth: Any,  # [H, W] or [0, 0]
-    grad_alpha: Any,  # [H, W] or [0, 0]
-    summed: Any,  # [slots] uint8 zeros, 1 is written where sums are
-    sums: Any,  # [slots, SUMS] written
-) -> None:
-    """Write, for (trainable splat, tile) entries, the sums that its gradient is made of."""
-    buffer = np.empty(9 * PIXELS, np.float32)
-    batch = np.empty((BATCH, PACKED), np.float32)
-    for share in range(first, last):
-        for k in range(shares[share], shares[share + 1]):
-            tile = active[k]
-            start = tile_start[tile]
-            last = start + done[tile] - 1
-            while skip_idle and last >= start and (slots[last] < 0 or contributes[last] == 0):
-                last -= 1
-            if last < start:
-                continue
-            _start_tile(buffer, tile, tiles_x)
-            loudest = _load_upstream(
-                buffer,
-                tile,
-                tiles_x,
-                color,
-                depth,
-                alpha,
-                grad_color,
-                grad_depth,
-                grad_alpha,
-            )
-            if skip_idle and loudest == np.float32(0.0):
-                continue
-            _tile_backward(
-                frozen_rows,
-                rows,
-                entries,
-                slots,
-                start,
-                last,
-                tile // tiles_x,
-                alpha_min,
-                alpha_max,
-                buffer,
-                batch,
-                contributes,
-                summed,
-                sums,
-            )
-
-
-@numba.njit(**_HELPER)
-def _tile_backward(
-    frozen_rows: Any,
-    rows: Any,
-    entries: Any,
-    slots: Any,
-    start: int,
-    last: int,
-    tile_y: int,
-    alpha_min: Any,
-    alpha_max: Any,
-    buffer: Any,
-    batch: Any,
-    contributes: Any,
-    summed: Any,
-    sums: Any,
-) -> None:
-    """Walk one tile's entries front to back up to the last trainable one."""
-    zero, half, one = np.float32(0.0), np.float32(0.5), np.float32(1.0)
-    for e in range(start, last + 1):
-        place = (e - start) % BATCH
-        if place == 0:
-            _read_rows(frozen_rows, rows, entries, e, min(e + BATCH, last + 1), batch)
-        if contributes[e] == 0:
-            continue
-        row = batch[place]
-        u, v, opacity = row[P_U], row[P_V], row[P_OPACITY]
-        la, lb, lc = row[P_LA], row[P_LB], row[P_LC]
-        cr, cg, cb, cd = row[P_RED], row[P_GREEN], row[P_BLUE], row[P_DEPTH]
-        low, high = _pixel_rows(v, row[P_HALF_H], tile_y)
-        slot = slots[e]
-        if slot < 0:
-            for p in range(low, high):
-                dy = buffer[B_Y + p] - v
-                wx = la * (buffer[B_X + p] - u) + lb * dy
-                wy = lc * dy
-                power = min(half * (wx * wx + wy * wy), np.float32(MAX_POWER))
-                alpha = min(opacity * exp_neg(power), alpha_max)
-                w = (alpha if alpha >= alpha_min else zero) * buffer[B_THROUGH + p]
-                value = cr * buffer[B_0 + p] + cg * buffer[B_1 + p] + cb * buffer[B_2 + p]
-                value += cd * buffer[B_3 + p] + buffer[B_4 + p]
-                buffer[B_5 + p] -= w * value
-                buffer[B_THROUGH + p] -= w
-            continue
-        s1 = sx = sy = sxx = sxy = syy = sr = sg = sb = sd = zero
-        for p in range(low, high):
-            dy = buffer[B_Y + p] - v
-            wx = la * (buffer[B_X + p] - u) + lb * dy
-            wy = lc * dy
-            power = min(half * (wx * wx + wy * wy), np.float32(MAX_POWER))
-            raw = opacity * exp_neg(power)
-            alpha = min(raw, alpha_max)
-            alpha = alpha if alpha >= alpha_min else zero
-            free = alpha if raw < alpha_max else zero
-            through = buffer[B_THROUGH + p]
-            gr, gg, gb, gd = buffer[B_0 + p], buffer[B_1 + p], buffer[B_2 + p], buffer[B_3 + p]
-            w = alpha * through
-            value = cr * gr + cg * gg + cb * gb + cd * gd + buffer[B_4 + p]
-            rest = buffer[B_5 + p] - w * value
-            gradient = free * (rest / (one - alpha) - through * value)
-            buffer[B_5 + p] = rest
-            buffer[B_THROUGH + p] = through - w
-            s1 += gradient
-            gx = gradient * wx
-            gy = gradient * wy
-            sx += gx
-            sy += gy
-            sxx += gx * wx
-            sxy += gx * wy
-            syy += gy * wy
-            sr += w * gr
-            sg += w * gg
-            sb += w * gb
-            sd += w * gd
-        summed[slot] = 1
-        sums[slot, 0], sums[slot, 1], sums[slot, 2] = s1, sx, sy
-        sums[slot, 3], sums[slot, 4], sums[slot, 5] = sxx, sxy, syy
-        sums[slot, 6], sums[slot, 7], sums[slot, 8], sums[slot, 9] = sr, sg, sb, sd

@@ -2,7 +2,7 @@
 
 Conventions
 -----------
-* Depths are positive float64 seen as integers, of which the upper KEY_BITS bits are sorted: float32
+* Depths are positive float64 seen as integers, of which the upper 44 bits are sorted: float32
   depths would swap neighbours that overlap, which shows in the picture.
 * Digits are taken from the keys less the smallest one: the depths of a scene differ in few of their
   upper bits, and a digit that no key has is not sorted by.
@@ -18,16 +18,16 @@ import numpy as np
 
 from gscomplete.util.kernels import KERNEL
 
-KEY_BITS = 44
-_MOST_DIGIT_BITS = 11
-_SWEEPS = KEY_BITS // _MOST_DIGIT_BITS
+_DIGIT_BITS = 11
+_SWEEPS = 4
+_KEY_BITS = _SWEEPS * _DIGIT_BITS
 
 
 def depth_order(visible: Any, depth_bits: Any) -> tuple[Any, Any]:  # [N] uint8, [N] uint64
     """Return visible splats sorted by depth, ties by index [M] int32, and their keys [M] uint64."""
     count = int(np.count_nonzero(visible))
     index, keys = np.empty((2, count), np.int32), np.empty((2, count), np.uint64)
-    cursor = np.zeros((_SWEEPS, 1 << _MOST_DIGIT_BITS), np.int64)
+    cursor = np.zeros((_SWEEPS, 1 << _DIGIT_BITS), np.int64)
     result = _radix_sort(visible, depth_bits, *index, *keys, cursor)
     return index[result], keys[result]
 
@@ -40,7 +40,7 @@ def _radix_sort(
     index2: Any,
     key: Any,  # [M] uint64
     key2: Any,
-    cursor: Any,  # [_SWEEPS, 1 << _MOST_DIGIT_BITS] zeros
+    cursor: Any,  # [_SWEEPS, 1 << _DIGIT_BITS] zeros
 ) -> int:
     """Sort by the upper bits; return which of the two pairs of arrays has the result."""
     count = index.shape[0]
@@ -48,25 +48,25 @@ def _radix_sort(
     low, high = np.uint64(0xFFFFFFFFFFFFFFFF), np.uint64(0)
     for i in range(visible.shape[0]):
         if visible[i]:
-            k = depth_bits[i] >> np.uint64(64 - KEY_BITS)
+            k = depth_bits[i] >> np.uint64(64 - _KEY_BITS)
             low, high = min(low, k), max(high, k)
             index[n], key[n] = i, k
             n += 1
     sweeps = 0
-    while sweeps < _SWEEPS and (high - low) >> np.uint64(sweeps * _MOST_DIGIT_BITS) and count:
+    while count > 0 and sweeps < _SWEEPS and (high - low) >> np.uint64(sweeps * _DIGIT_BITS):
         sweeps += 1
     mask = np.uint64(cursor.shape[1] - 1)
     for j in range(count):
         k = key[j] - low
         for sweep in range(sweeps):
-            cursor[sweep, (k >> np.uint64(sweep * _MOST_DIGIT_BITS)) & mask] += 1
+            cursor[sweep, (k >> np.uint64(sweep * _DIGIT_BITS)) & mask] += 1
     for sweep in range(sweeps):
         running = 0
         for digit in range(cursor.shape[1]):
             here = cursor[sweep, digit]
             cursor[sweep, digit] = running
             running += here
-        shift = np.uint64(sweep * _MOST_DIGIT_BITS)
+        shift = np.uint64(sweep * _DIGIT_BITS)
         for j in range(count):
             digit = ((key[j] - low) >> shift) & mask
             place = cursor[sweep, digit]

@@ -15,8 +15,8 @@ from gscomplete.render.settings import RenderSettings
 from gscomplete.splats import Splats
 from gscomplete.views import Cameras
 
-_NO_GRADIENT = tuple(np.empty((1, 0, 0, *last), np.float32) for last in ((3,), (), ()))
-"""Stands for zeros, which are neither written nor read then."""
+_NO_GRADIENT = tuple(np.empty((0, 0, *last), np.float32) for last in ((3,), (), ()))
+"""Of a view: stands for zeros, which are neither written nor read then."""
 
 
 class _Rasterize(torch.autograd.Function):
@@ -39,11 +39,9 @@ class _Rasterize(torch.autograd.Function):
         splats = Splats(means, quaternions, scales, opacities, sh)
         arrays = one_view.splat_arrays(splats)
         frozen_arrays = None if frozen is None else one_view.splat_arrays(frozen)
+        drawn = _blank(cameras)
         if prepared:
             drawn = join_renders([view.picture for view in prepared])
-            pictures = drawn.color, drawn.depth, drawn.alpha
-        else:
-            pictures = _blank(cameras)
         shifts = np.empty((len(cameras), 0, 2), np.float32)
         if offsets is not None:
             shifts = offsets.detach().contiguous().numpy()
@@ -55,30 +53,32 @@ class _Rasterize(torch.autograd.Function):
                 frozen_arrays, arrays, shifts[v], camera, settings, with_slots=with_slots
             )
             kept = None if prepared is None else prepared[v].lists
-            views.append(one_view.draw(lists, kept, camera, settings, _one(pictures, v)))
+            views.append(one_view.draw(lists, kept, camera, settings, _arrays(drawn, v)))
         ctx.arrays, ctx.views, ctx.settings = arrays, views, settings
         ctx.wants_offsets = offsets is not None
-        ctx.save_for_backward(*pictures)
+        ctx.save_for_backward(drawn.color, drawn.depth, drawn.alpha)
         ctx.set_materialize_grads(False)
-        return pictures
+        return drawn.color, drawn.depth, drawn.alpha
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor | None) -> Any:
-        gradients = [
-            none if given is None else given.contiguous().numpy()
-            for given, none in zip(upstream, _NO_GRADIENT, strict=True)
-        ]
+        color, depth, alpha = ctx.saved_tensors
+        drawn = Render(color, alpha, depth)
+        given = [None if part is None else part.contiguous().numpy() for part in upstream]
         grads = [np.zeros(array.shape, np.float32) for array in ctx.arrays]
         count = len(ctx.arrays[0]) if ctx.wants_offsets else 0
         grad_offsets = np.zeros((len(ctx.views), count, 2), np.float32)
         for v, view in enumerate(ctx.views):
-            color, depth, alpha = (array[v if len(array) > 1 else 0] for array in gradients)
+            grad_color, grad_depth, grad_alpha = (
+                none if part is None else part[v]
+                for part, none in zip(given, _NO_GRADIENT, strict=True)
+            )
             one_view.differentiate(
                 view,
                 ctx.arrays,
                 ctx.settings,
-                _one(ctx.saved_tensors, v),
-                (color, depth, alpha),
+                _arrays(drawn, v),
+                (grad_color, grad_depth, grad_alpha),
                 grads,
                 grad_offsets[v],
             )
@@ -87,16 +87,15 @@ class _Rasterize(torch.autograd.Function):
         return (*tensors, offsets, None, None, None, None)
 
 
-def _blank(cameras: Cameras) -> tuple[Tensor, Tensor, Tensor]:
-    """Return pictures of every view to write to."""
+def _blank(cameras: Cameras) -> Render:
+    """Return images of every view to write to."""
     shape = len(cameras), cameras.height, cameras.width
-    return torch.empty(*shape, 3), torch.empty(shape), torch.empty(shape)
+    return Render(torch.empty(*shape, 3), torch.empty(shape), torch.empty(shape))
 
 
-def _one(pictures: tuple[Tensor, Tensor, Tensor], v: int) -> one_view.Picture:
-    """Return the arrays of a view."""
-    color, depth, alpha = pictures
-    return color[v].numpy(), depth[v].numpy(), alpha[v].numpy()
+def _arrays(drawn: Render, v: int) -> one_view.Picture:
+    """Return what the kernels write to, or read, of a view."""
+    return drawn.color[v].numpy(), drawn.depth[v].numpy(), drawn.alpha[v].numpy()
 
 
 def rasterize(
@@ -132,8 +131,8 @@ def prepare_views(
     cameras = cameras.to("cpu")
     views = []
     for v in range(len(cameras)):
-        color, depth, alpha = _blank(cameras[v])
+        picture = _blank(cameras[v])
         camera = one_view.camera_numbers(cameras, v, settings)
-        lists = one_view.prepare(arrays, camera, settings, _one((color, depth, alpha), 0))
-        views.append(PreparedView(Render(color, alpha, depth), lists))
+        lists = one_view.prepare(arrays, camera, settings, _arrays(picture, 0))
+        views.append(PreparedView(picture, lists))
     return tuple(views)

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from gscomplete.errors import UserError
-from gscomplete.render.cpu import composite as comp
 from gscomplete.render.cpu import layout, merge, tiles
+from gscomplete.render.cpu.composite import composite
+from gscomplete.render.cpu.composite_backward import composite_backward
 from gscomplete.render.cpu.depth_order import depth_order
 from gscomplete.render.cpu.project import project
 from gscomplete.render.cpu.project_backward import project_backward
@@ -36,7 +37,7 @@ _PER_RUN = 1024
 """Fewest splats that are handed to a thread at once."""
 _TILES_PER_RUN = 64
 _TILE_WORK = 4
-"""Of a tile that nothing is in, in entries."""
+"""Of drawing a tile beside its entries, in entries."""
 _SKIP_IDLE_TILES = True
 """Copy tiles of a prepared frozen set that no other splat can change, and visit in the backward
 pass only tiles that receive a gradient and show a splat that takes one. False = walk every tile:
@@ -191,7 +192,7 @@ def draw(
     contributes = np.zeros(len(slots), np.uint8)
     length = np.diff(tile_start)[active]
     run_kernel(
-        comp.composite,
+        composite,
         SHARES,
         1,
         frozen_rows,
@@ -253,7 +254,7 @@ def differentiate(
     summed = np.zeros(int(view.slot_start[-1]), np.uint8)
     sums = np.empty((len(summed), layout.SUMS), np.float32)
     run_kernel(
-        comp.composite_backward,
+        composite_backward,
         SHARES,
         1,
         view.frozen_rows,

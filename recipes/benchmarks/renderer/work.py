@@ -32,7 +32,7 @@ import numpy as np
 import torch
 
 from gscomplete.render import cpu, render
-from gscomplete.render.cpu import composite as compositing
+from gscomplete.render.cpu.composite import pixel_rows
 from gscomplete.render.cpu.layout import P_HALF_H, P_V
 from gscomplete.splats import Splats
 from gscomplete.util.kernels import run_kernel
@@ -117,7 +117,7 @@ def _visited_pixels(
     for tile in range(done.shape[0]):
         for e in range(tile_start[tile], tile_start[tile] + done[tile]):
             row = rows[entries[e]]
-            low, high = compositing._pixel_rows(row[P_V], row[P_HALF_H], tile // tiles_x)
+            low, high = pixel_rows(row[P_V], row[P_HALF_H], tile // tiles_x)
             total += high - low
     return total
 

@@ -31,7 +31,7 @@ from splatcomplete_data.multiview.photos.images import left_out_note, list_photo
 from splatcomplete_data.multiview.photos.lens import Lens
 from splatcomplete_data.multiview.photos.posed import FEWEST_PHOTOS, PosedPhotos
 from splatcomplete_data.multiview.sfm import folder as sfm_folder
-from splatcomplete_data.multiview.sfm.pairs import near_pairs
+from splatcomplete_data.multiview.sfm.pairs import can_be_listed, near_pairs
 from splatcomplete_data.scan import PointCloud
 
 Progress = Callable[[str, int, int], None]
@@ -164,9 +164,8 @@ def triangulate(
             groups.append({"names": names, "model": kind, "params": params, "shared": True})
         request = _request(capture.folder, work, settings, groups, len(named))
         found = {"model": str(model), "poses": poses, "enlarge": False}
-        if settings.matching == "auto" and not any(set(name) & set(" \t") for name in named):
-            matrices = {name: photo.camera_from_world for name, photo in named.items()}
-            found |= {"matching": "listed", "pairs": near_pairs(matrices, settings.overlap)}
+        if settings.matching == "auto" and can_be_listed(named):
+            found |= {"matching": "listed", "pairs": near_pairs(capture, settings.overlap)}
         _run_colmap({**request, **found}, progress)
     return read_points(model), notes
 

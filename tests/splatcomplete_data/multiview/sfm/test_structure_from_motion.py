@@ -154,4 +154,4 @@ def test_known_poses_say_which_photos_are_compared(colmap, tmp_path):
     assert near["matching"] == "listed"
     assert {name for pair in near["pairs"] for name in pair} == set(posed.names)
     assert everything["matching"] == "exhaustive"
-    assert unlisted["matching"] == "exhaustive"  # COLMAP's list of pairs is divided by spaces
+    assert unlisted["matching"] == "exhaustive"

@@ -1,0 +1,46 @@
+"""The radix sort gives the order of a stable sort of the upper 44 bits, whatever the depths."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from gscomplete.render.cpu.depth_order import depth_order
+
+LOWER_BITS = np.uint64(20)
+
+
+def expected(visible, depths):
+    index = np.flatnonzero(visible)
+    keys = depths.view(np.uint64)[index] >> LOWER_BITS
+    order = np.argsort(keys, kind="stable")
+    return index[order], keys[order]
+
+
+@given(
+    hnp.arrays(
+        np.float64,
+        st.integers(0, 60),
+        elements=st.floats(5e-324, 1e38) | st.sampled_from([1.0, 2.0, np.nextafter(2.0, 0.0)]),
+    ),
+    st.randoms(use_true_random=False),
+)
+def test_order_and_keys_are_those_of_a_stable_sort(depths, random):
+    visible = np.array([random.random() < 0.8 for _ in depths], np.uint8)
+    index, keys = depth_order(visible, depths.view(np.uint64))
+    wanted_index, wanted_keys = expected(visible, depths)
+    np.testing.assert_array_equal(index, wanted_index)
+    np.testing.assert_array_equal(keys, wanted_keys)
+
+
+@pytest.mark.parametrize("factor", [1.0, 1 + 1e-9, 1.001, 2.0, 1e30])
+def test_every_number_of_digits(factor):
+    """From none, where all keys are the same, to all four."""
+    depths = 1.5 * factor ** np.random.default_rng(0).random(5000)
+    visible = np.ones(5000, np.uint8)
+    found = depth_order(visible, depths.view(np.uint64))
+    for one, other in zip(found, expected(visible, depths), strict=True):
+        np.testing.assert_array_equal(one, other)
