@@ -13,13 +13,16 @@ import numba
 import numpy as np
 
 from gscomplete.render.cpu.layout import (
-    EDGE_SLACK,
     P_LA,
     P_LB,
     P_LC,
+    P_BLUE,
+    P_GREEN,
     P_RED,
     S_DEPTH,
     S_POWER,
+    S_BLUE,
+    S_GREEN,
     S_RED,
     S_X,
     S_XX,
@@ -28,8 +31,29 @@ from gscomplete.render.cpu.layout import (
     S_YY,
     SUMS,
 )
-from gscomplete.render.cpu.screen import FAST_HELPER, FAST_KERNEL, factor, screen_rows
-from gscomplete.render.cpu.spherical_harmonics import basis_gradient, fill_basis
+from gscomplete.render.cpu.screen import (
+    FAST_KERNEL,
+    FIRST_LANE,
+    LANE_HELPER,
+    LANES,
+    PAST_LANES,
+    camera_point,
+    eye_and_limits,
+    factor,
+    screen_rows,
+)
+from gscomplete.render.cpu.spherical_harmonics import C0, basis_gradient, fill_basis
+
+_PLANES = 24
+_SUM_X, _SUM_Y, _SUM_XX, _SUM_XY, _SUM_YY, _SUM_DEPTH, _LA, _LB, _LC = (
+    np.uint64(k * LANES) for k in range(9)
+)
+_MX, _MY, _MZ, _QW, _QX, _QY, _QZ, _SX, _SY, _SZ = (np.uint64(k * LANES) for k in range(9, 19))
+"""Planes of the splat's fields: read, then overwritten by their gradients."""
+_GU, _GV = (np.uint64(k * LANES) for k in range(19, 21))
+"""Planes of the gradients of the screen centre."""
+_RED, _GREEN, _BLUE = (np.uint64(k * LANES) for k in range(21, _PLANES))
+"""Planes of the gradients of the colour."""
 
 
 @numba.njit(**FAST_KERNEL)
@@ -54,97 +78,140 @@ def project_backward(
     grad_offsets: Any,  # [N, 2] written, or [0, 2]
 ) -> None:
     """Add one view's gradients of trainable splats, summing their tiles in a fixed order."""
-    bands = sh.shape[1]
-    fx, fy, cx, cy, width, height = (
-        camera[12],
-        camera[13],
-        camera[14],
-        camera[15],
-        camera[16],
-        camera[17],
-    )
-    low_x, high_x = -cx / fx - EDGE_SLACK * width / fx, (width - cx + EDGE_SLACK * width) / fx
-    low_y, high_y = -cy / fy - EDGE_SLACK * height / fy, (height - cy + EDGE_SLACK * height) / fy
-    eye_x = -(camera[0] * camera[3] + camera[4] * camera[7] + camera[8] * camera[11])
-    eye_y = -(camera[1] * camera[3] + camera[5] * camera[7] + camera[9] * camera[11])
-    eye_z = -(camera[2] * camera[3] + camera[6] * camera[7] + camera[10] * camera[11])
+    eye, limits = eye_and_limits(camera)
     basis = np.empty(16, np.float64)
     weights = np.empty(16, np.float64)
-    upstream = np.empty(3, np.float64)
     total = np.empty(SUMS, np.float64)
+    lanes = np.zeros(_PLANES * LANES, np.float64)
+    places = np.empty(LANES, np.int64)
+    count = FIRST_LANE
     for i in range(first, last):
-        start, stop = slot_start[i], slot_start[i + 1]
-        if start == stop:
+        if _add_sums(slot_start[i], slot_start[i + 1], summed, sums, total):
+            p = count
+            count += np.uint64(1)
+            places[p] = i
+            lanes[_SUM_X + p], lanes[_SUM_Y + p] = total[S_X], total[S_Y]
+            lanes[_SUM_XX + p], lanes[_SUM_XY + p] = total[S_XX], total[S_XY]
+            lanes[_SUM_YY + p], lanes[_SUM_DEPTH + p] = total[S_YY], total[S_DEPTH]
+            lanes[_LA + p], lanes[_LB + p] = packed[i, P_LA], packed[i, P_LB]
+            lanes[_LC + p] = packed[i, P_LC]
+            lanes[_MX + p], lanes[_MY + p], lanes[_MZ + p] = means[i, 0], means[i, 1], means[i, 2]
+            lanes[_QW + p], lanes[_QX + p] = quaternions[i, 0], quaternions[i, 1]
+            lanes[_QY + p], lanes[_QZ + p] = quaternions[i, 2], quaternions[i, 3]
+            lanes[_SX + p], lanes[_SY + p] = scales[i, 0], scales[i, 1]
+            lanes[_SZ + p] = scales[i, 2]
+            grad_opacities[i] += -total[S_POWER] / np.float64(opacities[i])
+            lanes[_RED + p] = total[S_RED] if packed[i, P_RED] > 0.0 else 0.0
+            lanes[_GREEN + p] = total[S_GREEN] if packed[i, P_GREEN] > 0.0 else 0.0
+            lanes[_BLUE + p] = total[S_BLUE] if packed[i, P_BLUE] > 0.0 else 0.0
+        elif grad_offsets.shape[0] > 0 and slot_start[i] < slot_start[i + 1]:
+            grad_offsets[i, 0] = grad_offsets[i, 1] = 0.0
+        if count < PAST_LANES and i < last - 1:
             continue
-        total[:] = 0.0
-        for slot in range(start, stop):
-            if summed[slot]:
-                for k in range(SUMS):
-                    total[k] += sums[slot, k]
-        felt = 0.0
-        for k in range(SUMS):
-            felt += abs(total[k])
-        if felt == 0.0:  # hidden, or seen only where nothing flows back
+        _differentiate_lanes(lanes, camera, limits)
+        for p in range(FIRST_LANE, count):
+            k = places[p]
+            grad_means[k, 0] += lanes[_MX + p]
+            grad_means[k, 1] += lanes[_MY + p]
+            grad_means[k, 2] += lanes[_MZ + p]
+            grad_quaternions[k, 0] += lanes[_QW + p]
+            grad_quaternions[k, 1] += lanes[_QX + p]
+            grad_quaternions[k, 2] += lanes[_QY + p]
+            grad_quaternions[k, 3] += lanes[_QZ + p]
+            grad_scales[k, 0] += lanes[_SX + p]
+            grad_scales[k, 1] += lanes[_SY + p]
+            grad_scales[k, 2] += lanes[_SZ + p]
             if grad_offsets.shape[0] > 0:
-                grad_offsets[i, 0] = grad_offsets[i, 1] = 0.0
-            continue
-        la, lb, lc = (
-            np.float64(packed[i, P_LA]),
-            np.float64(packed[i, P_LB]),
-            np.float64(packed[i, P_LC]),
-        )
-        gu = -la * total[S_X]
-        gv = -(lb * total[S_X] + lc * total[S_Y])
-        if grad_offsets.shape[0] > 0:
-            grad_offsets[i, 0] = gu
-            grad_offsets[i, 1] = gv
-        grad_opacities[i] += -total[S_POWER] / np.float64(opacities[i])
-        mx, my, mz = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
-        x = camera[0] * mx + camera[1] * my + camera[2] * mz + camera[3]
-        y = camera[4] * mx + camera[5] * my + camera[6] * mz + camera[7]
-        z = camera[8] * mx + camera[9] * my + camera[10] * mz + camera[11]
-        t, r, s, clamp, q = screen_rows(
-            quaternions, scales, i, camera, x, y, z, low_x, high_x, low_y, high_y
-        )
+                grad_offsets[k, 0], grad_offsets[k, 1] = lanes[_GU + p], lanes[_GV + p]
+            upstream = lanes[_RED + p], lanes[_GREEN + p], lanes[_BLUE + p]
+            _add_color_gradient(k, means, sh, eye, upstream, basis, weights, grad_means, grad_sh)
+        count = FIRST_LANE
+
+
+@numba.njit(**LANE_HELPER)
+def _add_sums(start: int, stop: int, summed: Any, sums: Any, total: Any) -> Any:
+    """Add the sums of a splat's tiles; return whether any is left: not so where it is hidden."""
+    while start < stop and not summed[start]:
+        start += 1
+    if start == stop:
+        return False
+    for k in range(SUMS):
+        total[k] = sums[start, k]
+    for slot in range(start + 1, stop):
+        if summed[slot]:
+            for k in range(SUMS):
+                total[k] += sums[slot, k]
+    felt = 0.0
+    for k in range(SUMS):
+        felt += abs(total[k])
+    return felt != 0.0
+
+
+@numba.njit(**LANE_HELPER)
+def _add_color_gradient(
+    i: int,
+    means: Any,
+    sh: Any,
+    eye: Any,
+    upstream: Any,  # of red, green and blue
+    basis: Any,
+    weights: Any,
+    grad_means: Any,
+    grad_sh: Any,
+) -> None:
+    """Add the gradients of the harmonics, and those of the place that they are seen from."""
+    bands = sh.shape[1]
+    red, green, blue = upstream
+    if bands == 1:
+        grad_sh[i, 0, 0] += C0 * red
+        grad_sh[i, 0, 1] += C0 * green
+        grad_sh[i, 0, 2] += C0 * blue
+        return
+    dx = np.float64(means[i, 0]) - eye[0]
+    dy = np.float64(means[i, 1]) - eye[1]
+    dz = np.float64(means[i, 2]) - eye[2]
+    inverse = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
+    dx, dy, dz = dx * inverse, dy * inverse, dz * inverse
+    fill_basis(basis, bands, dx, dy, dz)
+    for k in range(bands):
+        grad_sh[i, k, 0] += basis[k] * red
+        grad_sh[i, k, 1] += basis[k] * green
+        grad_sh[i, k, 2] += basis[k] * blue
+        weights[k] = red * sh[i, k, 0] + green * sh[i, k, 1] + blue * sh[i, k, 2]
+    gdx, gdy, gdz = basis_gradient(weights, bands, dx, dy, dz)
+    along = gdx * dx + gdy * dy + gdz * dz
+    grad_means[i, 0] += (gdx - along * dx) * inverse
+    grad_means[i, 1] += (gdy - along * dy) * inverse
+    grad_means[i, 2] += (gdz - along * dz) * inverse
+
+
+@numba.njit(**LANE_HELPER)
+def _differentiate_lanes(lanes: Any, camera: Any, limits: Any) -> None:
+    """Turn the planes of centres, quaternions and scales into their gradients."""
+    for p in range(FIRST_LANE, PAST_LANES):
+        la, lb, lc = lanes[_LA + p], lanes[_LB + p], lanes[_LC + p]
+        gu = -la * lanes[_SUM_X + p]
+        gv = -(lb * lanes[_SUM_X + p] + lc * lanes[_SUM_Y + p])
+        lanes[_GU + p], lanes[_GV + p] = gu, gv
+        point = camera_point(camera, lanes[_MX + p], lanes[_MY + p], lanes[_MZ + p])
+        quaternion = lanes[_QW + p], lanes[_QX + p], lanes[_QY + p], lanes[_QZ + p]
+        s = lanes[_SX + p], lanes[_SY + p], lanes[_SZ + p]
+        t, r, clamp, q = screen_rows(quaternion, camera, point, limits)
         f = factor(t, r, s)
-        gt, gm = _covariance_gradient(la, lb, lc, total[S_XX], total[S_XY], total[S_YY], f, t, r, s)
-        for axis in range(3):
-            grad_scales[i, axis] += (
-                gm[axis] * r[axis] + gm[3 + axis] * r[3 + axis] + gm[6 + axis] * r[6 + axis]
-            )
-        gq = _quaternion_gradient(gm, s, q)
-        for axis in range(4):
-            grad_quaternions[i, axis] += gq[axis]
-        gx, gy, gz = _center_gradient(gu, gv, total[S_DEPTH], gt, t, clamp, camera, x, y, z)
-        grad_means[i, 0] += camera[0] * gx + camera[4] * gy + camera[8] * gz
-        grad_means[i, 1] += camera[1] * gx + camera[5] * gy + camera[9] * gz
-        grad_means[i, 2] += camera[2] * gx + camera[6] * gy + camera[10] * gz
-        if bands == 1:
-            for channel in range(3):
-                if packed[i, P_RED + channel] > 0.0:
-                    grad_sh[i, 0, channel] += 0.28209479177387814 * total[S_RED + channel]
-            continue
-        dx, dy, dz = mx - eye_x, my - eye_y, mz - eye_z
-        inverse = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
-        dx, dy, dz = dx * inverse, dy * inverse, dz * inverse
-        fill_basis(basis, bands, dx, dy, dz)
-        for channel in range(3):
-            shown = packed[i, P_RED + channel] > 0.0
-            upstream[channel] = total[S_RED + channel] if shown else 0.0
-        red, green, blue = upstream[0], upstream[1], upstream[2]
-        for k in range(bands):
-            grad_sh[i, k, 0] += basis[k] * red
-            grad_sh[i, k, 1] += basis[k] * green
-            grad_sh[i, k, 2] += basis[k] * blue
-            weights[k] = red * sh[i, k, 0] + green * sh[i, k, 1] + blue * sh[i, k, 2]
-        gdx, gdy, gdz = basis_gradient(weights, bands, dx, dy, dz)
-        along = gdx * dx + gdy * dy + gdz * dz
-        grad_means[i, 0] += (gdx - along * dx) * inverse
-        grad_means[i, 1] += (gdy - along * dy) * inverse
-        grad_means[i, 2] += (gdz - along * dz) * inverse
+        xx, xy, yy = lanes[_SUM_XX + p], lanes[_SUM_XY + p], lanes[_SUM_YY + p]
+        gt, gm = _covariance_gradient(la, lb, lc, xx, xy, yy, f, t, r, s)
+        lanes[_SX + p] = gm[0] * r[0] + gm[3] * r[3] + gm[6] * r[6]
+        lanes[_SY + p] = gm[1] * r[1] + gm[4] * r[4] + gm[7] * r[7]
+        lanes[_SZ + p] = gm[2] * r[2] + gm[5] * r[5] + gm[8] * r[8]
+        gw, gx, gy, gz = _quaternion_gradient(gm, s, q)
+        lanes[_QW + p], lanes[_QX + p], lanes[_QY + p], lanes[_QZ + p] = gw, gx, gy, gz
+        gx, gy, gz = _center_gradient(gu, gv, lanes[_SUM_DEPTH + p], gt, t, clamp, camera, point)
+        lanes[_MX + p] = camera[0] * gx + camera[4] * gy + camera[8] * gz
+        lanes[_MY + p] = camera[1] * gx + camera[5] * gy + camera[9] * gz
+        lanes[_MZ + p] = camera[2] * gx + camera[6] * gy + camera[10] * gz
 
 
-@numba.njit(**FAST_HELPER)
+@numba.njit(**LANE_HELPER)
 def _covariance_gradient(
     la: float,
     lb: float,
@@ -187,7 +254,7 @@ def _covariance_gradient(
     return gt, gm
 
 
-@numba.njit(**FAST_HELPER)
+@numba.njit(**LANE_HELPER)
 def _quaternion_gradient(gm: Any, s: Any, q: Any) -> Any:
     """Return dL/d(raw quaternion) from dL/dM, through R and the normalisation."""
     w, x, y, z, inverse = q
@@ -207,7 +274,7 @@ def _quaternion_gradient(gm: Any, s: Any, q: Any) -> Any:
     )
 
 
-@numba.njit(**FAST_HELPER)
+@numba.njit(**LANE_HELPER)
 def _center_gradient(
     gu: float,
     gv: float,
@@ -216,25 +283,21 @@ def _center_gradient(
     t: Any,
     clamp: Any,
     camera: Any,
-    x: float,
-    y: float,
-    z: float,
+    point: Any,
 ) -> Any:
     """Return dL/d(camera-space centre) through the screen centre, depth and Jacobian."""
-    fx, fy = camera[12], camera[13]
+    x, y, z = point
     ratio_x, ratio_y, free_x, free_y = clamp
-    jx, jy = fx / z, fy / z
+    inverse_z = 1.0 / z
+    jx, jy = camera[12] * inverse_z, camera[13] * inverse_z
     gx, gy = gu * jx, gv * jy
-    gz = g_depth - gu * jx * (x / z) - gv * jy * (y / z)
+    gz = g_depth - gx * (x * inverse_z) - gy * (y * inverse_z)
     # T row 0 = (fx / z) (W0 - ratio W2): its gradient with respect to z and to the ratio.
-    gz -= (gt[0] * t[0] + gt[1] * t[1] + gt[2] * t[2]) / z
-    gz -= (gt[3] * t[3] + gt[4] * t[4] + gt[5] * t[5]) / z
-    if free_x:
-        g_ratio = -jx * (gt[0] * camera[8] + gt[1] * camera[9] + gt[2] * camera[10])
-        gx += g_ratio / z
-        gz -= g_ratio * ratio_x / z
-    if free_y:
-        g_ratio = -jy * (gt[3] * camera[8] + gt[4] * camera[9] + gt[5] * camera[10])
-        gy += g_ratio / z
-        gz -= g_ratio * ratio_y / z
-    return gx, gy, gz
+    gz -= (gt[0] * t[0] + gt[1] * t[1] + gt[2] * t[2]) * inverse_z
+    gz -= (gt[3] * t[3] + gt[4] * t[4] + gt[5] * t[5]) * inverse_z
+    ratio_gx = -jx * (gt[0] * camera[8] + gt[1] * camera[9] + gt[2] * camera[10])
+    ratio_gy = -jy * (gt[3] * camera[8] + gt[4] * camera[9] + gt[5] * camera[10])
+    ratio_gx = ratio_gx * inverse_z if free_x else 0.0
+    ratio_gy = ratio_gy * inverse_z if free_y else 0.0
+    gz -= ratio_gx * ratio_x + ratio_gy * ratio_y
+    return gx + ratio_gx, gy + ratio_gy, gz
