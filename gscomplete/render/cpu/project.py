@@ -24,9 +24,9 @@ from gscomplete.render.cpu.layout import (
     P_V,
 )
 from gscomplete.render.cpu.screen import (
-    LANE_HELPER,
     FAST_KERNEL,
     FIRST_LANE,
+    LANE_HELPER,
     LANES,
     PAST_LANES,
     blurred,

@@ -13,16 +13,16 @@ import numba
 import numpy as np
 
 from gscomplete.render.cpu.layout import (
+    P_BLUE,
+    P_GREEN,
     P_LA,
     P_LB,
     P_LC,
-    P_BLUE,
-    P_GREEN,
     P_RED,
-    S_DEPTH,
-    S_POWER,
     S_BLUE,
+    S_DEPTH,
     S_GREEN,
+    S_POWER,
     S_RED,
     S_X,
     S_XX,
@@ -84,7 +84,7 @@ def project_backward(
     total = np.empty(SUMS, np.float64)
     lanes = np.zeros(_PLANES * LANES, np.float64)
     places = np.empty(LANES, np.int64)
-    count = FIRST_LANE
+    count: Any = FIRST_LANE
     for i in range(first, last):
         if _add_sums(slot_start[i], slot_start[i + 1], summed, sums, total):
             p = count

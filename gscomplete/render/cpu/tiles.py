@@ -26,12 +26,12 @@ from gscomplete.render.cpu.layout import (
     P_LA,
     P_LB,
     P_LC,
-    P_OPACITY,
     P_U,
     P_V,
     PACKED,
 )
-from gscomplete.util.kernels import HELPER, KERNEL
+from gscomplete.render.cpu.screen import FIRST_LANE, LANE_HELPER, LANES, PAST_LANES
+from gscomplete.util.kernels import KERNEL
 
 TILE = 8
 MARGIN = 1e-3
@@ -43,62 +43,90 @@ KEPT_ROWS = 3
 SPAN = 2 + 2 * KEPT_ROWS
 
 
-@numba.njit(**HELPER)
-def _row_span(row: Any, u: float, v: float, reach: float, y0: float, y1: float) -> Any:
-    """Return the x range of the ellipse within y0 <= y <= y1 (empty when low > high)."""
-    half_w = np.float64(row[P_HALF_W])
-    half_h = np.float64(row[P_HALF_H])
-    la, lb, lc = np.float64(row[P_LA]), np.float64(row[P_LB]), np.float64(row[P_LC])
-    low_y, high_y = y0 - v, y1 - v
-    if low_y > half_h + MARGIN or high_y < -half_h - MARGIN:
-        return 1.0, 0.0
-    turn = -la * lb / (lb * lb + lc * lc) * half_w  # y offset of the right-most point
-    dy = min(max(turn, low_y), high_y)
-    right = u + (-lb * dy + math.sqrt(max(reach - lc * lc * dy * dy, 0.0))) / la
-    dy = min(max(-turn, low_y), high_y)
-    left = u + (-lb * dy - math.sqrt(max(reach - lc * lc * dy * dy, 0.0))) / la
-    return max(left, u - half_w) - MARGIN, min(right, u + half_w) + MARGIN
+_PLANES = 7 + SPAN
+_U, _V, _HALF_W, _HALF_H, _LA, _LB, _LC = (np.uint64(k * LANES) for k in range(7))
+_SPAN = np.uint64(7 * LANES)
+"""The first of the planes that are computed, as ``spans`` lists them."""
 
 
-@numba.njit(**HELPER)
-def _tile_span(low: float, high: float, tiles: int) -> Any:
+@numba.njit(**LANE_HELPER)
+def _tile_span(low: float, high: float, tiles: float) -> Any:
     """Return the first and one-past-last tile whose pixel centres lie within [low, high]."""
     # Far-off ranges are cut first: their tile numbers need not fit an integer.
     low, high = max(low, -1.0), min(high, tiles * TILE + 1.0)
     # The last centre of tile k is at TILE * k + TILE - 0.5, its first at TILE * k + 0.5.
-    first = math.ceil((low - TILE + 0.5) / TILE)
-    last = math.floor((high - 0.5) / TILE)
-    return max(first, 0), min(last + 1, tiles)
+    first = np.ceil((low - TILE + 0.5) / TILE)
+    last = np.floor((high - 0.5) / TILE)
+    return max(first, 0.0), min(last + 1.0, tiles)
 
 
-@numba.njit(**HELPER)
-def _tile_box(row: Any, tiles_x: int, tiles_y: int) -> Any:
+@numba.njit(**LANE_HELPER)
+def _tile_box(ellipse: Any, tiles_x: float, tiles_y: float) -> Any:
     """Return the tile range of a splat's pixel box, and whether the ellipse must reach all of it.
 
     An ellipse touches all four sides of its box, so it reaches every tile of a box that is one
     tile wide or high.
     """
-    u, v = np.float64(row[P_U]), np.float64(row[P_V])
-    half_w, half_h = row[P_HALF_W] + MARGIN, row[P_HALF_H] + MARGIN
+    u, v, half_w, half_h, _, _, _ = ellipse
+    half_w, half_h = half_w + MARGIN, half_h + MARGIN
     first_x, last_x = _tile_span(u - half_w, u + half_w, tiles_x)
     first_y, last_y = _tile_span(v - half_h, v + half_h, tiles_y)
-    return first_x, last_x, first_y, last_y, last_x - first_x <= 1 or last_y - first_y <= 1
+    return first_x, last_x, first_y, last_y, min(last_x - first_x, last_y - first_y) <= 1.0
 
 
-@numba.njit(**HELPER)
-def _reach(row: Any, log_alpha_min: float) -> float:
-    """Return the squared whitened distance at which a splat's alpha is alpha_min."""
-    return 2.0 * (math.log(np.float64(row[P_OPACITY])) - log_alpha_min)
-
-
-@numba.njit(**HELPER)
-def _row_tiles(row: Any, reach: float, ty: int, tiles_x: int) -> Any:
+@numba.njit(**LANE_HELPER)
+def _row_tiles(ellipse: Any, ty: float, tiles_x: float) -> Any:
     """Return the tiles of tile row ``ty`` that the ellipse reaches."""
-    u, v = np.float64(row[P_U]), np.float64(row[P_V])
-    left, right = _row_span(row, u, v, reach, ty * TILE + 0.5, ty * TILE + TILE - 0.5)
-    if left > right:
-        return 0, 0
-    return _tile_span(left, right, tiles_x)
+    u, v, half_w, half_h, la, lb, lc = ellipse
+    low_y, high_y = ty * TILE + 0.5 - v, ty * TILE + TILE - 0.5 - v
+    # The squared whitened distance of the box's upper side, no less for rounding of what is stored.
+    reach = half_h * lc * (half_h * lc) * (1.0 + 1e-6)
+    turn = -la * lb / (lb * lb + lc * lc) * half_w  # y offset of the right-most point
+    dy = min(max(turn, low_y), high_y)
+    right = u + (-lb * dy + math.sqrt(max(reach - lc * lc * dy * dy, 0.0))) / la
+    dy = min(max(-turn, low_y), high_y)
+    left = u + (-lb * dy - math.sqrt(max(reach - lc * lc * dy * dy, 0.0))) / la
+    left, right = max(left, u - half_w) - MARGIN, min(right, u + half_w) + MARGIN
+    misses = (low_y > half_h + MARGIN) | (high_y < -half_h - MARGIN) | (left > right)
+    first_x, last_x = _tile_span(left, right, tiles_x)
+    return 0.0 if misses else first_x, 0.0 if misses else last_x
+
+
+@numba.njit(**LANE_HELPER)
+def _ellipse(row: Any) -> Any:
+    """Return what of a packed row the functions above read."""
+    return (
+        np.float64(row[P_U]),
+        np.float64(row[P_V]),
+        np.float64(row[P_HALF_W]),
+        np.float64(row[P_HALF_H]),
+        np.float64(row[P_LA]),
+        np.float64(row[P_LB]),
+        np.float64(row[P_LC]),
+    )
+
+
+@numba.njit(**LANE_HELPER)
+def _span_lanes(lanes: Any, tiles_x: float, tiles_y: float, exact: bool) -> None:
+    """Compute the tile rows of every lane, and the tiles of the first KEPT_ROWS of them."""
+    for p in range(FIRST_LANE, PAST_LANES):
+        ellipse = (
+            lanes[_U + p],
+            lanes[_V + p],
+            lanes[_HALF_W + p],
+            lanes[_HALF_H + p],
+            lanes[_LA + p],
+            lanes[_LB + p],
+            lanes[_LC + p],
+        )
+        first_x, last_x, first_y, last_y, full = _tile_box(ellipse, tiles_x, tiles_y)
+        full |= not exact
+        lanes[_SPAN + p], lanes[_SPAN + PAST_LANES + p] = first_y, last_y
+        for k in range(KEPT_ROWS):
+            first, last = _row_tiles(ellipse, first_y + k, tiles_x)
+            plane = _SPAN + np.uint64(2 + 2 * k) * PAST_LANES
+            lanes[plane + p] = first_x if full else first
+            lanes[plane + PAST_LANES + p] = last_x if full else last
 
 
 @numba.njit(**KERNEL)
@@ -108,34 +136,52 @@ def count_entries(
     ranked: Any,  # [M, PACKED] in depth order
     tiles_x: int,
     tiles_y: int,
-    alpha_min: float,
     exact: bool,  # lists by ellipse; else by pixel box
     spans: Any,  # [M, SPAN] int32, written: which tiles; see ``fill_entries``
     per_chunk: Any,  # [CHUNKS, tiles] int32, zeros, written
     per_rank: Any,  # [M] int32, written
 ) -> None:
     """Count the entries of every (chunk, tile) and of every rank."""
-    log_alpha_min = math.log(alpha_min)
+    lanes = np.zeros(_PLANES * LANES, np.float64)
     total = ranked.shape[0]
     size = (total + CHUNKS - 1) // CHUNKS
     for chunk in range(first_chunk, last_chunk):
-        for rank in range(chunk * size, min(total, chunk * size + size)):
-            row = ranked[rank]
-            first_x, last_x, first_y, last_y, full = _tile_box(row, tiles_x, tiles_y)
-            narrow = exact and not full
-            reach = _reach(row, log_alpha_min) if narrow else 0.0
-            spans[rank, 0], spans[rank, 1] = first_y, last_y
-            entries = 0
-            for ty in range(first_y, last_y):
-                if narrow:
-                    first_x, last_x = _row_tiles(row, reach, ty, tiles_x)
-                if ty - first_y < KEPT_ROWS:
-                    spans[rank, 2 + 2 * (ty - first_y)] = first_x
-                    spans[rank, 3 + 2 * (ty - first_y)] = last_x
-                for tx in range(first_x, last_x):
-                    per_chunk[chunk, ty * tiles_x + tx] += 1
-                entries += max(last_x - first_x, 0)
-            per_rank[rank] = entries
+        stop = min(total, chunk * size + size)
+        for block in range(chunk * size, stop, LANES):
+            count = np.uint64(min(LANES, stop - block))
+            for p in range(FIRST_LANE, count):
+                row = ranked[block + np.int64(p)]
+                lanes[_U + p], lanes[_V + p] = row[P_U], row[P_V]
+                lanes[_HALF_W + p], lanes[_HALF_H + p] = row[P_HALF_W], row[P_HALF_H]
+                lanes[_LA + p], lanes[_LB + p], lanes[_LC + p] = row[P_LA], row[P_LB], row[P_LC]
+            _span_lanes(lanes, tiles_x, tiles_y, exact)
+            for p in range(FIRST_LANE, count):
+                rank = block + np.int64(p)
+                for k in range(SPAN):
+                    spans[rank, k] = np.int32(lanes[_SPAN + np.uint64(k) * PAST_LANES + p])
+                entries = 0
+                first_y, last_y = spans[rank, 0], spans[rank, 1]
+                for ty in range(first_y, last_y):
+                    first_x, last_x = _kept_tiles(spans, ranked, rank, ty, tiles_x, tiles_y, exact)
+                    for tx in range(first_x, last_x):
+                        per_chunk[chunk, ty * tiles_x + tx] += 1
+                    entries += max(last_x - first_x, 0)
+                per_rank[rank] = entries
+
+
+@numba.njit(**LANE_HELPER)
+def _kept_tiles(
+    spans: Any, ranked: Any, rank: int, ty: int, tiles_x: int, tiles_y: int, exact: bool
+) -> Any:
+    """Return the tiles of tile row ``ty``: kept, or computed where they are not."""
+    row = ty - spans[rank, 0]
+    if row < KEPT_ROWS:
+        return np.int64(spans[rank, 2 + 2 * row]), np.int64(spans[rank, 3 + 2 * row])
+    ellipse = _ellipse(ranked[rank])
+    first_x, last_x, _, _, full = _tile_box(ellipse, tiles_x, tiles_y)
+    if exact and not full:
+        first_x, last_x = _row_tiles(ellipse, ty, tiles_x)
+    return np.int64(first_x), np.int64(last_x)
 
 
 @numba.njit(**KERNEL)
@@ -175,7 +221,6 @@ def fill_entries(
     order: Any,  # [M] int32
     tiles_x: int,
     tiles_y: int,
-    alpha_min: float,
     exact: bool,
     spans: Any,  # [M, SPAN] first and last tile row, then first and last tile of the first rows
     cursor: Any,  # [CHUNKS, tiles] write positions from place_entries, advanced
@@ -185,27 +230,15 @@ def fill_entries(
     slots: Any,  # [E] int32 slot or -1 for frozen, written; or [0], where nobody needs them
 ) -> None:
     """Write every tile's list of ranks, and the gradient slot of every entry."""
-    log_alpha_min = math.log(alpha_min)
     total = order.shape[0]
     size = (total + CHUNKS - 1) // CHUNKS
     with_slots = slots.shape[0] > 0
     for chunk in range(first_chunk, last_chunk):
         for rank in range(chunk * size, min(total, chunk * size + size)):
             splat = order[rank]
-            first_y, last_y = np.int64(spans[rank, 0]), np.int64(spans[rank, 1])
-            narrow, reach = False, 0.0
-            first_x, last_x = 0, 0
-            if last_y - first_y > KEPT_ROWS:
-                first_x, last_x, _, _, full = _tile_box(ranked[rank], tiles_x, tiles_y)
-                narrow = exact and not full
-                reach = _reach(ranked[rank], log_alpha_min) if narrow else 0.0
             slot = slot_start[splat - first] if splat >= first else -1
-            for ty in range(first_y, last_y):
-                if ty - first_y < KEPT_ROWS:
-                    first_x = spans[rank, 2 + 2 * (ty - first_y)]
-                    last_x = spans[rank, 3 + 2 * (ty - first_y)]
-                elif narrow:
-                    first_x, last_x = _row_tiles(ranked[rank], reach, ty, tiles_x)
+            for ty in range(spans[rank, 0], spans[rank, 1]):
+                first_x, last_x = _kept_tiles(spans, ranked, rank, ty, tiles_x, tiles_y, exact)
                 for tx in range(first_x, last_x):
                     place = cursor[chunk, ty * tiles_x + tx]
                     cursor[chunk, ty * tiles_x + tx] = place + 1

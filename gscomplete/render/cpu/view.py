@@ -149,7 +149,7 @@ def list_tiles(
     rows = np.empty((len(order), layout.PACKED), np.float32)
     run_kernel(tiles.gather_ranked, len(order), _PER_RUN, packed, order, rows)
     tiles_x, tiles_y = _grid(camera)
-    shape = tiles_x, tiles_y, settings.alpha_min, settings.exact_tile_lists
+    shape = tiles_x, tiles_y, settings.exact_tile_lists
     cursor = np.zeros((tiles.CHUNKS, tiles_x * tiles_y), np.int32)
     spans = np.empty((len(order), tiles.SPAN), np.int32)
     per_rank = np.empty(len(order), np.int32)
