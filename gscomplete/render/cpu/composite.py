@@ -15,10 +15,8 @@ Conventions
   ``exp`` is a polynomial, so that LLVM turns them into vector code.
 * A tile stops once all its pixels' transmittances are below ``transmittance_min``; ``done`` keeps
   how many entries were drawn.
-* Pairs of rows at the tile's top and bottom whose pixels are all below that are left out as well.
 * Hidden entries, whose weights w sum to less than HIDDEN times ``transmittance_min`` times their
-  opacity, are drawn. ``contributes`` is 0 for them, and for the others says which pairs of rows
-  were not left out (``drawn_rows``). Many discs smaller than pixels are hidden.
+  opacity, are drawn; ``contributes`` marks the others. Many discs smaller than pixels are hidden.
 """
 
 from __future__ import annotations
@@ -52,11 +50,6 @@ and depth sums) or upstream gradients and the sum of w_j A_j not yet passed (bac
 as all pixel indices are: a signed index may be negative in Python, and the test for it stops LLVM
 from vectorising the loop."""
 FIRST, LAST = np.uint64(0), np.uint64(PIXELS)
-PAIR = np.uint64(2 * TILE)
-"""Pixels of two rows, which are drawn or left out together: loops over whole pairs have no rest."""
-ONE, PAIRS = np.uint64(1), np.uint64(TILE // 2)
-ROWS_SHIFT, ROWS_MASK = np.uint64(4), np.uint64(15)
-"""``contributes`` has the first pair above these bits, and the one past the last in them."""
 BATCH = 64
 """Rows that are copied side by side before they are drawn."""
 STOP_EVERY = 8
@@ -98,12 +91,12 @@ def exp_neg(power: Any) -> Any:
 
 @numba.njit(**TILE_HELPER)
 def pixel_rows(v: Any, half_h: Any, tile_y: int) -> Any:
-    """Return the first pair of rows that a splat reaches, and the one past the last."""
+    """Return the pixels a splat reaches: whole pairs of rows, so a multiple of 16."""
     top = v - half_h - np.float32(tile_y * TILE) - np.float32(0.51)
     bottom = v + half_h - np.float32(tile_y * TILE) - np.float32(0.49)
-    first = int(max(min(top, np.float32(TILE)), np.float32(0.0)))
-    last = int(max(min(bottom, np.float32(TILE - 1)), np.float32(0.0)))
-    return np.uint64(first) >> ONE, (np.uint64(last) >> ONE) + ONE
+    first = int(max(min(top, np.float32(TILE)), np.float32(0.0))) & ~1
+    last = (int(max(min(bottom, np.float32(TILE - 1)), np.float32(0.0))) | 1) + 1
+    return np.uint64(first * TILE), np.uint64(last * TILE)
 
 
 @numba.njit(**TILE_HELPER)
@@ -134,32 +127,6 @@ def _store_tile(buffer: Any, tile: int, tiles_x: int, color: Any, depth: Any, al
             depth[y, x] = buffer[B_3 + p] / drawn if drawn > np.float32(0.0) else np.float32(0.0)
 
 
-@numba.njit(**TILE_HELPER)
-def drawn_rows(contributes: Any) -> Any:
-    """Return the first pair of rows that was not left out, and the one past the last."""
-    code = np.uint64(contributes)
-    return code >> ROWS_SHIFT, code & ROWS_MASK
-
-
-@numba.njit(**TILE_HELPER)
-def _live_rows(buffer: Any, live: Any, live_end: Any, transmittance_min: Any) -> Any:
-    """Leave out the pairs of rows at both ends that are opaque."""
-    while live < live_end and _clearest(buffer, live) < transmittance_min:
-        live += ONE
-    while live < live_end and _clearest(buffer, live_end - ONE) < transmittance_min:
-        live_end -= ONE
-    return live, live_end
-
-
-@numba.njit(**TILE_HELPER)
-def _clearest(buffer: Any, pair: Any) -> Any:
-    """Return the largest transmittance of a pair of rows."""
-    largest = np.float32(0.0)
-    for p in range(pair * PAIR, (pair + ONE) * PAIR):
-        largest = max(largest, buffer[B_THROUGH + p])
-    return largest
-
-
 @numba.njit(**TILE_KERNEL)
 def composite(
     first: int,
@@ -178,7 +145,7 @@ def composite(
     depth: Any,  # [H, W]
     alpha: Any,  # [H, W]
     done: Any,  # [tiles] int32, written for active tiles: how many entries were drawn
-    contributes: Any,  # [E] uint8, written for drawn entries, or [0] for nobody
+    contributes: Any,  # [E] uint8, written for drawn entries: 0 = hidden; or [0] for nobody
 ) -> None:
     """Draw the active tiles."""
     buffer = np.empty(7 * PIXELS, np.float32)
@@ -235,7 +202,6 @@ def _tile_forward(
 ) -> int:
     """Composite one tile's entries into its buffer; return how many were drawn."""
     zero, half = np.float32(0.0), np.float32(0.5)
-    live, live_end = np.uint64(0), PAIRS
     for e in range(start, stop):
         place = (e - start) % BATCH
         if place == 0:
@@ -245,7 +211,6 @@ def _tile_forward(
         la, lb, lc = row[P_LA], row[P_LB], row[P_LC]
         cr, cg, cb, cd = row[P_RED], row[P_GREEN], row[P_BLUE], row[P_DEPTH]
         low, high = pixel_rows(v, row[P_HALF_H], tile_y)
-        low, high = max(low, live) * PAIR, min(high, live_end) * PAIR
         total = zero
         for p in range(low, high):
             dy = buffer[B_Y + p] - v
@@ -262,12 +227,11 @@ def _tile_forward(
             buffer[B_3 + p] += w * cd
             buffer[B_THROUGH + p] -= w
         if contributes.shape[0] > 0:
-            if total >= HIDDEN * transmittance_min * opacity:
-                contributes[e] = live << ROWS_SHIFT | live_end
-            else:
-                contributes[e] = 0
+            contributes[e] = total >= HIDDEN * transmittance_min * opacity
         if (e - start) % STOP_EVERY == STOP_EVERY - 1:
-            live, live_end = _live_rows(buffer, live, live_end, transmittance_min)
-            if live == live_end:
+            largest = zero
+            for p in range(FIRST, LAST):
+                largest = max(largest, buffer[B_THROUGH + p])
+            if largest < transmittance_min:
                 return e - start + 1
     return stop - start

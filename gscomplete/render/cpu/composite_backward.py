@@ -31,11 +31,9 @@ from gscomplete.render.cpu.composite import (
     B_Y,
     BATCH,
     MAX_POWER,
-    PAIR,
     PIXELS,
     TILE_HELPER,
     TILE_KERNEL,
-    drawn_rows,
     exp_neg,
     pixel_rows,
     read_rows,
@@ -198,8 +196,6 @@ def _tile_backward(
         la, lb, lc = row[P_LA], row[P_LB], row[P_LC]
         cr, cg, cb, cd = row[P_RED], row[P_GREEN], row[P_BLUE], row[P_DEPTH]
         low, high = pixel_rows(v, row[P_HALF_H], tile_y)
-        first_drawn, past_drawn = drawn_rows(contributes[e])
-        low, high = max(low, first_drawn) * PAIR, min(high, past_drawn) * PAIR
         slot = slots[e]
         if slot < 0:
             for p in range(low, high):
