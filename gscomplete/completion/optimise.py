@@ -152,6 +152,8 @@ class Optimisation:
             batches.append(self._preservation_view())
         count = sum(len(cameras) for cameras in batches)
         splats = self.parameters.splats()
+        if settings.moves == "colors":
+            splats = dataclasses.replace(splats.detach(), sh=splats.sh)
         offsets = torch.zeros(count, len(splats), 2, device=self._device, requires_grad=True)
         with stage("render"):
             drawn = self._renders.together(splats, batches, offsets)
@@ -337,6 +339,8 @@ class Optimisation:
     def _edit_splats(self, step: int) -> None:
         """Subdivide and prune when the schedule says so; statistics start anew."""
         settings = self.settings
+        if settings.moves == "colors":
+            return
         if schedules.is_densify_step(settings, step):
             subdivide(self.parameters, self._statistics, settings.densify, settings.seed, step)
         if schedules.is_prune_step(settings, step):

@@ -48,6 +48,7 @@ from gscomplete.splats import (
     write_splats,
 )
 from gscomplete.splats.formats.any_file import read_splat_file
+from gscomplete.splats.oklab import color_spread
 from gscomplete.splats.suspects import describe_suspects
 from gscomplete.splats.working_set import WorkingSet, working_set
 from gscomplete.util.jsonio import to_json
@@ -245,9 +246,12 @@ def prepare(
     if start.is_guess and framing_request.view_deg is None:
         with stage("input view"):
             views, moved = refine_input_view(partial, start.splats, framing.views)
+    skipped: tuple[str, ...] = ()
+    if settings.steps and settings.least_color_spread:
+        settings, skipped = _without_idle_steps(settings, partial)
     steps = Optimisation(partial, start.splats, prior, conditioning, views, settings, device)
 
-    notes += (start.note, *((moved,) if moved else ()), *conditioning.report)
+    notes += (start.note, *((moved,) if moved else ()), *skipped, *conditioning.report)
     doubts: tuple[str, ...] = ()
     if start.is_guess and len(start.splats):
         doubts = doubts_of_guess(partial, start.splats, views)
@@ -267,6 +271,20 @@ def prepare(
         notes,
         doubts,
     )
+
+
+def _without_idle_steps(
+    settings: CompletionSettings, partial: Splats
+) -> tuple[CompletionSettings, tuple[str, ...]]:
+    """Take no steps where P is of too few colours for them, and say so."""
+    spread, least = color_spread(partial), settings.least_color_spread
+    if spread >= least:
+        return settings, ()
+    note = (
+        f"no steps: P is of one colour, or nearly so (spread {spread:.3f} in Oklab, steps from "
+        f"{least:g} on), and the new splats keep it"
+    )
+    return dataclasses.replace(settings, steps=0), (note,)
 
 
 def framing_for(splats: Splats, request: FramingRequest, prior: Prior) -> Framing:

@@ -88,21 +88,15 @@ of a small denoiser make it no better in shape, and dirtier (the time/quality be
 REFINE = dataclasses.replace(
     DEFAULT,
     mode="distill",
-    steps=80,
+    moves="colors",
+    steps=24,
+    least_color_spread=0.05,
     prior_every=3,
-    timesteps=annealed_timesteps(900.0, 300.0, 50.0),
-    learning_rates=LearningRates(
-        means=2e-4,
-        means_final=5e-5,
-        quaternions=1e-4,
-        log_scales=1e-3,
-        opacity_logits=1e-2,
-        sh=1e-2,
-    ),
-    densify=dataclasses.replace(DISTILL.densify, until=0.0),
+    timesteps=annealed_timesteps(600.0, 150.0, 50.0),
+    learning_rates=LearningRates(sh=1e-2),
 )
-"""Score distillation from the first guess, in small steps: colours agree with each other, haze
-goes, the shape stays."""
+"""Score distillation of colours from the first guess, where P has several: patterns go on, the
+shape stays. More steps, more noise and steps that move shapes gain less (docs/decisions.md)."""
 
 FILL = dataclasses.replace(DEFAULT, start="fill", hard_preservation=None)
 """P's gaps are closed and nothing else is done: what is seen through a gap changes, and is meant

@@ -7,7 +7,7 @@ lightness shift together, and the pattern of the new splats stays.
 Conventions
 -----------
 * Lengths are in object sizes (object frame).
-* Differences are taken in Oklab (Ottosson 2020), where equal steps look equal; L runs from 0 to 1.
+* Differences are taken in Oklab (``splats.oklab``).
 * Only the base band changes: colours that depend on the direction keep what depends on it. P, and
   new splats that no seam reaches, come back as they are.
 """
@@ -21,27 +21,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from torch import Tensor
 
 from gscomplete.splats import Splats, colors_to_sh
-from gscomplete.util.same_bits import fixed_power
+from gscomplete.splats.oklab import oklab_from_srgb, srgb_from_oklab
 
-_LMS_FROM_LINEAR = torch.tensor(
-    [
-        [0.4122214708, 0.5363325363, 0.0514459929],
-        [0.2119034982, 0.6806995451, 0.1073969566],
-        [0.0883024619, 0.2817188376, 0.6299787005],
-    ],
-    dtype=torch.float64,
-)
-_LAB_FROM_ROOTS = torch.tensor(
-    [
-        [0.2104542553, 0.7936177850, -0.0040720468],
-        [1.9779984951, -2.4285922050, 0.4505937099],
-        [0.0259040371, 0.7827717662, -0.8086757660],
-    ],
-    dtype=torch.float64,
-)
 _LEAST_SHARE = 0.01
 """Splats get no correction where less than this share of one is left."""
 
@@ -151,21 +134,3 @@ def _spread(
     fading = np.exp(-0.5 * (distance[:, 0] / _FADE) ** 2)
     fading[fading < _LEAST_SHARE] = 0.0
     return fading[:, None] * (weight[:, :, None] * gap[index]).sum(axis=1)
-
-
-def oklab_from_srgb(colors: Tensor) -> Tensor:  # [N, 3] in [0, 1] -> [N, 3], float64
-    """Turn sRGB colours into Oklab."""
-    srgb = colors.double()
-    linear = torch.where(
-        srgb <= 0.04045, srgb / 12.92, fixed_power((srgb.clamp_min(0.04045) + 0.055) / 1.055, 2.4)
-    )
-    lms = linear @ _LMS_FROM_LINEAR.T
-    return (lms.sign() * fixed_power(lms.abs(), 1.0 / 3.0)) @ _LAB_FROM_ROOTS.T
-
-
-def srgb_from_oklab(lab: Tensor) -> Tensor:  # [N, 3] -> [N, 3], float64; may leave [0, 1]
-    """Turn Oklab colours into sRGB."""
-    roots = lab.double() @ torch.linalg.inv(_LAB_FROM_ROOTS).T
-    linear = (roots**3) @ torch.linalg.inv(_LMS_FROM_LINEAR).T
-    curved = 1.055 * fixed_power(linear.clamp_min(0.0031308), 1.0 / 2.4) - 0.055
-    return torch.where(linear <= 0.0031308, 12.92 * linear, curved)

@@ -30,6 +30,10 @@ prior with a shape network guesses (``priors.base.ShapePrior``), else in the sph
 the gaps of P, which is complete but for them (``shape.fill``)."""
 
 
+Moves = Literal["splats", "colors"]
+"""``splats``: new splats move, grow, fade, are subdivided and pruned (the paper). ``colors``: their
+colours alone change, and the shape stays as it starts."""
+
 LAST_TIMESTEP = 999.0
 """Pure noise."""
 
@@ -116,6 +120,12 @@ class CompletionSettings:
     mode: Mode = "distill"
     steps: int = 6000
     """Optimiser steps; 0 = new splats stay as they start."""
+    least_color_spread: float = 0.0
+    """Steps are taken only where P's colours are as far from their mean, on average
+    (``splats.oklab.color_spread``); 0 = whatever they are. A small denoiser mends patterns, and
+    shifts an even colour."""
+    moves: Moves = "splats"
+    """What steps change."""
     seed: int = 0
     new_splats: int = 5000
     """New splats at the start, uniform in the sphere about the object (section 3.3)."""
@@ -182,6 +192,7 @@ class CompletionSettings:
             "steps": 0,
             "new_splats": 1,
             "warmup_steps": 0,
+            "least_color_spread": 0,
             "preservation_weight": 0,
             "preservation_every": 1,
             "prior_every": 1,

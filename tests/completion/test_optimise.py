@@ -298,3 +298,21 @@ def test_step_sizes_and_pruning_follow_the_progress(monkeypatch):
     finish(job)
     assert progress == pytest.approx([k / 12 for k in range(12)])
     assert limits == [0.01, 0.01, 0.1, 0.1, 0.1]  # after steps 2, 4, 6, 8 and 10
+
+
+def test_colors_alone_change_where_only_they_move():
+    settings = dataclasses.replace(
+        DISTILL,
+        **{**QUICK, "moves": "colors", "steps": 12},
+        densify=DensifySettings(until=1.0, every=2),
+    )
+    job = completion(settings)
+    before = dataclasses.replace(job.new_splats, sh=job.new_splats.sh.clone())
+    after = finish(job)
+    for name, value in before.fields():
+        # Quaternions are normalised again at every step.
+        same = torch.allclose(value, getattr(after, name), rtol=0.0, atol=1e-6)
+        assert same == (name != "sh"), name
+    wanted = TRUTH.base_colors.mean(dim=0)
+    off = [(splats.base_colors - wanted).abs().mean() for splats in (before, after)]
+    assert off[1] < off[0]

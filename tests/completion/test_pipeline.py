@@ -63,6 +63,17 @@ def test_where_nothing_is_missing_nothing_is_added():
     assert found.hard_preservation.met
 
 
+@pytest.mark.parametrize("least", [0.01, 0.5])
+def test_a_part_of_one_colour_is_left_as_it_is_guessed(least):
+    """The ball's colours differ by more than 0.01 from their mean and by less than 0.5."""
+    settings = dataclasses.replace(DISTILL, steps=3, moves="colors", least_color_spread=least)
+    prepared = prepare(PARTIAL, Request("a ball", settings), OraclePrior(TRUTH))
+    assert prepared.steps.settings.steps == (3 if least < 0.1 else 0)
+    assert any(note.startswith("no steps: P is of one colour") for note in prepared.notes) == (
+        least > 0.1
+    )
+
+
 @pytest.mark.parametrize("count", [0, 400])
 def test_an_unclean_part_is_told(count):
     lost = dataclasses.replace(TRUTH, means=TRUTH.means * 9).select(torch.arange(count))
