@@ -44,9 +44,12 @@ DISTILL = dataclasses.replace(
 """The paper's method in fewer and larger steps, sizes bound to a pixel. Noise falls from nearly all
 to little: where a prior keeps what it sees, the paper's first stage keeps the sphere (fog)."""
 
-LATENT = dataclasses.replace(DISTILL, steps=2000, rescale_about="background", checkpoint_every=500)
+LATENT = dataclasses.replace(
+    DISTILL, steps=2000, coarse_until=0.5, rescale_about="background", checkpoint_every=500
+)
 """For priors that see colours alone over black or white. Chosen on priors of known strength
-(``recipes.known_priors``): contrast that is pulled back about zero fills what is empty with fog."""
+(``recipes.known_priors``): contrast that is pulled back about zero fills what is empty with fog,
+and steps at half the resolution find the shape in half as many."""
 
 RECONSTRUCT = dataclasses.replace(
     DISTILL,

@@ -45,13 +45,15 @@ def test_presets_of_this_prior(make):
 
 
 def test_the_default_settings_reach_the_prior_as_they_are(make, monkeypatch):
-    """Contrast is pulled back about the background, noise falls, guidance is MVDream's."""
-    seen = []
+    """Contrast is pulled back about the background, noise falls, guidance is MVDream's, and
+    the first half of the pictures is small."""
+    seen, sizes_px = [], []
     job = make(dataclasses.replace(LATENT, steps=6, new_splats=100, warmup_steps=2))
     original = job._prior.distill
 
     def distill(views, timestep, *arguments):
         seen.append((timestep, arguments[-1]))
+        sizes_px.append(views.color.shape[2])
         return original(views, timestep, *arguments)
 
     monkeypatch.setattr(job._prior, "distill", distill)
@@ -61,6 +63,8 @@ def test_the_default_settings_reach_the_prior_as_they_are(make, monkeypatch):
     assert len(times) == 6
     assert times[0] > 800
     assert times[-1] < 300
+    side = TINY_VIEWS.resolution_px
+    assert sizes_px == [side // 2] * 3 + [side] * 3
     scales = {guidance for _, guidance in seen}
     assert scales == {Guidance(50.0, rescale=0.5, rescale_about="background")}
 
