@@ -8,6 +8,7 @@ Conventions
   ``alpha_min`` reaches the rectangle of that tile's pixel centres (grown by MARGIN pixels, so
   that rounding can only add an entry that draws nothing, never lose one), or, when lists need not
   be exact, when its pixel box does.
+* Tiles are counted for LANES splats at a time, as ``screen`` says; tile numbers are float64 there.
 * ``slots`` number the entries of trainable splats splat by splat, so that gradients written per
   entry are summed in an order that does not depend on threads.
 """
