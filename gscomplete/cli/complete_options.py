@@ -44,7 +44,7 @@ class HowToComplete:
     preset: Literal["default", "fast", "reconstruct", "distill", "paper"] = "default"
     """default: best of time and quality for the prior. fast: less care. reconstruct: rounds of
     denoised views that the splats are fitted to. distill: score distillation in fewer steps
-    than the paper's, with the embedded prior from its guess.
+    than the paper's; with the embedded prior of colours alone, from its guess.
     paper: the paper's settings to the letter (6,000 steps); its sphere of new splats is about
     P's box centre, here about the (guessed) centre of the complete object."""
     steps: int | None = None

@@ -22,5 +22,6 @@ WAYS: dict[str, CompletionSettings] = {
     "distill": DISTILL,
     "stages": dataclasses.replace(DISTILL, timesteps=PAPER.timesteps),
     "latent": LATENT,
+    "fine": dataclasses.replace(LATENT, coarse_until=0.0),
 }
-"""``stages``: ``distill`` with the paper's timesteps."""
+"""``stages``: ``distill`` with the paper's timesteps. ``fine``: ``latent`` at full resolution."""

@@ -113,17 +113,7 @@ def project(
 @numba.njit(**LANE_HELPER)
 def _project_lanes(lanes: Any, camera: Any, limits: Any) -> None:
     """Compute centre, whitening, depth and pixel box of every lane, and whether it is drawn."""
-    fx, fy, cx, cy, width, height, near, blur, alpha_min = (
-        camera[12],
-        camera[13],
-        camera[14],
-        camera[15],
-        camera[16],
-        camera[17],
-        camera[18],
-        camera[19],
-        camera[20],
-    )
+    fx, fy, cx, cy, width, height, near, blur, alpha_min = camera[12:21]
     log_alpha_min = math.log(alpha_min)
     for p in range(FIRST_LANE, PAST_LANES):
         x, y, z = camera_point(camera, lanes[_MX + p], lanes[_MY + p], lanes[_MZ + p])

@@ -33,8 +33,7 @@ _ONE_BITS = np.int64(1023 << 52)
 _FAST = {"contract", "nsz", "arcp"}
 FAST_KERNEL: dict[str, Any] = KERNEL | {"fastmath": _FAST}
 """Options of the projection kernels."""
-FAST_HELPER: dict[str, Any] = HELPER | {"fastmath": _FAST}
-LANE_HELPER: dict[str, Any] = FAST_HELPER | {"forceinline": True}
+LANE_HELPER: dict[str, Any] = HELPER | {"fastmath": _FAST, "forceinline": True}
 """Of what is called for every lane."""
 
 
@@ -56,7 +55,7 @@ def _rotation(w: float, x: float, y: float, z: float) -> Any:
 
 @numba.njit(**LANE_HELPER)
 def natural_log(x: float) -> Any:
-    """Return log(x) of a positive normal number, within 1e-14: a call of libm is no vector code."""
+    """Return log(x) of a positive normal number, within 2e-14: calls of libm are no vector code."""
     bits = np.float64(x).view(np.int64)
     mantissa = np.int64((bits & _MANTISSA) | _ONE_BITS).view(np.float64)
     large = mantissa > _ROOT_2
@@ -71,14 +70,7 @@ def natural_log(x: float) -> Any:
 @numba.njit(**LANE_HELPER)
 def eye_and_limits(camera: Any) -> Any:
     """Return the camera's centre in the world, and the ratios x / z and y / z of Jacobians."""
-    fx, fy, cx, cy, width, height = (
-        camera[12],
-        camera[13],
-        camera[14],
-        camera[15],
-        camera[16],
-        camera[17],
-    )
+    fx, fy, cx, cy, width, height = camera[12:18]
     low_x, high_x = -cx / fx - EDGE_SLACK * width / fx, (width - cx + EDGE_SLACK * width) / fx
     low_y, high_y = -cy / fy - EDGE_SLACK * height / fy, (height - cy + EDGE_SLACK * height) / fy
     eye_x = -(camera[0] * camera[3] + camera[4] * camera[7] + camera[8] * camera[11])
