@@ -29,12 +29,14 @@ def run(options: CompleteOptions) -> int:
     """
     import torch
 
-    from gscomplete.util.kernels import compilations_told
+    from gscomplete.completion.kernel_types import COMPILED_BESIDE
+    from gscomplete.util.kernels import compilations_told, compile_beside
     from gscomplete.util.stages import profiled
 
     def tell() -> None:
         print("compiling kernels, this first time only", file=sys.stderr)
 
+    compile_beside(COMPILED_BESIDE)
     try:
         with compilations_told(tell):
             if not options.profile:

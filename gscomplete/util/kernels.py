@@ -1,4 +1,4 @@
-"""Compiled kernels: the options they are compiled with, and tasks shared out among threads.
+"""Compiled kernels: how and where they are compiled, and tasks shared out among threads.
 
 Conventions
 -----------
@@ -9,20 +9,27 @@ Conventions
   those in half the time, and they run as fast.
 * The calling thread works too, and never waits for a helper that has no task.
 * Helpers are daemons: an idle one does not keep the process alive.
+* The interpreter lock keeps two thirds of compiling to one core. On a first run a forked process
+  compiles some kernels, and this one finds them among those that the disk keeps. Which process
+  compiles a kernel decides nothing about results, and neither waits for the other.
 """
 
 from __future__ import annotations
 
 import contextlib
+import importlib
 import itertools
 import os
 import queue
+import sys
 import threading
-from collections.abc import Callable, Iterator
-from typing import Any
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numba
-from numba.core import event
+from numba.core import event, sigutils
 
 from gscomplete.util.stages import current_profile
 
@@ -143,6 +150,8 @@ def run_kernel(kernel: Callable[..., None], count: int, grain: int, *arguments: 
         grain: fewest tasks that are handing to another thread takes the time of.
         arguments: what the kernel is given besides.
     """
+    if not getattr(kernel, "signatures", True):
+        kernel(0, 0, *arguments)  # compiled by the calling thread, whose profile counts it
     threads = numba.get_num_threads() if count > grain else 1
     runs = min(-(-count // grain), threads * _RUNS_PER_THREAD) if threads > 1 else 1
     if runs <= 1:
@@ -189,3 +198,61 @@ def compilations_told(tell: Callable[[], None]) -> Iterator[None]:
     """
     with event.install_listener("numba:compile", _Compilations(tell)):
         yield
+
+
+class KernelTypes(NamedTuple):
+    """A kernel and the types that it is called with."""
+
+    module: str
+    name: str
+    types: str
+    """Numba's notation: ``(i8, f4[:, ::1])``."""
+
+    @property
+    def kernel(self) -> Any:
+        """The kernel itself."""
+        return getattr(importlib.import_module(self.module), self.name)
+
+
+def compile_beside(kernels: Sequence[KernelTypes]) -> int | None:
+    """Fork a process that compiles kernels, unless the disk keeps them already.
+
+    To be called before threads are at work.
+
+    Args:
+        kernels: what to compile, what is needed first coming first.
+
+    Returns:
+        The number of the process; None where there is none: kernels are kept, this process may use
+        one core only, or forking is not safe here (it is on Linux).
+    """
+    if sys.platform != "linux" or len(os.sched_getaffinity(0)) < 2:
+        return None
+    if all(is_kept(found.kernel) for found in kernels):
+        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # NumPy has threads, none is at work
+        process = os.fork()
+    if process:
+        return process
+    try:
+        silence = os.open(os.devnull, os.O_RDWR)
+        for stream in range(3):  # who reads this run's output does not wait for the child's end
+            os.dup2(silence, stream)
+        compile_kernels(kernels)
+    finally:
+        os._exit(0)
+
+
+def compile_kernels(kernels: Sequence[KernelTypes]) -> None:
+    """Compile kernels for their types, or load what the disk keeps of them."""
+    for found in kernels:
+        found.kernel.compile(sigutils.normalize_signature(found.types)[0])
+
+
+def is_kept(kernel: Any) -> bool:
+    """Return whether the disk keeps an index of a kernel, be it of an earlier version."""
+    folder = kernel.stats.cache_path
+    if folder is None:
+        return True  # nowhere to keep it
+    return any(Path(folder).glob(f"*.{kernel.py_func.__name__}-*.nbi"))

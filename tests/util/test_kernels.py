@@ -1,11 +1,21 @@
 import multiprocessing
+import os
+import sys
 import threading
 
 import numba
 import numpy as np
 import pytest
 
-from gscomplete.util.kernels import HELPER, KERNEL, compilations_told, run_kernel, share_out
+from gscomplete.util import kernels
+from gscomplete.util.kernels import (
+    HELPER,
+    KERNEL,
+    KernelTypes,
+    compilations_told,
+    run_kernel,
+    share_out,
+)
 from gscomplete.util.stages import profiled
 
 
@@ -110,9 +120,70 @@ def test_compiling_is_told_once_and_counted_as_a_stage():
     assert told == ["told"]
 
 
+def test_a_kernel_that_threads_share_is_compiled_by_the_calling_one():
+    """A profile belongs to a thread; what others compile it does not see."""
+
+    @numba.njit(nogil=True)
+    def kernel(first, last, values):
+        for k in range(first, last):
+            values[k] += 1
+
+    values = np.zeros(64)
+    with profiled() as profile, compilations_told(lambda: None):
+        run_kernel(kernel, 64, 1, values)
+    assert (values == 1).all()
+    assert profile.costs["compile"].times == 1
+
+
 def test_what_is_compiled_is_not_told_of():
     kernel, told = _made(), []
     kernel(np.ones(3))
     with compilations_told(lambda: told.append("told")):
         kernel(np.ones(3))
     assert told == []
+
+
+_TABLE = (KernelTypes("gscomplete.render.cpu.merge", "count_in_front", "(u8[::1], u8[::1])"),)
+
+
+@pytest.fixture
+def two_cores(monkeypatch):
+    if sys.platform != "linux":
+        pytest.skip("forks on Linux only")
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {0, 1})
+
+
+def test_kernels_that_are_missing_are_compiled_by_another_process(
+    two_cores, monkeypatch, tmp_path, capfd
+):
+    def compile_kernels(kernels):
+        os.write(1, b"of no interest to who reads the run's output")
+        (tmp_path / "process").write_text(str(os.getpid()))
+
+    monkeypatch.setattr(kernels, "is_kept", lambda kernel: False)
+    monkeypatch.setattr(kernels, "compile_kernels", compile_kernels)
+    process = kernels.compile_beside(_TABLE)
+    assert process is not None
+    assert os.waitpid(process, 0)[1] == 0
+    assert (tmp_path / "process").read_text() == str(process)
+    assert capfd.readouterr().out == ""
+
+
+def test_an_error_stays_in_that_process(two_cores, monkeypatch, capfd):
+    def compile_kernels(kernels):
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(kernels, "is_kept", lambda kernel: False)
+    monkeypatch.setattr(kernels, "compile_kernels", compile_kernels)
+    process = kernels.compile_beside(_TABLE)
+    assert process is not None
+    assert os.waitpid(process, 0)[1] == 0
+    assert capfd.readouterr() == ("", "")
+
+
+def test_no_process_where_kernels_are_kept_or_one_core_is_all(two_cores, monkeypatch):
+    monkeypatch.setattr(kernels, "is_kept", lambda kernel: True)
+    assert kernels.compile_beside(_TABLE) is None
+    monkeypatch.setattr(kernels, "is_kept", lambda kernel: False)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {0})
+    assert kernels.compile_beside(_TABLE) is None

@@ -119,7 +119,7 @@ def plane_features(part: PartSamples, evidence: Evidence) -> FloatArray:  # [A, 
     """Measure the evidence for and against each plane."""
     normals, offsets = plane_normals(), np.array(OFFSETS, np.float32)
     counted = np.zeros((len(normals), len(offsets), 11), np.float32)
-    _count_samples(
+    count_samples(
         part.points, part.colors, part.normals, part.distance, part.cell_colors,
         part.cell_normals, evidence.depth, evidence.camera_from_world, evidence.focal_px,
         normals, offsets, counted,
@@ -166,7 +166,7 @@ def _cell(place: float) -> int:
 
 
 @numba.njit(**KERNEL)
-def _count_samples(
+def count_samples(
     points: FloatArray,
     colors: FloatArray,
     normals: FloatArray,

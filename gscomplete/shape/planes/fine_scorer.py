@@ -198,14 +198,14 @@ def _folded(
 ) -> FloatArray:  # [K, 8, U, V, Z]
     """Spread cells over the eight cells nearest to them in every plane's frame."""
     out = np.zeros((len(angles), 2, 4, math.prod(SIZE)), np.float32)
-    _spread(cells, angles, offsets, *SIZE, out)
+    spread_cells(cells, angles, offsets, *SIZE, out)
     occupancy = np.maximum(out[:, :, :1], np.float32(1))  # at most 1 is kept, of colours as much
     out /= occupancy
     return out.reshape(len(angles), 8, *SIZE)
 
 
 @numba.njit(**KERNEL)
-def _spread(
+def spread_cells(
     cells: FloatArray,  # [N, 7]
     angles: FloatArray,  # [K]
     offsets: FloatArray,  # [K]
