@@ -125,6 +125,7 @@ def composite_backward(
     """Write, for (trainable splat, tile) entries, the sums that its gradient is made of."""
     buffer = np.empty(9 * PIXELS, np.float32)
     batch = np.empty((BATCH, PACKED), np.float32)
+    places, kept = np.empty(BATCH, np.int64), np.empty(BATCH, np.int32)
     for share in range(first, last):
         for k in range(shares[share], shares[share + 1]):
             tile = active[k]
@@ -160,10 +161,23 @@ def composite_backward(
                 alpha_max,
                 buffer,
                 batch,
+                places,
+                kept,
                 contributes,
                 summed,
                 sums,
             )
+
+
+@numba.njit(**TILE_HELPER)
+def _keep(entries: Any, contributes: Any, following: int, last: int, places: Any, kept: Any) -> Any:
+    """Note the next BATCH entries that are not hidden; return what follows and their number."""
+    count = 0
+    while count < BATCH and following <= last:
+        places[count], kept[count] = following, entries[following]
+        count += contributes[following]
+        following += 1
+    return following, count
 
 
 @numba.njit(**TILE_HELPER)
@@ -179,68 +193,69 @@ def _tile_backward(
     alpha_max: Any,
     buffer: Any,
     batch: Any,
+    places: Any,
+    kept: Any,
     contributes: Any,
     summed: Any,
     sums: Any,
 ) -> None:
     """Walk one tile's entries front to back up to the last trainable one."""
     zero, half, one = np.float32(0.0), np.float32(0.5), np.float32(1.0)
-    for e in range(start, last + 1):
-        place = (e - start) % BATCH
-        if place == 0:
-            read_rows(frozen_rows, rows, entries, e, min(e + BATCH, last + 1), batch)
-        if contributes[e] == 0:
-            continue
-        row = batch[place]
-        u, v, opacity = row[P_U], row[P_V], row[P_OPACITY]
-        la, lb, lc = row[P_LA], row[P_LB], row[P_LC]
-        cr, cg, cb, cd = row[P_RED], row[P_GREEN], row[P_BLUE], row[P_DEPTH]
-        low, high = pixel_rows(v, row[P_HALF_H], tile_y)
-        slot = slots[e]
-        if slot < 0:
+    following = start
+    while following <= last:
+        following, count = _keep(entries, contributes, following, last, places, kept)
+        read_rows(frozen_rows, rows, kept, 0, count, batch)
+        for place in range(count):
+            e, row = places[place], batch[place]
+            u, v, opacity = row[P_U], row[P_V], row[P_OPACITY]
+            la, lb, lc = row[P_LA], row[P_LB], row[P_LC]
+            cr, cg, cb, cd = row[P_RED], row[P_GREEN], row[P_BLUE], row[P_DEPTH]
+            low, high = pixel_rows(v, row[P_HALF_H], tile_y)
+            slot = slots[e]
+            if slot < 0:
+                for p in range(low, high):
+                    dy = buffer[B_Y + p] - v
+                    wx = la * (buffer[B_X + p] - u) + lb * dy
+                    wy = lc * dy
+                    power = min(half * (wx * wx + wy * wy), np.float32(MAX_POWER))
+                    alpha = min(opacity * exp_neg(power), alpha_max)
+                    w = (alpha if alpha >= alpha_min else zero) * buffer[B_THROUGH + p]
+                    value = cr * buffer[B_0 + p] + cg * buffer[B_1 + p] + cb * buffer[B_2 + p]
+                    value += cd * buffer[B_3 + p] + buffer[B_4 + p]
+                    buffer[B_5 + p] -= w * value
+                    buffer[B_THROUGH + p] -= w
+                continue
+            s1 = sx = sy = sxx = sxy = syy = sr = sg = sb = sd = zero
             for p in range(low, high):
                 dy = buffer[B_Y + p] - v
                 wx = la * (buffer[B_X + p] - u) + lb * dy
                 wy = lc * dy
                 power = min(half * (wx * wx + wy * wy), np.float32(MAX_POWER))
-                alpha = min(opacity * exp_neg(power), alpha_max)
-                w = (alpha if alpha >= alpha_min else zero) * buffer[B_THROUGH + p]
-                value = cr * buffer[B_0 + p] + cg * buffer[B_1 + p] + cb * buffer[B_2 + p]
-                value += cd * buffer[B_3 + p] + buffer[B_4 + p]
-                buffer[B_5 + p] -= w * value
-                buffer[B_THROUGH + p] -= w
-            continue
-        s1 = sx = sy = sxx = sxy = syy = sr = sg = sb = sd = zero
-        for p in range(low, high):
-            dy = buffer[B_Y + p] - v
-            wx = la * (buffer[B_X + p] - u) + lb * dy
-            wy = lc * dy
-            power = min(half * (wx * wx + wy * wy), np.float32(MAX_POWER))
-            raw = opacity * exp_neg(power)
-            alpha = min(raw, alpha_max)
-            alpha = alpha if alpha >= alpha_min else zero
-            free = alpha if raw < alpha_max else zero
-            through = buffer[B_THROUGH + p]
-            gr, gg, gb, gd = buffer[B_0 + p], buffer[B_1 + p], buffer[B_2 + p], buffer[B_3 + p]
-            w = alpha * through
-            value = cr * gr + cg * gg + cb * gb + cd * gd + buffer[B_4 + p]
-            rest = buffer[B_5 + p] - w * value
-            gradient = free * (rest / (one - alpha) - through * value)
-            buffer[B_5 + p] = rest
-            buffer[B_THROUGH + p] = through - w
-            s1 += gradient
-            gx = gradient * wx
-            gy = gradient * wy
-            sx += gx
-            sy += gy
-            sxx += gx * wx
-            sxy += gx * wy
-            syy += gy * wy
-            sr += w * gr
-            sg += w * gg
-            sb += w * gb
-            sd += w * gd
-        summed[slot] = 1
-        sums[slot, 0], sums[slot, 1], sums[slot, 2] = s1, sx, sy
-        sums[slot, 3], sums[slot, 4], sums[slot, 5] = sxx, sxy, syy
-        sums[slot, 6], sums[slot, 7], sums[slot, 8], sums[slot, 9] = sr, sg, sb, sd
+                raw = opacity * exp_neg(power)
+                alpha = min(raw, alpha_max)
+                alpha = alpha if alpha >= alpha_min else zero
+                free = alpha if raw < alpha_max else zero
+                through = buffer[B_THROUGH + p]
+                gr, gg, gb, gd = buffer[B_0 + p], buffer[B_1 + p], buffer[B_2 + p], buffer[B_3 + p]
+                w = alpha * through
+                value = cr * gr + cg * gg + cb * gb + cd * gd + buffer[B_4 + p]
+                rest = buffer[B_5 + p] - w * value
+                gradient = free * (rest / (one - alpha) - through * value)
+                buffer[B_5 + p] = rest
+                buffer[B_THROUGH + p] = through - w
+                s1 += gradient
+                gx = gradient * wx
+                gy = gradient * wy
+                sx += gx
+                sy += gy
+                sxx += gx * wx
+                sxy += gx * wy
+                syy += gy * wy
+                sr += w * gr
+                sg += w * gg
+                sb += w * gb
+                sd += w * gd
+            summed[slot] = 1
+            sums[slot, 0], sums[slot, 1], sums[slot, 2] = s1, sx, sy
+            sums[slot, 3], sums[slot, 4], sums[slot, 5] = sxx, sxy, syy
+            sums[slot, 6], sums[slot, 7], sums[slot, 8], sums[slot, 9] = sr, sg, sb, sd
