@@ -64,6 +64,10 @@ class HowToComplete:
     known_shapes: bool = True
     """Let known shapes of the prompt's noun ("chair") that suit P help the guess where P leaves it
     open. A run prints which did."""
+    prompt_decides: bool = False
+    """Complete P by the known shape of the prompt's noun that suits it best, even where P alone
+    says otherwise or seems complete: the same seat becomes "a stool" or "a table". Where P has no
+    colour of its own, new splats take the one that the prompt names ("a red mug")."""
     alternatives: int = 0
     """Also guess the complete object through this many likely planes (at most 8) and through none,
     and draw these guesses below the result into alternatives.png, each with the --mirror that makes

@@ -126,6 +126,13 @@ def settings_of(options: HowToComplete, prior: Prior) -> CompletionSettings:
         settings = dataclasses.replace(settings, mirror=_mirror(options.mirror))
         _require_guess("--mirror", options, settings, prior)
     settings = dataclasses.replace(settings, known_shapes=options.known_shapes)
+    if options.prompt_decides:
+        if not options.known_shapes:
+            raise UserError("--prompt-decides: by known shapes; expected no --no-known-shapes")
+        if options.alternatives:
+            raise UserError("--prompt-decides: draws no planes; expected no --alternatives")
+        settings = dataclasses.replace(settings, prompt_decides=True)
+        _require_guess("--prompt-decides", options, settings, prior)
     if not 0 <= options.alternatives <= 8:
         raise UserError(f"--alternatives: expected 0 to 8, found {options.alternatives}")
     if options.alternatives:
@@ -145,6 +152,7 @@ def _require_plain_fill(options: HowToComplete) -> None:
         "--mirror": options.mirror != "guess",
         "--alternatives": options.alternatives != 0,
         "--no-known-shapes": not options.known_shapes,
+        "--prompt-decides": options.prompt_decides,
         "--text-only": options.text_only,
         "--negative-prompt": options.negative_prompt is not None,
     }

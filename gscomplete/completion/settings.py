@@ -135,6 +135,9 @@ class CompletionSettings:
     """``start="guess"``: the plane of symmetry that P is mirrored through."""
     known_shapes: bool = True
     """``start="guess"``: known shapes of the prompt's noun that suit P help the guess."""
+    prompt_decides: bool = False
+    """``start="guess"``: the known shape of the prompt's noun that suits P best is the guess, in
+    the colour that the prompt names where P has none, even if P is complete without it."""
     warmup_steps: int = 50
     """Steps at the start whose preservation loss is unmasked (n_init, section 3.3)."""
     preservation_weight: float = 2.0

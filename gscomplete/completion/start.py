@@ -105,6 +105,7 @@ def _guess(
         settings.new_splats,
         settings.mirror,
         known_shapes=settings.known_shapes,
+        prompt_decides=settings.prompt_decides,
     )
     if guess is None:
         return None

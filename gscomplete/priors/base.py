@@ -228,6 +228,7 @@ class ShapePrior(Protocol):
         mirror: Mirror = "guess",
         *,
         known_shapes: bool = True,
+        prompt_decides: bool = False,
     ) -> FirstGuess | None:
         """Guess what is missing.
 
@@ -239,6 +240,7 @@ class ShapePrior(Protocol):
             count: most splats.
             mirror: the plane of symmetry.
             known_shapes: whether known shapes of the prompt's noun may help.
+            prompt_decides: whether the one that suits P best is the guess.
 
         Returns:
             None if these weights cannot guess; no splats if nothing seems to be missing.

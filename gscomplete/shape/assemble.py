@@ -38,7 +38,7 @@ _MOST_LOOKED_AT = 20_000
 """Splats of P that tell where P is."""
 _LEAST_COPY_LOGIT = -2.0
 """Copies in cells that the network finds emptier than this are left out ..."""
-_MOST_COPY_IN_FRONT = 0.5
+_MOST_IN_FRONT = 0.5
 """... and those that more than this share of the views sees to be in front of P."""
 _LEAST_SYMMETRY_SCORE = 0.75
 """Score of the first mirror image, by the network's output, from which on its splats are used;
@@ -77,6 +77,9 @@ class AssembleSettings:
     cells and those beside them (were more counted as P's, scattered splats would pass for a
     surface); from the second on that says nothing. Between them levels are interpolated; the
     higher one counts."""
+    near_partial: float = 0.03
+    """Without mirrored splats: surface this near to P's splats is P's own, as
+    ``SurfaceSettings.near_partial`` says."""
     reach: float = 1.5 * CELL_SIDE
     """Surface this near to P's splats or mirrored ones is theirs; cells blur it by as much."""
 
@@ -108,7 +111,8 @@ def assemble_splats(
         copies = _new_copies(prediction, partial, most, generator)
     if copies is None or not len(copies):
         level = _surface_logit(prediction, settings)
-        plain = SurfaceSettings(settings.count, filled_logit=level)
+        near = settings.near_partial
+        plain = SurfaceSettings(settings.count, near_partial=near, filled_logit=level)
         surface = surface_splats(prediction.output, prediction.seen, partial, plain, generator)
         return AssembledSplats(surface, 0)
     beside = SurfaceSettings(
@@ -174,7 +178,8 @@ def _prompt_note(share: float | None) -> tuple[str, ...]:
     if share is None:
         return ()
     if share < _NEXT_TO_NOTHING:
-        return (f"prompt: changes next to nothing of the shape ({share:.1%}): P decides it",)
+        decides = "P decides it (--prompt-decides: the prompt does)"
+        return (f"prompt: changes next to nothing of the shape ({share:.1%}): {decides}",)
     return (f"prompt: changes {share:.0%} of the guessed shape",)
 
 
@@ -213,5 +218,10 @@ def select_consistent(
 ) -> Splats:
     """Return the copies that neither the network nor the views contradict."""
     logit = sample_volume(occupancy, copies.means)[:, 0]
-    in_front = torch.from_numpy(evidence.classify(copies.means.numpy())[:, 0])
-    return copies.select((logit > _LEAST_COPY_LOGIT) & (in_front <= _MOST_COPY_IN_FRONT))
+    return copies.select((logit > _LEAST_COPY_LOGIT) & hides_nothing(copies, evidence))
+
+
+def hides_nothing(splats: Splats, evidence: Evidence) -> Tensor:  # [N] bool
+    """Mark the splats that most views do not see in front of P."""
+    in_front = torch.from_numpy(evidence.classify(splats.means.numpy())[:, 0])
+    return in_front <= _MOST_IN_FRONT

@@ -3,7 +3,8 @@
 The network is asked (``predict``). Where P is not to be mirrored, known shapes of the prompt's noun
 are fitted to it (``bank.fit``), and the network is asked again with them (``bank.shown``), in the
 object frame or in one that has room for them (``bank.wider``). The answer becomes splats
-(``assemble``).
+(``assemble``). Where the user lets the prompt decide, the known shape that suits P best is the
+answer itself (``bank.as_answer``), in the colour that the prompt names (``prompt_colors``).
 """
 
 from __future__ import annotations
@@ -20,10 +21,12 @@ from torch import Tensor
 from gscomplete.shape.assemble import (
     AssembleSettings,
     assemble_splats,
+    hides_nothing,
     is_mirrored_by_splats,
     notes_of,
 )
-from gscomplete.shape.bank.fit import FittedShape, fit_known_shapes
+from gscomplete.shape.bank.as_answer import DECIDING, LIKE_PARTIAL, occupancy_of
+from gscomplete.shape.bank.fit import FitLimits, FittedShape, fit_known_shapes
 from gscomplete.shape.bank.nouns import head_noun
 from gscomplete.shape.bank.shown import occupancy_by_shapes
 from gscomplete.shape.bank.store import read_bank
@@ -36,6 +39,7 @@ from gscomplete.shape.bank.wider import (
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter
 from gscomplete.shape.predict import Prediction, predict
+from gscomplete.shape.prompt_colors import with_prompt_color
 from gscomplete.splats import Splats
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.util.stages import stage
@@ -79,33 +83,43 @@ class KnownShapes:
     """File of the bank; None = no shape is known."""
     prompt: str
     """Names the noun."""
+    decide: bool = False
+    """The one that suits P best is the answer, whatever the network's is."""
 
     def fitted(self, partial: Splats, views: ViewDistribution) -> tuple[FittedShape, ...]:
         """Return those that suit P, in place, the best first."""
         if self.bank is None:
             return ()
-        points = partial.means.double().numpy()
-        return _fitted(self.bank, self.prompt, points.tobytes(), views.direction().tobytes())
+        points, toward_c = partial.means.double().numpy().tobytes(), views.direction().tobytes()
+        limits = DECIDING if self.decide else FitLimits()
+        return _fitted(self.bank, self.prompt, points, toward_c, limits)
 
     def notes(self, used: tuple[FittedShape, ...]) -> tuple[str, ...]:
         """Say which of them helped, or why none did."""
         noun = head_noun(self.prompt)
         if self.bank is None or noun is None:
             return ()
+        names = ", ".join(shape.name.id for shape in used)
+        if used and self.decide:
+            return (f"{noun}: a known shape, {names}, in the place that suits P best",)
         if used:
-            names = ", ".join(shape.name.id for shape in used)
             return (f"{noun}: by known shapes, {names} (--no-known-shapes: without)",)
         if read_bank(self.bank).named(self.prompt, 1):
+            if self.decide:
+                return (f"{noun}: no known shape suits P; it is completed as without the prompt",)
             return (f"{noun}: known shapes do not suit P, do not agree, or add nothing",)
         return (f"{noun}: no known shape is called so",)
 
 
 @functools.lru_cache(maxsize=1)
-def _fitted(bank: Path, prompt: str, points: bytes, toward_c: bytes) -> tuple[FittedShape, ...]:
+def _fitted(
+    bank: Path, prompt: str, points: bytes, toward_c: bytes, limits: FitLimits
+) -> tuple[FittedShape, ...]:
     """Fit shapes once for all guesses about one part."""
     places, direction = np.frombuffer(points).reshape(-1, 3), np.frombuffer(toward_c)
     with stage("known shapes"):
-        return tuple(fit_known_shapes(read_bank(bank), prompt, places, direction, _MOST_SHOWN))
+        found = fit_known_shapes(read_bank(bank), prompt, places, direction, _MOST_SHOWN, limits)
+    return tuple(found)
 
 
 def guess_complete(
@@ -132,11 +146,10 @@ def guess_complete(
     plain = _predict(asked, partial, views, mirror)
     notes: tuple[str, ...] = ()
     is_mirrored = isinstance(mirror, MirrorPlane) or is_mirrored_by_splats(plain)
-    if not is_mirrored:  # else little is left to guess from a noun
-        shapes = known.fitted(partial, views)
-        found = _by_known_shapes(asked, plain, partial, views, mirror, shapes, settings, generator)
+    if known.decide or not is_mirrored:  # else little is left to guess from a noun
+        found = _by_known_shapes(asked, plain, partial, views, mirror, known, settings, generator)
         if found is not None:
-            return dataclasses.replace(found, notes=known.notes(shapes) + found.notes)
+            return dataclasses.replace(found, notes=known.notes(found.known) + found.notes)
         notes = known.notes(())
     with stage("surface"):
         assembled = assemble_splats(plain, partial, settings, generator)
@@ -149,40 +162,53 @@ def _by_known_shapes(
     partial: Splats,
     views: ViewDistribution,
     mirror: Mirror,
-    shapes: tuple[FittedShape, ...],
+    known: KnownShapes,
     settings: AssembleSettings,
     generator: torch.Generator,
 ) -> Guess | None:
     """Guess with known shapes, where they have room; None where their answers do not count."""
+    shapes = known.fitted(partial, views)[: 1 if known.decide else _MOST_SHOWN]
     frame = wider_from_object(partial.means.double().numpy(), shapes)
-    there = shapes
+    there, given = shapes, partial
     if frame is not None:
-        partial = transform_splats(partial.with_sh_degree(0), frame)
+        given = transform_splats(partial.with_sh_degree(0), frame)
         there = tuple(shape_in(shape, frame) for shape in shapes)
-        plain = _predict(asked, partial, views_in(views, frame), mirror)
-    with stage("known shapes"):
-        occupancy = occupancy_by_shapes(
-            asked.model,
-            plain.voxels,
-            plain.seen,
-            plain.output.occupancy,
-            there,
-            asked.tokens,
-            bfloat16=asked.bfloat16,
-            shapes_alone=frame is not None,  # the plain answer was given without room for them
-        )
+        plain = _predict(asked, given, views_in(views, frame), mirror)
+    occupancy: Tensor | None
+    if known.decide:
+        points = given.means.double().numpy()
+        occupancy = occupancy_of(there[0], points) if there else None
+        plain = dataclasses.replace(plain, symmetry_score=0.0)  # P's splats are not mirrored
+        settings = dataclasses.replace(settings, near_partial=LIKE_PARTIAL)
+    else:
+        with stage("known shapes"):
+            occupancy = occupancy_by_shapes(
+                asked.model,
+                plain.voxels,
+                plain.seen,
+                plain.output.occupancy,
+                there,
+                asked.tokens,
+                bfloat16=asked.bfloat16,
+                shapes_alone=frame is not None,  # the plain answer was given without room for them
+            )
     if occupancy is None:
         return None
     heeded = dataclasses.replace(
         plain, output=dataclasses.replace(plain.output, occupancy=occupancy)
     )
     with stage("surface"):
-        assembled = assemble_splats(heeded, partial, settings, generator)
-    if frame is None:
-        return Guess(assembled.splats, shapes, notes_of(heeded, assembled.mirrored))
-    back = frame.inverse()
-    notes = notes_of(_carried(heeded, back), assembled.mirrored)
-    return Guess(transform_splats(assembled.splats, back), shapes, notes)
+        assembled = assemble_splats(heeded, given, settings, generator)
+    splats = assembled.splats
+    if known.decide:
+        splats = splats.select(hides_nothing(splats, plain.voxels.evidence))
+    if frame is not None:
+        back = frame.inverse()
+        splats, heeded = transform_splats(splats, back), _carried(heeded, back)
+    if known.decide:
+        splats, notes = with_prompt_color(splats, partial, known.prompt)
+        return Guess(splats, shapes, notes)
+    return Guess(splats, shapes, notes_of(heeded, assembled.mirrored))
 
 
 def _predict(asked: Asked, partial: Splats, views: ViewDistribution, mirror: Mirror) -> Prediction:

@@ -35,3 +35,17 @@ def test_what_is_counted_in_steps_stretches_with_their_number(steps):
     assert sum(step % chosen.densify.every == 0 for step in within) == sum(
         step % whole.densify.every == 0 for step in range(1, int(whole.densify.until * whole.steps))
     )
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"known_shapes": False}, "expected no --no-known-shapes"),
+        ({"alternatives": 3}, "expected no --alternatives"),
+        ({"fill": True}, "expected no --prompt-decides"),
+        ({}, "starts without"),  # MVDream guesses no complete objects
+    ],
+)
+def test_the_prompt_decides_by_a_guess_with_known_shapes(changes, message):
+    with pytest.raises(UserError, match=message):
+        request_with(prompt_decides=True, **changes)

@@ -90,3 +90,32 @@ def test_a_part_that_is_mirrored_through_a_plane_asks_for_no_known_shape(asked, 
     assert one.notes == two.notes
     assert len(one.splats.means) == len(two.splats.means)
     assert torch.equal(one.splats.means, two.splats.means)
+
+
+def decided(asked, prompt, bank, mirror="none"):
+    known = KnownShapes(bank, prompt, decide=True)
+    generator = torch.Generator().manual_seed(0)
+    return guess_complete(asked, seat_and_back(), VIEWS, mirror, known, 4000, generator)
+
+
+@pytest.mark.parametrize("mirror", ["none", MirrorPlane(0.0, -0.1)])
+def test_where_the_prompt_decides_the_best_shape_is_the_answer(asked, bank, mirror):
+    found = decided(asked, "a red wooden chair", bank, mirror)
+    (shape,) = found.known
+    assert "in the place that suits P best" in found.notes[0]
+    known = torch.from_numpy(shape.points).float()
+    away = torch.cdist(found.splats.means, known).amin(dim=1)
+    assert float(away.quantile(0.95)) < 0.1
+    bottom = float(seat_and_back().means[:, 2].min())
+    legs = found.splats.means[found.splats.means[:, 2] < bottom - 0.1]
+    assert len(legs) > 300
+    # the part is grey
+    assert "new splats are red" in found.notes[1]
+    red, green, _ = found.splats.base_colors.mean(dim=0)
+    assert red > green + 0.3
+
+
+def test_a_prompt_of_no_known_noun_decides_nothing(asked, bank):
+    one, two = decided(asked, "a red unicorn", bank), guess(asked, "a red unicorn", bank)
+    assert one.notes == two.notes
+    assert torch.equal(one.splats.sh, two.splats.sh)

@@ -200,6 +200,7 @@ class EmbeddedPrior:
         mirror: Mirror = "guess",
         *,
         known_shapes: bool = True,
+        prompt_decides: bool = False,
     ) -> FirstGuess | None:
         """Return the complete object as the shape network sees it; see :class:`base.ShapePrior`."""
         if self._shape is None:
@@ -209,7 +210,7 @@ class EmbeddedPrior:
         points = partial.means.double().numpy()
         cut = find_cut(points)
         if mirror == "guess":
-            if is_closed(points, cut):
+            if is_closed(points, cut) and not prompt_decides:
                 nothing = partial.with_sh_degree(0).select(torch.arange(0))
                 return FirstGuess(nothing, (_COMPLETE_NOTE,))
             if cut is not None and cut.is_symmetric and abs(cut.offset) <= 1:
@@ -222,7 +223,8 @@ class EmbeddedPrior:
             bfloat16=self._shape_bfloat16,
             ends_in_plane=cut is not None,
         )
-        known = KnownShapes(self._bank if known_shapes else None, conditioning.prompt)
+        bank = self._bank if known_shapes else None
+        known = KnownShapes(bank, conditioning.prompt, prompt_decides)
         guess = guess_complete(asked, partial, distribution, mirror, known, count, generator)
         return FirstGuess(guess.splats, notes + guess.notes)
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, map_coordinates
+from scipy.ndimage import binary_fill_holes, distance_transform_edt, map_coordinates
 from scipy.spatial import cKDTree
 
 from gscomplete.shape.bank.store import BANK_CELLS, ShapeBank, ShapeName
@@ -47,16 +47,24 @@ _SHARE_COST = 0.03
 _TURN_STEP, _SCALE_STEP, _STIFFNESS = 0.5, 0.2, 0.03
 """Radians and logarithms by which a pose changes at the price of ``_STIFFNESS``, per point."""
 _IN_FRONT_COST, _UNSEEN_COST, _GROWTH_COST = 0.15, 0.06, 0.012
-_MOST_COST = 0.065
-"""Worse shapes are left out; of two random shapes of one noun most are."""
-_MOST_GROWTH = math.log(3.0)
-"""A shape that needs more than three times P's box is left out: P is no more than a face of it, and
-what is behind a face may have any size."""
 _PICTURE_PX = 40
 _TOLERANCE = 0.06
 """In front of P by more than this, object sizes, a shape would hide it."""
 _SEEN_DEPTH, _NEAR = 0.03, 0.07
 """What lies this near behind the nearest part of a shape is seen of it; P has what is this near."""
+
+
+@dataclass(frozen=True, slots=True)
+class FitLimits:
+    """Which fitted shapes suit P."""
+
+    most_cost: float = 0.065
+    """Worse shapes are left out; of two random shapes of one noun most are."""
+    most_growth: float = 3.0
+    """A shape that needs more than so many times P's box is left out: P is no more than a face of
+    it, and what is behind a face may have any size."""
+    other_noun_cost: float = 0.0
+    """Of shapes that only their captions connect with the noun: a lamp table for "a lamp"."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,13 +85,20 @@ class Pose:
         placed: FloatArray = ((points - self.shift) / self.scales) @ _turn(self.yaw_rad)
         return placed
 
+    def of_moved(self, scale: float, move: FloatArray) -> Pose:  # [3]
+        """Return the same place for an object whose points p are now ``scale * p + move``."""
+        scales = self.scales / scale
+        return Pose(self.yaw_rad, scales, self.shift - scales * (_turn(self.yaw_rad) @ move))
+
 
 @dataclass(frozen=True, slots=True)
 class FittedShape:
     """A known shape in the place that suits P best."""
 
     name: ShapeName
-    points: FloatArray  # [M, 3] centres of its surface's cells, object frame
+    cells: NDArray[np.bool_]  # [C, C, C] that its surface passes, shape's frame
+    pose: Pose
+    points: FloatArray  # [M, 3] centres of these cells, object frame
     residual: float
     """Mean distance of P's points from its surface."""
     in_front: float
@@ -92,12 +107,33 @@ class FittedShape:
     """Share of what c sees of it that P does not have."""
     growth: float
     """Logarithm of the volume of its box and P's together over that of P's."""
+    naming: float = 0.0
+    """What its name adds to the cost."""
 
     @property
     def cost(self) -> float:
         """How badly it suits P; less is better."""
         contradicted = _IN_FRONT_COST * self.in_front + _UNSEEN_COST * self.unseen
-        return self.residual + contradicted + _GROWTH_COST * self.growth
+        return self.residual + contradicted + _GROWTH_COST * self.growth + self.naming
+
+    def moved(self, scale: float, move: FloatArray) -> FittedShape:  # [3]
+        """Return it in the place of an object whose points p are now ``scale * p + move``."""
+        pose = self.pose.of_moved(scale, move)
+        return dataclasses.replace(self, pose=pose, points=scale * self.points + move)
+
+    def distances(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N]
+        """Return how far points of the object frame are from the shape; 0 within a closed one.
+
+        Where the shape is scaled differently along its axes the mean scale counts.
+        """
+        solid = binary_fill_holes(self.cells)
+        place = self.pose.to_shape(points)
+        within = np.clip(place, -0.5 - _MARGIN, 0.5 + _MARGIN)
+        at = (within + 0.5 + _MARGIN) * len(solid) - 0.5
+        near: FloatArray = map_coordinates(_distances(solid), at.T, order=1, mode="nearest")
+        beyond = np.linalg.norm(place - within, axis=1)
+        far: FloatArray = (near + beyond) / float(self.pose.scales.mean())
+        return far
 
 
 def fit_known_shapes(
@@ -106,6 +142,7 @@ def fit_known_shapes(
     points: FloatArray,  # [N, 3]
     toward_c: FloatArray,  # [3]
     count: int,
+    limits: FitLimits,
 ) -> list[FittedShape]:
     """Return the shapes of the prompt's noun that suit P, the best first, one from each pack.
 
@@ -117,6 +154,7 @@ def fit_known_shapes(
         points: of P, object frame.
         toward_c: unit vector from the object towards the input view.
         count: most shapes.
+        limits: which of them suit P.
     """
     low, high = points.min(axis=0), points.max(axis=0)
     size, middle = float((high - low).max()), (low + high) / 2
@@ -134,16 +172,17 @@ def fit_known_shapes(
             fields[index] = _distances(shapes[index])
         residual, refined = _refined(fields[index], more, pose)
         fitted = _judged(bank.names[index], shapes[index], refined, residual, many, toward_c)
+        if not bank.is_named(index, prompt):
+            fitted = dataclasses.replace(fitted, naming=limits.other_noun_cost)
         if index not in found or fitted.cost < found[index].cost:
             found[index] = fitted
     best: dict[str, FittedShape] = {}
     for shape in sorted(found.values(), key=lambda shape: shape.cost):
-        suits = shape.cost <= _MOST_COST and shape.growth <= _MOST_GROWTH
+        grows = math.exp(shape.growth)
+        suits = shape.cost <= limits.most_cost and grows <= limits.most_growth
         if suits and len(best) < count:
             best.setdefault(shape.name.pack, shape)
-    return [
-        dataclasses.replace(shape, points=shape.points * size + middle) for shape in best.values()
-    ]
+    return [shape.moved(size, middle) for shape in best.values()]
 
 
 def _spread(points: FloatArray, count: int) -> FloatArray:
@@ -255,4 +294,5 @@ def _judged(
     high = np.maximum(part.max(axis=0), surface.max(axis=0))
     growth = math.log(np.prod(high - low) / np.prod(np.maximum(np.ptp(part, axis=0), 0.05)))
     unseen = float(np.isinf(distance).mean())
-    return FittedShape(name, surface, residual, float(in_front.mean()), unseen, growth)
+    front = float(in_front.mean())
+    return FittedShape(name, cells, pose, surface, residual, front, unseen, growth)

@@ -32,13 +32,26 @@ def head_noun(prompt: str) -> str | None:
     It is the last one before the first preposition that is no colour, unless there are colours
     alone: "a blue mug with a handle" is a mug, and "an orange" an orange.
     """
+    words = _description(prompt)
+    plain = [word for word in words if word not in _COLORS] or words
+    return plain[-1] if plain and plain[-1] not in _ANYTHING else None
+
+
+def adjectives_of(prompt: str) -> list[str]:
+    """Return what describes the noun: dark and red of "a dark red mug with a blue handle"."""
+    words = _description(prompt)
+    plain = [k for k, word in enumerate(words) if word not in _COLORS] or range(len(words))
+    return words[: plain[-1]] + words[plain[-1] + 1 :] if words else []
+
+
+def _description(prompt: str) -> list[str]:
+    """Return the words up to the first preposition, what tells an amount left out."""
     words = words_of(prompt)
     amount = next((k for k, word in enumerate(words[1:]) if word == "of"), None)
     if amount is not None and words[amount] in _AMOUNTS:
         words = words[amount + 2 :]
     stop = next((k for k, word in enumerate(words) if k and word in _BEFORE), len(words))
-    plain = [word for word in words[:stop] if word not in _COLORS] or words[:stop]
-    return plain[-1] if plain and plain[-1] not in _ANYTHING else None
+    return words[:stop]
 
 
 def words_of(text: str) -> list[str]:

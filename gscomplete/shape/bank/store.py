@@ -119,6 +119,15 @@ class ShapeBank:
         order = np.argsort(-np.array(scores), kind="stable")[:limit]
         return [int(k) for k in order if scores[k] > 0]
 
+    def is_named(self, index: int, prompt: str) -> bool:
+        """Return whether a shape's own noun is the prompt's, or another word for it."""
+        noun = head_noun(prompt)
+        if noun is None:
+            return False
+        forms = forms_of(noun)
+        alike = {s for form in forms for s in synonyms_of(form)}
+        return bool((forms | alike).intersection(self._heads[index]))
+
 
 def write_bank(
     path: Path, names: Sequence[ShapeName], surfaces: Sequence[NDArray[np.bool_]]

@@ -46,8 +46,7 @@ def wider_from_object(
 
 def shape_in(shape: FittedShape, frame: Similarity) -> FittedShape:
     """Return a known shape in another frame."""
-    points = frame.apply(torch.from_numpy(shape.points)).numpy()
-    return dataclasses.replace(shape, points=points)
+    return shape.moved(frame.scale, frame.translation.numpy())
 
 
 def views_in(views: ViewDistribution, frame: Similarity) -> ViewDistribution:

@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gscomplete.shape.bank.nouns import _GROUP_OF, head_noun, synonyms_of
+from gscomplete.shape.bank.nouns import _GROUP_OF, adjectives_of, head_noun, synonyms_of
 
 
 @pytest.mark.parametrize(
@@ -28,6 +28,21 @@ from gscomplete.shape.bank.nouns import _GROUP_OF, head_noun, synonyms_of
 )
 def test_the_noun_is_what_the_first_preposition_follows(prompt, noun):
     assert head_noun(prompt) == noun
+
+
+@pytest.mark.parametrize(
+    ("prompt", "adjectives"),
+    [
+        ("a dark red mug with a blue handle", ["dark", "red"]),
+        ("a chair, blue", ["blue"]),
+        ("an orange", []),
+        ("half of a green apple", ["green"]),
+        ("chair", []),
+        ("", []),
+    ],
+)
+def test_adjectives_are_what_else_stands_before_the_first_preposition(prompt, adjectives):
+    assert adjectives_of(prompt) == adjectives
 
 
 @given(st.text(max_size=60))

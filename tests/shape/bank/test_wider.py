@@ -2,7 +2,7 @@ import numpy as np
 import torch
 
 from gscomplete.render import render
-from gscomplete.shape.bank.fit import FittedShape
+from gscomplete.shape.bank.fit import FittedShape, Pose
 from gscomplete.shape.bank.store import ShapeName
 from gscomplete.shape.bank.wider import (
     shape_in,
@@ -18,7 +18,8 @@ from tests.builders.objects import ball
 
 
 def known(points):
-    return FittedShape(ShapeName("a", "b", "c"), points, 0.0, 0.0, 0.0, 0.0)
+    pose = Pose(0.0, np.ones(3), np.zeros(3))
+    return FittedShape(ShapeName("a", "b", "c"), chair_cells(), pose, points, 0.0, 0.0, 0.0, 0.0)
 
 
 SEAT = np.random.default_rng(0).uniform(-0.5, 0.5, (400, 3))
@@ -36,6 +37,7 @@ def test_only_shapes_that_find_no_room_ask_for_a_wider_frame():
     assert np.isclose(np.ptp(placed, axis=0).max(), 1)
     moved = shape_in(known(both), frame)
     assert np.allclose(moved.points, placed)
+    assert np.allclose(moved.pose.to_shape(placed), both)
 
 
 def test_pictures_are_the_same_in_the_wider_frame():

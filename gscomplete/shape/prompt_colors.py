@@ -1,0 +1,71 @@
+"""Colours that a prompt names, for new splats of a part that has none of its own.
+
+Conventions
+-----------
+* Oklab (``splats.oklab``): hue and saturation become those of the colour named, and the mean
+  lightness; how much lighter or darker than the mean a splat is stays.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import torch
+from torch import Tensor
+
+from gscomplete.shape.bank.nouns import adjectives_of
+from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.splats.oklab import oklab_from_srgb, srgb_from_oklab
+
+_HUES = {
+    "red": "b3241f",
+    "orange": "e07b22",
+    "yellow": "e3c22f",
+    "green": "3a8a3c",
+    "blue": "2b5fb0",
+    "purple": "6d3a94",
+    "pink": "e08aa8",
+    "brown": "6e4527",
+    "beige": "d2bd94",
+    "gold": "c79a2e",
+    "golden": "c79a2e",
+    "turquoise": "35b1ab",
+    "teal": "217a7c",
+}
+"""sRGB. Black, white and grey are none: a part without colour has its own shade of these."""
+_COLOURLESS = 0.04
+"""Mean distance from grey below which a part has no colour (Oklab)."""
+
+
+def with_prompt_color(new: Splats, partial: Splats, prompt: str) -> tuple[Splats, tuple[str, ...]]:
+    """Give new splats the colour that the prompt names, unless P has colours itself.
+
+    Args:
+        new: splats of harmonics' degree 0.
+        partial: P.
+        prompt: names the colour before its noun: "a red mug", not "a mug with a red handle".
+
+    Returns:
+        The splats, and what was done, for the user; nothing where the prompt names no colour.
+    """
+    named = [word for word in adjectives_of(prompt) if word in _HUES]
+    if not named or not len(new):
+        return new, ()
+    if len(named) > 1:
+        return new, (f"colours: the prompt names {' and '.join(named)}: P's go on",)
+    (word,) = named
+    lab = oklab_from_srgb(partial.base_colors.detach().cpu().clamp(0.0, 1.0))
+    if float(lab[:, 1:].norm(dim=1).mean()) > _COLOURLESS:
+        return new, (f"colours: P has its own, which go on, {word} or not",)
+    recolored = _recolored(new.base_colors.detach().cpu().clamp(0.0, 1.0), _HUES[word])
+    note = f"colours: P has none, and the new splats are {word}, as the prompt says"
+    return dataclasses.replace(new, sh=colors_to_sh(recolored.float())), (note,)
+
+
+def _recolored(colors: Tensor, color: str) -> Tensor:  # [N, 3], six hexadecimal digits -> [N, 3]
+    """Return colours of one hue, as light and dark about it as they were about their mean."""
+    target = torch.tensor([[int(color[k : k + 2], 16) / 255 for k in (0, 2, 4)]])
+    lab, wanted = oklab_from_srgb(colors), oklab_from_srgb(target)
+    lightness = wanted[:, 0] + lab[:, 0] - lab[:, 0].mean()
+    moved = torch.stack([lightness, *(wanted[:, k].expand(len(lab)) for k in (1, 2))], dim=1)
+    return srgb_from_oklab(moved).clamp(0.0, 1.0)
