@@ -15,7 +15,9 @@ from torch import Tensor
 from gscomplete.shape.bank.fit import FitLimits, FittedShape, FloatArray
 from gscomplete.shape.voxels import CELL_SIDE, CELLS, cell_centers
 
-DECIDING = FitLimits(most_cost=0.2, most_growth=100.0, other_noun_cost=0.04)
+DECIDING = FitLimits(
+    most_cost=0.25, most_growth=200.0, in_front_cost=0.15, synonym_cost=0.02, other_noun_cost=0.04
+)
 """Of shapes that users ask for by name: P may be a small piece of them, and suit them badly."""
 LIKE_PARTIAL = 0.08
 """What of a shape is this near to P, object sizes, stands for what P has."""

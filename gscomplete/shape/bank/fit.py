@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_fill_holes, distance_transform_edt, map_coordinates
 from scipy.spatial import cKDTree
 
-from gscomplete.shape.bank.store import BANK_CELLS, ShapeBank, ShapeName
+from gscomplete.shape.bank.store import BANK_CELLS, Naming, ShapeBank, ShapeName
 
 FloatArray = NDArray[np.float64]
 
@@ -63,8 +63,17 @@ class FitLimits:
     most_growth: float = 3.0
     """A shape that needs more than so many times P's box is left out: P is no more than a face of
     it, and what is behind a face may have any size."""
+    in_front_cost: float = 0.0
+    """More for the share that would hide P: what hides it is cut away."""
+    synonym_cost: float = 0.0
+    """More for shapes of another word for the noun: a bird bath for "a bathtub"."""
     other_noun_cost: float = 0.0
-    """Of shapes that only their captions connect with the noun: a lamp table for "a lamp"."""
+    """More for shapes that only their captions connect with it: a lamp table for "a lamp"."""
+
+    def cost_of(self, shape: FittedShape, naming: Naming) -> float:
+        """Return what is added to a shape's cost."""
+        by_name = {"noun": 0.0, "synonym": self.synonym_cost, "caption": self.other_noun_cost}
+        return self.in_front_cost * shape.in_front + by_name[naming]
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,14 +116,14 @@ class FittedShape:
     """Share of what c sees of it that P does not have."""
     growth: float
     """Logarithm of the volume of its box and P's together over that of P's."""
-    naming: float = 0.0
-    """What its name adds to the cost."""
+    added_cost: float = 0.0
+    """What the limits add to the cost."""
 
     @property
     def cost(self) -> float:
         """How badly it suits P; less is better."""
         contradicted = _IN_FRONT_COST * self.in_front + _UNSEEN_COST * self.unseen
-        return self.residual + contradicted + _GROWTH_COST * self.growth + self.naming
+        return self.residual + contradicted + _GROWTH_COST * self.growth + self.added_cost
 
     def moved(self, scale: float, move: FloatArray) -> FittedShape:  # [3]
         """Return it in the place of an object whose points p are now ``scale * p + move``."""
@@ -172,8 +181,8 @@ def fit_known_shapes(
             fields[index] = _distances(shapes[index])
         residual, refined = _refined(fields[index], more, pose)
         fitted = _judged(bank.names[index], shapes[index], refined, residual, many, toward_c)
-        if not bank.is_named(index, prompt):
-            fitted = dataclasses.replace(fitted, naming=limits.other_noun_cost)
+        added = limits.cost_of(fitted, bank.naming(index, prompt))
+        fitted = dataclasses.replace(fitted, added_cost=added)
         if index not in found or fitted.cost < found[index].cost:
             found[index] = fitted
     best: dict[str, FittedShape] = {}

@@ -17,6 +17,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
@@ -34,6 +35,9 @@ _BITS = BANK_CELLS**3 // 8
 _HEAD_SCORE, _SYNONYM_SCORE, _WORD_SCORE, _OTHER_SCORE = 3.0, 2.5, 2.0, 0.3
 """A shape of that very noun, of a synonym, one that is also called so, and each further word in
 common."""
+
+
+Naming = Literal["noun", "synonym", "caption"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,14 +123,14 @@ class ShapeBank:
         order = np.argsort(-np.array(scores), kind="stable")[:limit]
         return [int(k) for k in order if scores[k] > 0]
 
-    def is_named(self, index: int, prompt: str) -> bool:
-        """Return whether a shape's own noun is the prompt's, or another word for it."""
+    def naming(self, index: int, prompt: str) -> Naming:
+        """Return what of a shape's name the prompt's noun is, if it is any."""
         noun = head_noun(prompt)
-        if noun is None:
-            return False
-        forms = forms_of(noun)
+        forms = forms_of(noun) if noun else frozenset()
+        if forms.intersection(self._heads[index]):
+            return "noun"
         alike = {s for form in forms for s in synonyms_of(form)}
-        return bool((forms | alike).intersection(self._heads[index]))
+        return "synonym" if alike.intersection(self._heads[index]) else "caption"
 
 
 def write_bank(

@@ -132,11 +132,14 @@ def test_shapes_of_the_noun_itself_go_before_those_of_captions(tmp_path):
     ]
     write_bank(tmp_path / BANK_FILE, names, [chair_cells(), box_cells((24, 24, 48))])
     bank = read_bank(tmp_path / BANK_FILE)
-    assert [bank.is_named(k, "an old lamp") for k in (0, 1)] == [False, True]
-    assert not bank.is_named(0, "a toy")
+    assert [bank.naming(k, "an old lamp") for k in (0, 1)] == ["caption", "synonym"]
+    assert bank.naming(0, "a table") == "noun"
+    assert bank.naming(0, "a toy") == "caption"
     part = cell_points(chair_cells())
     firsts = [
-        fit_known_shapes(bank, "a lamp", part, FRONT, 2, FitLimits(9.0, 99.0, cost))[0]
+        fit_known_shapes(
+            bank, "a lamp", part, FRONT, 2, FitLimits(9.0, 99.0, other_noun_cost=cost)
+        )[0]
         for cost in (0.0, 1.0)
     ]
     assert [shape.name.id for shape in firsts] == ["a/lamp_table", "b/lantern"]
