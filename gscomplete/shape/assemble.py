@@ -8,12 +8,15 @@ Conventions
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 from torch import Tensor
 
+from gscomplete.shape.bank.fit import FittedShape
 from gscomplete.shape.evidence import Evidence
 from gscomplete.shape.mirror_plane import MirrorPlane
 from gscomplete.shape.predict import Prediction
@@ -38,6 +41,13 @@ _MOST_LOOKED_AT = 20_000
 """Splats of P that tell where P is."""
 _LEAST_COPY_LOGIT = -2.0
 """Copies in cells that the network finds emptier than this are left out ..."""
+_DOUBTED_LOGIT, _FEWEST_KNOWN, _UNLIKE_KNOWN = 0.0, 2, 0.08
+"""Copies in cells emptier than this are left out, too, where so many known shapes suit P and none
+is this near, object sizes; ..."""
+_BESIDE, _OFF_KNOWN = 0.12, 0.03
+"""... within the first of these such that none is nearer than the second ..."""
+_OTHER_COLOR = 0.2
+"""... and those of their colour, where it is so far from that of the others there (sRGB); ..."""
 _MOST_IN_FRONT = 0.5
 """... and those that more than this share of the views sees to be in front of P."""
 _LEAST_SYMMETRY_SCORE = 0.75
@@ -92,10 +102,16 @@ class AssembledSplats:
     """The new splats."""
     mirrored: int
     """How many of them, the first, are P's own, mirrored."""
+    contradicted: int = 0
+    """How many mirrored ones known shapes contradict."""
 
 
 def assemble_splats(
-    prediction: Prediction, partial: Splats, settings: AssembleSettings, generator: torch.Generator
+    prediction: Prediction,
+    partial: Splats,
+    settings: AssembleSettings,
+    generator: torch.Generator,
+    known: Sequence[FittedShape] = (),
 ) -> AssembledSplats:
     """Return the new splats of one object.
 
@@ -104,11 +120,12 @@ def assemble_splats(
         partial: P in the object frame.
         settings: knobs.
         generator: chooses where splats sit.
+        known: shapes that suit P, which may contradict mirror images.
     """
-    copies = None
+    copies, contradicted = None, 0
     most = int(_MOST_MIRRORED_SHARE * settings.count)
     if most and is_mirrored_by_splats(prediction):
-        copies = _new_copies(prediction, partial, most, generator)
+        copies, contradicted = _new_copies(prediction, partial, known, most, generator)
     if copies is None or not len(copies):
         level = _surface_logit(prediction, settings)
         near = settings.near_partial
@@ -123,7 +140,7 @@ def assemble_splats(
         least_spacing=min(max(median_spacing(copies.means), _LEAST_SPACING), _MOST_SPACING),
     )
     surface = surface_splats(prediction.output, prediction.seen, partial, beside, generator, copies)
-    return AssembledSplats(concatenate([copies, surface]), len(copies))
+    return AssembledSplats(concatenate([copies, surface]), len(copies), contradicted)
 
 
 def is_mirrored_by_splats(prediction: Prediction) -> bool:
@@ -193,22 +210,30 @@ def _mirror_note(prediction: Prediction, mirrored: int) -> str:
 
 
 def _new_copies(
-    prediction: Prediction, partial: Splats, limit: int, generator: torch.Generator
-) -> Splats:
-    """Return P's splats through the first mirror image, where P has none and nothing is against."""
+    prediction: Prediction,
+    partial: Splats,
+    known: Sequence[FittedShape],
+    limit: int,
+    generator: torch.Generator,
+) -> tuple[Splats, int]:
+    """Return P's splats through the first mirror image, where P has none and nothing is against.
+
+    The second value counts those that known shapes alone are against.
+    """
     source = thinned(partial, _MOST_MIRRORED, generator)
     copies = mirror_image(source, prediction.seen.symmetries[0])
-    copies = select_consistent(
-        copies, prediction.output.occupancy.float(), prediction.voxels.evidence
-    )
+    occupancy = prediction.output.occupancy.float()
+    copies = select_consistent(copies, occupancy, prediction.voxels.evidence)
+    against = contradicted_by(known, copies, occupancy)
+    copies = copies.select(~against)
     if not len(copies):
-        return copies
+        return copies, int(against.sum())
     axes = rotation_matrices(copies.quaternions)
     thinnest = copies.scales.argmin(dim=1)[:, None, None].expand(-1, 3, 1)
     normals = axes.gather(2, thinnest)[:, :, 0]
     anchor = thinned(partial, _MOST_LOOKED_AT, generator)
     is_new = is_missing(copies.means, normals, anchor.means, SurfaceSettings())
-    return thinned(copies.select(is_new), limit, generator)
+    return thinned(copies.select(is_new), limit, generator), int(against.sum())
 
 
 def select_consistent(
@@ -219,6 +244,37 @@ def select_consistent(
     """Return the copies that neither the network nor the views contradict."""
     logit = sample_volume(occupancy, copies.means)[:, 0]
     return copies.select((logit > _LEAST_COPY_LOGIT) & hides_nothing(copies, evidence))
+
+
+def contradicted_by(
+    known: Sequence[FittedShape],
+    copies: Splats,
+    occupancy: Tensor,  # [1, C, C, C] logits of the network's answer
+) -> Tensor:  # [N] bool
+    """Mark the copies that the network doubts and no known shape has: a mug's second handle.
+
+    Beside those what stands off them at all is marked, too, and what is of their colour rather than
+    of the others': the handle's ends.
+    """
+    doubted = sample_volume(occupancy, copies.means)[:, 0] < _DOUBTED_LOGIT
+    if len(known) < _FEWEST_KNOWN or not bool(doubted.any()):
+        return torch.zeros_like(doubted)
+    points = copies.means.numpy()
+    away = np.min([cKDTree(shape.points).query(points)[0] for shape in known], axis=0)
+    far = doubted.numpy() & (away > _UNLIKE_KNOWN)
+    if not far.any():
+        return torch.zeros_like(doubted)
+    beside, _ = cKDTree(points[far]).query(points, distance_upper_bound=_BESIDE)
+    is_beside = torch.from_numpy(np.isfinite(beside))
+    marked = torch.from_numpy(far | (doubted.numpy() & (away > _OFF_KNOWN))) & is_beside
+    theirs, others = (
+        copies.base_colors[side].median(dim=0).values if bool(side.any()) else None
+        for side in (marked, is_beside & ~marked)
+    )
+    if theirs is None or others is None or float((theirs - others).norm()) < _OTHER_COLOR:
+        return marked
+    to_theirs, to_others = ((copies.base_colors - color).norm(dim=1) for color in (theirs, others))
+    return marked | (is_beside & (to_theirs < to_others))
 
 
 def hides_nothing(splats: Splats, evidence: Evidence) -> Tensor:  # [N] bool

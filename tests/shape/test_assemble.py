@@ -9,10 +9,13 @@ from gscomplete.render import render
 from gscomplete.shape.assemble import (
     AssembleSettings,
     assemble_splats,
+    contradicted_by,
     is_mirrored_by_splats,
     notes_of,
     select_consistent,
 )
+from gscomplete.shape.bank.fit import FittedShape, Pose
+from gscomplete.shape.bank.store import ShapeName
 from gscomplete.shape.network import ShapeOutput
 from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.predict import Prediction
@@ -21,7 +24,8 @@ from gscomplete.shape.symmetry import SOURCES, mirror_image, no_symmetries
 from gscomplete.shape.voxels import CELLS, COARSE_CELLS, cell_centers
 from gscomplete.splats import concatenate
 from gscomplete.views import ViewDistribution
-from tests.builders.objects import ball, half
+from tests.builders.known_shapes import box_cells, cell_points
+from tests.builders.objects import ball, half, round_splats
 from tests.builders.shape_network import mirrors
 
 VIEWS = ViewDistribution(0.0, 10.0)
@@ -215,3 +219,55 @@ def test_what_lacks_nothing_is_not_mirrored_beside_itself():
     )
     assert is_mirrored_by_splats(predicted(0.9))
     assert not is_mirrored_by_splats(prediction)
+
+
+BODY = box_cells((24, 24, 24), at=(12, 12, 12))  # |x|, |y|, |z| <= 0.25
+BLUE, RED = torch.tensor([0.1, 0.1, 0.8]), torch.tensor([0.8, 0.1, 0.1])
+EMPTY = torch.full((1, CELLS, CELLS, CELLS), -1.0)
+
+
+def known(count):
+    """Return known shapes that are the body alone."""
+    pose = Pose(0.0, np.ones(3), np.zeros(3))
+    name = ShapeName("a/mug", "mug", "a mug")
+    return [FittedShape(name, BODY, pose, cell_points(BODY), 0.0, 0.0, 0.0, 0.0)] * count
+
+
+def body_and_handle(handle_color=RED):
+    """Return splats on the body, then those of a bar of .2 that stands on its face at high x."""
+    face = torch.rand(2000, 3, generator=torch.Generator().manual_seed(0)) * 0.5 - 0.25
+    face[:, 0] = 0.25
+    along = torch.linspace(0.25, 0.45, 400)
+    bar = torch.stack([along, torch.zeros(400), torch.zeros(400)], dim=1)
+    blue, others = round_splats(face, color=BLUE), round_splats(bar, color=handle_color)
+    return concatenate([blue, others]), len(face)
+
+
+def test_known_shapes_contradict_a_second_handle_down_to_its_ends():
+    copies, body = body_and_handle()
+    marked = contradicted_by(known(2), copies, EMPTY)
+    assert marked[body:].all()
+    assert not marked[:body].any()
+
+
+def test_without_colours_ends_stay_where_they_are_no_longer_than_surfaces_are_coarse():
+    copies, body = body_and_handle(BLUE)
+    marked = contradicted_by(known(2), copies, EMPTY)
+    sticks_out = copies.means[:, 0] > 0.25 + 0.03 + 1 / 48
+    assert marked[sticks_out].all()
+    assert not marked[:body].any()
+
+
+def test_one_shape_or_a_network_that_is_sure_is_not_contradicted():
+    copies, _ = body_and_handle()
+    assert not contradicted_by(known(1), copies, EMPTY).any()
+    assert not contradicted_by((), copies, EMPTY).any()
+    assert not contradicted_by(known(2), copies, EMPTY + 2).any()
+
+
+def test_known_shapes_that_have_the_handle_keep_it():
+    copies, _ = body_and_handle()
+    with_handle = BODY | box_cells((12, 3, 3), at=(36, 23, 23))
+    (one,) = known(1)
+    other = dataclasses.replace(one, cells=with_handle, points=cell_points(with_handle))
+    assert not contradicted_by([one, other], copies, EMPTY).any()
