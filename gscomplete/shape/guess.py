@@ -72,7 +72,7 @@ class Asked:
     bfloat16: bool
     """Precision of the network."""
     ends_in_plane: bool
-    """Whether P was cut along a plane (``framing.cut_plane``)."""
+    """Whether P was cut along a plane, as far as found (``framing.cut_plane``)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -60,7 +60,7 @@ def predict(
         partial: P in the object frame.
         distribution: V.
         tokens: the prompt.
-        ends_in_plane: whether P was cut along a plane (``framing.cut_plane``).
+        ends_in_plane: whether P was cut along a plane, as far as found (``framing.cut_plane``).
         no_tokens: no prompt, to tell what ``tokens`` change; None = it is not asked.
         bfloat16: precision of the network.
         mirror_plane: which plane of symmetry to show first.

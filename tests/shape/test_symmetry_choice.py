@@ -3,6 +3,7 @@ import math
 import pytest
 import torch
 
+from gscomplete.shape import symmetry_choice
 from gscomplete.shape.mirror_plane import MirrorPlane
 from gscomplete.shape.network import ShapeOutput
 from gscomplete.shape.partial_voxels import voxelize_partial
@@ -12,6 +13,7 @@ from gscomplete.shape.symmetry_choice import (
     CANDIDATES,
     ScoredPlanes,
     choose_symmetries,
+    missing_share,
     score_planes,
     sureness,
     symmetry_scores_of_answers,
@@ -161,3 +163,34 @@ def test_of_parts_that_end_in_no_plane_the_surest_answer_wins():
     asked = score_planes(Surest(), LOOK, tokens, ends_in_plane=False)
     assert not asked.none_is_surest
     assert asked.planes[0].apply(LOOK.positions)[:, 0].min() < -0.36
+
+
+class Filler(Believer):
+    """Fills P and all copies that it is shown first."""
+
+    def forward(self, volumes, evidence, scores, tokens):
+        filled = (volumes[:, 0, 0] > 0) | (volumes[:, 1, 0] > 0)
+        nothing = torch.zeros(len(volumes), SOURCES + 1, *(COARSE_CELLS,) * 3)
+        return ShapeOutput(16.0 * filled.float() - 8.0, nothing[:, :3], nothing)
+
+
+@pytest.mark.parametrize("share", [0.6, 0.8])
+def test_a_part_that_no_view_shows_much_of_counts_as_cut_if_much_is_missing(monkeypatch, share):
+    monkeypatch.setattr(symmetry_choice, "best_view_share", lambda points: share)
+    tokens = torch.zeros(4, dtype=torch.long)
+    found, cut = (
+        score_planes(Filler(), LOOK, tokens, ends_in_plane=ends) for ends in (False, True)
+    )
+    assert (found.symmetry_scores == cut.symmetry_scores) == (share < 0.7)
+    # Nothing is missing where P is all that is filled.
+    assert score_planes(Doubter(), LOOK, tokens, ends_in_plane=False).none_is_surest
+
+
+def test_what_is_missing_is_the_surface_beyond_p():
+    seen = LOOK.with_copies(mirrors())
+    partial, across = (torch.from_numpy(seen.volumes[k, 0]) for k in (0, 1))
+    whole = ((partial > 0) | (across > 0)).float()[None]
+    # half of a ball, but for the cells beside the other
+    assert 0.3 < missing_share(whole, partial) < 0.5
+    assert missing_share((partial > 0).float()[None], partial) == 0
+    assert missing_share(torch.zeros_like(whole), partial) == 0
