@@ -8,7 +8,7 @@ Conventions
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,6 +44,8 @@ _LEAST_COPY_LOGIT = -2.0
 _DOUBTED_LOGIT, _FEWEST_KNOWN, _UNLIKE_KNOWN = 0.0, 2, 0.08
 """Copies in cells emptier than this are left out, too, where so many known shapes suit P and none
 is this near, object sizes; ..."""
+_FEW_DOUBTED = 0.02
+"""Known shapes are not looked for where no more of the copies are doubted."""
 _BESIDE, _OFF_KNOWN = 0.12, 0.03
 """... within the first of these such that none is nearer than the second ..."""
 _OTHER_COLOR = 0.2
@@ -111,7 +113,7 @@ def assemble_splats(
     partial: Splats,
     settings: AssembleSettings,
     generator: torch.Generator,
-    known: Sequence[FittedShape] = (),
+    known: Callable[[], Sequence[FittedShape]] = tuple,
 ) -> AssembledSplats:
     """Return the new splats of one object.
 
@@ -120,7 +122,8 @@ def assemble_splats(
         partial: P in the object frame.
         settings: knobs.
         generator: chooses where splats sit.
-        known: shapes that suit P, which may contradict mirror images.
+        known: finds shapes that suit P, which may contradict mirror images; called where the
+            network doubts a part of them.
     """
     copies, contradicted = None, 0
     most = int(_MOST_MIRRORED_SHARE * settings.count)
@@ -212,7 +215,7 @@ def _mirror_note(prediction: Prediction, mirrored: int) -> str:
 def _new_copies(
     prediction: Prediction,
     partial: Splats,
-    known: Sequence[FittedShape],
+    known: Callable[[], Sequence[FittedShape]],
     limit: int,
     generator: torch.Generator,
 ) -> tuple[Splats, int]:
@@ -224,7 +227,10 @@ def _new_copies(
     copies = mirror_image(source, prediction.seen.symmetries[0])
     occupancy = prediction.output.occupancy.float()
     copies = select_consistent(copies, occupancy, prediction.voxels.evidence)
-    against = contradicted_by(known, copies, occupancy)
+    doubted = sample_volume(occupancy, copies.means)[:, 0] < _DOUBTED_LOGIT
+    against = torch.zeros_like(doubted)
+    if float(doubted.sum()) > _FEW_DOUBTED * len(copies):
+        against = contradicted_by(known(), copies, doubted)
     copies = copies.select(~against)
     if not len(copies):
         return copies, int(against.sum())
@@ -249,14 +255,13 @@ def select_consistent(
 def contradicted_by(
     known: Sequence[FittedShape],
     copies: Splats,
-    occupancy: Tensor,  # [1, C, C, C] logits of the network's answer
+    doubted: Tensor,  # [N] bool by the network
 ) -> Tensor:  # [N] bool
     """Mark the copies that the network doubts and no known shape has: a mug's second handle.
 
     Beside those what stands off them at all is marked, too, and what is of their colour rather than
     of the others': the handle's ends.
     """
-    doubted = sample_volume(occupancy, copies.means)[:, 0] < _DOUBTED_LOGIT
     if len(known) < _FEWEST_KNOWN or not bool(doubted.any()):
         return torch.zeros_like(doubted)
     points = copies.means.numpy()

@@ -110,13 +110,11 @@ class KnownShapes:
             return (f"{noun}: known shapes do not suit P, do not agree, or add nothing",)
         return (f"{noun}: no known shape is called so",)
 
-    def contradictions(self, shapes: tuple[FittedShape, ...], count: int) -> tuple[str, ...]:
+    def contradiction(self, shapes: tuple[FittedShape, ...], count: int) -> str:
         """Say how many mirrored splats shapes contradict."""
-        if not count:
-            return ()
         names = ", ".join(shape.name.id for shape in shapes)
         left_out = f"{count:,} mirrored splats left out that no known shape has ({names})"
-        return (f"{head_noun(self.prompt)}: {left_out} (--no-known-shapes: with them)",)
+        return f"{head_noun(self.prompt)}: {left_out} (--no-known-shapes: with them)"
 
 
 @functools.lru_cache(maxsize=1)
@@ -159,10 +157,14 @@ def guess_complete(
         if found is not None:
             return dataclasses.replace(found, notes=known.notes(found.known) + found.notes)
         notes = known.notes(())
-    shapes = () if isinstance(mirror, MirrorPlane) else known.fitted(partial, views)
+
+    def fitted() -> tuple[FittedShape, ...]:
+        return () if isinstance(mirror, MirrorPlane) else known.fitted(partial, views)
+
     with stage("surface"):
-        assembled = assemble_splats(plain, partial, settings, generator, shapes)
-    notes += known.contradictions(shapes, assembled.contradicted)
+        assembled = assemble_splats(plain, partial, settings, generator, fitted)
+    if assembled.contradicted:
+        notes += (known.contradiction(fitted(), assembled.contradicted),)
     return Guess(assembled.splats, (), notes + notes_of(plain, assembled.mirrored))
 
 
