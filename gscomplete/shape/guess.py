@@ -94,6 +94,13 @@ class KnownShapes:
         limits = DECIDING if self.decide else FitLimits()
         return _fitted(self.bank, self.prompt, points, toward_c, limits)
 
+    def may_agree(self) -> bool:
+        """Return whether shapes of two packs are called so: of each pack one may suit P."""
+        if self.bank is None:
+            return False
+        bank = read_bank(self.bank)
+        return len({bank.names[k].pack for k in bank.named(self.prompt, len(bank))}) > 1
+
     def notes(self, used: tuple[FittedShape, ...]) -> tuple[str, ...]:
         """Say which of them helped, or why none did."""
         noun = head_noun(self.prompt)
@@ -159,7 +166,8 @@ def guess_complete(
         notes = known.notes(())
 
     def fitted() -> tuple[FittedShape, ...]:
-        return () if isinstance(mirror, MirrorPlane) else known.fitted(partial, views)
+        may = not isinstance(mirror, MirrorPlane) and known.may_agree()
+        return known.fitted(partial, views) if may else ()
 
     with stage("surface"):
         assembled = assemble_splats(plain, partial, settings, generator, fitted)
