@@ -209,10 +209,14 @@ class EmbeddedPrior:
         notes: tuple[str, ...] = ()
         points = partial.means.double().numpy()
         cut = find_cut(points)
+        bank = self._bank if known_shapes else None
+        known = KnownShapes(bank, conditioning.prompt, prompt_decides)
         if mirror == "guess":
-            if is_closed(points, cut) and not prompt_decides:
+            more = prompt_decides and known.fitted(partial, distribution)
+            if is_closed(points, cut) and not more:
                 nothing = partial.with_sh_degree(0).select(torch.arange(0))
-                return FirstGuess(nothing, (_COMPLETE_NOTE,))
+                told = known.notes(()) if prompt_decides else ()
+                return FirstGuess(nothing, (*told, _COMPLETE_NOTE))
             if cut is not None and cut.is_symmetric and abs(cut.offset) <= 1:
                 mirror = MirrorPlane(cut.azimuth_deg, cut.offset)
                 notes += (_SQUARE_CUT_NOTE,)
@@ -223,8 +227,6 @@ class EmbeddedPrior:
             bfloat16=self._shape_bfloat16,
             ends_in_plane=cut is not None,
         )
-        bank = self._bank if known_shapes else None
-        known = KnownShapes(bank, conditioning.prompt, prompt_decides)
         guess = guess_complete(asked, partial, distribution, mirror, known, count, generator)
         return FirstGuess(guess.splats, notes + guess.notes)
 

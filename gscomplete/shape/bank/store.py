@@ -109,8 +109,7 @@ class ShapeBank:
         noun = head_noun(prompt)
         if noun is None:
             return []
-        forms = forms_of(noun)
-        alike = frozenset(s for form in forms for s in synonyms_of(form))
+        forms, alike = _forms_and_synonyms(noun)
         others = set(words_of(prompt)) - forms
         scores = []
         for head, words in zip(self._heads, self._words, strict=True):
@@ -126,11 +125,18 @@ class ShapeBank:
     def naming(self, index: int, prompt: str) -> Naming:
         """Return what of a shape's name the prompt's noun is, if it is any."""
         noun = head_noun(prompt)
-        forms = forms_of(noun) if noun else frozenset()
+        if noun is None:
+            return "caption"
+        forms, alike = _forms_and_synonyms(noun)
         if forms.intersection(self._heads[index]):
             return "noun"
-        alike = {s for form in forms for s in synonyms_of(form)}
         return "synonym" if alike.intersection(self._heads[index]) else "caption"
+
+
+def _forms_and_synonyms(noun: str) -> tuple[frozenset[str], frozenset[str]]:
+    """Return the noun's own forms, and other words for it."""
+    forms = forms_of(noun)
+    return forms, frozenset(word for form in forms for word in synonyms_of(form))
 
 
 def write_bank(

@@ -216,3 +216,16 @@ def test_nothing_is_added_to_a_closed_surface_unless_asked():
     )
     asked = prior.first_guess(complete, views, conditioning, generator(), 500, "none")
     assert "complete" not in asked.notes[0]
+
+
+@pytest.mark.parametrize(("prompt", "grows"), [("a unicorn", False), ("a lamp", True)])
+def test_a_closed_surface_is_part_of_more_only_by_a_known_shape(prompt, grows):
+    """Where no shape is known, a prompt that decides decides nothing."""
+    prior = load_prior("embedded")
+    views, conditioning = ViewDistribution(0.0, 10.0), prior.condition(prompt)
+    guess = prior.first_guess(
+        ball(2000), views, conditioning, generator(), 500, prompt_decides=True
+    )
+    assert (len(guess.splats) > 0) == grows
+    assert "known shape" in guess.notes[0]
+    assert ("complete" in guess.notes[-1]) != grows
