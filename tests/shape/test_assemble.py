@@ -14,7 +14,8 @@ from gscomplete.shape.assemble import (
     notes_of,
     select_consistent,
 )
-from gscomplete.shape.bank.fit import FittedShape, Pose
+from gscomplete.shape.bank.fit import FittedShape
+from gscomplete.shape.bank.pose import Pose
 from gscomplete.shape.bank.store import ShapeName
 from gscomplete.shape.network import ShapeOutput
 from gscomplete.shape.partial_voxels import voxelize_partial

@@ -12,7 +12,8 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from gscomplete.shape.bank.fit import FitLimits, FittedShape, FloatArray
+from gscomplete.shape.bank.fit import FitLimits, FittedShape
+from gscomplete.shape.bank.pose import FloatArray
 from gscomplete.shape.voxels import CELL_SIDE, CELLS, cell_centers
 
 DECIDING = FitLimits(

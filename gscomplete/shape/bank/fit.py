@@ -7,9 +7,8 @@ larger than P it is: a large shape has a place for any small part.
 
 Conventions
 -----------
-* A pose takes a point p of the object frame to ``scales * (R(yaw) p) + shift`` in the shape's frame
-  (``store``), with R a turn about z.
-* Distances count in P's largest side, up to ``_FAR`` of it: what P has and the shape lacks.
+* Poses are those of ``pose``. Distances count in P's largest side, up to ``FAR`` of it: what P has
+  and the shape lacks.
 """
 
 from __future__ import annotations
@@ -20,12 +19,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_fill_holes, distance_transform_edt, map_coordinates
+from scipy.ndimage import binary_fill_holes, map_coordinates
 from scipy.spatial import cKDTree
 
+from gscomplete.shape.bank.improve import FAR, improve_poses
+from gscomplete.shape.bank.pose import MARGIN, FloatArray, Pose, distance_field, turn_about_z
 from gscomplete.shape.bank.store import BANK_CELLS, Naming, ShapeBank, ShapeName
-
-FloatArray = NDArray[np.float64]
 
 _MOST_SHAPES = 80
 """Shapes of the prompt's noun that are looked at."""
@@ -33,9 +32,6 @@ _MOST_REFINED = 60
 """Poses of all shapes together."""
 _POSES_PER_SHAPE = 6
 _COARSE_POINTS, _FINE_POINTS, _SEEN_POINTS = 150, 300, 6000
-_FAR = 0.12
-_MARGIN = 1 / 6
-"""Of the shape's side: more than ``_FAR`` of a part that fits into the shape."""
 _TURNS = 16
 _SHARES = (1.0, 0.85, 0.72, 0.6, 0.5)
 """How much of the shape P is along the axis where it is most of it ..."""
@@ -44,8 +40,6 @@ _SLACK = 1.08
 _NEXT_TO_NO_ROOM = 0.06
 """Of the shape's side: P sits in the middle of less room than this."""
 _SHARE_COST = 0.03
-_TURN_STEP, _SCALE_STEP, _STIFFNESS = 0.5, 0.2, 0.03
-"""Radians and logarithms by which a pose changes at the price of ``_STIFFNESS``, per point."""
 _IN_FRONT_COST, _UNSEEN_COST, _GROWTH_COST = 0.15, 0.06, 0.012
 _PICTURE_PX = 40
 _TOLERANCE = 0.06
@@ -74,30 +68,6 @@ class FitLimits:
         """Return what is added to a shape's cost."""
         by_name = {"noun": 0.0, "synonym": self.synonym_cost, "caption": self.other_noun_cost}
         return self.in_front_cost * shape.in_front + by_name[naming]
-
-
-@dataclass(frozen=True, slots=True)
-class Pose:
-    """Where a shape is; see the module's description."""
-
-    yaw_rad: float
-    scales: FloatArray  # [3]
-    shift: FloatArray  # [3]
-
-    def to_shape(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
-        """Take points of the object frame to the shape's frame."""
-        placed: FloatArray = self.scales * (points @ _turn(self.yaw_rad).T) + self.shift
-        return placed
-
-    def to_object(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
-        """Undo :meth:`to_shape`."""
-        placed: FloatArray = ((points - self.shift) / self.scales) @ _turn(self.yaw_rad)
-        return placed
-
-    def of_moved(self, scale: float, move: FloatArray) -> Pose:  # [3]
-        """Return the same place for an object whose points p are now ``scale * p + move``."""
-        scales = self.scales / scale
-        return Pose(self.yaw_rad, scales, self.shift - scales * (_turn(self.yaw_rad) @ move))
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,9 +107,9 @@ class FittedShape:
         """
         solid = binary_fill_holes(self.cells)
         place = self.pose.to_shape(points)
-        within = np.clip(place, -0.5 - _MARGIN, 0.5 + _MARGIN)
-        at = (within + 0.5 + _MARGIN) * len(solid) - 0.5
-        near: FloatArray = map_coordinates(_distances(solid), at.T, order=1, mode="nearest")
+        within = np.clip(place, -0.5 - MARGIN, 0.5 + MARGIN)
+        at = (within + 0.5 + MARGIN) * len(solid) - 0.5
+        near: FloatArray = map_coordinates(distance_field(solid), at.T, order=1, mode="nearest")
         beyond = np.linalg.norm(place - within, axis=1)
         far: FloatArray = (near + beyond) / float(self.pose.scales.mean())
         return far
@@ -174,12 +144,11 @@ def fit_known_shapes(
     shapes = {k: bank.surface(k) for k in bank.named(prompt, _MOST_SHAPES)}
     tried = [(cost, k, pose) for k, cells in shapes.items() for cost, pose in _coarse(cells, few)]
     tried.sort(key=lambda entry: entry[:2])
-    fields: dict[int, FloatArray] = {}
+    begun = tried[:_MOST_REFINED]
+    fields = {k: distance_field(shapes[k]) for k in sorted({k for _, k, _ in begun})}
+    improved = improve_poses([(fields[k], pose) for _, k, pose in begun], more)
     found: dict[int, FittedShape] = {}
-    for _, index, pose in tried[:_MOST_REFINED]:
-        if index not in fields:
-            fields[index] = _distances(shapes[index])
-        residual, refined = _refined(fields[index], more, pose)
+    for (_, index, _), (residual, refined) in zip(begun, improved, strict=True):
         fitted = _judged(bank.names[index], shapes[index], refined, residual, many, toward_c)
         added = limits.cost_of(fitted, bank.naming(index, prompt))
         fitted = dataclasses.replace(fitted, added_cost=added)
@@ -201,18 +170,6 @@ def _spread(points: FloatArray, count: int) -> FloatArray:
     return points[np.linspace(0, len(points) - 1, count).astype(np.int64)]
 
 
-def _turn(yaw_rad: float) -> FloatArray:  # [3, 3]
-    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
-def _distances(cells: NDArray[np.bool_]) -> FloatArray:  # [C, C, C] -> [F, F, F]
-    """Return the distance from a surface in the shape's cube and ``_MARGIN`` round it."""
-    padded = np.pad(cells, round(_MARGIN * len(cells)))
-    field: FloatArray = distance_transform_edt(~padded, sampling=1.0 / len(cells))
-    return field
-
-
 def _coarse(
     surface: NDArray[np.bool_],  # [C, C, C]
     points: FloatArray,  # [N, 3]
@@ -220,13 +177,13 @@ def _coarse(
     """Try poses; return the best with their costs."""
     half = BANK_CELLS // 2
     cells = np.asarray(surface.reshape(half, 2, half, 2, half, 2).any(axis=(1, 3, 5)))
-    field = _distances(cells)
+    field = distance_field(cells)
     filled = np.argwhere(cells)
     low, high = filled.min(axis=0) / half - 0.5, (filled.max(axis=0) + 1) / half - 0.5
     sides = high - low
     found = []
     for yaw in 2 * math.pi * np.arange(_TURNS) / _TURNS:
-        turned = points @ _turn(yaw).T
+        turned = points @ turn_about_z(yaw).T
         corner = turned.min(axis=0)
         extent = np.maximum(np.ptp(turned, axis=0), 0.02)
         largest = _SLACK * float((sides / extent).min())
@@ -236,42 +193,14 @@ def _coarse(
             places = [(0.0, 0.5, 1.0) if r > _NEXT_TO_NO_ROOM else (0.5,) for r in room]
             at = np.stack(np.meshgrid(*places, indexing="ij"), axis=-1).reshape(-1, 3)
             shifts = low + at * room - scale * corner
-            cell = np.floor((scale * turned + shifts[:, None] + 0.5 + _MARGIN) * half)
+            cell = np.floor((scale * turned + shifts[:, None] + 0.5 + MARGIN) * half)
             x, y, z = np.clip(cell.astype(np.int32), 0, len(field) - 1).transpose(2, 0, 1)
-            away = np.minimum(field[x, y, z] / scale, _FAR).mean(axis=1)
+            away = np.minimum(field[x, y, z] / scale, FAR).mean(axis=1)
             costs = away - _SHARE_COST * math.log(share)
             for k in np.argsort(costs, kind="stable")[:2]:
                 found.append((float(costs[k]), Pose(float(yaw), np.full(3, scale), shifts[k])))
     found.sort(key=lambda entry: entry[0])
     return found[:_POSES_PER_SHAPE]
-
-
-def _refined(
-    field: FloatArray,  # [F, F, F]
-    points: FloatArray,  # [N, 3]
-    pose: Pose,
-) -> tuple[float, Pose]:
-    """Improve a pose; return the mean distance and the pose."""
-    from scipy.optimize import least_squares  # half a second to load
-
-    size = float(pose.scales[0])
-    stiffness = math.sqrt(len(points)) * _STIFFNESS / np.array([_TURN_STEP, *(_SCALE_STEP,) * 3])
-
-    def moved(change: FloatArray) -> Pose:  # [7] yaw, shift, log scales
-        scales = pose.scales * np.exp(change[4:])
-        return Pose(pose.yaw_rad + float(change[0]), scales, pose.shift + change[1:4])
-
-    def away(change: FloatArray) -> FloatArray:  # [N]
-        place = (moved(change).to_shape(points) + 0.5 + _MARGIN) * BANK_CELLS - 0.5
-        found: FloatArray = map_coordinates(field, place.T, order=1, mode="nearest")
-        return np.minimum(found / size, _FAR)
-
-    def residuals(change: FloatArray) -> FloatArray:  # [N + 4]
-        bent = stiffness * change[[0, 4, 5, 6]]
-        return np.concatenate([np.sqrt(0.3 * away(change)), bent])
-
-    change = least_squares(residuals, np.zeros(7), max_nfev=12, diff_step=1e-2).x
-    return float(away(change).mean()), moved(change)
 
 
 def _judged(

@@ -17,7 +17,8 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from gscomplete.shape.bank.fit import FittedShape, FloatArray
+from gscomplete.shape.bank.fit import FittedShape
+from gscomplete.shape.bank.pose import FloatArray
 from gscomplete.shape.symmetry import SymmetryMap
 from gscomplete.shape.voxels import HALF_SIDE
 from gscomplete.splats.transform import Similarity

@@ -3,7 +3,8 @@ import pytest
 import torch
 
 from gscomplete.shape.bank.as_answer import occupancy_of
-from gscomplete.shape.bank.fit import FittedShape, Pose
+from gscomplete.shape.bank.fit import FittedShape
+from gscomplete.shape.bank.pose import Pose
 from gscomplete.shape.bank.store import BANK_CELLS, ShapeName
 from gscomplete.shape.voxels import CELL_SIDE, CELLS, cell_centers
 from tests.builders.known_shapes import box_cells

@@ -2,7 +2,8 @@ import numpy as np
 import torch
 
 from gscomplete.render import render
-from gscomplete.shape.bank.fit import FittedShape, Pose
+from gscomplete.shape.bank.fit import FittedShape
+from gscomplete.shape.bank.pose import Pose
 from gscomplete.shape.bank.store import ShapeName
 from gscomplete.shape.bank.wider import (
     shape_in,

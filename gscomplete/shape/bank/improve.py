@@ -1,0 +1,147 @@
+"""Poses of known shapes improved, all at once: P's points come nearer to the shapes' surfaces.
+
+Minimised is the sum of distances up to ``FAR``, plus a price for turning and stretching, by
+Gauss-Newton steps on squares that touch it from above (iteratively reweighted least squares),
+damped after Levenberg and Marquardt: a step is taken where it lowers the sum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gscomplete.shape.bank.pose import MARGIN, FloatArray, Pose, turn_about_z
+from gscomplete.shape.bank.store import BANK_CELLS
+
+FAR = 0.12
+"""Points of P farther than this from a shape count as if they were this far, P's largest sides."""
+_TURN_STEP, _SCALE_STEP, _STIFFNESS = 0.5, 0.2, 0.03
+"""Radians and logarithms by which a pose changes at the price of ``_STIFFNESS``, per point."""
+_WEIGHT = 0.3
+"""Of a point's distance, beside that price squared."""
+_STEPS = 12
+_LEAST_DISTANCE = 0.004
+"""Smaller distances weigh as this one does in a step."""
+_DAMPING, _LESS, _MORE = 1e-2, 0.3, 8.0
+"""At first, after a step that is taken, after one that is not."""
+
+
+def improve_poses(
+    begun: Sequence[tuple[FloatArray, Pose]],  # fields [F, F, F] and poses
+    points: FloatArray,  # [N, 3]
+) -> list[tuple[float, Pose]]:
+    """Improve poses; return mean distances of the points and poses.
+
+    Args:
+        begun: distances from shapes, of one size, and where the shapes are.
+        points: of P, which is 1 in size.
+    """
+    if not begun:
+        return []
+    problem = _Problem(begun, points)
+    change = np.zeros((len(begun), 7))
+    damping = np.full(len(begun), _DAMPING)
+    value = problem.value(change)
+    for _ in range(_STEPS):
+        step = problem.step(change, damping)
+        tried = problem.value(change + step)
+        better = tried < value
+        change, value = change + step * better[:, None], np.where(better, tried, value)
+        damping = np.clip(damping * np.where(better, _LESS, _MORE), 1e-6, 1e6)
+    away = problem.distances(change).mean(axis=1)
+    return [(float(a), problem.pose(k, change[k])) for k, a in enumerate(away)]
+
+
+class _Problem:
+    """What is minimised; changes of a pose are [yaw, shift (3), log scales (3)]."""
+
+    def __init__(
+        self, begun: Sequence[tuple[FloatArray, Pose]], points: FloatArray
+    ) -> None:  # [N, 3]
+        unlike = {id(field): field for field, _ in begun}
+        number = {key: k for k, key in enumerate(unlike)}
+        self._fields = np.stack(list(unlike.values()))
+        self._field = np.array([number[id(field)] for field, _ in begun])[:, None]
+        self._poses = [pose for _, pose in begun]
+        self._yaw = np.array([pose.yaw_rad for pose in self._poses])
+        self._scales = np.array([pose.scales for pose in self._poses])
+        self._shift = np.array([pose.shift for pose in self._poses])
+        self._size = self._scales[:, :1]
+        self._points = points
+        self._stiffness = np.zeros(7)
+        self._stiffness[[0, 4, 5, 6]] = 1 / np.array([_TURN_STEP, *(_SCALE_STEP,) * 3])
+        self._stiffness *= _STIFFNESS * np.sqrt(len(points))
+
+    def pose(self, k: int, change: FloatArray) -> Pose:  # [7]
+        """Return pose k, changed."""
+        given = self._poses[k]
+        scales = given.scales * np.exp(change[4:])
+        return Pose(given.yaw_rad + float(change[0]), scales, given.shift + change[1:4])
+
+    def value(self, change: FloatArray) -> FloatArray:  # [P, 7] -> [P]
+        """Return what is minimised."""
+        price = ((self._stiffness * change) ** 2).sum(axis=1)
+        total: FloatArray = _WEIGHT * self.distances(change).sum(axis=1) + price
+        return total
+
+    def distances(self, change: FloatArray) -> FloatArray:  # [P, 7] -> [P, N]
+        """Return the distances that count."""
+        turned, scales = self._turned(change)
+        at = scales[:, None] * turned + (self._shift + change[:, 1:4])[:, None]
+        found, _ = self._looked_up(at)
+        return np.minimum(found / self._size, FAR)
+
+    def step(self, change: FloatArray, damping: FloatArray) -> FloatArray:  # [P, 7], [P] -> [P, 7]
+        """Return the damped step from a change."""
+        turned, scales = self._turned(change)
+        scaled = scales[:, None] * turned
+        found, slope = self._looked_up(scaled + (self._shift + change[:, 1:4])[:, None])
+        away = found / self._size
+        slope = slope * ((away < FAR) / self._size)[..., None]
+        across = np.stack([-turned[..., 1], turned[..., 0]], axis=-1) * scales[:, None, :2]
+        by_yaw = (slope[..., :2] * across).sum(axis=-1, keepdims=True)
+        jacobian = np.concatenate([by_yaw, slope, slope * scaled], axis=-1)  # [P, N, 7]
+        weighted = jacobian * (_WEIGHT / np.maximum(away, _LEAST_DISTANCE))[..., None]
+        price = 2 * self._stiffness**2
+        gradient = (weighted * away[..., None]).sum(axis=1) + price * change
+        square = np.einsum("pni,pnj->pij", weighted, jacobian) + np.diag(price)
+        diagonal = np.einsum("pii->pi", square)
+        damped = damping[:, None] * (diagonal + 1e-9)
+        square[:, np.arange(7), np.arange(7)] += damped
+        found_step: FloatArray = -np.linalg.solve(square, gradient[..., None])[..., 0]
+        return found_step
+
+    def _turned(self, change: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return turned points [P, N, 3] and scales [P, 3]."""
+        turns = np.stack([turn_about_z(float(yaw)) for yaw in self._yaw + change[:, 0]])
+        turned: FloatArray = np.einsum("pij,nj->pni", turns, self._points)
+        return turned, self._scales * np.exp(np.clip(change[:, 4:], -3, 3))
+
+    def _looked_up(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:  # [P, N, 3]
+        """Return distances [P, N] at places and how they change [P, N, 3], linear between cells."""
+        last = self._fields.shape[1] - 1
+        place = (at + 0.5 + MARGIN) * BANK_CELLS - 0.5
+        inside = np.clip(place, 0.0, last - 1e-9)
+        low = inside.astype(np.int64)
+        x, y, z = np.moveaxis(inside - low, -1, 0)
+        i, j, k = np.moveaxis(low, -1, 0)
+        c = {
+            (a, b, d): self._fields[self._field, i + a, j + b, k + d]
+            for a in (0, 1)
+            for b in (0, 1)
+            for d in (0, 1)
+        }
+        by_z = {(a, b): c[a, b, 0] + z * (c[a, b, 1] - c[a, b, 0]) for a in (0, 1) for b in (0, 1)}
+        by_y = {a: by_z[a, 0] + y * (by_z[a, 1] - by_z[a, 0]) for a in (0, 1)}
+        value = by_y[0] + x * (by_y[1] - by_y[0])
+        dx = by_y[1] - by_y[0]
+        dy = _mixed(x, by_z[0, 1] - by_z[0, 0], by_z[1, 1] - by_z[1, 0])
+        steep = {(a, b): c[a, b, 1] - c[a, b, 0] for a in (0, 1) for b in (0, 1)}
+        dz = _mixed(x, *(_mixed(y, steep[a, 0], steep[a, 1]) for a in (0, 1)))
+        slope = np.stack([dx, dy, dz], axis=-1) * BANK_CELLS
+        return value, slope * (place == inside)
+
+
+def _mixed(share: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    return low + share * (high - low)

@@ -1,0 +1,60 @@
+"""Where a known shape is: turned about the vertical, scaled along its axes, and moved.
+
+Conventions
+-----------
+* A pose takes a point p of the object frame to ``scales * (R(yaw) p) + shift`` in the shape's frame
+  (``store``), with R a turn about z.
+* A field holds distances from a surface on the shape's cells and ``MARGIN`` round them, in units of
+  the shape's side.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+FloatArray = NDArray[np.float64]
+
+MARGIN = 1 / 6
+"""Of the shape's side: more than any distance that counts in a fit, of a part that fits into it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Where a shape is; see the module's description."""
+
+    yaw_rad: float
+    scales: FloatArray  # [3]
+    shift: FloatArray  # [3]
+
+    def to_shape(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
+        """Take points of the object frame to the shape's frame."""
+        placed: FloatArray = self.scales * (points @ turn_about_z(self.yaw_rad).T) + self.shift
+        return placed
+
+    def to_object(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
+        """Undo :meth:`to_shape`."""
+        placed: FloatArray = ((points - self.shift) / self.scales) @ turn_about_z(self.yaw_rad)
+        return placed
+
+    def of_moved(self, scale: float, move: FloatArray) -> Pose:  # [3]
+        """Return the same place for an object whose points p are now ``scale * p + move``."""
+        scales = self.scales / scale
+        return Pose(self.yaw_rad, scales, self.shift - scales * (turn_about_z(self.yaw_rad) @ move))
+
+
+def turn_about_z(yaw_rad: float) -> FloatArray:  # [3, 3]
+    """Return the turn R by an angle."""
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def distance_field(cells: NDArray[np.bool_]) -> FloatArray:  # [C, C, C] -> [F, F, F]
+    """Return the distance from a surface in the shape's cube and ``MARGIN`` round it."""
+    padded = np.pad(cells, round(MARGIN * len(cells)))
+    field: FloatArray = distance_transform_edt(~padded, sampling=1.0 / len(cells))
+    return field
