@@ -261,3 +261,23 @@ class ShapePrior(Protocol):
             Nothing at all if these weights cannot guess.
         """
         ...
+
+
+@runtime_checkable
+class KnowsShapes(Protocol):
+    """A prior that a known shape of the prompt's noun can be shown to in the place of P."""
+
+    def with_known_shape(
+        self, conditioning: Conditioning, partial: Splats, distribution: ViewDistribution
+    ) -> Conditioning:
+        """Return the conditioning with a known shape of its noun.
+
+        Args:
+            conditioning: from ``condition`` of the same prior.
+            partial: P in the object frame, which the shape is placed by.
+            distribution: V.
+
+        Returns:
+            The conditioning as it is where no shape of the noun is known.
+        """
+        ...

@@ -57,10 +57,11 @@ def card(
         lines += [
             "Mean squared error of v on held-out objects (all timesteps; see `evaluate.py`):",
             "",
-            "| weights | seeing P | text alone |",
-            "| --- | --- | --- |",
+            "| weights | seeing P | a known shape | text alone |",
+            "| --- | --- | --- | --- |",
             *(
-                f"| {name} | {values['input_mean']:.4f} | {values['text_mean']:.4f} |"
+                f"| {name} | {values['input_mean']:.4f} | {values['shape_mean']:.4f} "
+                f"| {values['text_mean']:.4f} |"
                 for name, values in losses.items()
             ),
             "",
@@ -72,6 +73,7 @@ def card(
             "",
             f"* Parameters: {count_parameters(shape) / 1e6:.1f} million, stored as "
             f"{config.storage}; {CELLS}^3 cells of {CELL_SIDE:g} object sizes.",
+            f"* Words: {len(config.shape.words)}.",
             f"* Training: {made.steps} steps, {made.sets} objects with their parts, each seen "
             f"about twice in different orientations, {made.hours:.2f} hours on {made.machine}, "
             f"seed {made.seed}.",

@@ -113,9 +113,11 @@ class RunConfig:
 class TrainConfig(RunConfig):
     """Training of the four-view denoiser."""
 
-    drop_input: float = 0.25
+    drop_input: float = 0.45
     """Share of sets trained with P withheld. At 0.15 the prompt was hardly learned: where P is seen
     there is little left for words to say; but completing P is what the prior is for."""
+    drop_shape: float = 0.4
+    """Share of sets trained without the object's shape."""
     data: DataConfig = field(default_factory=DataConfig)
     model: ModelConfig = field(default_factory=lambda: ModelConfig())
 

@@ -4,15 +4,17 @@
 
 Conventions
 -----------
-* Held-out losses are the plain mean squared error of v, by timestep, with and without P, always
-  with text. Noise is fixed, so that numbers of different steps and runs compare.
-* On a sheet every set has four rows of four views: the truth, P as seen, a sample given P and
-  text, a sample given text alone; all over mid grey.
+* Held-out losses are the plain mean squared error of v, by timestep, seeing P, the object's
+  shape or neither, always with text. Noise is fixed, so that numbers of different steps and runs
+  compare.
+* On a sheet every set has five rows of four views: the truth, P as seen, a sample given P and
+  text, one given the shape and text, one given text alone; all over mid grey.
 """
 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import logging
 import sys
 from dataclasses import dataclass, field
@@ -72,22 +74,31 @@ def held_out_sets(spec: ShardSpec, count: int) -> Batch:
 def measure_losses(
     model: FourViewDenoiser, batch: Batch, precision: Literal["bfloat16", "float32"]
 ) -> dict[str, float]:
-    """Return squared errors of v named ``input_t300``, ``text_t300``, ... and their means."""
+    """Return squared errors of v: ``input_t300``, ``shape_t300``, ``text_t300``, ... and means."""
     device = batch.images.device
     noise = torch.randn(batch.images.shape, generator=torch.Generator().manual_seed(0)).to(device)
     losses: dict[str, float] = {}
-    for name, keep in (("input", 1.0), ("text", 0.0)):
+    for name, seen in (
+        ("input", only(batch, "input_map")),
+        ("shape", only(batch, "shape_map")),
+        ("text", only(batch)),
+    ):
         for timestep in LOSS_TIMESTEPS:
             at = torch.full((len(noise),), float(timestep), device=device)
             target = velocity(batch.images, noise, at)
             noisy = add_noise(batch.images, noise, at)
-            predicted = _predict(
-                model, noisy, batch.input_map * keep, at, batch.ring, batch.tokens, precision
-            )
+            predicted = _predict(model, noisy, seen, at, batch.tokens, precision)
             losses[f"{name}_t{timestep}"] = float((predicted - target).square().mean())
         mean = sum(losses[f"{name}_t{t}"] for t in LOSS_TIMESTEPS) / len(LOSS_TIMESTEPS)
         losses[f"{name}_mean"] = mean
     return losses
+
+
+def only(batch: Batch, *kept: str) -> Batch:
+    """Return the batch with its maps blanked but for those that are kept."""
+    maps = ("input_map", "shape_map")
+    blank = {name: getattr(batch, name) * 0 for name in maps if name not in kept}
+    return dataclasses.replace(batch, **blank)
 
 
 @torch.no_grad()
@@ -99,7 +110,7 @@ def sample_sets(
     text_scale: float,
     num_steps: int = _SHEET_STEPS,
 ) -> Tensor:  # [B, 4, 4, S, S]
-    """Sample from pure noise with the batch's input maps and prompts."""
+    """Sample from pure noise with the batch's maps and prompts."""
     device = batch.images.device
     generator = torch.Generator().manual_seed(1)
     noise = torch.randn(batch.images.shape, generator=generator).to(device)
@@ -114,8 +125,7 @@ def sample_sets(
                 x0_from_v(
                     x_t,
                     _predict(
-                        model, x_t, batch.input_map, at, batch.ring,
-                        batch.tokens if with_text else no_text, precision,
+                        model, x_t, batch, at, batch.tokens if with_text else no_text, precision
                     ),
                     at,
                 )
@@ -136,21 +146,19 @@ def save_sample_sheet(
     precision: Literal["bfloat16", "float32"],
     path: Path,
 ) -> None:
-    """Draw the first sets of a batch: truth, P, sample with P, sample without."""
-    first = Batch(*(getattr(batch, name)[:_SHEET_SETS] for name in _BATCH_FIELDS))
-    blind = Batch(first.images, first.input_map * 0, first.ring, first.tokens)
+    """Draw the first sets of a batch: truth, P, samples with P, with the shape, with neither."""
+    fields = (field.name for field in dataclasses.fields(Batch))
+    first = Batch(*(getattr(batch, name)[:_SHEET_SETS] for name in fields))
     seen = first.input_map[:, :, :4] * 2 - 1
-    with_input = sample_sets(model, first, precision, text_scale=1.0)
-    text_only = sample_sets(model, blind, precision, text_scale=3.0)
-    groups = [first.images, seen, with_input, text_only]
+    with_input = sample_sets(model, only(first, "input_map"), precision, text_scale=1.0)
+    with_shape = sample_sets(model, only(first, "shape_map"), precision, text_scale=2.0)
+    text_only = sample_sets(model, only(first), precision, text_scale=3.0)
+    groups = [first.images, seen, with_input, with_shape, text_only]
     sheet = torch.stack([_over_grey(group) for group in groups], dim=1)  # [B, 4, 4, S, S, 3]
     size = sheet.shape[3]
     rows = sheet.permute(1, 3, 0, 2, 4, 5).reshape(len(groups) * size, -1, 3)
     with atomic_path(path) as temporary:
         Image.fromarray((rows * 255).round().to(torch.uint8).cpu().numpy()).save(temporary, "PNG")
-
-
-_BATCH_FIELDS = ("images", "input_map", "ring", "tokens")
 
 
 def _over_grey(images: Tensor) -> Tensor:  # [B, 4, 4, S, S] -> [B, 4, S, S, 3]
@@ -161,9 +169,8 @@ def _over_grey(images: Tensor) -> Tensor:  # [B, 4, 4, S, S] -> [B, 4, S, S, 3]
 def _predict(
     model: FourViewDenoiser,
     noisy: Tensor,
-    mapped: Tensor,
+    given: Batch,
     timestep: Tensor,
-    ring: Tensor,
     tokens: Tensor,
     precision: Literal["bfloat16", "float32"],
 ) -> Tensor:
@@ -172,7 +179,8 @@ def _predict(
     for start in range(0, len(noisy), _CHUNK):
         cut = slice(start, start + _CHUNK)
         with autocast(noisy.device.type, precision):
-            parts.append(model(noisy[cut], mapped[cut], timestep[cut], ring[cut], tokens[cut]))
+            maps = (given.input_map[cut], given.shape_map[cut])
+            parts.append(model(noisy[cut], *maps, timestep[cut], given.ring[cut], tokens[cut]))
     return torch.cat(parts)
 
 

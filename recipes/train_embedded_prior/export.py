@@ -2,10 +2,9 @@
 
 Conventions
 -----------
-* The averaged (EMA) weights are exported. Words that no caption of the run's generator holds are
-  left out, with their embeddings, so that the prior never claims to understand them.
-* A network that no run is given for is kept as ``out`` holds it. With a shape network that is kept
-  its words are, these and no others: its answers stay the same.
+* The averaged (EMA) weights are exported. Words that no caption of the run's objects holds are left
+  out, with their embeddings, so that the prior never claims to understand them.
+* A network that no run is given for is kept as ``out`` holds it, with its words.
 * ``CARD.md`` states what the weights are, how they were made, and what they cost in quality to
   store in eight bits.
 """
@@ -91,18 +90,19 @@ class Exportable:
     training: TrainingRecord
 
     def weights(self, kept: tuple[str, ...]) -> dict[str, Tensor]:
-        """Return the weights with the embeddings of the kept words, in their order.
-
-        A word that only the other network has learned gets the mean of those that this one knows.
-        """
+        """Return the weights with the embeddings of the kept words, in their order."""
         name = "words.weight" if isinstance(self.model, ShapeModelConfig) else "text.words.weight"
         special, known = self.state[name].split(
             [FIRST_WORD_TOKEN, len(self.state[name]) - FIRST_WORD_TOKEN]
         )
         place = {word: k for k, word in enumerate(self.words)}
-        neutral = known[: len(self.words)].mean(dim=0)
-        rows = [known[place[word]] if word in place else neutral for word in kept]
-        return self.state | {name: torch.stack([*special, *rows])}
+        return self.state | {name: torch.stack([*special, *(known[place[word]] for word in kept)])}
+
+    def with_words(self, kept: tuple[str, ...]) -> Exportable:
+        """Return the same with some of its words alone."""
+        size = FIRST_WORD_TOKEN + len(kept)
+        model = dataclasses.replace(self.model, vocabulary_size=size)
+        return Exportable(model, self.weights(kept), kept, self.training)
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +158,6 @@ def export(
     denoiser: Exportable,
     views: PriorViews,
     shape: Exportable | None,
-    kept: tuple[str, ...],
     out: Path,
     storage: Storage,
 ) -> PriorConfig:
@@ -168,31 +167,27 @@ def export(
         denoiser: the four-view denoiser.
         views: the framing that it was trained with.
         shape: the shape network; None = there is none.
-        kept: words.
         out: folder to write to.
         storage: precision.
 
     Returns:
         The configuration that was written.
     """
-    size = FIRST_WORD_TOKEN + len(kept)
     assert isinstance(denoiser.model, ModelConfig)
     shape_record = None
     if shape is not None:
         assert isinstance(shape.model, ShapeModelConfig)
-        shape_model = dataclasses.replace(shape.model, vocabulary_size=size)
-        shape_record = ShapeRecord(shape_model, shape.training)
+        shape_record = ShapeRecord(shape.model, shape.words, shape.training)
     config = PriorConfig(
         format_version=FORMAT_VERSION,
-        model=dataclasses.replace(denoiser.model, vocabulary_size=size),
+        model=denoiser.model,
         views=views,
-        words=kept,
+        words=denoiser.words,
         storage=storage,
         training=denoiser.training,
         shape=shape_record,
     )
-    tensors = None if shape is None else shape.weights(kept)
-    save_weights(out, denoiser.weights(kept), config, tensors)
+    save_weights(out, denoiser.state, config, None if shape is None else shape.state)
     return config
 
 
@@ -234,10 +229,10 @@ def measure_export(
     name = f"shipped, {options.storage}"
     losses[name] = measure_losses(model, batch, "float32")
     losses[f"{name}, run in bfloat16"] = measure_losses(model, batch, "bfloat16")
-    if shape is None:
+    if shape is None or config.shape is None:
         return losses, {}
     shape_train = ShapeTrainConfig(out=options.out, seed=train.seed, evaluation_sets=count)
-    shape_task = ShapeTask(shape_train, procedural_source, config.words)
+    shape_task = ShapeTask(shape_train, procedural_source, config.shape.words)
     return losses, shape_task.measure(shape)
 
 
@@ -245,7 +240,7 @@ def export_runs(options: ExportConfig) -> tuple[TrainedRun | None, set[str]]:
     """Read the runs and write the weights.
 
     Returns:
-        The denoiser's run, if there is one, and the words left out.
+        The denoiser's run, if there is one, and the words of the runs that are left out.
 
     Raises:
         UserError: there is no run, or a run or the weights to keep cannot be read, or the weights
@@ -256,19 +251,19 @@ def export_runs(options: ExportConfig) -> tuple[TrainedRun | None, set[str]]:
     run = None if options.run is None else TrainedRun.load(options.run)
     shape_run = None if options.shape_run is None else TrainedRun.load(options.shape_run)
     denoiser, views, shape = _held(options.out, needed=run is None)
+    left_out: set[str] = set()
     if run is not None:
         assert isinstance(run.config, TrainConfig)
-        denoiser = run.exportable()
+        denoiser = _of_seen_words(run, options.words_from)
         views = run.config.data.views(run.config.model.resolution_px)
+        left_out |= set(run.words) - set(denoiser.words)
+    if shape_run is not None:
+        shape = _of_seen_words(shape_run, options.words_from)
+        left_out |= set(shape_run.words) - set(shape.words)
     assert denoiser is not None
     assert views is not None
-    if shape_run is None and shape is not None:
-        kept = shape.words
-    else:
-        shape = None if shape_run is None else shape_run.exportable()
-        kept = _words_to_keep(denoiser, shape, [run, shape_run], options.words_from)
-    export(denoiser, views, shape, kept, options.out, options.storage)
-    return run, set(denoiser.words) - set(kept) - STOP_WORDS
+    export(denoiser, views, shape, options.out, options.storage)
+    return run, left_out - STOP_WORDS
 
 
 def _held(
@@ -289,23 +284,16 @@ def _held(
     return (
         denoiser,
         held.views,
-        Exportable(record.model, shape.state_dict(), held.words, record.training),
+        Exportable(record.model, shape.state_dict(), record.words, record.training),
     )
 
 
-def _words_to_keep(
-    denoiser: Exportable, shape: Exportable | None, runs: list[TrainedRun | None], count: int
-) -> tuple[str, ...]:
-    """Return the words of both networks that a caption of their training holds."""
-    given = [run for run in runs if run is not None]
-    first = runs[0]
-    seed = 0 if first is None else first.config.seed
-    captions = [make_object(seed, index).caption for index in range(count)]
-    for meshes in {run.config.meshes for run in given} - {None}:
-        assert meshes is not None
-        captions += MixedSource(meshes).captions()
-    words = (*denoiser.words, *(() if shape is None else shape.words))
-    return words_seen(tuple(dict.fromkeys(words)), captions)
+def _of_seen_words(run: TrainedRun, count: int) -> Exportable:
+    """Return what a run has made, with the words that a caption of its objects holds."""
+    captions = [make_object(run.config.seed, index).caption for index in range(count)]
+    if run.config.meshes is not None:
+        captions += MixedSource(run.config.meshes).captions()
+    return run.exportable().with_words(words_seen(run.words, captions))
 
 
 def main() -> int:

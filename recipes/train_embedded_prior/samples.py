@@ -1,10 +1,15 @@
-"""Look at what the denoiser imagines from words alone: one four-view sample for each family.
+"""Look at what the denoiser imagines from words: one four-view sample for each prompt.
 
-``python -m recipes.train_embedded_prior.samples --out sheet.png``
+``python -m recipes.train_embedded_prior.samples --out sheet.png`` takes a caption of every family
+of procedural objects, ``--prompts "a mug" "a chair"`` these, ``--meshes PACK --nouns 60`` nouns of
+the pack's captions, drawn at random. With ``--blind DIR`` every sample is a numbered picture there,
+in random order, for somebody to name who has not seen ``key.json``.
 
 Conventions
 -----------
-* Every sample starts from pure noise, without P, from the caption of one object of the family.
+* Every sample starts from pure noise, without P. Where the prompt's noun is that of a known shape,
+  the denoiser is shown this shape without colours, unless ``--no-known-shapes`` is given.
+* Nouns are those of five captions or more of the train split, words that name no thing left out.
 * View consistency: splats are fitted to the four views, starting from a sphere; the PSNR of their
   renders against the views says how well one object explains all four. It says nothing about how
   the object looks.
@@ -12,8 +17,10 @@ Conventions
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import logging
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,20 +31,35 @@ from torch import Tensor
 
 from gscomplete.completion.losses import fit_loss, random_background
 from gscomplete.completion.start import initial_splats
+from gscomplete.errors import UserError
 from gscomplete.evaluate.pictures import contact_sheet, save_image, to_image
 from gscomplete.fitting.parameters import BoundedParameters, Bounds
 from gscomplete.fitting.settings import LearningRates
 from gscomplete.priors.base import FourViews
+from gscomplete.priors.embedded.conditioning import EmbeddedConditioning, upright
 from gscomplete.priors.embedded.prior import EmbeddedPrior, packaged_weights
 from gscomplete.render import render
+from gscomplete.shape.bank.nouns import head_noun
+from gscomplete.shape.bank.store import BANK_FILE, read_bank
 from gscomplete.splats import Splats
+from gscomplete.util.jsonio import write_json
 from gscomplete.util.randomness import generator_for
 from gscomplete.views import four_view_orbit, radius_to_fit
 from recipes.entry_point import start
+from recipes.train_embedded_prior.data.mesh_pack import read_manifest
 from recipes.train_embedded_prior.procedural.objects import FAMILIES, make_object_of
 
 _LOG = logging.getLogger(__name__)
 _FIT_SPLATS = 3000
+_FEWEST_OF_A_NOUN = 5
+_NO_THING = frozenset(
+    (
+        *("gltf", "standing", "sitting", "handed", "straight", "flat", "chopped", "up", "cut"),
+        *("base", "piece", "unit", "half", "slice", "stand", "holder", "pictureframe", "top"),
+    )
+)
+"""Last words of captions that are no names of things, or parts of such."""
+_BLIND_PX = 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +72,18 @@ class Options:
     """Folder of weights; None = the package's own."""
     families: tuple[str, ...] = ()
     """Families; none = all."""
+    prompts: tuple[str, ...] = ()
+    """Prompts instead of families' captions."""
+    meshes: Path | None = None
+    """Pack of meshes that nouns are drawn from."""
+    nouns: int = 0
+    """Prompts of nouns of the pack, instead of families' captions."""
+    known_shapes: bool = True
+    """Whether the denoiser is shown the known shape of a prompt's noun."""
+    text_scale: float | None = None
+    """How strongly the prompt pulls; None = the prior's own scale."""
+    blind: Path | None = None
+    """Folder for numbered pictures in random order, and what they are (``key.json``)."""
     steps: int = 16
     """Denoising steps of a sample."""
     fitted: int = 12
@@ -59,8 +93,10 @@ class Options:
     seed: int = 0
 
 
-def sample(prior: EmbeddedPrior, caption: str, steps: int, seed: int) -> FourViews:
-    """Imagine an object from its caption."""
+def sample(
+    prior: EmbeddedPrior, told: EmbeddedConditioning, options: Options, seed: int
+) -> FourViews:
+    """Imagine an object."""
     views = prior.views
     radius = radius_to_fit(sum(views.extent_range) / 2, views.fov_deg)
     cameras = four_view_orbit(
@@ -68,14 +104,61 @@ def sample(prior: EmbeddedPrior, caption: str, steps: int, seed: int) -> FourVie
     )
     size = (4, views.resolution_px, views.resolution_px)
     blank = FourViews(torch.zeros(*size, 3), torch.zeros(size), torch.zeros(size), cameras)
+    guidance = prior.default_guidance(sees_input=False)
+    if options.text_scale is not None:
+        guidance = dataclasses.replace(guidance, text_scale=options.text_scale)
     color, alpha = prior.reconstruct(
         blank,
         prior.num_timesteps - 1.0,
-        prior.condition(caption),
-        generator_for(seed, 0, caption),
-        num_steps=steps,
+        told,
+        generator_for(seed, 0, told.prompt),
+        guidance=guidance,
+        num_steps=options.steps,
     )
     return FourViews(color, alpha, torch.zeros(size), cameras)
+
+
+def told_of(prior: EmbeddedPrior, prompt: str, *, known_shapes: bool) -> EmbeddedConditioning:
+    """Return a prompt as the prior is told it, with the first known shape of its noun."""
+    told = prior.condition(prompt)
+    bank = packaged_weights() / BANK_FILE
+    named = read_bank(bank).named(prompt, 1) if known_shapes else []
+    return upright(told, bank, named[0]) if named else told
+
+
+def drawn_nouns(folder: Path, count: int, seed: int) -> list[str]:
+    """Draw nouns of a pack's captions."""
+    entries = [entry for entry in read_manifest(folder) if entry.split == "train"]
+    found = Counter(head_noun(f"a {entry.noun}") for entry in entries)
+    frequent = [n for n, k in found.items() if n and k >= _FEWEST_OF_A_NOUN and n not in _NO_THING]
+    picked = np.random.default_rng(seed).permutation(len(frequent))[:count]
+    return [sorted(frequent)[k] for k in picked]
+
+
+def prompts_of(options: Options) -> dict[str, str]:
+    """Return the prompts by their labels."""
+    if options.prompts:
+        return {prompt: prompt for prompt in options.prompts}
+    if options.nouns:
+        if options.meshes is None:
+            raise UserError("--nouns: expected --meshes PACK to draw them from")
+        nouns = drawn_nouns(options.meshes, options.nouns, options.seed)
+        return {noun: f"an {noun}" if noun[0] in "aeiou" else f"a {noun}" for noun in nouns}
+    families = options.families or tuple(FAMILIES)
+    made = (make_object_of(family, options.seed, k) for k, family in enumerate(families))
+    return {family: item.caption for family, item in zip(families, made, strict=True)}
+
+
+def save_blind(folder: Path, rows: dict[str, list[Image.Image]], seed: int) -> None:
+    """Write numbered pictures in random order, and which is which."""
+    folder.mkdir(parents=True, exist_ok=True)
+    order = np.random.default_rng((seed, 1)).permutation(len(rows))
+    labels = list(rows)
+    for number, k in enumerate(order):
+        large = [image.resize((_BLIND_PX, _BLIND_PX), Image.Resampling.BICUBIC)
+                 for image in rows[labels[k]]]  # fmt: skip
+        save_image(contact_sheet([large]), folder / f"{number:02d}.png")
+    write_json(folder / "key.json", {f"{n:02d}": labels[k] for n, k in enumerate(order)})
 
 
 def consistency_db(views: FourViews, steps: int, seed: int) -> float:
@@ -110,19 +193,22 @@ def main(options: Options) -> int:
     """Run from the command line."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     prior = EmbeddedPrior.from_folder(options.weights or packaged_weights())
-    families = options.families or tuple(FAMILIES)
-    fitted = set(np.linspace(0, len(families) - 1, max(options.fitted, 1)).astype(int).tolist())
-    rows: list[list[Image.Image]] = []
-    labels, found = [], {}
-    for number, family in enumerate(families):
-        caption = make_object_of(family, options.seed, number).caption
-        views = sample(prior, caption, options.steps, options.seed)
-        rows.append([to_image(image) for image in _over_grey(views.color, views.alpha)])
-        labels.append(family)
+    prompts = prompts_of(options)
+    fitted = set(np.linspace(0, len(prompts) - 1, max(options.fitted, 1)).astype(int).tolist())
+    rows: dict[str, list[Image.Image]] = {}
+    found = {}
+    for number, (label, prompt) in enumerate(prompts.items()):
+        told = told_of(prior, prompt, known_shapes=options.known_shapes)
+        views = sample(prior, told, options, options.seed)
+        rows[label] = [to_image(image) for image in _over_grey(views.color, views.alpha)]
         if options.fitted and number in fitted:
-            found[family] = consistency_db(views, options.fit_steps, options.seed)
-            _LOG.info("%-20s %-50s %.1f dB", family, caption, found[family])
-    save_image(contact_sheet(rows, row_labels=labels, title="from words alone"), options.out)
+            found[label] = consistency_db(views, options.fit_steps, options.seed)
+            _LOG.info("%-20s %-50s %.1f dB", label, prompt, found[label])
+    title = "from words and known shapes" if options.known_shapes else "from words alone"
+    sheet = contact_sheet(list(rows.values()), row_labels=list(rows), title=title)
+    save_image(sheet, options.out)
+    if options.blind is not None:
+        save_blind(options.blind, rows, options.seed)
     summary = {"consistency_db": found, "mean_db": float(np.mean(list(found.values())))}
     options.out.with_suffix(".json").write_text(json.dumps(summary, indent=1) + "\n")
     _LOG.info("mean consistency %.1f dB over %d samples", summary["mean_db"], len(found))

@@ -79,6 +79,7 @@ class StepNoise:
     noise: Tensor  # [B, 4, 4, S, S]
     keep_input: Tensor  # [B] bool
     keep_text: Tensor  # [B] bool
+    keep_shape: Tensor  # [B] bool
 
     def select(self, index: slice, device: str) -> StepNoise:
         """Return the part for some of the sets, on a device."""
@@ -99,8 +100,9 @@ def draw_step_noise(config: TrainConfig, step: int) -> StepNoise:
     noise = torch.randn(count, VIEWS, IMAGE_CHANNELS, size, size, generator=generator)
     keep_input = torch.rand(count, generator=generator) >= config.drop_input
     keep_text = torch.rand(count, generator=generator) >= config.drop_text
+    keep_shape = torch.rand(count, generator=generator) >= config.drop_shape
     share = 1 - (1 - strata / count) ** 2
-    return StepNoise(share * (NUM_TIMESTEPS - 1), noise, keep_input, keep_text)
+    return StepNoise(share * (NUM_TIMESTEPS - 1), noise, keep_input, keep_text, keep_shape)
 
 
 def training_loss(model: nn.Module, batch: Batch, drawn: StepNoise) -> Tensor:  # []
@@ -108,9 +110,10 @@ def training_loss(model: nn.Module, batch: Batch, drawn: StepNoise) -> Tensor:  
     noisy = add_noise(batch.images, drawn.noise, drawn.timestep)
     target = velocity(batch.images, drawn.noise, drawn.timestep)
     mapped = batch.input_map * drawn.keep_input[:, None, None, None, None]
+    shape = batch.shape_map * drawn.keep_shape[:, None, None, None, None]
     no_text = torch.zeros_like(batch.tokens)
     no_text[:, 0] = NO_TEXT_TOKEN
     tokens = torch.where(drawn.keep_text[:, None], batch.tokens, no_text)
-    predicted = model(noisy, mapped, drawn.timestep, batch.ring, tokens)
+    predicted = model(noisy, mapped, shape, drawn.timestep, batch.ring, tokens)
     error = (predicted - target).square().mean(dim=(1, 2, 3, 4))
     return (loss_weight(drawn.timestep) * error).mean()

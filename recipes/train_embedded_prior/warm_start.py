@@ -47,7 +47,7 @@ def start_weights(config: RunConfig) -> StartWeights | None:
         return StartWeights(folder, denoiser.state_dict(), record.words, record.training)
     if shape is None or record.shape is None:
         raise UserError(f"{folder}: expected a shape network to start from, found none")
-    return StartWeights(folder, shape.state_dict(), record.words, record.shape.training)
+    return StartWeights(folder, shape.state_dict(), record.shape.words, record.shape.training)
 
 
 def fill(model: nn.Module, start: StartWeights) -> None:

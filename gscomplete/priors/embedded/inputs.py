@@ -6,6 +6,8 @@ Conventions
 * The input map is what the cameras see of P: premultiplied RGB and alpha in [0, 1], and relief,
   ``alpha * clamp(radius - depth, -1, 1)``: how far the surface stands out of the plane through
   the ring's target, in object frame units. Withheld P is all zeros, like P out of sight.
+* The shape map is what the cameras see of a known shape without colours: alpha and relief. No shape
+  is all zeros.
 * Larger renders are averaged over areas (antialiased), smaller ones interpolated.
 """
 
@@ -47,6 +49,17 @@ def input_map(
     relief = alpha * (radius - depth).clamp(-1, 1)
     stacked = torch.cat([color.permute(0, 3, 1, 2), alpha[:, None], relief[:, None]], dim=1)
     return resize_images(stacked, size_px)
+
+
+def shape_map(
+    alpha: Tensor,  # [V, H, W]
+    depth: Tensor,  # [V, H, W] camera-space z
+    radius: float,
+    size_px: int,
+) -> Tensor:  # [V, 2, size, size]
+    """Turn renders of a known shape into the network's shape map."""
+    relief = alpha * (radius - depth).clamp(-1, 1)
+    return resize_images(torch.stack([alpha, relief], dim=1), size_px)
 
 
 def images_to_color_alpha(images: Tensor) -> tuple[Tensor, Tensor]:

@@ -4,6 +4,8 @@ Conventions
 -----------
 * B rings of four views, images of S x S pixels. Noisy images are premultiplied RGBA mapped to
   [-1, 1]; the input map is P seen by the same cameras (``prior.input_map``), zeros when withheld.
+* The shape map is what the same cameras see of a known shape (``inputs.shape_map``), zeros when
+  there is none.
 * The output is v = alpha_t * noise - sigma_t * x0 (``diffusion``).
 * Inside, views are folded into the batch, [4B, C, h, w] in channels-last memory, so that turning
   a level into tokens [B, 4hw, C] copies nothing.
@@ -26,6 +28,7 @@ from gscomplete.util.same_bits import GroupNorm, Linear
 
 IMAGE_CHANNELS = 4
 INPUT_CHANNELS = 5
+SHAPE_CHANNELS = 2
 VIEWS = 4
 SYMMETRIES = 7
 """Copies of P that ``symmetric_copies`` makes: three turns, and mirror images in four turns."""
@@ -234,6 +237,8 @@ class FourViewDenoiser(nn.Module):
         folded = (IMAGE_CHANNELS + INPUT_CHANNELS) * _PATCH**2 + RAY_CHANNELS
         self.stem = nn.Conv2d(folded, w[0], 3, padding=1)
         self.symmetries = CopiesConvolution(w[0])
+        self.shape = nn.Conv2d(SHAPE_CHANNELS * _PATCH**2, w[0], 3, padding=1, bias=False)
+        nn.init.zeros_(self.shape.weight)
         self.down = nn.ModuleList(Level(level, config, going_down=True) for level in range(3))
         self.up = nn.ModuleList(Level(level, config, going_down=False) for level in range(3))
         self.shrink = nn.ModuleList(
@@ -252,6 +257,7 @@ class FourViewDenoiser(nn.Module):
         self,
         noisy: Tensor,  # [B, 4, 4, S, S] views, channels
         input_map: Tensor,  # [B, 4, 5, S, S], zeros where P is withheld
+        shape_map: Tensor,  # [B, 4, 2, S, S], zeros where no shape is known
         timestep: Tensor,  # [B] in 0 .. 999, may be fractional
         ring: Tensor,  # [B, 3] elevation_deg, radius, fov_deg
         tokens: Tensor,  # [B, L] word ids
@@ -271,6 +277,7 @@ class FourViewDenoiser(nn.Module):
         cells = fold_cells(torch.cat([noisy, input_map], dim=2))
         x = self.stem(torch.cat([cells.flatten(0, 1), rays], dim=1))
         x = x + self.symmetries(cells[:, :, IMAGE_CHANNELS * _PATCH**2 :])
+        x = x + self.shape(fold_cells(shape_map).flatten(0, 1))
         kept = []
         for level in range(3):
             x = self.down[level](x, embedding, ray_levels[level], states, mask)

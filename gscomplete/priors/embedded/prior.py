@@ -27,6 +27,7 @@ from gscomplete.errors import UserError
 from gscomplete.framing.cut_plane import find_cut
 from gscomplete.framing.extent import is_closed
 from gscomplete.priors.base import Conditioning, FirstGuess, FourViews, Guidance, PriorViews
+from gscomplete.priors.embedded.conditioning import EmbeddedConditioning, about_partial
 from gscomplete.priors.embedded.diffusion import (
     NUM_TIMESTEPS,
     add_noise,
@@ -38,7 +39,7 @@ from gscomplete.priors.embedded.inputs import images_to_color_alpha, input_map, 
 from gscomplete.priors.embedded.model import INPUT_CHANNELS, VIEWS, FourViewDenoiser
 from gscomplete.priors.embedded.precision import Precision, is_bfloat16, multiplies_bytes
 from gscomplete.priors.embedded.rays import ring_numbers
-from gscomplete.priors.embedded.text import Tokenizer
+from gscomplete.priors.embedded.text import Tokenizer, understood_by
 from gscomplete.priors.embedded.weights import PriorConfig, read_weights, weights_digest
 from gscomplete.shape.assemble import mirror_plane_of
 from gscomplete.shape.bank.store import BANK_FILE
@@ -64,21 +65,6 @@ _SQUARE_CUT_NOTE = (
     "P ends at a plane that its surface meets squarely: it is mirrored through it "
     "(--alternatives 4 draws other planes)"
 )
-
-
-@dataclass(frozen=True, slots=True)
-class EmbeddedConditioning:
-    """Token ids of a prompt and of what guidance leads away from."""
-
-    tokens: Tensor  # [L]
-    negative_tokens: Tensor  # [L]
-    report: tuple[str, ...]
-    prompt: str
-
-    @property
-    def has_text(self) -> bool:
-        """Whether the prompt says anything that the negative prompt does not."""
-        return not torch.equal(self.tokens, self.negative_tokens)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +118,8 @@ class EmbeddedPrior:
         self._bank = bank
         self._shape = shape  # always on the CPU: one pass of a second
         self._tokenizer = Tokenizer(config.words, config.model.text_length)
+        words = config.words if config.shape is None else config.shape.words
+        self._shape_tokenizer = Tokenizer(words, config.model.text_length)
         self._bfloat16 = is_bfloat16(precision, self._device)
         self._int8 = precision == "int8" or (
             precision == "auto"
@@ -179,13 +167,15 @@ class EmbeddedPrior:
 
     def condition(self, prompt: str, negative_prompt: str | None = None) -> EmbeddedConditioning:
         """Encode a prompt; see :class:`gscomplete.priors.base.Prior`."""
-        report = self._tokenizer.understood(prompt).lines()
+        tokenizers = self._tokenizer, self._shape_tokenizer
+        report = understood_by(tokenizers, prompt).lines()
         if negative_prompt:
             lines = self._tokenizer.understood(negative_prompt).lines()
             report += tuple(f"negative {line}" for line in lines)
         return EmbeddedConditioning(
             self._tokenizer.encode(prompt),
             self._tokenizer.encode(negative_prompt or ""),
+            self._shape_tokenizer.encode(prompt),
             report,
             prompt,
         )
@@ -222,13 +212,22 @@ class EmbeddedPrior:
                 notes += (_SQUARE_CUT_NOTE,)
         asked = Asked(
             self._shape,
-            conditioning.tokens,
-            self._tokenizer.encode(""),
+            conditioning.shape_tokens,
+            self._shape_tokenizer.encode(""),
             bfloat16=self._shape_bfloat16,
             ends_in_plane=cut is not None,
         )
         guess = guess_complete(asked, partial, distribution, mirror, known, count, generator)
         return FirstGuess(guess.splats, notes + guess.notes)
+
+    def with_known_shape(
+        self, conditioning: Conditioning, partial: Splats, distribution: ViewDistribution
+    ) -> Conditioning:
+        """Return the conditioning with a known shape of its noun; see :class:`base.KnowsShapes`."""
+        assert isinstance(conditioning, EmbeddedConditioning)
+        known = KnownShapes(self._bank, conditioning.prompt, decide=True)
+        fitted = known.fitted(partial, distribution)
+        return about_partial(conditioning, fitted[0]) if fitted else conditioning
 
     def likely_mirrors(
         self, partial: Splats, distribution: ViewDistribution, conditioning: Conditioning
@@ -241,7 +240,7 @@ class EmbeddedPrior:
         asked = score_planes(
             self._shape,
             voxels,
-            conditioning.tokens,
+            conditioning.shape_tokens,
             ends_in_plane=find_cut(partial.means.double().numpy()) is not None,
             bfloat16=self._shape_bfloat16,
         )
@@ -310,7 +309,9 @@ class EmbeddedPrior:
                 self.views.resolution_px,
             ).to(self._device)
         guidance = guidance or self.default_guidance(sees_input=mapped is not None)
-        return _Task(ring.to(self._device), mapped, conditioning, guidance)
+        shape = conditioning.shape_map(views, float(ring[1]), self.views.resolution_px)
+        shape = shape.to(self._device)
+        return _Task(ring.to(self._device), mapped, shape, conditioning, guidance)
 
     def _denoise(self, task: _Task, noisy: Tensor, timestep: float) -> Tensor:  # [4, 4, s, s]
         """Return the guided x0 of one ring, within the range of images."""
@@ -329,6 +330,7 @@ class EmbeddedPrior:
                 v = self._model(
                     x_t,
                     torch.stack(maps),
+                    task.shape.expand(count, -1, -1, -1, -1),
                     at,
                     task.ring.expand(count, -1),
                     torch.stack(tokens).to(self._device),
@@ -366,6 +368,7 @@ class _Task:
 
     ring: Tensor  # [3]
     mapped: Tensor | None  # [4, 5, s, s]
+    shape: Tensor  # [4, 2, s, s]
     conditioning: EmbeddedConditioning
     guidance: Guidance
 

@@ -154,6 +154,18 @@ class Tokenizer:
         return tokens
 
 
+def understood_by(tokenizers: Sequence[Tokenizer], prompt: str) -> PromptReport:
+    """Sort the words of a prompt by what any of some vocabularies knows, the first one's first."""
+    reports = [tokenizer.understood(prompt) for tokenizer in tokenizers]
+    known = tuple(dict.fromkeys(word for report in reports for word in report.known))
+    told = set(known)
+    unknown, dropped = (
+        tuple(word for word in words if word not in told)
+        for words in (reports[0].unknown, reports[0].dropped)
+    )
+    return PromptReport(known, unknown, reports[0].ignored, dropped)
+
+
 def split_words(text: str) -> list[str]:
     """Split text into lower-case words of letters and digits, of any script."""
     return _WORD.findall(text.lower())

@@ -12,8 +12,9 @@ Conventions
 * Matrices and kernels are stored as int8 with one float16 scale per output channel (rows of the
   first axis): ``NAME`` and ``NAME.scale``, value = int8 * scale. Vectors are float16. ``float32``
   storage keeps everything as it is.
-* ``config.json`` holds what inference needs (architecture, framing, vocabulary) and how the
-  weights came to be; all files carry one digest of the words, so that they cannot be mixed up.
+* ``config.json`` holds what inference needs (architecture, framing, vocabularies: each network
+  has its own) and how the weights came to be; a network's file carries a digest of its words, so
+  that files cannot be mixed up.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ from gscomplete.util.jsonio import from_json, read_json, write_json
 WEIGHTS_FILE = "model.safetensors"
 SHAPE_FILE = "shape.safetensors"
 CONFIG_FILE = "config.json"
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 _SCALE = ".scale"
 _DIGEST = "words_digest"
 
@@ -69,6 +70,7 @@ class ShapeRecord:
     """All that goes with the weights of the shape network."""
 
     model: ShapeModelConfig
+    words: tuple[str, ...]
     training: TrainingRecord
 
 
@@ -80,6 +82,7 @@ class PriorConfig:
     model: ModelConfig
     views: PriorViews
     words: tuple[str, ...]
+    """Of the denoiser."""
     storage: Storage
     training: TrainingRecord
     shape: ShapeRecord | None = None
@@ -137,13 +140,11 @@ def save_weights(
         UserError: the folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    metadata = {_DIGEST: words_digest(config.words)}
-    files = {WEIGHTS_FILE: state}
-    if shape_state is not None:
-        files[SHAPE_FILE] = shape_state
-    for name, tensors in files.items():
+    states = {WEIGHTS_FILE: state, SHAPE_FILE: shape_state}
+    for name, digest in _digests(config).items():
+        packed = pack_tensors(states[name] or {}, config.storage)
         with atomic_path(folder / name) as temporary:
-            temporary.write_bytes(save(pack_tensors(tensors, config.storage), metadata=metadata))
+            temporary.write_bytes(save(packed, metadata={_DIGEST: digest}))
     write_json(folder / CONFIG_FILE, config)
 
 
@@ -185,9 +186,8 @@ def read_weights(folder: Path) -> StoredWeights:
     """
     _require(folder / CONFIG_FILE)
     config = _read_config(folder / CONFIG_FILE)
-    names = (WEIGHTS_FILE,) if config.shape is None else (WEIGHTS_FILE, SHAPE_FILE)
-    digest = words_digest(config.words)
-    return StoredWeights(folder, config, {name: _packed(folder / name, digest) for name in names})
+    packed = {name: _packed(folder / name, digest) for name, digest in _digests(config).items()}
+    return StoredWeights(folder, config, packed)
 
 
 def load_weights(folder: Path) -> tuple[FourViewDenoiser, ShapeCompleter | None, PriorConfig]:
@@ -212,6 +212,12 @@ def weights_digest(folder: Path) -> str:
     for path in sorted((folder / CONFIG_FILE, *folder.glob("*.safetensors"))):
         digest.update(f"{path.name} {sha256_of(path)}\n".encode())
     return digest.hexdigest()[:32]
+
+
+def _digests(config: PriorConfig) -> dict[str, str]:
+    """Return the digests of the words that the files of networks carry."""
+    found = {WEIGHTS_FILE: words_digest(config.words)}
+    return found if config.shape is None else found | {SHAPE_FILE: words_digest(config.shape.words)}
 
 
 def _require(path: Path) -> None:

@@ -4,7 +4,7 @@ Conventions
 -----------
 * Set ``index`` shows object ``index`` of its seed, which arrives in the object frame; every random
   number comes from (seed, index), so any set can be made again, alone, on any machine.
-* Sets are stored in eight bits: images and P's colour and alpha as value * 255, P's relief as
+* Sets are stored in eight bits: images, colours and alpha as value * 255, relief as
   value * 127 + 127 (zero stays exactly zero).
 """
 
@@ -19,9 +19,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gscomplete.priors.embedded.inputs import input_map, network_images
+from gscomplete.priors.embedded.inputs import input_map, network_images, shape_map
 from gscomplete.priors.embedded.text import Tokenizer
 from gscomplete.render import render
+from gscomplete.shape.bank.surface_splats import cells_passed, surface_splats
 from gscomplete.splats import Splats
 from gscomplete.views.cameras import Cameras, orbit_cameras, radius_to_fit
 from recipes.train_embedded_prior.config import DataConfig
@@ -63,6 +64,7 @@ class Batch:
 
     images: Tensor  # [B, 4, 4, S, S] in [-1, 1]
     input_map: Tensor  # [B, 4, 5, S, S]
+    shape_map: Tensor  # [B, 4, 2, S, S]
     ring: Tensor  # [B, 3] elevation_deg, radius, fov_deg
     tokens: Tensor  # [B, L]
 
@@ -79,6 +81,7 @@ def set_dtype(resolution_px: int, text_length: int) -> np.dtype:
         [
             ("images", "u1", (4, 4, *size)),
             ("input_map", "u1", (4, 5, *size)),
+            ("shape_map", "u1", (4, 2, *size)),
             ("ring", "f4", (3,)),
             ("tokens", "i2", (text_length,)),
         ]
@@ -108,6 +111,7 @@ class SetMaker:
         stored = np.zeros((), self.dtype)
         stored["images"] = self._render_images(item.splats, cameras)
         stored["input_map"] = self._render_input(partial, cameras, float(ring[1]))
+        stored["shape_map"] = self._render_shape(item.splats, cameras, float(ring[1]))
         stored["ring"] = ring
         stored["tokens"] = self._tokenizer.encode(item.caption).numpy()
         return stored
@@ -120,8 +124,12 @@ class SetMaker:
     def _render_input(self, splats: Splats, cameras: Cameras, radius: float) -> np.ndarray:
         seen = render(splats, cameras)
         mapped = input_map(seen.color, seen.alpha, seen.depth, radius, self._resolution_px)
-        scaled = torch.cat([mapped[:, :4] * 255, mapped[:, 4:] * 127 + 127], dim=1)
-        return _to_bytes(scaled)
+        return _stored(mapped)
+
+    def _render_shape(self, splats: Splats, cameras: Cameras, radius: float) -> np.ndarray:
+        """Draw the object as a known shape: the cells that its surface passes."""
+        seen = render(surface_splats(cells_passed(splats.means.double().numpy())), cameras)
+        return _stored(shape_map(seen.alpha, seen.depth, radius, self._resolution_px))
 
 
 def sample_ring(data: DataConfig, rng: np.random.Generator) -> tuple[Cameras, np.ndarray]:
@@ -147,11 +155,19 @@ def sample_ring(data: DataConfig, rng: np.random.Generator) -> tuple[Cameras, np
 def decode_sets(stored: np.ndarray) -> Batch:  # [B] of set_dtype
     """Turn stored sets into a batch."""
     images = torch.from_numpy(np.ascontiguousarray(stored["images"])).float() / 127.5 - 1
-    mapped = torch.from_numpy(np.ascontiguousarray(stored["input_map"])).float()
-    mapped = torch.cat([mapped[:, :, :4] / 255, (mapped[:, :, 4:] - 127) / 127], dim=2)
+    mapped, shape = (_from_stored(stored[name]) for name in ("input_map", "shape_map"))
     ring = torch.from_numpy(np.ascontiguousarray(stored["ring"]))
     tokens = torch.from_numpy(stored["tokens"].astype(np.int64))
-    return Batch(images, mapped, ring, tokens)
+    return Batch(images, mapped, shape, ring, tokens)
+
+
+def _stored(mapped: Tensor) -> np.ndarray:  # [4, C, S, S], relief last
+    return _to_bytes(torch.cat([mapped[:, :-1] * 255, mapped[:, -1:] * 127 + 127], dim=1))
+
+
+def _from_stored(stored: np.ndarray) -> Tensor:  # [B, 4, C, S, S]
+    mapped = torch.from_numpy(np.ascontiguousarray(stored)).float()
+    return torch.cat([mapped[:, :, :-1] / 255, (mapped[:, :, -1:] - 127) / 127], dim=2)
 
 
 def _to_bytes(values: Tensor) -> np.ndarray:

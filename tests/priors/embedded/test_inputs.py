@@ -6,6 +6,7 @@ from gscomplete.priors.embedded.inputs import (
     input_map,
     network_images,
     resize_images,
+    shape_map,
 )
 from tests.builders.tiny_denoiser import ring_views
 
@@ -45,6 +46,13 @@ def test_relief_is_positive_in_front_of_the_target_and_zero_where_nothing_is_see
     depth = torch.tensor([1.5, 2.5, 0.0]).expand(1, 3, 3)
     mapped = input_map(color, alpha, depth, 2.0, 3)
     torch.testing.assert_close(mapped[0, 4, 1], torch.tensor([0.5, -0.25, 0.0]))
+
+
+def test_a_shape_has_relief_as_the_input_has():
+    alpha = torch.tensor([1.0, 0.5, 0.0]).expand(1, 3, 3)
+    depth = torch.tensor([1.5, 2.5, 0.0]).expand(1, 3, 3)
+    mapped = input_map(torch.zeros(1, 3, 3, 3), alpha, depth, 2.0, 3)
+    assert torch.equal(shape_map(alpha, depth, 2.0, 3), mapped[:, 3:])
 
 
 def test_out_of_sight_looks_like_withheld():

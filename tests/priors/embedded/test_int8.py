@@ -106,11 +106,12 @@ def test_the_packaged_denoiser_in_bytes_is_close_to_float32():
     g = torch.Generator().manual_seed(3)
     noisy, seen = torch.randn(1, 4, 4, 64, 64, generator=g), torch.zeros(1, 4, 5, 64, 64)
     seen[..., 16:48, 16:48] = torch.rand(1, 4, 5, 32, 32, generator=g)
+    shape = seen[:, :, 3:]
     ring, tokens = torch.tensor([[20.0, 2.3, 40.0]]), torch.tensor([[40, 60, 0, 0]])
     stored = read_weights(packaged_weights())
     plain, fast = stored.denoiser(), in_bytes(stored.denoiser())
     for timestep in (150.0, 800.0):
-        given = noisy, seen, torch.tensor([timestep]), ring, tokens
+        given = noisy, seen, shape, torch.tensor([timestep]), ring, tokens
         expected = plain(*given)
         with torch.autocast("cpu", torch.bfloat16):
             error = fast(*given) - expected
@@ -129,7 +130,7 @@ def test_bytes_do_not_depend_on_threads_or_on_what_was_asked_before():
             numba.set_num_threads(count)
             with torch.autocast("cpu", torch.bfloat16):
                 answers.append(fast(*given))
-                other = fast(*given[:4], given[4].flip(0))
+                other = fast(*given[:5], given[5].flip(0))
         assert torch.equal(answers[0], answers[1])
         assert not torch.equal(answers[0], other)
     finally:

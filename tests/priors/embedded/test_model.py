@@ -24,6 +24,7 @@ def inputs(batch=2, seed=0):
     return (
         torch.randn(batch, 4, 4, size, size, generator=g),
         torch.rand(batch, 4, 5, size, size, generator=g),
+        torch.rand(batch, 4, 2, size, size, generator=g),
         torch.rand(batch, generator=g) * 999,
         torch.tensor([[20.0, 2.2, 40.0]]).repeat(batch, 1),
         tokens[:batch],
@@ -46,13 +47,14 @@ def test_rings_of_a_batch_do_not_mix():
 @torch.no_grad()
 def test_turning_the_ring_turns_the_output():
     model = tiny_model()
-    noisy, mapped, at, ring, tokens = inputs()
+    noisy, mapped, shape, at, ring, tokens = inputs()
     rays = ring_rays(ring, TINY.resolution_px // 2)
-    plain = model(noisy, mapped, at, ring, tokens, rays)
-    torch.testing.assert_close(plain, model(noisy, mapped, at, ring, tokens))
+    plain = model(noisy, mapped, shape, at, ring, tokens, rays)
+    torch.testing.assert_close(plain, model(noisy, mapped, shape, at, ring, tokens))
     for turn in (1, 2, 3):
         order = [(view + turn) % 4 for view in range(4)]
-        moved = model(noisy[:, order], mapped[:, order], at, ring, tokens, rays[:, order])
+        maps = (noisy[:, order], mapped[:, order], shape[:, order])
+        moved = model(*maps, at, ring, tokens, rays[:, order])
         torch.testing.assert_close(moved, plain[:, order], rtol=1e-4, atol=1e-5)
 
 
@@ -96,11 +98,11 @@ def test_symmetric_copies_are_renders_of_turned_and_mirrored_objects():
 
 
 @torch.no_grad()
-@pytest.mark.parametrize("part", range(5))
+@pytest.mark.parametrize("part", range(6))
 def test_every_input_matters(part):
     model, given, other = tiny_model(), list(inputs()), list(inputs(seed=1))
-    other[3] = given[3] + torch.tensor([5.0, 0.2, 0.0])
-    other[4] = given[4].flip(0)
+    other[4] = given[4] + torch.tensor([5.0, 0.2, 0.0])
+    other[5] = given[5].flip(0)
     plain = model(*given)
     given[part] = other[part]
     assert float((model(*given) - plain).abs().max()) > 1e-4
@@ -109,7 +111,7 @@ def test_every_input_matters(part):
 @torch.no_grad()
 def test_padding_of_the_prompt_does_not_matter():
     model, given = tiny_model(), inputs()
-    shorter = (*given[:4], given[4][:, :3])
+    shorter = (*given[:5], given[5][:, :3])
     torch.testing.assert_close(model(*given), model(*shorter), rtol=1e-4, atol=1e-5)
 
 

@@ -9,6 +9,7 @@ from gscomplete.priors.embedded.text import (
     PAD_TOKEN,
     Tokenizer,
     build_words,
+    understood_by,
 )
 
 TOKENIZER = Tokenizer(("berry", "chair", "gray", "mug", "red", "rock", "wooden", "with"), 4)
@@ -85,3 +86,11 @@ def test_letters_are_not_made_words_that_nobody_wrote(prompt):
     report = TOKENIZER.understood(prompt)
     assert report.known == ()
     assert "".join(report.unknown) == "".join(prompt.lower().replace("/", " ").split())
+
+
+def test_what_either_vocabulary_knows_is_understood():
+    other = Tokenizer(("apple", "mug"), 4)
+    report = understood_by((TOKENIZER, other), "a red apple beside a mug and a zeppelin")
+    assert set(report.known) == {"red", "apple", "mug"}
+    assert report.unknown == ("beside", "zeppelin")
+    assert understood_by((TOKENIZER,), "a red mug") == TOKENIZER.understood("a red mug")

@@ -69,7 +69,7 @@ def test_damaged_weights_are_refused(folder):
 def test_other_version_is_refused(folder):
     path = folder / CONFIG_FILE
     path.write_text(json.dumps(json.loads(path.read_text()) | {"format_version": 99}))
-    with pytest.raises(UserError, match="format_version: expected 2, found 99"):
+    with pytest.raises(UserError, match="format_version: expected 3, found 99"):
         load_weights(folder)
 
 

@@ -34,8 +34,8 @@ def trained(task, steps=0):
 
 def exported(views, shape, kept, out, storage):
     framing = views.config.data.views(views.config.model.resolution_px)
-    part = None if shape is None else shape.exportable()
-    return export(views.exportable(), framing, part, kept, out, storage)
+    part = None if shape is None else shape.exportable().with_words(kept)
+    return export(views.exportable().with_words(kept), framing, part, out, storage)
 
 
 def test_only_words_seen_in_captions_are_kept():
@@ -62,9 +62,9 @@ def test_exported_weights_make_a_prior(tmp_path):
     prior = load_prior(str(tmp_path / "out"))
     assert prior.views.resolution_px == views.config.model.resolution_px
     assert "unknown to this prior: blue" in " ".join(prior.condition("a blue ball").report)
-    losses = {"stored": {"input_mean": 0.1, "text_mean": 0.2}}
+    losses = {"stored": {"input_mean": 0.1, "shape_mean": 0.3, "text_mean": 0.2}}
     text = card(read, model, shape_model, losses, {"iou": 0.5}, "one seed was changed")
-    assert "| stored | 0.1000 | 0.2000 |" in text
+    assert "| stored | 0.1000 | 0.3000 | 0.2000 |" in text
     assert "7 steps, 14 four-view sets" in text
     assert "Held-out iou: 0.5000" in text
     assert "History: one seed was changed" in text
@@ -106,7 +106,7 @@ def test_the_denoiser_can_be_kept_while_the_shape_network_is_trained_on(tmp_path
 
 
 def test_the_shape_network_can_be_kept_while_the_denoiser_is_trained_on(tmp_path):
-    """Its words stay, though the denoiser has learned more, so nothing of its answers changes."""
+    """Its words stay, and the denoiser has its own, so nothing of its answers changes."""
     views = trained(ViewsTask(tiny_run(tmp_path / "a"), stub_source, WORDS), steps=7)
     shape = trained(ShapeTask(tiny_shape_run(tmp_path / "b"), stub_source, WORDS), steps=5)
     out = tmp_path / "out"
@@ -114,15 +114,17 @@ def test_the_shape_network_can_be_kept_while_the_denoiser_is_trained_on(tmp_path
     _, kept, config = load_weights(out)
     assert kept is not None
     going_on = trained(ViewsTask(tiny_run(tmp_path / "c"), stub_source, WORDS), steps=3)
-    run, left_out = export_runs(ExportConfig(run=tmp_path / "c", out=out))
+    run, left_out = export_runs(ExportConfig(run=tmp_path / "c", out=out, words_from=300))
     model, again, written = load_weights(out)
     assert again is not None
     assert run is not None
-    assert "blue" in left_out
-    assert (written.words, written.shape) == (config.words, config.shape)
+    assert written.shape == config.shape
+    assert written.shape.words == ("ball", "red")
+    assert "blue" in written.words
+    assert left_out.isdisjoint(written.words)
     before = kept.state_dict()
     assert all(torch.equal(value, before[name]) for name, value in again.state_dict().items())
-    trained_rows = going_on.exportable().weights(config.words)["text.words.weight"]
+    trained_rows = going_on.exportable().weights(written.words)["text.words.weight"]
     # Eight bits hold 127 steps of a row's largest weight.
     error = (model.state_dict()["text.words.weight"] - trained_rows).abs().amax(dim=1)
     assert (error <= trained_rows.abs().amax(dim=1) / 127).all()

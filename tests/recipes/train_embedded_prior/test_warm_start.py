@@ -32,9 +32,10 @@ def weights(tmp_path_factory):
         open_run(config, WORDS)
         TrainState.start(config, made.make_model).save(config.out)
         runs.append(TrainedRun.load(folder / name))
-    views, shape = runs
+    views = runs[0]
     framing = views.config.data.views(views.config.model.resolution_px)
-    export(views.exportable(), framing, shape.exportable(), WORDS, folder / "out", "float32")
+    parts = [run.exportable().with_words(WORDS) for run in runs]
+    export(parts[0], framing, parts[1], folder / "out", "float32")
     return folder / "out"
 
 

@@ -36,6 +36,11 @@ def test_decoded_sets_are_what_the_network_takes():
     assert not relief[seen == 0].any()
     assert float(relief.abs().max()) <= 1
     assert float(relief.max()) > 0.2  # the near side stands out
+    assert batch.shape_map.shape == (3, 4, 2, 16, 16)
+    # cells that hold splats: the silhouette, a cell (a third of a pixel) fatter at most, with holes
+    shape = batch.shape_map[:, :, 0]
+    assert float((shape - alpha).clamp_min(0).mean()) < 0.05 * float(shape.mean())
+    assert float(batch.shape_map[:, :, 1].max()) > 0.2
 
 
 def test_rings_stay_within_the_framing():
@@ -87,7 +92,11 @@ def test_stored_bytes_are_exact_for_nothing_and_everything():
     stored["images"][:] = 0
     stored["input_map"][:, :4] = 255
     stored["input_map"][:, 4] = 127
+    stored["shape_map"][:, 0] = 255
+    stored["shape_map"][:, 1] = 127
     batch = decode_sets(stored[None])
     assert torch.equal(batch.images, torch.full_like(batch.images, -1))
     assert torch.equal(batch.input_map[:, :, :4], torch.ones(1, 4, 4, 16, 16))
     assert not batch.input_map[:, :, 4].any()
+    assert torch.equal(batch.shape_map[:, :, 0], torch.ones(1, 4, 16, 16))
+    assert not batch.shape_map[:, :, 1].any()

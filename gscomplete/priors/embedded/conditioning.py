@@ -1,0 +1,78 @@
+"""What the denoiser is told of an object in words, and of its noun by a known shape.
+
+Words alone say little to a denoiser of this size; a known shape of the noun, drawn without colours
+from the ring's cameras, says where surfaces are, and the words what colours they have.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from gscomplete.priors.base import FourViews
+from gscomplete.priors.embedded.inputs import shape_map
+from gscomplete.priors.embedded.model import SHAPE_CHANNELS, VIEWS
+from gscomplete.render import render
+from gscomplete.shape.bank.fit import FittedShape
+from gscomplete.shape.bank.pose import FloatArray
+from gscomplete.shape.bank.store import BANK_CELLS, read_bank
+from gscomplete.shape.bank.surface_splats import surface_splats
+from gscomplete.splats import Splats
+
+
+@dataclass(frozen=True, slots=True)
+class EmbeddedConditioning:
+    """Token ids of a prompt and of what guidance leads away from, and a known shape."""
+
+    tokens: Tensor  # [L]
+    negative_tokens: Tensor  # [L]
+    shape_tokens: Tensor  # [L] the prompt in the words of the shape network
+    report: tuple[str, ...]
+    prompt: str
+    shape: Splats | None = None
+    """What is known of the object's surface, object frame; colours do not count."""
+
+    @property
+    def has_text(self) -> bool:
+        """Whether the prompt says anything that the negative prompt does not."""
+        return not torch.equal(self.tokens, self.negative_tokens)
+
+    def with_surface(self, centers: FloatArray, scale: float, note: str) -> EmbeddedConditioning:
+        """Return the same with a known surface.
+
+        Args:
+            centers: [N, 3] of the cells that it passes, object frame.
+            scale: of the bank's cells.
+            note: where it comes from, for the user.
+        """
+        shape = surface_splats(centers, scale)
+        return dataclasses.replace(self, shape=shape, report=(*self.report, note))
+
+    def shape_map(
+        self, views: FourViews, radius: float, size_px: int
+    ) -> Tensor:  # [4, 2, size, size]
+        """Return what the cameras of a ring see of the shape; zeros where none is known."""
+        if self.shape is None:
+            return torch.zeros(VIEWS, SHAPE_CHANNELS, size_px, size_px)
+        seen = render(self.shape, views.cameras.to("cpu"))
+        return shape_map(seen.alpha, seen.depth, radius, size_px)
+
+
+def about_partial(given: EmbeddedConditioning, fitted: FittedShape) -> EmbeddedConditioning:
+    """Return the conditioning with a known shape in the place that suits P."""
+    noun = fitted.name.id
+    note = f"prompt: the prior is shown a known shape, {noun}, in the place that suits P best"
+    scale = 1 / float(fitted.pose.scales.mean())
+    return given.with_surface(fitted.points, scale, note)
+
+
+def upright(given: EmbeddedConditioning, bank: Path, index: int) -> EmbeddedConditioning:
+    """Return the conditioning with a shape of the bank as it stands in its own frame."""
+    shapes = read_bank(bank)
+    filled = torch.from_numpy(shapes.surface(index)).nonzero().double().numpy()
+    note = f"prompt: the prior is shown a known shape, {shapes.names[index].id}"
+    return given.with_surface((filled + 0.5) / BANK_CELLS - 0.5, 1.0, note)
