@@ -38,7 +38,7 @@ from gscomplete.framing.check import (
 )
 from gscomplete.framing.decide import Framing, FramingRequest, decide_framing
 from gscomplete.framing.input_view import refine_input_view
-from gscomplete.priors.base import Conditioning, Prior, prior_identity
+from gscomplete.priors.base import Conditioning, KnowsShapes, Prior, prior_identity
 from gscomplete.splats import (
     SplatFile,
     Splats,
@@ -240,6 +240,8 @@ def prepare(
     require_visible(partial, framing.views, name)
     diameter = largest_side(working.splats) / framing.frame.size_file
     conditioning = prior.condition(request.prompt, request.negative_prompt)
+    if not settings.see_input and settings.known_shapes and isinstance(prior, KnowsShapes):
+        conditioning = prior.with_known_shape(conditioning, partial, framing.views)
     with stage("start"):
         start = start_splats(partial, prior, conditioning, framing.views, settings, diameter)
     views, moved = framing.views, ""

@@ -11,7 +11,8 @@ Conventions
   ``plausible``, several complete objects of the same P, weighted by how near the render is;
   ``biased``, an object that is larger and of another colour than P where V sees it;
   ``mvdream-like``, colours alone over black or white, 32 x 32 latents, guidance that overshoots;
-  ``embedded``, the package's own, from words alone as MVDream is.
+  ``embedded``, the package's own, from words alone as MVDream is; ``embedded-shape``, from words
+  and the known shape of the noun that suits P best, where there is one.
 * Ways are settings by name (``known_priors.ways``); a call is one denoising of a ring of four.
 """
 
@@ -44,7 +45,7 @@ from recipes.known_priors.priors import STRENGTHS, Kind, KnownPrior
 from recipes.known_priors.ways import TABLE_2, WAYS
 from recipes.results import Results
 
-PriorName = Literal[Kind, "embedded"]
+PriorName = Literal[Kind, "embedded", "embedded-shape"]
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,8 @@ def main(options: Options) -> None:
         "strengths": STRENGTHS,
         "ways": WAYS,
     }
-    embedded = load_prior("embedded") if "embedded" in options.priors else None
+    own = {"embedded", "embedded-shape"}
+    embedded = load_prior("embedded") if own.intersection(options.priors) else None
     if embedded is not None:
         made_with["embedded"] = prior_identity(embedded)
     results = Results(options.out / "results.json", made_with)
@@ -116,8 +118,9 @@ def main(options: Options) -> None:
         if key in results.rows:
             continue
         settings = dataclasses.replace(WAYS[way], steps=steps, seed=seed, see_input=False)
-        if kind == "embedded":
+        if kind in own:
             assert embedded is not None
+            settings = dataclasses.replace(settings, known_shapes=kind == "embedded-shape")
             objects: tuple[Splats, ...] = (item.truth,)
             new, seconds = completed(item, embedded, settings)
             calls = None

@@ -119,11 +119,11 @@ def sample(
 
 
 def told_of(prior: EmbeddedPrior, prompt: str, *, known_shapes: bool) -> EmbeddedConditioning:
-    """Return a prompt as the prior is told it, with the first known shape of its noun."""
+    """Return a prompt as the prior is told it, with a known shape of its noun."""
     told = prior.condition(prompt)
     bank = packaged_weights() / BANK_FILE
-    named = read_bank(bank).named(prompt, 1) if known_shapes else []
-    return upright(told, bank, named[0]) if named else told
+    shape = read_bank(bank).plainest(prompt) if known_shapes else None
+    return told if shape is None else upright(told, bank, shape)
 
 
 def drawn_nouns(folder: Path, count: int, seed: int) -> list[str]:
@@ -209,9 +209,11 @@ def main(options: Options) -> int:
     save_image(sheet, options.out)
     if options.blind is not None:
         save_blind(options.blind, rows, options.seed)
-    summary = {"consistency_db": found, "mean_db": float(np.mean(list(found.values())))}
+    mean = float(np.mean(list(found.values()))) if found else None
+    summary = {"consistency_db": found, "mean_db": mean}
     options.out.with_suffix(".json").write_text(json.dumps(summary, indent=1) + "\n")
-    _LOG.info("mean consistency %.1f dB over %d samples", summary["mean_db"], len(found))
+    if mean is not None:
+        _LOG.info("mean consistency %.1f dB over %d samples", mean, len(found))
     return 0
 
 

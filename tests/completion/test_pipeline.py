@@ -120,3 +120,18 @@ def test_a_view_that_does_not_show_p_is_refused():
     nothing = dataclasses.replace(PARTIAL, opacities=torch.zeros(len(PARTIAL)))
     with pytest.raises(UserError, match="expected splats that the input view shows"):
         complete(nothing, "a ball", prior=OraclePrior(TRUTH), settings=QUICK, **KNOWN)
+
+
+class ShownPrior(OraclePrior):
+    """Notes what it was asked to be shown."""
+
+    def with_known_shape(self, conditioning, partial, distribution):
+        return dataclasses.replace(conditioning, report=(*conditioning.report, "shown a shape"))
+
+
+def test_a_known_shape_is_shown_where_p_is_withheld_and_known_shapes_are_wanted():
+    framing = FramingRequest(**KNOWN)
+    for sees, wanted in ((True, True), (False, True), (False, False)):
+        settings = dataclasses.replace(QUICK, see_input=sees, known_shapes=wanted)
+        prepared = prepare(PARTIAL, Request("a ball", settings, framing), ShownPrior(TRUTH))
+        assert ("shown a shape" in prepared.notes) == (wanted and not sees)

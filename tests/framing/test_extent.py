@@ -2,7 +2,12 @@ import numpy as np
 import pytest
 
 from gscomplete.framing.cut_plane import find_cut
-from gscomplete.framing.extent import CLOSED_BELOW, is_closed, share_exposed_twice
+from gscomplete.framing.extent import (
+    CLOSED_BELOW,
+    CLOSED_BELOW_FINELY,
+    is_closed,
+    share_exposed_twice,
+)
 from tests.builders.objects import ball, half
 
 
@@ -52,3 +57,26 @@ def test_place_size_and_order_do_not_matter():
 def test_too_few_points_are_not_closed():
     assert not closed(np.zeros((5, 3)))
     assert not closed(np.zeros((50, 3)))
+
+
+def with_fin(thickness):
+    """A ball of radius 0.4 with a closed fin of two sides on top, 40,000 points of one spacing."""
+    body = points_of_ball(26_000)
+    side = np.sqrt(2.0106 / 26_000)  # what a point of the ball stands for
+    x, z = (np.arange(0, length, side) for length in (0.3, 0.2))
+    face = np.stack(np.meshgrid(x - 0.15, z + 0.35, indexing="ij"), axis=-1).reshape(-1, 2)
+    walls = [np.insert(face, 1, y, axis=1) for y in (-thickness / 2, thickness / 2)]
+    rim = np.array([[a, y, b] for a, b in face[face[:, 1] == face[:, 1].max()] for y in (0.0,)])
+    return np.concatenate([body, *walls, rim])
+
+
+def test_many_points_tell_apart_what_few_do_not():
+    fin = with_fin(0.012)
+    assert share_exposed_twice(fin, 8000) > CLOSED_BELOW
+    assert share_exposed_twice(fin) < CLOSED_BELOW_FINELY
+    assert closed(fin)
+
+
+def test_of_thin_things_many_points_are_not_asked():
+    fin = with_fin(0.012) * [1.0, 1.0, 0.1]
+    assert closed(fin) == (share_exposed_twice(fin, 8000) < CLOSED_BELOW)

@@ -122,6 +122,19 @@ class ShapeBank:
         order = np.argsort(-np.array(scores), kind="stable")[:limit]
         return [int(k) for k in order if scores[k] > 0]
 
+    def plainest(self, prompt: str) -> int | None:
+        """Return the shape of the prompt's noun whose name says least beside it; None = none is.
+
+        A pumpkin is no carriage of one, and a cushion no armchair with cushions.
+        """
+        told = frozenset(words_of(prompt)) | forms_of(head_noun(prompt) or "")
+
+        def unasked(index: int) -> tuple[int, int]:
+            by_name = ("noun", "synonym", "caption").index(self.naming(index, prompt))
+            return by_name, len(self._words[index] - told)
+
+        return min(self.named(prompt, len(self)), key=unasked, default=None)
+
     def naming(self, index: int, prompt: str) -> Naming:
         """Return what of a shape's name the prompt's noun is, if it is any."""
         noun = head_noun(prompt)

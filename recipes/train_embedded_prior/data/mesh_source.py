@@ -5,7 +5,7 @@ Conventions
 * Object ``index`` of a seed is a mesh or procedural by (seed, index) alone. Seeds from
   ``HELD_OUT_SEED_OFFSET`` on draw from the pack's validation split, all others from ``train``.
 * A mesh is stretched, warped, turned about the up axis and lit anew each time; one without colours
-  is painted in up to three plain ones.
+  is painted in up to three plain ones. Captions hardly tell colours: most are told them.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from gscomplete.splats import Splats
+from recipes.train_embedded_prior.data.color_words import color_words, with_color_words
 from recipes.train_embedded_prior.data.dataset import HELD_OUT_SEED_OFFSET, TrainingObject
 from recipes.train_embedded_prior.data.mesh_pack import (
     PackEntry,
@@ -53,6 +54,10 @@ _SPLATS = (6000, 11000)
 _WARPED_SHARE = 0.4
 _STRETCHED_SHARE = 0.5
 _LARGEST_LOG_STRETCH = 0.35
+_OTHER_COLORS_SHARE = 0.4
+"""Share whose red, green and blue change places."""
+_COLORS_TOLD = 0.75
+"""Share of captions that are told the object's colours."""
 _TURNED_SHARE = 0.6
 """Share turned by any angle; the others by quarter turns, as models stand in files."""
 
@@ -73,12 +78,13 @@ class MixedSource:
         split = "validation" if seed >= HELD_OUT_SEED_OFFSET else "train"
         entries, shares = _entries(self.folder, split)
         entry = entries[int(np.searchsorted(shares, rng.random(), side="right"))]
-        splats = mesh_splats(read_mesh(self.folder, entry), entry, rng)
+        splats, colors = mesh_splats(read_mesh(self.folder, entry), entry, rng)
+        words = color_words(colors) if rng.random() < _COLORS_TOLD else ()
 
         def partial(*, disturb: bool, slight: bool) -> Splats:
             return user_part(splats, seed, index, disturb=disturb, slight=slight)
 
-        return TrainingObject(splats, entry.caption, partial)
+        return TrainingObject(splats, with_color_words(entry.caption, words), partial)
 
     def captions(self) -> list[str]:
         """Return the captions of the meshes to train on."""
@@ -97,8 +103,10 @@ def _entries(
     return entries, ends
 
 
-def mesh_splats(mesh: PackMesh, entry: PackEntry, rng: np.random.Generator) -> Splats:
-    """Cover a mesh with discs, augmented; object frame."""
+def mesh_splats(
+    mesh: PackMesh, entry: PackEntry, rng: np.random.Generator
+) -> tuple[Splats, FloatArray]:  # [N, 3]
+    """Cover a mesh with discs, augmented; object frame. Returns their colours unlit, too."""
     count = int(rng.integers(_SPLATS[0], _SPLATS[1] + 1))
     triangles = mesh.vertices[mesh.faces]
     face, weights = sample_triangles(triangles, count, int(rng.integers(1 << 31)))
@@ -114,16 +122,18 @@ def mesh_splats(mesh: PackMesh, entry: PackEntry, rng: np.random.Generator) -> S
     colors = mesh.colors_at(face, weights)
     if entry.colour == "none":
         colors = _painted(samples, rng)
-    if rng.random() < 0.2:
+    if rng.random() < _OTHER_COLORS_SHARE:
         colors = colors[:, rng.permutation(3)]
+    unlit = colors
     colors = bake(sample_light(rng), samples, colors)
     samples = _reshaped(samples, rng)
     turn = _turn(rng)
     points, scale = into_unit_box(samples.points @ turn.T)
     opacity = float(rng.uniform(0.95, 0.99))
-    return discs_at(
+    discs = discs_at(
         points, samples.normals @ turn.T, colors.clip(0, 1), samples.spacing * scale, opacity
     )
+    return discs, unlit
 
 
 def _painted(samples: SurfaceSamples, rng: np.random.Generator) -> FloatArray:  # [N, 3]

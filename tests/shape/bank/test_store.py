@@ -47,6 +47,15 @@ def test_shapes_of_the_very_noun_come_before_those_that_are_also_called_so(path)
     assert bank.named("", 9) == []
 
 
+def test_the_plainest_shape_is_the_noun_with_the_least_beside_it(path):
+    bank = read_bank(path)
+    assert bank.plainest("a table") == 2  # no side table
+    assert bank.plainest("a red side table") == 3
+    assert bank.plainest("two chairs") == 0
+    assert bank.plainest("a couch") == 4
+    assert bank.plainest("a unicorn") is None
+
+
 def test_the_bank_of_the_package_is_whole_and_free():
     bank = read_bank(packaged_weights() / BANK_FILE)
     assert len(bank) > 2000
