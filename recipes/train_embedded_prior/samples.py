@@ -7,8 +7,10 @@ in random order, for somebody to name who has not seen ``key.json``.
 
 Conventions
 -----------
-* Every sample starts from pure noise, without P. Where the prompt's noun is that of a known shape,
-  the denoiser is shown this shape without colours, unless ``--no-known-shapes`` is given.
+* Every sample starts from pure noise, without P. What a step denoises is noised anew for the next:
+  kept noise would leave its patches as patches of colour.
+* Where the noun is that of a known shape, the denoiser is shown this shape without colours,
+  unless ``--no-known-shapes`` is given.
 * Nouns are those of five captions or more of the train split, words that name no thing left out.
 * View consistency: splats are fitted to the four views, starting from a sphere; the PSNR of their
   renders against the views says how well one object explains all four. It says nothing about how
@@ -84,7 +86,7 @@ class Options:
     """How strongly the prompt pulls; None = the prior's own scale."""
     blind: Path | None = None
     """Folder for numbered pictures in random order, and what they are (``key.json``)."""
-    steps: int = 16
+    steps: int = 8
     """Denoising steps of a sample."""
     fitted: int = 12
     """Samples whose consistency is measured, evenly chosen; 0 = none."""
@@ -102,20 +104,21 @@ def sample(
     cameras = four_view_orbit(
         30.0, 15.0, radius=radius, fov_deg=views.fov_deg, size_px=views.resolution_px
     )
-    size = (4, views.resolution_px, views.resolution_px)
-    blank = FourViews(torch.zeros(*size, 3), torch.zeros(size), torch.zeros(size), cameras)
     guidance = prior.default_guidance(sees_input=False)
     if options.text_scale is not None:
         guidance = dataclasses.replace(guidance, text_scale=options.text_scale)
-    color, alpha = prior.reconstruct(
-        blank,
-        prior.num_timesteps - 1.0,
-        told,
-        generator_for(seed, 0, told.prompt),
-        guidance=guidance,
-        num_steps=options.steps,
-    )
-    return FourViews(color, alpha, torch.zeros(size), cameras)
+    zeros = torch.zeros(4, views.resolution_px, views.resolution_px)
+    color, alpha = zeros[..., None].expand(-1, -1, -1, 3), zeros
+    for number, share in enumerate(np.linspace(1, 0, options.steps, endpoint=False)):
+        color, alpha = prior.reconstruct(
+            FourViews(color, alpha, zeros, cameras),
+            share * (prior.num_timesteps - 1),
+            told,
+            generator_for(seed, number, told.prompt),
+            guidance=guidance,
+            num_steps=1,
+        )
+    return FourViews(color, alpha, zeros, cameras)
 
 
 def told_of(prior: EmbeddedPrior, prompt: str, *, known_shapes: bool) -> EmbeddedConditioning:
