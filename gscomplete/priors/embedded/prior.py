@@ -4,8 +4,9 @@ Conventions
 -----------
 * Images inside are those of ``inputs``: premultiplied RGBA in [-1, 1] at the model's resolution,
   so the loss of :meth:`EmbeddedPrior.distill` counts differences on that scale.
-* P may be withheld (text-only mode); guidance pulls towards P and towards the text with separate
-  scales (``diffusion.guided_x0``).
+* P may be withheld (text-only mode), and a known shape of the noun shown instead
+  (``conditioning``); guidance pulls towards P and towards the text with separate scales
+  (``diffusion.guided_x0``).
 * The network runs in 8 bits and bfloat16 (``int8``) or in bfloat16 where the processor multiplies
   them in hardware, else in float32; schedules and losses are always float32.
 """
