@@ -91,8 +91,8 @@ def card(
         "shape network continues coarse shape; colours and patterns are taken from P and its",
         "mirror images, so what P does not show is guessed by symmetry; thin parts are often",
         "missed where no mirror image is sure enough to be shown by P's own splats. The denoiser",
-        "follows the colours of prompts, hardly their shapes: from words alone it gives blobs, shown a",
-        "known shape of the noun it paints that one.",
+        "follows the colours of prompts, hardly their shapes: from words alone it gives blobs,",
+        "shown a known shape of the noun it paints that one.",
         "",
     ]
     return "\n".join(lines)
