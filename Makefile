@@ -46,8 +46,9 @@ lint: setup
 	$(BIN)/mypy
 
 # Types are checked against the stubs of the newest packages.
+# Tests of a file share what its fixtures make, so a file goes to one process.
 test: $(if $(filter lowest,$(LOCKED)),setup,lint)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile
 
 bench: setup
 	$(BIN)/python -m recipes.benchmarks.renderer

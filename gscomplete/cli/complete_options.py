@@ -73,8 +73,8 @@ class HowToComplete:
     and draw these guesses below the result into alternatives.png, each with the --mirror that makes
     a run take it."""
     text_only: bool = False
-    """Withhold P's renders from priors that can see them. The embedded prior is shown a known shape of
-    the prompt's noun instead, the one that suits P best (--no-known-shapes: not even that)."""
+    """Withhold P's renders from priors that can see them. The embedded prior is shown a known shape
+    of the prompt's noun instead, the one that suits P best (--no-known-shapes: not even that)."""
     seed: int = 0
     """Same seed, same bytes."""
     device: str = "auto"
