@@ -32,7 +32,8 @@ def test_validation_objects_are_drawn_by_held_out_seeds_only(folder):
     captions = [source(0, k).caption for k in range(12)]  # red of "red box" is a colour, told anew
     assert all(caption.endswith("box") and "picture" not in caption for caption in captions)
     assert any(caption.split()[0] in ("red", "pink", "purple", "orange") for caption in captions)
-    assert {source(HELD_OUT_SEED_OFFSET, k).caption for k in range(3)} == {"picture box"}
+    held_out = [source(HELD_OUT_SEED_OFFSET, k).caption for k in range(3)]
+    assert all(caption.endswith("picture box") for caption in held_out)
     assert set(source.captions()) == {"red box", "plain box"}
 
 
