@@ -40,7 +40,6 @@ from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter
 from gscomplete.shape.predict import Prediction, predict
 from gscomplete.shape.prompt_colors import with_prompt_color
-from gscomplete.shape.symmetry_choice import Choice
 from gscomplete.splats import Splats
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.util.stages import stage
@@ -161,7 +160,7 @@ def guess_complete(
     notes: tuple[str, ...] = ()
     is_mirrored = isinstance(mirror, MirrorPlane) or is_mirrored_by_splats(plain)
     if known.decide or not is_mirrored:  # else little is left to guess from a noun
-        found = _by_known_shapes(asked, plain, partial, views, known, settings, generator)
+        found = _by_known_shapes(asked, plain, partial, views, mirror, known, settings, generator)
         if found is not None:
             return dataclasses.replace(found, notes=known.notes(found.known) + found.notes)
         notes = known.notes(())
@@ -182,6 +181,7 @@ def _by_known_shapes(
     plain: Prediction,
     partial: Splats,
     views: ViewDistribution,
+    mirror: Mirror,
     known: KnownShapes,
     settings: AssembleSettings,
     generator: torch.Generator,
@@ -193,8 +193,7 @@ def _by_known_shapes(
     if frame is not None:
         given = transform_splats(partial.with_sh_degree(0), frame)
         there = tuple(shape_in(shape, frame) for shape in shapes)
-        again = _predict(asked, given, views_in(views, frame), _chosen_in(plain, frame))
-        plain = dataclasses.replace(again, prompt_share=plain.prompt_share)
+        plain = _predict(asked, given, views_in(views, frame), mirror)
     occupancy: Tensor | None
     if known.decide:
         points = given.means.double().numpy()
@@ -232,29 +231,21 @@ def _by_known_shapes(
     return Guess(splats, shapes, notes_of(heeded, assembled.mirrored))
 
 
-def _predict(
-    asked: Asked, partial: Splats, views: ViewDistribution, mirror: Mirror | Choice
-) -> Prediction:
+def _predict(asked: Asked, partial: Splats, views: ViewDistribution, mirror: Mirror) -> Prediction:
     return predict(
         asked.model,
         partial,
         views,
         asked.tokens,
         ends_in_plane=asked.ends_in_plane,
-        no_tokens=None if isinstance(mirror, Choice) else asked.no_tokens,
+        no_tokens=asked.no_tokens,
         bfloat16=asked.bfloat16,
         mirror_plane=mirror,
     )
 
 
-def _chosen_in(prediction: Prediction, frame: Similarity) -> Choice:
-    """Return the mirror images of a prediction in another frame."""
-    maps = tuple(symmetry_in(symmetry, frame) for symmetry in prediction.seen.symmetries)
-    return Choice(maps, prediction.symmetry_score)
-
-
 def _carried(prediction: Prediction, frame: Similarity) -> Prediction:
     """Return a prediction whose mirror images are told in another frame."""
-    maps = _chosen_in(prediction, frame).symmetries
+    maps = tuple(symmetry_in(symmetry, frame) for symmetry in prediction.seen.symmetries)
     seen = dataclasses.replace(prediction.seen, symmetries=maps)
     return dataclasses.replace(prediction, seen=seen)

@@ -17,7 +17,7 @@ from torch import Tensor
 from gscomplete.shape.mirror_plane import Mirror
 from gscomplete.shape.network import ShapeCompleter, ShapeOutput, cpu_precision
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs, voxelize_partial
-from gscomplete.shape.symmetry_choice import Choice, choose_symmetries
+from gscomplete.shape.symmetry_choice import choose_symmetries
 from gscomplete.splats import Splats
 from gscomplete.util.stages import stage
 from gscomplete.views import ViewDistribution
@@ -51,7 +51,7 @@ def predict(
     ends_in_plane: bool,
     no_tokens: Tensor | None = None,  # [L]
     bfloat16: bool = False,
-    mirror_plane: Mirror | Choice = "guess",
+    mirror_plane: Mirror = "guess",
 ) -> Prediction:
     """Look at P, choose its mirror images, and ask the network.
 
@@ -63,7 +63,7 @@ def predict(
         ends_in_plane: whether P was cut along a plane, as far as found (``framing.cut_plane``).
         no_tokens: no prompt, to tell what ``tokens`` change; None = it is not asked.
         bfloat16: precision of the network.
-        mirror_plane: which plane of symmetry to show first, or all mirror images to show.
+        mirror_plane: which plane of symmetry to show first.
     """
     with stage("voxels"):
         voxels = voxelize_partial(partial, distribution)

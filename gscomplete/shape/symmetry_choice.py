@@ -87,7 +87,7 @@ def choose_symmetries(
     *,
     ends_in_plane: bool,
     bfloat16: bool = False,
-    mirror_plane: Mirror | Choice = "guess",
+    mirror_plane: Mirror = "guess",
 ) -> Choice:
     """Choose what the network is given.
 
@@ -97,10 +97,8 @@ def choose_symmetries(
         tokens: the prompt.
         ends_in_plane: whether P was cut along a plane, as far as found (``framing.cut_plane``).
         bfloat16: precision of the network.
-        mirror_plane: which one to show first, or all that is to be shown.
+        mirror_plane: which one to show first.
     """
-    if isinstance(mirror_plane, Choice):
-        return mirror_plane
     if mirror_plane == "none":
         return Choice(no_symmetries(), 0.0)
     if isinstance(mirror_plane, MirrorPlane):
