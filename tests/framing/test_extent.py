@@ -60,7 +60,7 @@ def test_too_few_points_are_not_closed():
 
 
 def with_fin(thickness):
-    """A ball of radius 0.4 with a closed fin of two sides on top, 40,000 points of one spacing."""
+    """A ball of radius 0.4 with a closed fin of two sides on top, points of one spacing."""
     body = points_of_ball(26_000)
     side = np.sqrt(2.0106 / 26_000)  # what a point of the ball stands for
     x, z = (np.arange(0, length, side) for length in (0.3, 0.2))
