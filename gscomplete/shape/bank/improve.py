@@ -20,9 +20,9 @@ _TURN_STEP, _SCALE_STEP, _STIFFNESS = 0.5, 0.2, 0.03
 """Radians and logarithms by which a pose changes at the price of ``_STIFFNESS``, per point."""
 _WEIGHT = 0.3
 """Of a point's distance, beside that price squared."""
-_STEPS = 12
-_LEAST_DISTANCE = 0.004
-"""Smaller distances weigh as this one does in a step."""
+_STEPS = 24
+_LEAST_DISTANCE = 0.02
+"""A cell of the bank, sizes: smaller distances weigh as this one does in a step."""
 _DAMPING, _LESS, _MORE = 1e-2, 0.3, 8.0
 """At first, after a step that is taken, after one that is not."""
 
