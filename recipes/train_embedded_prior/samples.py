@@ -95,9 +95,7 @@ class Options:
     seed: int = 0
 
 
-def sample(
-    prior: EmbeddedPrior, told: EmbeddedConditioning, options: Options, seed: int
-) -> FourViews:
+def sample(prior: EmbeddedPrior, told: EmbeddedConditioning, options: Options) -> FourViews:
     """Imagine an object."""
     views = prior.views
     radius = radius_to_fit(sum(views.extent_range) / 2, views.fov_deg)
@@ -114,7 +112,7 @@ def sample(
             FourViews(color, alpha, zeros, cameras),
             share * (prior.num_timesteps - 1),
             told,
-            generator_for(seed, number, told.prompt),
+            generator_for(options.seed, number, told.prompt),
             guidance=guidance,
             num_steps=1,
         )
@@ -202,7 +200,7 @@ def main(options: Options) -> int:
     found = {}
     for number, (label, prompt) in enumerate(prompts.items()):
         told = told_of(prior, prompt, known_shapes=options.known_shapes)
-        views = sample(prior, told, options, options.seed)
+        views = sample(prior, told, options)
         rows[label] = [to_image(image) for image in _over_grey(views.color, views.alpha)]
         if options.fitted and number in fitted:
             found[label] = consistency_db(views, options.fit_steps, options.seed)

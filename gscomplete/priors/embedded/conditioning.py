@@ -18,8 +18,8 @@ from gscomplete.priors.embedded.inputs import shape_map
 from gscomplete.priors.embedded.model import SHAPE_CHANNELS, VIEWS
 from gscomplete.render import render
 from gscomplete.shape.bank.fit import FittedShape
-from gscomplete.shape.bank.pose import FloatArray
-from gscomplete.shape.bank.store import BANK_CELLS, read_bank
+from gscomplete.shape.bank.pose import FloatArray, surface_centers
+from gscomplete.shape.bank.store import read_bank
 from gscomplete.shape.bank.surface_splats import surface_splats
 from gscomplete.splats import Splats
 
@@ -64,8 +64,8 @@ class EmbeddedConditioning:
 
 def about_partial(given: EmbeddedConditioning, fitted: FittedShape) -> EmbeddedConditioning:
     """Return the conditioning with a known shape in the place that suits P."""
-    noun = fitted.name.id
-    note = f"prompt: the prior is shown a known shape, {noun}, in the place that suits P best"
+    shape = fitted.name.id
+    note = f"prompt: the prior is shown a known shape, {shape}, in the place that suits P best"
     scale = 1 / float(fitted.pose.scales.mean())
     return given.with_surface(fitted.points, scale, note)
 
@@ -73,6 +73,5 @@ def about_partial(given: EmbeddedConditioning, fitted: FittedShape) -> EmbeddedC
 def upright(given: EmbeddedConditioning, bank: Path, index: int) -> EmbeddedConditioning:
     """Return the conditioning with a shape of the bank as it stands in its own frame."""
     shapes = read_bank(bank)
-    filled = torch.from_numpy(shapes.surface(index)).nonzero().double().numpy()
     note = f"prompt: the prior is shown a known shape, {shapes.names[index].id}"
-    return given.with_surface((filled + 0.5) / BANK_CELLS - 0.5, 1.0, note)
+    return given.with_surface(surface_centers(shapes.surface(index)), 1.0, note)

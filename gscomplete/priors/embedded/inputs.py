@@ -45,10 +45,9 @@ def input_map(
     radius: float,
     size_px: int,
 ) -> Tensor:  # [V, 5, size, size]
-    """Turn renders of P into the network's input map."""
-    relief = alpha * (radius - depth).clamp(-1, 1)
-    stacked = torch.cat([color.permute(0, 3, 1, 2), alpha[:, None], relief[:, None]], dim=1)
-    return resize_images(stacked, size_px)
+    """Turn renders of P into the network's input map: colours, and what a shape map holds."""
+    colors = resize_images(color.permute(0, 3, 1, 2), size_px)
+    return torch.cat([colors, shape_map(alpha, depth, radius, size_px)], dim=1)
 
 
 def shape_map(

@@ -3,7 +3,7 @@
 Conventions
 -----------
 * B rings of four views, images of S x S pixels. Noisy images are premultiplied RGBA mapped to
-  [-1, 1]; the input map is P seen by the same cameras (``prior.input_map``), zeros when withheld.
+  [-1, 1]; the input map is P seen by the same cameras (``inputs.input_map``), zeros when withheld.
 * The shape map is what the same cameras see of a known shape (``inputs.shape_map``), zeros when
   there is none.
 * The output is v = alpha_t * noise - sigma_t * x0 (``diffusion``).

@@ -140,11 +140,14 @@ def save_weights(
         UserError: the folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    states = {WEIGHTS_FILE: state, SHAPE_FILE: shape_state}
-    for name, digest in _digests(config).items():
-        packed = pack_tensors(states[name] or {}, config.storage)
+    digests = _digests(config)
+    states = {WEIGHTS_FILE: state}
+    if shape_state is not None:
+        states[SHAPE_FILE] = shape_state
+    for name, tensors in states.items():
+        packed = pack_tensors(tensors, config.storage)
         with atomic_path(folder / name) as temporary:
-            temporary.write_bytes(save(packed, metadata={_DIGEST: digest}))
+            temporary.write_bytes(save(packed, metadata={_DIGEST: digests[name]}))
     write_json(folder / CONFIG_FILE, config)
 
 

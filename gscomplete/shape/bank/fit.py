@@ -23,7 +23,14 @@ from scipy.ndimage import binary_fill_holes, map_coordinates
 from scipy.spatial import cKDTree
 
 from gscomplete.shape.bank.improve import FAR, improve_poses
-from gscomplete.shape.bank.pose import MARGIN, FloatArray, Pose, distance_field, turn_about_z
+from gscomplete.shape.bank.pose import (
+    MARGIN,
+    FloatArray,
+    Pose,
+    distance_field,
+    surface_centers,
+    turn_about_z,
+)
 from gscomplete.shape.bank.store import BANK_CELLS, Naming, ShapeBank, ShapeName
 
 _MOST_SHAPES = 80
@@ -145,8 +152,9 @@ def fit_known_shapes(
     tried = [(cost, k, pose) for k, cells in shapes.items() for cost, pose in _coarse(cells, few)]
     tried.sort(key=lambda entry: entry[:2])
     begun = tried[:_MOST_REFINED]
-    fields = {k: distance_field(shapes[k]) for k in sorted({k for _, k, _ in begun})}
-    improved = improve_poses([(fields[k], pose) for _, k, pose in begun], more)
+    place = {k: n for n, k in enumerate(dict.fromkeys(k for _, k, _ in begun))}
+    fields = [distance_field(shapes[k]) for k in place]
+    improved = improve_poses(fields, [(place[k], pose) for _, k, pose in begun], more)
     found: dict[int, FittedShape] = {}
     for (_, index, _), (residual, refined) in zip(begun, improved, strict=True):
         fitted = _judged(bank.names[index], shapes[index], refined, residual, many, toward_c)
@@ -212,7 +220,7 @@ def _judged(
     toward_c: FloatArray,  # [3]
 ) -> FittedShape:
     """Compare a placed shape with P as seen from c, by parallel rays."""
-    surface = pose.to_object((np.argwhere(cells) + 0.5) / BANK_CELLS - 0.5)
+    surface = pose.to_object(surface_centers(cells))
     right = np.cross((0.0, 0.0, 1.0), toward_c)
     right = right / np.linalg.norm(right) if np.linalg.norm(right) > 1e-6 else np.array([1.0, 0, 0])
     axes = np.stack([right, np.cross(toward_c, right), toward_c])

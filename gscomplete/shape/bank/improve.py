@@ -28,18 +28,20 @@ _DAMPING, _LESS, _MORE = 1e-2, 0.3, 8.0
 
 
 def improve_poses(
-    begun: Sequence[tuple[FloatArray, Pose]],  # fields [F, F, F] and poses
+    fields: Sequence[FloatArray],  # [F, F, F] each
+    begun: Sequence[tuple[int, Pose]],
     points: FloatArray,  # [N, 3]
 ) -> list[tuple[float, Pose]]:
     """Improve poses; return mean distances of the points and poses.
 
     Args:
-        begun: distances from shapes, of one size, and where the shapes are.
+        fields: distances from shapes.
+        begun: which of the shapes, and where it is.
         points: of P, which is 1 in size.
     """
     if not begun:
         return []
-    problem = _Problem(begun, points)
+    problem = _Problem(fields, begun, points)
     change = np.zeros((len(begun), 7))
     damping = np.full(len(begun), _DAMPING)
     value = problem.value(change)
@@ -57,12 +59,13 @@ class _Problem:
     """What is minimised; changes of a pose are [yaw, shift (3), log scales (3)]."""
 
     def __init__(
-        self, begun: Sequence[tuple[FloatArray, Pose]], points: FloatArray
-    ) -> None:  # [N, 3]
-        unlike = {id(field): field for field, _ in begun}
-        number = {key: k for k, key in enumerate(unlike)}
-        self._fields = np.stack(list(unlike.values()))
-        self._field = np.array([number[id(field)] for field, _ in begun])[:, None]
+        self,
+        fields: Sequence[FloatArray],  # [F, F, F] each
+        begun: Sequence[tuple[int, Pose]],
+        points: FloatArray,  # [N, 3]
+    ) -> None:
+        self._fields = np.stack(fields)
+        self._field = np.array([index for index, _ in begun])[:, None]
         self._poses = [pose for _, pose in begun]
         self._yaw = np.array([pose.yaw_rad for pose in self._poses])
         self._scales = np.array([pose.scales for pose in self._poses])
@@ -113,7 +116,7 @@ class _Problem:
         return found_step
 
     def _turned(self, change: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return turned points [P, N, 3] and scales [P, 3]."""
+        """Return turned points [P, N, 3] and scales [P, 3], those of too long steps cut short."""
         turns = np.stack([turn_about_z(float(yaw)) for yaw in self._yaw + change[:, 0]])
         turned: FloatArray = np.einsum("pij,nj->pni", turns, self._points)
         return turned, self._scales * np.exp(np.clip(change[:, 4:], -3, 3))

@@ -53,6 +53,12 @@ def turn_about_z(yaw_rad: float) -> FloatArray:  # [3, 3]
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
+def surface_centers(cells: NDArray[np.bool_]) -> FloatArray:  # [C, C, C] -> [N, 3]
+    """Return the centres of marked cells in the shape's frame."""
+    centers: FloatArray = (np.argwhere(cells) + 0.5) / len(cells) - 0.5
+    return centers
+
+
 def distance_field(cells: NDArray[np.bool_]) -> FloatArray:  # [C, C, C] -> [F, F, F]
     """Return the distance from a surface in the shape's cube and ``MARGIN`` round it."""
     padded = np.pad(cells, round(MARGIN * len(cells)))

@@ -64,4 +64,4 @@ def _tellable(lab: Tensor) -> Tensor:  # [N, 3] -> [N, 4]
 def with_color_words(caption: str, words: tuple[str, ...]) -> str:
     """Return a caption that tells these colours and no others."""
     others = (word for word in caption.split() if word not in _NAMES)
-    return " ".join([*" and ".join(words).split(), *others])
+    return " ".join([" and ".join(words), *others]).strip()

@@ -35,7 +35,7 @@ def mean_distance(field, pose, points):
 
 def test_a_displaced_shape_comes_back(chair):
     field, points = chair
-    for away, pose in improve_poses([(field, start) for start in STARTS], points):
+    for away, pose in improve_poses([field], [(0, start) for start in STARTS], points):
         assert away < 0.004  # a fifth of a cell
         assert abs(pose.yaw_rad) < math.radians(2)
         assert np.abs(pose.scales - 1).max() < 0.05
@@ -45,7 +45,7 @@ def test_a_displaced_shape_comes_back(chair):
 def test_the_distance_told_is_that_of_the_pose(chair):
     field, points = chair
     for start in STARTS:
-        ((away, pose),) = improve_poses([(field, start)], points)
+        ((away, pose),) = improve_poses([field], [(0, start)], points)
         scaled = mean_distance(field / start.scales[0], pose, points)
         assert away == pytest.approx(scaled, rel=1e-9)
 
@@ -65,7 +65,7 @@ def test_as_good_as_a_general_solver(chair):
 
     for start in STARTS:
         solved = least_squares(total, np.zeros(7), args=(start,), max_nfev=60, diff_step=1e-2).x
-        ((_, pose),) = improve_poses([(field, start)], points)
+        ((_, pose),) = improve_poses([field], [(0, start)], points)
         ours = np.array(
             [
                 pose.yaw_rad - start.yaw_rad,
@@ -81,11 +81,10 @@ def test_as_good_as_a_general_solver(chair):
 def test_poses_do_not_know_of_each_other(chair):
     field, points = chair
     other = distance_field(chair_cells()[::-1])
-    together = improve_poses([(field, STARTS[0]), (other, STARTS[1]), (field, STARTS[2])], points)
-    for (away, pose), begun in zip(
-        together, [(field, STARTS[0]), (other, STARTS[1]), (field, STARTS[2])], strict=True
-    ):
-        ((alone_away, alone),) = improve_poses([begun], points)
+    fields, begun = [field, other], list(zip((0, 1, 0), STARTS, strict=True))
+    together = improve_poses(fields, begun, points)
+    for (away, pose), (index, start) in zip(together, begun, strict=True):
+        ((alone_away, alone),) = improve_poses([fields[index]], [(0, start)], points)
         assert alone_away == pytest.approx(away, abs=1e-12)
         assert np.allclose(alone.scales, pose.scales, atol=1e-9)
 
@@ -93,7 +92,7 @@ def test_poses_do_not_know_of_each_other(chair):
 def test_nothing_to_hold_on_to_is_no_reason_to_fail(chair):
     field, _ = chair
     far = np.full((4, 3), 5.0)
-    ((away, pose),) = improve_poses([(field, beside())], far)
+    ((away, pose),) = improve_poses([field], [(0, beside())], far)
     assert away == FAR
     assert np.isfinite([pose.yaw_rad, *pose.scales, *pose.shift]).all()
-    assert improve_poses([], far) == []
+    assert improve_poses([], [], far) == []
