@@ -11,7 +11,7 @@ COMPILED_BESIDE: tuple[KernelTypes, ...] = (
     KernelTypes(
         "gscomplete.render.cpu.tiles",
         "count_entries",
-        "(i8, i8, f4[:, ::1], i8, i8, b1, i4[:, ::1], i4[:, ::1], i4[::1])",
+        "(i8, i8, f4[:, ::1], i4[::1], i8, i8, i8, b1, i4[:, ::1], i4[:, ::1], i8[::1])",
     ),
     KernelTypes(
         "gscomplete.render.cpu.composite",

@@ -150,7 +150,7 @@ def run_kernel(kernel: Callable[..., None], count: int, grain: int, *arguments: 
         grain: fewest tasks that are handing to another thread takes the time of.
         arguments: what the kernel is given besides.
     """
-    if not getattr(kernel, "signatures", True):
+    if not getattr(kernel, "overloads", True):
         kernel(0, 0, *arguments)  # compiled by the calling thread, whose profile counts it
     threads = numba.get_num_threads() if count > grain else 1
     runs = min(-(-count // grain), threads * _RUNS_PER_THREAD) if threads > 1 else 1

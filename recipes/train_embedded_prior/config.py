@@ -62,6 +62,8 @@ class RunConfig:
     """Length of training in minutes of its own running time; None = set by ``steps``."""
     meshes: Path | None = None
     """Pack of meshes to train on (``mesh_pack``) beside procedural objects; None = none."""
+    mesh_count: int | None = None
+    """Only so many meshes of the pack, to learn what more of them bring; None = all."""
     steps: int | None = None
     """Length of training in steps; None = set by ``minutes``. Exactly one of them is given."""
     seed: int = 0

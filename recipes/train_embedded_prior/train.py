@@ -278,7 +278,7 @@ def training_source(config: TrainConfig | ShapeTrainConfig) -> tuple[Source, tup
     words = procedural_words()
     if config.meshes is None:
         return procedural_source, words
-    mixed = MixedSource(config.meshes, config.data.mesh_share)
+    mixed = MixedSource(config.meshes, config.data.mesh_share, config.mesh_count)
     return mixed, (*words, *(w for w in frequent_words(mixed.captions()) if w not in words))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 import pytest
 from hypothesis import given
@@ -42,5 +43,23 @@ def test_every_number_of_digits(factor):
     depths = 1.5 * factor ** np.random.default_rng(0).random(5000)
     visible = np.ones(5000, np.uint8)
     found = depth_order(visible, depths.view(np.uint64))
+    for one, other in zip(found, expected(visible, depths), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.5])
+def test_many_splats_at_nearly_the_same_depth(threads, share):
+    """A wall and far floaters: bits of the wall lie below the two digits that are sorted first."""
+    rng = np.random.default_rng(0)
+    wall = 2.0 + 1e-9 * rng.random(40_000)
+    depths = np.where(rng.random(40_000) < share, rng.uniform(1, 1e6, 40_000), wall)
+    visible = (rng.random(40_000) < 0.9).astype(np.uint8)
+    before = numba.get_num_threads()
+    numba.set_num_threads(min(threads, before))
+    try:
+        found = depth_order(visible, depths.view(np.uint64))
+    finally:
+        numba.set_num_threads(before)
     for one, other in zip(found, expected(visible, depths), strict=True):
         np.testing.assert_array_equal(one, other)

@@ -71,9 +71,9 @@ def test_what_others_hide_is_left_out_of_the_way_back(monkeypatch):
     hidden: list[float] = []
     way_back = one_view.differentiate
 
-    def counted(view, *arguments):
+    def counted(view, *arguments, is_first):
         hidden.append(float((view.contributes == 0).mean()))
-        way_back(view, *arguments)
+        way_back(view, *arguments, is_first=is_first)
 
     monkeypatch.setattr(one_view, "differentiate", counted)
     grads = []

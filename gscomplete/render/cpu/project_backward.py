@@ -60,6 +60,7 @@ _RED, _GREEN, _BLUE = (np.uint64(k * LANES) for k in range(21, _PLANES))
 def project_backward(
     first: int,
     last: int,
+    is_first: bool,  # write gradients; else add to them
     means: Any,  # [N, 3]
     quaternions: Any,  # [N, 4]
     scales: Any,  # [N, 3]
@@ -70,14 +71,18 @@ def project_backward(
     slot_start: Any,  # [N + 1] int64: rows of ``sums`` that belong to each splat
     summed: Any,  # [slots] uint8 from composite_backward: 0 = the row of sums is not written
     sums: Any,  # [slots, SUMS] float32 from composite_backward
-    grad_means: Any,  # [N, 3] float32, added to
-    grad_quaternions: Any,  # [N, 4], added to
-    grad_scales: Any,  # [N, 3], added to
-    grad_opacities: Any,  # [N], added to
-    grad_sh: Any,  # [N, K, 3], added to
+    grad_means: Any,  # [N, 3] float32
+    grad_quaternions: Any,  # [N, 4]
+    grad_scales: Any,  # [N, 3]
+    grad_opacities: Any,  # [N]
+    grad_sh: Any,  # [N, K, 3]
     grad_offsets: Any,  # [N, 2] written, or [0, 2]
 ) -> None:
     """Add one view's gradients of trainable splats, summing their tiles in a fixed order."""
+    if is_first:
+        grad_means[first:last], grad_quaternions[first:last] = 0.0, 0.0
+        grad_scales[first:last], grad_opacities[first:last] = 0.0, 0.0
+        grad_sh[first:last] = 0.0
     eye, limits = eye_and_limits(camera)
     basis = np.empty(16, np.float64)
     weights = np.empty(16, np.float64)

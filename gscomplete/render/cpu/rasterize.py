@@ -47,13 +47,15 @@ class _Rasterize(torch.autograd.Function):
             shifts = offsets.detach().contiguous().numpy()
         with_slots = any(ctx.needs_input_grad)
         views = []
-        for v in range(len(cameras)):
-            camera = one_view.camera_numbers(cameras, v, settings)
+        pictures = _arrays(drawn)
+        numbers = one_view.camera_numbers(cameras, settings)
+        for v, camera in enumerate(numbers):
             lists = one_view.list_tiles(
                 frozen_arrays, arrays, shifts[v], camera, settings, with_slots=with_slots
             )
             kept = None if prepared is None else prepared[v].lists
-            views.append(one_view.draw(lists, kept, camera, settings, _arrays(drawn, v)))
+            picture = _of_view(pictures, v)
+            views.append(one_view.draw(lists, kept, camera, settings, picture))
         ctx.arrays, ctx.views, ctx.settings = arrays, views, settings
         ctx.wants_offsets = offsets is not None
         ctx.save_for_backward(drawn.color, drawn.depth, drawn.alpha)
@@ -63,9 +65,10 @@ class _Rasterize(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor | None) -> Any:
         color, depth, alpha = ctx.saved_tensors
-        drawn = Render(color, alpha, depth)
+        pictures = _arrays(Render(color, alpha, depth))
         given = [None if part is None else part.contiguous().numpy() for part in upstream]
-        grads = [np.zeros(array.shape, np.float32) for array in ctx.arrays]
+        make = np.empty if ctx.views else np.zeros
+        grads = [make(array.shape, np.float32) for array in ctx.arrays]
         count = len(ctx.arrays[0]) if ctx.wants_offsets else 0
         grad_offsets = np.zeros((len(ctx.views), count, 2), np.float32)
         for v, view in enumerate(ctx.views):
@@ -77,10 +80,11 @@ class _Rasterize(torch.autograd.Function):
                 view,
                 ctx.arrays,
                 ctx.settings,
-                _arrays(drawn, v),
+                _of_view(pictures, v),
                 (grad_color, grad_depth, grad_alpha),
                 grads,
                 grad_offsets[v],
+                is_first=v == 0,
             )
         tensors = [torch.from_numpy(grad) for grad in grads]
         offsets = torch.from_numpy(grad_offsets) if ctx.wants_offsets else None
@@ -93,9 +97,15 @@ def _blank(cameras: Cameras) -> Render:
     return Render(torch.empty(*shape, 3), torch.empty(shape), torch.empty(shape))
 
 
-def _arrays(drawn: Render, v: int) -> one_view.Picture:
-    """Return what the kernels write to, or read, of a view."""
-    return drawn.color[v].numpy(), drawn.depth[v].numpy(), drawn.alpha[v].numpy()
+def _arrays(drawn: Render) -> one_view.Picture:  # each [V, ...]
+    """Return what the kernels write to, or read."""
+    return drawn.color.numpy(), drawn.depth.numpy(), drawn.alpha.numpy()
+
+
+def _of_view(pictures: one_view.Picture, v: int) -> one_view.Picture:
+    """Return one view's part of it."""
+    color, depth, alpha = pictures
+    return color[v], depth[v], alpha[v]
 
 
 def rasterize(
@@ -130,9 +140,8 @@ def prepare_views(
     arrays = one_view.splat_arrays(frozen.to("cpu", torch.float32))
     cameras = cameras.to("cpu")
     views = []
-    for v in range(len(cameras)):
+    for v, camera in enumerate(one_view.camera_numbers(cameras, settings)):
         picture = _blank(cameras[v])
-        camera = one_view.camera_numbers(cameras, v, settings)
-        lists = one_view.prepare(arrays, camera, settings, _arrays(picture, 0))
+        lists = one_view.prepare(arrays, camera, settings, _of_view(_arrays(picture), 0))
         views.append(PreparedView(picture, lists))
     return tuple(views)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import torch
 
 from gscomplete.errors import UserError
 from gscomplete.render.cpu import layout, merge, tiles
@@ -96,18 +97,13 @@ def splat_arrays(splats: Splats) -> Arrays:
     return tuple(value.detach().contiguous().numpy() for _, value in splats.fields())
 
 
-def camera_numbers(cameras: Cameras, index: int, settings: RenderSettings) -> tuple[float, ...]:
-    """Return one camera and the settings that projection needs, as ``layout`` lists them."""
-    return (
-        *cameras.camera_from_world[index, :3].double().flatten().tolist(),
-        *cameras.focal_px[index].double().tolist(),
-        *cameras.center_px[index].double().tolist(),
-        float(cameras.width),
-        float(cameras.height),
-        float(settings.near),
-        float(settings.blur_px2),
-        float(settings.alpha_min),
-    )
+def camera_numbers(cameras: Cameras, settings: RenderSettings) -> list[tuple[float, ...]]:
+    """Return every camera and the settings that projection needs, as ``layout`` lists them."""
+    poses = cameras.camera_from_world[:, :3].flatten(1).tolist()
+    lenses = torch.cat([cameras.focal_px, cameras.center_px], dim=1).tolist()
+    size = float(cameras.width), float(cameras.height)
+    rest = float(settings.near), float(settings.blur_px2), float(settings.alpha_min)
+    return [(*pose, *lens, *size, *rest) for pose, lens in zip(poses, lenses, strict=True)]
 
 
 def list_tiles(
@@ -147,17 +143,18 @@ def list_tiles(
         run_kernel(project, len(arrays[0]), _PER_RUN, *arrays, bands, shift, camera, *written)
     order, keys = depth_order(visible, depths.view(np.uint64))
     rows = np.empty((len(order), layout.PACKED), np.float32)
-    run_kernel(tiles.gather_ranked, len(order), _PER_RUN, packed, order, rows)
+    touched = np.empty(len(order), np.float32)
+    run_kernel(tiles.gather_ranked, len(order), _PER_RUN, packed, order, rows, touched)
     tiles_x, tiles_y = _grid(camera)
     shape = tiles_x, tiles_y, settings.exact_tile_lists
     cursor = np.zeros((tiles.CHUNKS, tiles_x * tiles_y), np.int32)
     spans = np.empty((len(order), tiles.SPAN), np.int32)
-    per_rank = np.empty(len(order), np.int32)
     tile_start = np.empty(tiles_x * tiles_y + 1, np.int64)
-    slot_start = np.empty(total - first + 1, np.int64)
+    slot_start = np.zeros(total - first + 1, np.int64)
     chunks = tiles.CHUNKS, max(1, tiles.CHUNKS * _PER_RUN // max(len(order), 1))
-    run_kernel(tiles.count_entries, *chunks, rows, *shape, spans, cursor, per_rank)
-    tiles.place_entries(cursor, per_rank, order, first, total - first, tile_start, slot_start)
+    counted = spans, cursor, slot_start
+    run_kernel(tiles.count_entries, *chunks, rows, order, first, *shape, *counted)
+    tiles.place_entries(cursor, tile_start, slot_start)
     if tile_start[-1] > MAX_ENTRIES:
         raise UserError(
             f"render: expected at most {MAX_ENTRIES:,} pairs of a splat and a tile that it "
@@ -249,8 +246,10 @@ def differentiate(
     upstream: Picture,  # gradients of it; [0, ...] for zeros
     grads: list[Any],  # of the trainable arrays, added to
     grad_offsets: Any,  # [N, 2] written, or [0, 2]
+    *,
+    is_first: bool,
 ) -> None:
-    """Add the view's gradients of every trainable splat."""
+    """Add the view's gradients of every trainable splat; those of the first are written."""
     summed = np.zeros(int(view.slot_start[-1]), np.uint8)
     sums = np.empty((len(summed), layout.SUMS), np.float32)
     run_kernel(
@@ -275,7 +274,7 @@ def differentiate(
         summed,
         sums,
     )
-    read = *trainable, view.camera, view.packed, view.slot_start, summed, sums
+    read = is_first, *trainable, view.camera, view.packed, view.slot_start, summed, sums
     run_kernel(project_backward, len(trainable[0]), _PER_RUN, *read, *grads, grad_offsets)
 
 

@@ -47,7 +47,7 @@ BACKWARD_OPERATIONS = 64
 """In that of ``composite_backward``: alpha 28 as above, weight 1, value 8, what is behind 2,
 gradient 5, transmittance 1, ten sums 19."""
 OTHER = "PyTorch and Python"
-_CALLED_BY_PYTHON = ("_radix_sort", "place_entries", "count_in_front", "used_bands")
+_CALLED_BY_PYTHON = ("place_entries", "count_in_front", "used_bands")
 """Kernels that are not shared out among threads."""
 
 

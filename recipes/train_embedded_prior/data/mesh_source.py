@@ -69,14 +69,17 @@ class MixedSource:
     folder: Path
     mesh_share: float = 0.7
     """Share of training sets made from meshes."""
+    mesh_count: int | None = None
+    """Only so many meshes of the train split, of those of a larger count; None = all, 0 = none."""
 
     def __call__(self, seed: int, index: int) -> TrainingObject:
         """Make object ``index`` of a seed."""
         rng = np.random.default_rng((seed, index, 20))
-        if rng.random() >= self.mesh_share:
-            return procedural_source(seed, index)
         split = "validation" if seed >= HELD_OUT_SEED_OFFSET else "train"
-        entries, shares = _entries(self.folder, split)
+        count = self.mesh_count if split == "train" else None
+        if rng.random() >= self.mesh_share or count == 0:
+            return procedural_source(seed, index)
+        entries, shares = _entries(self.folder, split, count)
         entry = entries[int(np.searchsorted(shares, rng.random(), side="right"))]
         splats, colors = mesh_splats(read_mesh(self.folder, entry), entry, rng)
         words = color_words(colors) if rng.random() < _COLORS_TOLD else ()
@@ -93,10 +96,13 @@ class MixedSource:
 
 @functools.lru_cache(maxsize=4)
 def _entries(
-    folder: Path, split: str
+    folder: Path, split: str, count: int | None = None
 ) -> tuple[list[PackEntry], FloatArray]:  # entries, cumulative shares [N]
-    """Return a split's entries and the ends of their shares of a draw from [0, 1)."""
+    """Return entries of a split and the ends of their shares of a draw from [0, 1)."""
     entries = [entry for entry in read_manifest(folder) if entry.split == split]
+    if count is not None:
+        order = np.random.default_rng(0).permutation(len(entries))
+        entries = [entries[k] for k in sorted(order[:count])]
     weights = [_SOURCE_WEIGHTS.get(entry.source, _OTHER_WEIGHT) for entry in entries]
     ends = np.cumsum(weights) / np.sum(weights)
     ends[-1] = 1.0

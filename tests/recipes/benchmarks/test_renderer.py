@@ -93,7 +93,7 @@ def test_stages_cover_the_pass_and_count_what_is_drawn():
     assert drawn.megabytes
     assert drawn.memory_share == pytest.approx(drawn.megabytes / drawn.ms / 10.0)
     assert work.OTHER in stages
-    assert {"project", "project_backward", "_radix_sort"} <= stages.keys()
+    assert {"project", "project_backward", "_sort_parts"} <= stages.keys()
     # the recorder is gone: the same picture, by the compiled kernels
     assert render(splats, camera, backend="cpu").alpha.max() > 0.9
 
