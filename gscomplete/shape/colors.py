@@ -30,6 +30,8 @@ from gscomplete.splats.filters import thinned
 
 _SHARPNESS = 8.0
 """Factor on the network's logits: mixing happens only where sources change."""
+_NO_SHARE = 3.0
+"""Logits behind another source at which a source's share is below float32's last digit."""
 _PREFERENCE = 1.0
 """What each mirror image is behind the likelier one before it, in logits: where the network
 cannot tell two of them apart, a mean of both is the one colour that is surely wrong."""
@@ -80,15 +82,18 @@ def source_colors(
     known = _Known(partial, generator, chosen)
     places = [points.numpy(), *(s.undo(points.numpy()) for s in inputs.symmetries)]
     pointing = sample_volume(output.sources[0, :SOURCES].float(), points)
-    found, logits = [], []
+    behind = _PREFERENCE * (torch.arange(SOURCES) - 1).clamp_min(0)
+    most = pointing - behind  # where a splat of the source is near
+    found = torch.zeros(len(points), SOURCES, 3)
+    logits = torch.full((len(points), SOURCES), -torch.inf)
     for source, place in enumerate(places):
-        color, distance = known.near(place)
-        found.append(color)
-        beyond = distance / chosen.reach - 1.0
-        behind = _PREFERENCE * max(source - 1, 0)
-        logits.append(pointing[:, source] - _FAR_PENALTY * beyond.clamp_min(0) - behind)
-    shares = (_SHARPNESS * torch.stack(logits, dim=1)).softmax(dim=1)
-    return (shares[:, :, None] * torch.stack(found, dim=1)).sum(dim=1)
+        counts = most[:, source] > logits.amax(dim=1) - _NO_SHARE
+        color, distance = known.near(place[counts.numpy()])
+        found[counts, source] = color
+        beyond = (distance / chosen.reach - 1.0).clamp_min(0)
+        logits[counts, source] = pointing[counts, source] - _FAR_PENALTY * beyond - behind[source]
+    shares = (_SHARPNESS * logits).softmax(dim=1)
+    return (shares[:, :, None] * found).sum(dim=1)
 
 
 def nearest_colors(

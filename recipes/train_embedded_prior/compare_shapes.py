@@ -1,0 +1,148 @@
+"""Compare shape networks on parts of meshes that none was trained on.
+
+``python -m recipes.train_embedded_prior.compare_shapes --meshes PACK --out DIR --networks W1 W2``
+makes parts of the pack's validation split once, keeps them in ``DIR``, and asks every network. With
+runs of ``train shape --mesh-count N`` it gives validation IoU over the number of meshes, with
+checkpoints kept from one run the same over hours.
+
+Conventions
+-----------
+* A network is a folder of exported weights, a run folder or a checkpoint file; of the latter the
+  averaged weights are asked.
+* IoU is of filled cells (logit above 0), per part; intervals are 95 % bootstrap intervals over
+  parts, of differences over the same parts.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from safetensors import safe_open
+from torch import Tensor
+
+from gscomplete.errors import UserError
+from gscomplete.evaluate.bootstrap import bootstrap_interval
+from gscomplete.priors.embedded.weights import load_weights
+from gscomplete.shape.network import ShapeCompleter, ShapeOutput, cpu_precision
+from gscomplete.shape.predict import ORIENTATIONS, mean_answer, turned, turned_back
+from gscomplete.shape.voxels import COARSE_CELLS
+from gscomplete.util import jsonio
+from gscomplete.util.atomic import atomic_path
+from recipes.entry_point import start
+from recipes.train_embedded_prior.config import ShapeDataConfig, ShapeTrainConfig
+from recipes.train_embedded_prior.data.dataset import HELD_OUT_SEED_OFFSET
+from recipes.train_embedded_prior.data.mesh_source import MixedSource
+from recipes.train_embedded_prior.data.shape_dataset import ShapeBatch, ShapeSpec, decode_sets
+from recipes.train_embedded_prior.state import CHECKPOINT, RUN, RunRecord
+
+
+@dataclass(frozen=True)
+class Options:
+    """Compare shape networks on held-out parts of meshes."""
+
+    meshes: Path
+    """Pack of meshes."""
+    out: Path
+    """Folder for the parts, which are made once, and for ``compared.json``."""
+    networks: tuple[Path, ...]
+    """Folders of weights, run folders or checkpoint files; the others are compared with the
+    first."""
+    parts: int = 200
+    """Held-out parts."""
+    orientations: int = ORIENTATIONS
+    """In how many of the eight orientations each network is asked; their mean counts."""
+    seed: int = 0
+
+
+def main(options: Options) -> None:
+    """Measure and print."""
+    rows = {}
+    for path in options.networks:
+        model, words = load_network(path)
+        batch = held_out_parts(options, words)
+        rows[str(path)] = part_ious(model, batch, options.orientations)
+        sys.stdout.write(line_of(path, rows[str(path)], next(iter(rows.values()))))
+        sys.stdout.flush()
+    options.out.mkdir(parents=True, exist_ok=True)
+    jsonio.write_json(options.out / "compared.json", rows)
+
+
+def line_of(path: Path, ious: list[float], first: list[float]) -> str:
+    """Return a network's line: its mean and its gain over the first network, with intervals."""
+    low, high = bootstrap_interval(ious)
+    gains = [a - b for a, b in zip(ious, first, strict=True)]
+    least, most = bootstrap_interval(gains)
+    return (
+        f"{np.mean(ious):.4f} ({low:.4f} to {high:.4f})  {np.mean(gains):+.4f} "
+        f"({least:+.4f} to {most:+.4f})  n = {len(ious)}  {path}\n"
+    )
+
+
+def load_network(path: Path) -> tuple[ShapeCompleter, tuple[str, ...]]:
+    """Read a network and the words that it knows.
+
+    Raises:
+        UserError: there is none.
+    """
+    if path.is_dir() and not (path / CHECKPOINT).exists():
+        _, shape, record = load_weights(path)
+        if shape is None or record.shape is None:
+            raise UserError(f"{path}: expected a shape network, found none")
+        return shape.eval(), record.shape.words
+    file = path / CHECKPOINT if path.is_dir() else path
+    record_path = file.parent / RUN
+    run = jsonio.from_json(RunRecord, jsonio.read_json(record_path), str(record_path))
+    if not isinstance(run.config, ShapeTrainConfig):
+        raise UserError(f"{record_path}: expected a run of the shape network")
+    model = ShapeCompleter(run.config.model, COARSE_CELLS)
+    with safe_open(file, framework="pt") as stored:
+        names = [name for name in stored.keys() if name.startswith("ema.")]  # noqa: SIM118
+        model.load_state_dict({n.removeprefix("ema."): stored.get_tensor(n) for n in names})
+    return model.eval(), run.words
+
+
+def held_out_parts(options: Options, words: tuple[str, ...]) -> ShapeBatch:
+    """Return the parts, made once for every vocabulary."""
+    source = MixedSource(options.meshes, 1.0)
+    data = ShapeDataConfig(mesh_share=1.0)
+    spec = ShapeSpec(source, data, words, options.seed, 1)
+    path = options.out / f"parts-{options.parts}-{spec.key()}.npy"
+    if not path.exists():
+        maker = spec.maker(options.seed + HELD_OUT_SEED_OFFSET)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        made = np.stack([maker(k) for k in range(options.parts)])
+        with atomic_path(path) as temporary, temporary.open("wb") as file:
+            np.save(file, made)
+    return decode_sets(np.load(path))
+
+
+@torch.no_grad()
+def part_ious(model: ShapeCompleter, batch: ShapeBatch, orientations: int) -> list[float]:
+    """Return the IoU of filled cells of every part."""
+    found = []
+    for k in range(len(batch.solid)):
+        answers = [_answer(model, batch, k, index) for index in range(orientations)]
+        filled = mean_answer(answers).occupancy[0] > 0
+        solid = batch.solid[k] > 0
+        found.append(float((filled & solid).sum() / (filled | solid).sum().clamp_min(1)))
+    return found
+
+
+def _answer(model: ShapeCompleter, batch: ShapeBatch, k: int, index: int) -> ShapeOutput:
+    """Ask about a part in one orientation, and turn the answer back."""
+    turns, mirror = index % 4, index >= 4
+    given: list[Tensor] = [
+        turned(part[k : k + 1], turns, mirror) for part in (batch.volumes, batch.evidence)
+    ]
+    with cpu_precision(bfloat16=True):
+        out = model(*given, batch.scores[k : k + 1], batch.tokens[k : k + 1])
+    parts = (out.occupancy, out.colors, out.sources)
+    return ShapeOutput(*(turned_back(part.float(), turns, mirror) for part in parts))
+
+
+if __name__ == "__main__":
+    start(main, Options, __doc__)
