@@ -9,6 +9,7 @@ Conventions
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -220,6 +221,7 @@ def save_turntable(
     if path.suffix.lower() not in (".webp", ".gif", ".png"):
         raise UserError(f"{path}: turntable: expected .webp, .gif or .png, found {path.suffix!r}")
     frames = render_images(splats, views.ring(chosen.frames, chosen.size_px))
+    importlib.import_module("PIL.WebPImagePlugin")  # else Pillow loads all its formats to save one
     with atomic_path(path) as temporary:
         frames[0].save(
             temporary,
@@ -233,6 +235,8 @@ def save_turntable(
 
 def _require_format(path: Path) -> None:
     """Refuse a suffix that Pillow cannot write."""
+    if path.suffix.lower() == ".png":
+        return  # Pillow loads all its formats to tell of any
     writable = Image.registered_extensions()
     if writable.get(path.suffix.lower()) not in Image.SAVE:
         raise UserError(f"{path}: expected a picture such as .png, found suffix {path.suffix!r}")

@@ -3,8 +3,8 @@
 Conventions
 -----------
 * The network is not told which way an object faces, so the same object turned by quarter turns
-  about z, or mirrored, should get the same answer. The mean of the answers, carried back, is better
-  than any one of them. (Frames moved by half a cell or a whole one are not: thin parts blur.)
+  about z, or mirrored, should get the same answer. The mean of a few answers, carried back, is
+  better than any one of them. (Frames moved by half a cell or a whole one are not: thin parts blur.)
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from gscomplete.splats import Splats
 from gscomplete.util.stages import stage
 from gscomplete.views import ViewDistribution
 
-ORIENTATIONS = 8
-"""Four quarter turns, each mirrored or not."""
+ORIENTATIONS = 4
+"""Of the eight, which are four quarter turns, each mirrored or not. All eight are no better."""
 
 
 @dataclass(frozen=True, slots=True)
