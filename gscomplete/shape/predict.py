@@ -4,7 +4,7 @@ Conventions
 -----------
 * The network is not told which way an object faces, so the same object turned by quarter turns
   about z, or mirrored, should get the same answer. The mean of a few answers, carried back, is
-  better than any one of them. (Frames moved by half a cell or a whole one are not: thin parts blur.)
+  better than any one of them. (Frames moved by half a cell or more are not: thin parts blur.)
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ import torch
 
 from recipes.train_embedded_prior.data.dataset import HELD_OUT_SEED_OFFSET
 from recipes.train_embedded_prior.data.mesh_source import MixedSource
-from recipes.train_embedded_prior.data.source import frequent_words
+from recipes.train_embedded_prior.data.source import frequent_words, procedural_source
 from recipes.train_embedded_prior.data.user_parts import user_part
 from tests.builders.mesh_pack import write_pack
 
@@ -66,3 +66,14 @@ def test_slight_parts_lack_little(folder):
 def test_words_of_few_captions_are_not_learned():
     captions = ["red mug"] * 5 + ["blue vase"] * 4
     assert frequent_words(captions) == ("mug", "red")
+
+
+def test_a_run_may_see_some_of_the_meshes_only(folder):
+    none, one = MixedSource(folder, 1.0, 0), MixedSource(folder, 1.0, 1)
+    assert [none(0, k).caption for k in range(3)] == [
+        procedural_source(0, k).caption for k in range(3)
+    ]
+    assert all(one(0, k).caption.endswith("box") for k in range(6))
+    everything = MixedSource(folder, 1.0)
+    held_out = HELD_OUT_SEED_OFFSET, 0
+    assert none(*held_out).caption == one(*held_out).caption == everything(*held_out).caption
