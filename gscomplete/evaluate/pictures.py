@@ -221,7 +221,8 @@ def save_turntable(
     if path.suffix.lower() not in (".webp", ".gif", ".png"):
         raise UserError(f"{path}: turntable: expected .webp, .gif or .png, found {path.suffix!r}")
     frames = render_images(splats, views.ring(chosen.frames, chosen.size_px))
-    importlib.import_module("PIL.WebPImagePlugin")  # else Pillow loads all its formats to save one
+    if path.suffix.lower() == ".webp":
+        importlib.import_module("PIL.WebPImagePlugin")  # else Pillow loads all formats to find it
     with atomic_path(path) as temporary:
         frames[0].save(
             temporary,
@@ -236,7 +237,7 @@ def save_turntable(
 def _require_format(path: Path) -> None:
     """Refuse a suffix that Pillow cannot write."""
     if path.suffix.lower() == ".png":
-        return  # Pillow loads all its formats to tell of any
+        return  # Pillow loads all formats to tell of any
     writable = Image.registered_extensions()
     if writable.get(path.suffix.lower()) not in Image.SAVE:
         raise UserError(f"{path}: expected a picture such as .png, found suffix {path.suffix!r}")

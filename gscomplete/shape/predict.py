@@ -140,19 +140,26 @@ def _answers(
     volumes = torch.from_numpy(seen.volumes)[None]
     evidence = torch.from_numpy(seen.evidence)[None]
     scores = torch.from_numpy(seen.scores)[None]
-    found = []
-    for index in range(orientations):
-        turns, mirror = index % 4, index >= 4
-        with cpu_precision(bfloat16=bfloat16):
-            out = model(
-                turned(volumes, turns, mirror),
-                turned(evidence, turns, mirror),
-                scores,
-                tokens[None],
-            )
-        parts = (out.occupancy, out.colors, out.sources)
-        found.append(ShapeOutput(*(turned_back(part.float(), turns, mirror) for part in parts)))
-    return found
+    given = volumes, evidence, scores, tokens[None]
+    return [answer_in(model, *given, index, bfloat16=bfloat16) for index in range(orientations)]
+
+
+def answer_in(
+    model: ShapeCompleter,
+    volumes: Tensor,  # [B, SOURCES, 4, C, C, C]
+    evidence: Tensor,  # [B, 3, C/2, C/2, C/2]
+    scores: Tensor,  # [B, COPIES]
+    tokens: Tensor,  # [B, L]
+    orientation: int,  # of the eight
+    *,
+    bfloat16: bool,
+) -> ShapeOutput:
+    """Ask the network about objects in one orientation, and turn the answer back."""
+    turns, mirror = orientation % 4, orientation >= 4
+    with cpu_precision(bfloat16=bfloat16):
+        out = model(turned(volumes, turns, mirror), turned(evidence, turns, mirror), scores, tokens)
+    parts = (out.occupancy, out.colors, out.sources)
+    return ShapeOutput(*(turned_back(part.float(), turns, mirror) for part in parts))
 
 
 def turned(volume: Tensor, turns: int, mirror: bool) -> Tensor:  # [..., x, y, z]

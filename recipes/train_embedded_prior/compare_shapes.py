@@ -3,12 +3,11 @@
 ``python -m recipes.train_embedded_prior.compare_shapes --meshes PACK --out DIR --networks W1 W2``
 makes parts of the pack's validation split once, keeps them in ``DIR``, and asks every network. With
 runs of ``train shape --mesh-count N`` it gives validation IoU over the number of meshes, with
-checkpoints kept from one run the same over hours.
+copies of one run folder made on the way the same over hours.
 
 Conventions
 -----------
-* A network is a folder of exported weights, a run folder or a checkpoint file; of the latter the
-  averaged weights are asked.
+* A network is a folder of exported weights, or a run folder, whose averaged weights are asked.
 * IoU is of filled cells (logit above 0), per part; intervals are 95 % bootstrap intervals over
   parts, of differences over the same parts.
 """
@@ -21,23 +20,22 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from safetensors import safe_open
-from torch import Tensor
 
 from gscomplete.errors import UserError
 from gscomplete.evaluate.bootstrap import bootstrap_interval
 from gscomplete.priors.embedded.weights import load_weights
-from gscomplete.shape.network import ShapeCompleter, ShapeOutput, cpu_precision
-from gscomplete.shape.predict import ORIENTATIONS, mean_answer, turned, turned_back
-from gscomplete.shape.voxels import COARSE_CELLS
+from gscomplete.shape.network import ShapeCompleter
+from gscomplete.shape.predict import ORIENTATIONS, answer_in, mean_answer
 from gscomplete.util import jsonio
 from gscomplete.util.atomic import atomic_path
 from recipes.entry_point import start
-from recipes.train_embedded_prior.config import ShapeDataConfig, ShapeTrainConfig
+from recipes.train_embedded_prior.config import ShapeDataConfig
 from recipes.train_embedded_prior.data.dataset import HELD_OUT_SEED_OFFSET
 from recipes.train_embedded_prior.data.mesh_source import MixedSource
 from recipes.train_embedded_prior.data.shape_dataset import ShapeBatch, ShapeSpec, decode_sets
-from recipes.train_embedded_prior.state import CHECKPOINT, RUN, RunRecord
+from recipes.train_embedded_prior.export import TrainedRun
+from recipes.train_embedded_prior.shape_task import cell_ious
+from recipes.train_embedded_prior.state import RUN
 
 
 @dataclass(frozen=True)
@@ -49,8 +47,7 @@ class Options:
     out: Path
     """Folder for the parts, which are made once, and for ``compared.json``."""
     networks: tuple[Path, ...]
-    """Folders of weights, run folders or checkpoint files; the others are compared with the
-    first."""
+    """Folders of weights or run folders; the others are compared with the first."""
     parts: int = 200
     """Held-out parts."""
     orientations: int = ORIENTATIONS
@@ -88,21 +85,15 @@ def load_network(path: Path) -> tuple[ShapeCompleter, tuple[str, ...]]:
     Raises:
         UserError: there is none.
     """
-    if path.is_dir() and not (path / CHECKPOINT).exists():
+    if not (path / RUN).exists():
         _, shape, record = load_weights(path)
         if shape is None or record.shape is None:
             raise UserError(f"{path}: expected a shape network, found none")
-        return shape.eval(), record.shape.words
-    file = path / CHECKPOINT if path.is_dir() else path
-    record_path = file.parent / RUN
-    run = jsonio.from_json(RunRecord, jsonio.read_json(record_path), str(record_path))
-    if not isinstance(run.config, ShapeTrainConfig):
-        raise UserError(f"{record_path}: expected a run of the shape network")
-    model = ShapeCompleter(run.config.model, COARSE_CELLS)
-    with safe_open(file, framework="pt") as stored:
-        names = [name for name in stored.keys() if name.startswith("ema.")]  # noqa: SIM118
-        model.load_state_dict({n.removeprefix("ema."): stored.get_tensor(n) for n in names})
-    return model.eval(), run.words
+        return shape, record.shape.words
+    run = TrainedRun.load(path)
+    if not isinstance(run.state.ema, ShapeCompleter):
+        raise UserError(f"{path}: expected a run of the shape network, found one of the denoiser")
+    return run.state.ema.eval(), run.words
 
 
 def held_out_parts(options: Options, words: tuple[str, ...]) -> ShapeBatch:
@@ -123,25 +114,14 @@ def held_out_parts(options: Options, words: tuple[str, ...]) -> ShapeBatch:
 @torch.no_grad()
 def part_ious(model: ShapeCompleter, batch: ShapeBatch, orientations: int) -> list[float]:
     """Return the IoU of filled cells of every part."""
+    given = batch.volumes, batch.evidence, batch.scores, batch.tokens
     found = []
     for k in range(len(batch.solid)):
-        answers = [_answer(model, batch, k, index) for index in range(orientations)]
-        filled = mean_answer(answers).occupancy[0] > 0
-        solid = batch.solid[k] > 0
-        found.append(float((filled & solid).sum() / (filled | solid).sum().clamp_min(1)))
+        asked = [part[k : k + 1] for part in given]
+        answers = [answer_in(model, *asked, o, bfloat16=True) for o in range(orientations)]
+        filled = mean_answer(answers).occupancy > 0
+        found.append(float(cell_ious(filled, batch.solid[k : k + 1] > 0)))
     return found
-
-
-def _answer(model: ShapeCompleter, batch: ShapeBatch, k: int, index: int) -> ShapeOutput:
-    """Ask about a part in one orientation, and turn the answer back."""
-    turns, mirror = index % 4, index >= 4
-    given: list[Tensor] = [
-        turned(part[k : k + 1], turns, mirror) for part in (batch.volumes, batch.evidence)
-    ]
-    with cpu_precision(bfloat16=True):
-        out = model(*given, batch.scores[k : k + 1], batch.tokens[k : k + 1])
-    parts = (out.occupancy, out.colors, out.sources)
-    return ShapeOutput(*(turned_back(part.float(), turns, mirror) for part in parts))
 
 
 if __name__ == "__main__":

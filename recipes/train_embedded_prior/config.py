@@ -104,6 +104,8 @@ class RunConfig:
         name = type(self).__name__
         if (self.minutes is None) == (self.steps is None):
             raise ValueError(f"{name}: expected exactly one of minutes and steps")
+        if self.mesh_count is not None and self.mesh_count < 0:
+            raise ValueError(f"{name}: mesh_count: expected 0 or more, found {self.mesh_count}")
         if self.batch_sets % self.replicas != 0:
             raise ValueError(
                 f"{name}: expected batch_sets to be a multiple of replicas, found "

@@ -246,18 +246,22 @@ def blended_colors(out: ShapeOutput, volumes: Tensor) -> Tensor:  # [B, 3, C/2, 
     return mixed + share[:, SOURCES:] * out.colors
 
 
+def cell_ious(ours: Tensor, theirs: Tensor) -> Tensor:  # [B, C, C, C] bool both -> [B]
+    """Return the intersection over union of filled cells of every object."""
+    cells = (1, 2, 3)
+    return (ours & theirs).sum(dim=cells) / (ours | theirs).sum(dim=cells).clamp_min(1)
+
+
 def filled_iou(out: ShapeOutput, batch: ShapeBatch) -> dict[str, float]:
     """Return mean intersections over union: of the network, and of P with its best mirror image."""
     inside = out.occupancy > 0
-    solid = batch.solid > 0
-    iou = (inside & solid).sum(dim=(1, 2, 3)) / (inside | solid).sum(dim=(1, 2, 3))
     missing = batch.surface[:, 0] > 0
     missing &= grown(batch.volumes[:, 0, 0]) == 0
     found = (missing & inside).sum() / missing.sum().clamp_min(1)
     copied = grown(batch.volumes[:, 1, 0]) > 0
     copy_found = (missing & copied).sum() / missing.sum().clamp_min(1)
     return {
-        "iou": float(iou.mean()),
+        "iou": float(cell_ious(inside, batch.solid > 0).mean()),
         "hidden_recall": float(found),
         "copy_recall": float(copy_found),
     }

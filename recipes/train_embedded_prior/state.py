@@ -159,7 +159,7 @@ def open_run(config: TrainConfig | ShapeTrainConfig, words: tuple[str, ...]) -> 
     before = None
     if config.resume:
         record = from_json(RunRecord, read_json(path), str(path))
-        for name in ("seed", "batch_sets", "data", "model", "shard_sets"):
+        for name in ("seed", "batch_sets", "data", "mesh_count", "model", "shard_sets"):
             if getattr(record.config, name) != getattr(config, name):
                 raise UserError(
                     f"{path}: {name}: expected {getattr(record.config, name)} as the run was "

@@ -68,6 +68,19 @@ def test_of_two_sources_trusted_alike_only_the_likelier_is_taken(monkeypatch):
     assert float((mixed - first).abs().mean()) > float((both - first).abs().mean())
 
 
+def test_sources_without_a_share_change_no_bit(monkeypatch):
+    """What is not looked up is what float32 would round away."""
+    points = ball().means[::3]
+    rng = torch.Generator().manual_seed(3)
+    output = pointing_at(1)
+    logits = 2.5 * torch.randn(output.sources.shape, generator=rng)
+    output = dataclasses.replace(output, sources=logits)
+    some, _ = colors_at(points, output)
+    monkeypatch.setattr(colors, "_NO_SHARE", torch.inf)
+    every, _ = colors_at(points, output)
+    assert torch.equal(some, every)
+
+
 def test_far_from_every_source_the_nearest_is_taken():
     taken, inputs = colors_at(torch.tensor([[-0.7, 0.0, 0.0]]), pointing_at(0))
     partial = half(ball())

@@ -149,7 +149,7 @@ def composite(
 ) -> None:
     """Draw the active tiles."""
     buffer = np.empty(7 * PIXELS, np.float32)
-    batch = np.empty((BATCH + 1, PACKED), np.float32)
+    batch = np.empty((BATCH, PACKED), np.float32)
     for share in range(first, last):
         for k in range(shares[share], shares[share + 1]):
             tile = active[k]
@@ -185,7 +185,7 @@ def read_rows(frozen_rows: Any, rows: Any, entries: Any, first: int, last: int, 
             touched += frozen_rows[k, 0] + frozen_rows[k, PACKED - 1]
         else:
             touched += rows[k - frozen, 0] + rows[k - frozen, PACKED - 1]
-    batch[BATCH, 0] = touched  # else the loop goes
+    batch[0, 0] = touched  # overwritten below; without a use the loop would go
     for e in range(first, last):
         k = entries[e]
         if k < frozen:
@@ -212,7 +212,7 @@ def _tile_forward(
     contributes: Any,
 ) -> int:
     """Composite one tile's entries into its buffer; return how many were drawn."""
-    zero, half, one = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+    zero, half = np.float32(0.0), np.float32(0.5)
     for e in range(start, stop):
         place = (e - start) % BATCH
         if place == 0:
@@ -240,9 +240,9 @@ def _tile_forward(
         if contributes.shape[0] > 0:
             contributes[e] = total >= HIDDEN * transmittance_min * opacity
         if (e - start) % STOP_EVERY == STOP_EVERY - 1:
-            open_pixels = zero
+            largest = zero
             for p in range(FIRST, LAST):
-                open_pixels += one if buffer[B_THROUGH + p] >= transmittance_min else zero
-            if open_pixels == zero:
+                largest = max(largest, buffer[B_THROUGH + p])
+            if largest < transmittance_min:
                 return e - start + 1
     return stop - start

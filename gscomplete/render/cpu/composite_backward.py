@@ -124,7 +124,7 @@ def composite_backward(
 ) -> None:
     """Write, for (trainable splat, tile) entries, the sums that its gradient is made of."""
     buffer = np.empty(9 * PIXELS, np.float32)
-    batch = np.empty((BATCH + 1, PACKED), np.float32)
+    batch = np.empty((BATCH, PACKED), np.float32)
     places, kept = np.empty(BATCH, np.int64), np.empty(BATCH, np.int32)
     for share in range(first, last):
         for k in range(shares[share], shares[share + 1]):

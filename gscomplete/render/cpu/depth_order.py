@@ -19,7 +19,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from gscomplete.util.kernels import HELPER, KERNEL, run_kernel
+from gscomplete.util.kernels import KERNEL, run_kernel
 
 _DIGIT_BITS = 11
 _DIGITS = 1 << _DIGIT_BITS
@@ -31,6 +31,8 @@ _SAMPLES = 64
 _MOST_MOVES = 4
 """Per key, to put neighbours right."""
 _NO_BOUND = np.uint64(1 << _KEY_BITS)
+_DROPPED = np.uint64(64 - _KEY_BITS)
+"""Lowest bits of depths, which are not sorted by."""
 
 
 def depth_order(visible: Any, depth_bits: Any) -> tuple[Any, Any]:  # [N] uint8, [N] uint64
@@ -39,7 +41,7 @@ def depth_order(visible: Any, depth_bits: Any) -> tuple[Any, Any]:  # [N] uint8,
     parts = max(1, min(numba.get_num_threads(), count // _FEWEST_PER_PART))
     bounds = _bounds(visible, depth_bits, parts)
     index, keys = np.empty(count, np.int32), np.empty(count, np.uint64)
-    spare, spare_keys = (np.empty((parts, count + 1), array.dtype) for array in (index, keys))
+    spare, spare_keys = np.empty(count + parts, np.int32), np.empty(count + parts, np.uint64)
     run_kernel(_sort_parts, parts, 1, visible, depth_bits, bounds, spare, spare_keys, index, keys)
     return index, keys
 
@@ -50,7 +52,7 @@ def _bounds(visible: Any, depth_bits: Any, parts: int) -> Any:  # [parts + 1] ui
     bounds[parts] = _NO_BOUND
     if parts > 1:
         step = max(1, len(visible) // (parts * _SAMPLES))
-        seen = np.sort(depth_bits[::step][visible[::step] != 0] >> np.uint64(64 - _KEY_BITS))
+        seen = np.sort(depth_bits[::step][visible[::step] != 0] >> _DROPPED)
         if len(seen):
             bounds[1:parts] = seen[len(seen) * np.arange(1, parts) // parts]
     return bounds
@@ -63,86 +65,64 @@ def _sort_parts(
     visible: Any,  # [N] uint8
     depth_bits: Any,  # [N] uint64
     bounds: Any,  # [parts + 1] ascending keys, from the smallest that there may be
-    spare: Any,  # [parts, M + 1] int32, written
-    spare_keys: Any,  # [parts, M + 1] uint64, written
+    spare: Any,  # [M + parts] int32, written
+    spare_keys: Any,  # [M + parts] uint64, written
     index: Any,  # [M] int32, written
     keys: Any,  # [M] uint64, written
 ) -> None:
     """Sort the keys within the bounds of each part to their places among all keys."""
-    cursor = np.empty((2, _DIGITS), np.int64)
+    cursor = np.empty((2, _DIGITS), np.uint64)
+    mask, one = np.uint64(_DIGITS - 1), np.uint64(1)
     for part in range(first, last):
-        one, one_key = spare[part], spare_keys[part]
-        low, high = bounds[part], bounds[part + 1]
-        count: Any = 0
-        before: Any = 0
+        before: Any = np.uint64(0)
         for i in range(visible.shape[0]):
-            k = depth_bits[i] >> np.uint64(64 - _KEY_BITS)
-            shown = visible[i] != 0
-            one[count], one_key[count] = i, k  # kept if it counts, for a branch is guessed wrong
-            count += np.int64(shown & (k >= low) & (k < high))
-            before += np.int64(shown & (k < low))
-        place = slice(before, before + count)
-        _sort(one[:count], one_key[:count], index[place], keys[place], cursor)
-
-
-@numba.njit(**HELPER)
-def _sort(one: Any, one_key: Any, two: Any, two_key: Any, cursor: Any) -> None:
-    """Sort ``one`` by its keys into ``two``; both are overwritten."""
-    count = one.shape[0]
-    low, high = np.uint64(0xFFFFFFFFFFFFFFFF), np.uint64(0)
-    for j in range(count):
-        low, high = min(low, one_key[j]), max(high, one_key[j])
-    bits = 0
-    while count > 0 and bits < _KEY_BITS and (high - low) >> np.uint64(bits):
-        bits += 1
-    shift = max(bits - 2 * _DIGIT_BITS, 0)
-    if bits:
-        _sweep_pair(one, one_key, two, two_key, cursor, low, shift)
-    if not _put_right(one, one_key, two, two_key):
-        for lowest in range(0, bits, 2 * _DIGIT_BITS):
-            _sweep_pair(one, one_key, two, two_key, cursor, low, lowest)
-        two[:], two_key[:] = one, one_key
-
-
-@numba.njit(**HELPER)
-def _sweep_pair(
-    one: Any, one_key: Any, two: Any, two_key: Any, cursor: Any, low: Any, shift: int
-) -> None:
-    """Sort ``one`` stably by two digits of its keys less ``low``, from bit ``shift`` on."""
-    mask = np.uint64(_DIGITS - 1)
-    lower, upper = np.uint64(shift), np.uint64(shift + _DIGIT_BITS)
-    cursor[:] = 0
-    for j in range(one.shape[0]):
-        k = one_key[j] - low
-        cursor[0, (k >> lower) & mask] += 1
-        cursor[1, (k >> upper) & mask] += 1
-    for sweep in range(2):
-        running = 0
-        for digit in range(_DIGITS):
-            here = cursor[sweep, digit]
-            cursor[sweep, digit] = running
-            running += here
-    for j in range(one.shape[0]):
-        digit = ((one_key[j] - low) >> lower) & mask
-        place = cursor[0, digit]
-        cursor[0, digit] = place + 1
-        two[place], two_key[place] = one[j], one_key[j]
-    for j in range(one.shape[0]):
-        digit = ((two_key[j] - low) >> upper) & mask
-        place = cursor[1, digit]
-        cursor[1, digit] = place + 1
-        one[place], one_key[place] = two[j], two_key[j]
-
-
-@numba.njit(**HELPER)
-def _put_right(one: Any, one_key: Any, two: Any, two_key: Any) -> bool:
-    """Insert ``one`` into ``two`` by keys; return False where that takes too many moves."""
-    moves = _MOST_MOVES * one.shape[0]
-    for j in range(one.shape[0]):
-        k, place = one_key[j], j
-        while place > 0 and two_key[place - 1] > k and moves > 0:
-            two[place], two_key[place] = two[place - 1], two_key[place - 1]
-            place -= 1
-            moves -= 1
-        two[place], two_key[place] = one[j], k
-    return moves > 0
+            key = depth_bits[i] >> _DROPPED
+            before += np.uint64((visible[i] != 0) & (key < bounds[part]))
+        start = before + np.uint64(part)  # of the spare places: each part before has one more
+        stop = start
+        least, most = _NO_BOUND, np.uint64(0)
+        for i in range(visible.shape[0]):
+            key = depth_bits[i] >> _DROPPED
+            spare[stop], spare_keys[stop] = i, key  # kept if it counts: no branch
+            stop += np.uint64((visible[i] != 0) & (key >= bounds[part]) & (key < bounds[part + 1]))
+        for j in range(start, stop):
+            least, most = min(least, spare_keys[j]), max(most, spare_keys[j])
+        bits = 0
+        while stop > start and (most - least) >> np.uint64(bits):
+            bits += 1
+        shift = max(bits - 2 * _DIGIT_BITS, 0)  # then, where disorder is left, 0 and two digits up
+        moves: Any = -1
+        while moves < 0:
+            lower, upper = np.uint64(shift), np.uint64(shift + _DIGIT_BITS)
+            for digit in range(_DIGITS):
+                cursor[0, digit] = cursor[1, digit] = np.uint64(0)
+            for j in range(start, stop):
+                key = spare_keys[j] - least
+                cursor[0, (key >> lower) & mask] += one
+                cursor[1, (key >> upper) & mask] += one
+            running, again = before, start
+            for digit in range(_DIGITS):
+                here, there = cursor[0, digit], cursor[1, digit]
+                cursor[0, digit], cursor[1, digit] = running, again
+                running, again = running + here, again + there
+            for j in range(start, stop):
+                slot = ((spare_keys[j] - least) >> lower) & mask
+                place = cursor[0, slot]
+                cursor[0, slot] = place + one
+                index[place], keys[place] = spare[j], spare_keys[j]
+            for j in range(before, running):
+                slot = ((keys[j] - least) >> upper) & mask
+                place = cursor[1, slot]
+                cursor[1, slot] = place + one
+                spare[place], spare_keys[place] = index[j], keys[j]
+            shift = 0 if shift + 2 * _DIGIT_BITS >= bits else shift + 2 * _DIGIT_BITS
+            if shift:
+                continue
+            moves = _MOST_MOVES * np.int64(stop - start)
+            for j in range(start, stop):
+                key, place = spare_keys[j], before + (j - start)
+                while place > before and keys[place - one] > key and moves >= 0:
+                    index[place], keys[place] = index[place - one], keys[place - one]
+                    place -= one
+                    moves -= 1
+                index[place], keys[place] = spare[j], key

@@ -80,9 +80,14 @@ def project_backward(
 ) -> None:
     """Add one view's gradients of trainable splats, summing their tiles in a fixed order."""
     if is_first:
-        grad_means[first:last], grad_quaternions[first:last] = 0.0, 0.0
-        grad_scales[first:last], grad_opacities[first:last] = 0.0, 0.0
-        grad_sh[first:last] = 0.0
+        for i in range(first, last):
+            for k in range(3):
+                grad_means[i, k] = grad_scales[i, k] = 0.0
+            for k in range(4):
+                grad_quaternions[i, k] = 0.0
+            grad_opacities[i] = 0.0
+            for k in range(sh.shape[1]):
+                grad_sh[i, k, 0] = grad_sh[i, k, 1] = grad_sh[i, k, 2] = 0.0
     eye, limits = eye_and_limits(camera)
     basis = np.empty(16, np.float64)
     weights = np.empty(16, np.float64)

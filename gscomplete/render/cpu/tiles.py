@@ -42,8 +42,6 @@ CHUNKS = 16
 KEPT_ROWS = 3
 """Tile rows of a splat whose tiles are kept from counting to filling; taller ones are rare."""
 SPAN = 2 + 2 * KEPT_ROWS
-
-
 _AHEAD = 128
 """Rows that are touched before they are copied."""
 
@@ -273,19 +271,17 @@ def fill_entries(
 
 
 @numba.njit(**KERNEL)
-def gather_ranked(
-    first: int, last: int, packed: Any, order: Any, ranked: Any, touched: Any
-) -> None:
+def gather_ranked(first: int, last: int, packed: Any, order: Any, ranked: Any) -> None:
     """Copy packed rows into depth order, so that compositing reads memory forwards.
 
     They are touched first (``composite.read_rows``).
     """
     for block in range(first, last, _AHEAD):
         stop = min(block + _AHEAD, last)
-        total = np.float32(0.0)
+        touched = np.float32(0.0)
         for rank in range(block, stop):
-            total += packed[order[rank], 0] + packed[order[rank], PACKED - 1]
-        touched[block] = total  # else the loop goes
+            touched += packed[order[rank], 0] + packed[order[rank], PACKED - 1]
+        ranked[block, 0] = touched  # overwritten below; without a use the loop would go
         for rank in range(block, stop):
             source = order[rank]
             for k in range(PACKED):

@@ -143,8 +143,7 @@ def list_tiles(
         run_kernel(project, len(arrays[0]), _PER_RUN, *arrays, bands, shift, camera, *written)
     order, keys = depth_order(visible, depths.view(np.uint64))
     rows = np.empty((len(order), layout.PACKED), np.float32)
-    touched = np.empty(len(order), np.float32)
-    run_kernel(tiles.gather_ranked, len(order), _PER_RUN, packed, order, rows, touched)
+    run_kernel(tiles.gather_ranked, len(order), _PER_RUN, packed, order, rows)
     tiles_x, tiles_y = _grid(camera)
     shape = tiles_x, tiles_y, settings.exact_tile_lists
     cursor = np.zeros((tiles.CHUNKS, tiles_x * tiles_y), np.int32)
@@ -244,12 +243,12 @@ def differentiate(
     settings: RenderSettings,
     picture: Picture,  # that was drawn
     upstream: Picture,  # gradients of it; [0, ...] for zeros
-    grads: list[Any],  # of the trainable arrays, added to
+    grads: list[Any],  # of the trainable arrays, written or added to
     grad_offsets: Any,  # [N, 2] written, or [0, 2]
     *,
     is_first: bool,
 ) -> None:
-    """Add the view's gradients of every trainable splat; those of the first are written."""
+    """Add the view's gradients of every trainable splat, or write those of the first view."""
     summed = np.zeros(int(view.slot_start[-1]), np.uint8)
     sums = np.empty((len(summed), layout.SUMS), np.float32)
     run_kernel(

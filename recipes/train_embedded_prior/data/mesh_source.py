@@ -70,7 +70,7 @@ class MixedSource:
     mesh_share: float = 0.7
     """Share of training sets made from meshes."""
     mesh_count: int | None = None
-    """Only so many meshes of the train split, of those of a larger count; None = all, 0 = none."""
+    """Only so many meshes of the train split, a smaller count some of a larger's; None = all."""
 
     def __call__(self, seed: int, index: int) -> TrainingObject:
         """Make object ``index`` of a seed."""
