@@ -73,8 +73,11 @@ class Linear(nn.Linear):
 @contextlib.contextmanager
 def one_thread(values: Tensor) -> Iterator[None]:
     """Have one thread do what happens in the block, if ``values`` are on the CPU."""
+    if values.device.type != "cpu":
+        yield
+        return
     before = torch.get_num_threads()
-    if before == 1 or values.device.type != "cpu":
+    if before == 1:
         yield
         return
     torch.set_num_threads(1)

@@ -88,15 +88,17 @@ class ShapeTask:
 
     def loss(self, model: nn.Module, stored: np.ndarray, step: int, own: slice) -> Tensor:  # []
         """Return the loss of this replica's share of a step."""
-        config = self.config
-        rng = np.random.default_rng((config.seed, step, 6, own.start))
+        rng = np.random.default_rng((self.config.seed, step, 6, own.start))
         batch = decode_sets(stored)
         batch = turn_batch(batch, int(rng.integers(4)), bool(rng.random() < 0.5))
-        dropped = torch.from_numpy(rng.random(len(batch.tokens)) < config.drop_text)
+        return self.batch_loss(model, batch.to(self.config.device), rng)
+
+    def batch_loss(self, model: nn.Module, batch: ShapeBatch, rng: np.random.Generator) -> Tensor:
+        """Return the loss [] of sets that are on the device."""
+        dropped = torch.from_numpy(rng.random(len(batch.tokens)) < self.config.drop_text)
         no_text = torch.zeros_like(batch.tokens)
         no_text[:, 0] = NO_TEXT_TOKEN
-        tokens = torch.where(dropped[:, None], no_text, batch.tokens)
-        batch, tokens = batch.to(config.device), tokens.to(config.device)
+        tokens = torch.where(dropped.to(no_text.device)[:, None], no_text, batch.tokens)
         out = model(batch.volumes, batch.evidence, batch.scores, tokens)
         losses = shape_losses(out, batch, rng)
         return (

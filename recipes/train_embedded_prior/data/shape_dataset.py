@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +28,14 @@ from gscomplete.shape.planes.coarse_scorer import packaged_coarse_scorer
 from gscomplete.shape.planes.fine_scorer import packaged_fine_scorer
 from gscomplete.shape.planes.proposals import candidate_planes
 from gscomplete.shape.predict import turned
-from gscomplete.shape.symmetry import COPIES, SOURCES, no_symmetries
+from gscomplete.shape.symmetry import (
+    COPIES,
+    SOURCES,
+    SymmetryMap,
+    mirror,
+    no_symmetries,
+    plane_of,
+)
 from gscomplete.shape.symmetry_choice import CANDIDATES
 from gscomplete.shape.voxels import (
     CELLS,
@@ -37,13 +45,16 @@ from gscomplete.shape.voxels import (
     splat_arrays,
 )
 from gscomplete.splats import Splats
-from gscomplete.splats.transform import transform_splats
+from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.util.jsonio import dumps
 from gscomplete.views import ObjectFrame, ViewDistribution
 from recipes.train_embedded_prior.config import ShapeDataConfig
 from recipes.train_embedded_prior.data.copies import Truth
 from recipes.train_embedded_prior.data.dataset import DISTURBED_SHARE, Source
+from recipes.train_embedded_prior.data.findings import Findings, GuessedFrame
 from recipes.train_embedded_prior.data.solids import solid_cells
+from recipes.train_embedded_prior.data.user_parts import cut_again
+from recipes.train_embedded_prior.procedural.quads import turn_about
 
 _QUICK_FRAMING = FramingSettings(azimuths=12, elevations_deg=(15.0,), size_px=32, max_splats=3000)
 """The guess of runs at an eighth of its cost."""
@@ -65,6 +76,10 @@ rest it is the likeliest. (Taking any of them, as runs ask before they choose, w
 the sets: the network's answers then told right planes from wrong ones less well.)"""
 _LEAST_SCORE = 0.05
 """Where the best by the truth scores less, there are no mirror images either."""
+_STRAIGHT_SHARE = 0.3
+"""Share of variants that are not turned: models stand straight in files."""
+_CUT_AGAIN_SHARE = 0.4
+_VIEW_JITTER_DEG = 12.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +144,13 @@ class PosedObject:
     complete: Splats
     distribution: ViewDistribution
     caption: str
+    guess: GuessedFrame
+    """What the frame was made from."""
+
+    def planes(self) -> tuple[SymmetryMap, ...]:
+        """Return the planes of symmetry that a run would ask about, the likeliest first."""
+        look = voxelize_partial(self.partial, self.distribution)
+        return tuple(candidate_planes(look, CANDIDATES, bfloat16=True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,9 +164,36 @@ class ShapeSetMaker:
 
     def __call__(self, index: int) -> np.ndarray:  # [] of set_dtype
         """Make set ``index``."""
+        return self.variants(index, 1)[0]
+
+    def variants(
+        self, index: int, count: int, known: Findings | None = None
+    ) -> list[np.ndarray]:  # count of set_dtype
+        """Make set ``index`` and variants of it (``varied``), a sixth of its work each.
+
+        Args:
+            index: of the part.
+            count: how many sets.
+            known: what was found out about the part before; None = it is found out now.
+        """
         rng = np.random.default_rng((self.seed, index, 2))
-        posed = self.posed(index, rng)
-        seen = self._shown(posed, rng)
+        posed = self.posed(index, rng, known)
+        planes = known.planes if known is not None and known.are_of(posed.partial) else posed.planes()
+        sets = [self._stored(posed, planes, rng)]
+        for variant in range(1, count):
+            rng = np.random.default_rng((self.seed, index, 2, variant))
+            sets.append(self._stored(*varied(posed, planes, rng), rng))
+        return sets
+
+    def findings(self, index: int) -> Findings:
+        """Find out about part ``index`` what takes time."""
+        posed = self.posed(index, np.random.default_rng((self.seed, index, 2)))
+        return Findings(len(posed.partial), posed.guess, posed.planes())
+
+    def _stored(
+        self, posed: PosedObject, planes: Sequence[SymmetryMap], rng: np.random.Generator
+    ) -> np.ndarray:  # [] of set_dtype
+        seen = _shown(posed, planes, rng)
         stored = np.zeros((), set_dtype())
         for n, volume in enumerate(seen.volumes):
             stored["cells"][n] = pack_cells(volume, MOST_CELLS, rng)
@@ -157,53 +206,96 @@ class ShapeSetMaker:
         stored["surface"] = pack_cells(surface, MOST_SURFACE_CELLS, rng)
         return stored
 
-    def _shown(self, posed: PosedObject, rng: np.random.Generator) -> ShapeInputs:
-        """Show P with the likeliest mirror image first, or the best by the truth, or none.
-
-        Runs choose among the same candidates by the network's answers, better than the likeliest.
-        """
-        look = voxelize_partial(posed.partial, posed.distribution)
-        if rng.random() < _NO_COPY_SHARE:
-            return look.with_copies(no_symmetries())
-        planes = candidate_planes(look, CANDIDATES, bfloat16=True)
-        first = 0
-        if rng.random() < _BEST_COPY_SHARE:
-            truth = Truth.of(posed.partial, posed.complete)
-            true_scores = [truth.map_score(plane) for plane in planes]
-            first = int(np.argmax(true_scores))
-            if true_scores[first] < _LEAST_SCORE:
-                return look.with_copies(no_symmetries())
-        return look.with_copies(look.input_symmetries(planes, first))
-
-    def posed(self, index: int, rng: np.random.Generator) -> PosedObject:
+    def posed(
+        self, index: int, rng: np.random.Generator, known: Findings | None = None
+    ) -> PosedObject:
         """Return object ``index`` and a part of it in a frame as a run would guess it."""
         item = self.source(self.seed, index)
         disturb = bool(rng.random() < DISTURBED_SHARE)
         slight = np.random.default_rng((self.seed, index, 3)).random() < self.data.slight_share
         partial = item.partial(disturb=disturb, slight=bool(slight))
-        frame, distribution = self._frame(partial, rng)
+        if known is not None and known.are_of(partial):
+            guess = known.guess
+        else:
+            found = guess_framing(partial, _QUICK_FRAMING)
+            guess = GuessedFrame(found.center, found.size, found.view_azimuth_deg)
+        frame, distribution = _frame(guess, rng)
         to_frame = frame.object_from_file
         return PosedObject(
             transform_splats(partial, to_frame),
             transform_splats(item.splats, to_frame),
             distribution,
             item.caption,
+            guess,
         )
 
-    def _frame(
-        self, partial: Splats, rng: np.random.Generator
-    ) -> tuple[ObjectFrame, ViewDistribution]:
-        """Guess the frame and the view, or take the true frame with an error."""
-        guess = guess_framing(partial, _QUICK_FRAMING)
-        center, size = np.array(guess.center), guess.size
-        if rng.random() >= _GUESS_SHARE:
-            center = rng.normal(scale=_FRAME_JITTER, size=3)
-            size = float(np.exp(rng.normal(scale=_FRAME_JITTER)))
-        elevation = float(rng.choice([0.0, 15.0, 30.0]))
-        x, y, z = center.tolist()
-        return ObjectFrame("Z", (x, y, z), size), ViewDistribution(
-            guess.view_azimuth_deg, elevation
-        )
+
+def _frame(
+    guess: GuessedFrame, rng: np.random.Generator
+) -> tuple[ObjectFrame, ViewDistribution]:
+    """Take the guessed frame and view, or the true frame with an error."""
+    center, size = np.array(guess.center), guess.size
+    if rng.random() >= _GUESS_SHARE:
+        center = rng.normal(scale=_FRAME_JITTER, size=3)
+        size = float(np.exp(rng.normal(scale=_FRAME_JITTER)))
+    elevation = float(rng.choice([0.0, 15.0, 30.0]))
+    x, y, z = center.tolist()
+    return ObjectFrame("Z", (x, y, z), size), ViewDistribution(guess.azimuth_deg, elevation)
+
+
+def _shown(
+    posed: PosedObject, planes: Sequence[SymmetryMap], rng: np.random.Generator
+) -> ShapeInputs:
+    """Show P with the likeliest mirror image first, or the best by the truth, or none.
+
+    Runs choose among the same candidates by the network's answers, better than the likeliest.
+    """
+    look = voxelize_partial(posed.partial, posed.distribution)
+    if rng.random() < _NO_COPY_SHARE:
+        return look.with_copies(no_symmetries())
+    first = 0
+    if rng.random() < _BEST_COPY_SHARE:
+        truth = Truth.of(posed.partial, posed.complete)
+        true_scores = [truth.map_score(plane) for plane in planes]
+        first = int(np.argmax(true_scores))
+        if true_scores[first] < _LEAST_SCORE:
+            return look.with_copies(no_symmetries())
+    return look.with_copies(look.input_symmetries(planes, first))
+
+
+def varied(
+    posed: PosedObject, planes: Sequence[SymmetryMap], rng: np.random.Generator
+) -> tuple[PosedObject, tuple[SymmetryMap, ...]]:
+    """Turn, move and scale an object, look at it from elsewhere, and often cut its part again.
+
+    What was found out about the part is carried along: the planes of a part that is cut again are
+    those of the larger one.
+    """
+    yaw_deg = 0.0 if rng.random() < _STRAIGHT_SHARE else float(rng.uniform(0, 360))
+    move = Similarity(
+        float(np.exp(rng.normal(scale=_FRAME_JITTER))),
+        torch.from_numpy(turn_about("z", yaw_deg)).double(),
+        torch.from_numpy(rng.normal(scale=_FRAME_JITTER, size=3)),
+    )
+    azimuth_deg = posed.distribution.azimuth_deg + yaw_deg + rng.normal(scale=_VIEW_JITTER_DEG)
+    elevation_deg = float(rng.choice([0.0, 15.0, 30.0]))
+    partial = posed.partial
+    if rng.random() < _CUT_AGAIN_SHARE:
+        partial = cut_again(partial, rng)
+    moved = dataclasses.replace(
+        posed,
+        partial=transform_splats(partial, move),
+        complete=transform_splats(posed.complete, move),
+        distribution=ViewDistribution(azimuth_deg % 360.0, elevation_deg),
+    )
+    return moved, tuple(_moved_plane(plane, move, math.radians(yaw_deg)) for plane in planes)
+
+
+def _moved_plane(plane: SymmetryMap, move: Similarity, yaw: float) -> SymmetryMap:
+    angle, offset = plane_of(plane)
+    x, y, _ = move.translation.tolist()
+    along = x * math.cos(angle + yaw) + y * math.sin(angle + yaw)
+    return mirror(angle + yaw, move.scale * offset + along, plane.score)
 
 
 def pack_cells(
@@ -249,6 +341,12 @@ def decode_sets(stored: np.ndarray) -> ShapeBatch:  # [B] of set_dtype
         torch.from_numpy(bits).float(),
         torch.from_numpy(unpack_cells(stored["surface"])),
     )
+
+
+def joined(batches: Sequence[ShapeBatch]) -> ShapeBatch:
+    """Put batches one after the other."""
+    names = [field.name for field in dataclasses.fields(ShapeBatch)]
+    return ShapeBatch(**{n: torch.cat([getattr(b, n) for b in batches]) for n in names})
 
 
 def turn_batch(batch: ShapeBatch, turns: int, mirror: bool) -> ShapeBatch:

@@ -34,6 +34,8 @@ from splatcomplete_data.flaws import corrupt
 _SHARES = (0.28, 0.2, 0.24, 0.13, 0.15)
 """Of one view, an arc, a plane, a box, and ``random_partial``."""
 _FEWEST_SHARE = 0.08
+_ALMOST_ALL = 0.97
+"""A cut again that keeps more than this share is none; it keeps a half at least."""
 _TABLE_SHARE = 0.08
 """Share of disturbed scans that keep a patch of the table."""
 _TABLE_COLORS = 0.25
@@ -78,6 +80,21 @@ def user_part(splats: Splats, seed: int, index: int, *, disturb: bool, slight: b
     if eyes is None:
         return part
     return _scanned(part, splats, eyes, rng)
+
+
+def cut_again(part: Splats, rng: np.random.Generator) -> Splats:
+    """Cut a part once more, by a plane through one of its points; itself where that changes next to nothing.
+
+    Args:
+        part: in the object frame.
+        rng: draws the plane.
+    """
+    normal = _normal(rng)
+    anchor = splat_points(part)[int(rng.integers(len(part)))]
+    mask = by_plane(part, normal, float(anchor @ normal)).mask
+    if float(mask.float().mean()) < 0.5:
+        mask = ~mask
+    return part.select(mask) if float(mask.float().mean()) < _ALMOST_ALL else part
 
 
 def _eyes(azimuth: NDArray[np.floating], rng: np.random.Generator) -> FloatArray:  # [V] -> [V, 3]
