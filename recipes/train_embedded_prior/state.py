@@ -10,6 +10,7 @@ Conventions
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -180,6 +181,13 @@ def open_run(config: TrainConfig | ShapeTrainConfig, words: tuple[str, ...]) -> 
     config.out.mkdir(parents=True, exist_ok=True)
     write_json(path, RunRecord(config, words, before))
     return words
+
+
+def write_record(config: TrainConfig | ShapeTrainConfig) -> None:
+    """Write another configuration into a run's record: what is known at its end alone."""
+    path = config.out / RUN
+    record = from_json(RunRecord, read_json(path), str(path))
+    write_json(path, dataclasses.replace(record, config=config))
 
 
 def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:

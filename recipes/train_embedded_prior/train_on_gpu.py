@@ -14,6 +14,7 @@ Conventions
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import logging
 import multiprocessing
@@ -38,7 +39,7 @@ from recipes.train_embedded_prior.data.shape_dataset import (
 )
 from recipes.train_embedded_prior.evaluate import autocast
 from recipes.train_embedded_prior.shape_task import ShapeTask, filled_iou
-from recipes.train_embedded_prior.state import TrainState, open_run
+from recipes.train_embedded_prior.state import TrainState, open_run, write_record
 from recipes.train_embedded_prior.train import learning_rate, training_source
 
 _LOG = logging.getLogger(__name__)
@@ -115,6 +116,8 @@ def _train(options: Options, task: ShapeTask, pool: SetPool, began: float) -> No
             state.save(config.out)
             saved = time.monotonic()
     state.save(config.out)
+    per_step = max(1, round(pool.added / max(state.step, 1)))
+    write_record(dataclasses.replace(config, fresh_sets=per_step))
     log.measure()
 
 

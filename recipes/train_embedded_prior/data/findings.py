@@ -1,5 +1,6 @@
-"""What a run finds out about a part before it asks the shape network: three quarters of the time
-that a training set takes, and less than 200 bytes.
+"""What a run finds out about a part before it asks the shape network.
+
+It takes three quarters of the time of a training set and less than 200 bytes.
 
 ``python -m recipes.train_embedded_prior.data.findings --meshes PACK --out FILE --first A --last B``
 makes them ahead, for a machine whose processors cannot keep up with its accelerator

@@ -178,7 +178,9 @@ class ShapeSetMaker:
         """
         rng = np.random.default_rng((self.seed, index, 2))
         posed = self.posed(index, rng, known)
-        planes = known.planes if known is not None and known.are_of(posed.partial) else posed.planes()
+        planes = (
+            known.planes if known is not None and known.are_of(posed.partial) else posed.planes()
+        )
         sets = [self._stored(posed, planes, rng)]
         for variant in range(1, count):
             rng = np.random.default_rng((self.seed, index, 2, variant))
@@ -230,9 +232,7 @@ class ShapeSetMaker:
         )
 
 
-def _frame(
-    guess: GuessedFrame, rng: np.random.Generator
-) -> tuple[ObjectFrame, ViewDistribution]:
+def _frame(guess: GuessedFrame, rng: np.random.Generator) -> tuple[ObjectFrame, ViewDistribution]:
     """Take the guessed frame and view, or the true frame with an error."""
     center, size = np.array(guess.center), guess.size
     if rng.random() >= _GUESS_SHARE:

@@ -83,7 +83,7 @@ def user_part(splats: Splats, seed: int, index: int, *, disturb: bool, slight: b
 
 
 def cut_again(part: Splats, rng: np.random.Generator) -> Splats:
-    """Cut a part once more, by a plane through one of its points; itself where that changes next to nothing.
+    """Cut a part once more, by a plane through one of its points; not where little would go.
 
     Args:
         part: in the object frame.

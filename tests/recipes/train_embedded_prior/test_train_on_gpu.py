@@ -1,0 +1,51 @@
+import dataclasses
+import json
+
+import numpy as np
+
+from gscomplete.priors.embedded.text import Tokenizer
+from recipes.train_embedded_prior import train_on_gpu
+from recipes.train_embedded_prior.config import ShapeDataConfig
+from recipes.train_embedded_prior.data import findings
+from recipes.train_embedded_prior.data.findings import read_findings
+from recipes.train_embedded_prior.data.mesh_source import MixedSource
+from recipes.train_embedded_prior.data.set_pool import ORIENTATIONS
+from recipes.train_embedded_prior.data.shape_dataset import TEXT_LENGTH, ShapeSetMaker
+from recipes.train_embedded_prior.export import TrainedRun
+from recipes.train_embedded_prior.train_on_gpu import Options
+from tests.builders.mesh_pack import write_pack
+from tests.builders.training import tiny_shape_run
+
+
+def test_a_run_begins_with_the_parts_of_which_something_is_known(tmp_path):
+    """End to end on the CPU: the loop asks nothing of a GPU but its speed."""
+    pack, known = write_pack(tmp_path / "pack"), tmp_path / "findings.npy"
+    findings.main(findings.Options(pack, known, first=2, last=4, seed=3, mesh_share=1.0, jobs=1))
+    findings.main(findings.Options(pack, known, first=2, last=5, seed=3, mesh_share=1.0, jobs=1))
+    assert sorted(read_findings([known])) == [2, 3, 4]
+
+    model = tiny_shape_run(tmp_path).model
+    data = ShapeDataConfig(mesh_share=1.0)
+    run = tiny_shape_run(
+        tmp_path / "run",
+        minutes=0.4,
+        steps=None,
+        seed=3,
+        meshes=pack,
+        workers=1,
+        batch_sets=ORIENTATIONS,
+        data=data,
+        model=dataclasses.replace(model, vocabulary_size=1200),
+    )
+    maker = ShapeSetMaker(MixedSource(pack, 1.0), data, Tokenizer((), TEXT_LENGTH), 3)
+    np.save(tmp_path / "held_out.npy", np.stack([maker(0)]))
+    options = Options(
+        run, (known,), variants=2, first_sets=4, pool_sets=8, held_out=tmp_path / "held_out.npy"
+    )
+    train_on_gpu.main(options)
+    trained = TrainedRun.load(tmp_path / "run")
+    assert trained.state.step > 0
+    assert trained.record().sets >= 4
+    lines = [json.loads(x) for x in (tmp_path / "run/log.jsonl").read_text().splitlines()]
+    assert 0.0 <= lines[-1]["held_out_iou"] <= 1.0
+    assert lines[-1]["sets"] >= 4
