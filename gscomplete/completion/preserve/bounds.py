@@ -31,6 +31,7 @@ Conventions
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -72,8 +73,8 @@ _FIT_PX = 128
 """Side of the pictures that splats are fitted to."""
 _MAX_BACKING = 30_000
 """Most copies of P's splats tried behind its thin places."""
-_HALVINGS = 3
-"""How often it is tried to take back half of what the last round did."""
+_GOING_BACK = 3
+"""How often it is tried to take back a part of what the last round did."""
 _PRUNE_OPACITY = 0.01
 """Splats faded below this opacity are removed."""
 _WATCHED_SHARE = 0.5
@@ -82,6 +83,8 @@ _FAINT = 0.05
 """Opacity at which it is found out where backing helps."""
 _CLOSE_SHARE = 0.85
 """Errors above this share of what is aimed at are near enough to it."""
+_WANTED_SHARE = 0.93
+"""Share of what is aimed at that going back tries to reach: between the above and 1."""
 _FADE = 0.5
 """A fading leaves this share of an opacity."""
 _FADED_SHARE = 0.8
@@ -131,20 +134,21 @@ def preserve_hard(
         start, found = work.backed(original, found)
     current, rounds, fadings = start, 0, 0
     while work.above(found) and rounds < settings.rounds:
-        previous, current = current, work.refit(current, found, rounds)
+        previous, too_large = current, found
+        current = work.refit(current, found, rounds)
         found, rounds = work.check(current), rounds + 1
         if not work.above(found):
-            current, found = work.no_further_than_needed(previous, current, found)
+            current, found = work.no_further_than_needed(previous, too_large, current, found)
     cleared = torch.zeros(len(start), dtype=torch.bool, device=new.means.device)
     while work.above(found):
-        previous, last_resort = current, fadings >= _FADE_SWEEPS
+        previous, too_large, last_resort = current, found, fadings >= _FADE_SWEEPS
         current, chosen = work.fade(current, found, rounds, fadings, entirely=last_resort)
         if last_resort and not bool(chosen.any()):
             break
         cleared |= chosen & last_resort
         found, fadings = work.check(current), fadings + 1
         if not (last_resort or work.above(found)):
-            current, found = work.no_further_than_needed(previous, current, found)
+            current, found = work.no_further_than_needed(previous, too_large, current, found)
     kept = _still_visible(start, current, _PRUNE_OPACITY)
     count = len(original)
     return HardPreservation(
@@ -247,22 +251,33 @@ class _Work:
         return _replaced(splats, active, fitted)
 
     def no_further_than_needed(
-        self, far: Splats, near: Splats, found: CheckedErrors
+        self, far: Splats, too_large: CheckedErrors, near: Splats, found: CheckedErrors
     ) -> tuple[Splats, CheckedErrors]:
-        """Go back from splats within the bounds towards those before, by halving."""
+        """Go back from splats within the bounds towards those before, whose errors are too large.
+
+        Roots of the errors are taken to be straight lines in between.
+        """
         low, high = 0.0, 1.0
         best = near
-        for _ in range(_HALVINGS):
+        for _ in range(_GOING_BACK):
             if self.above(found, _CLOSE_SHARE):
                 break
-            middle = 0.5 * (low + high)
+            middle = low + (high - low) * self._share_of_way(too_large, found)
             blend = _blended(far, near, middle)
             errors = self.check(blend)
             if self.above(errors):
-                low = middle
+                low, too_large = middle, errors
             else:
                 high, best, found = middle, blend, errors
         return best, found
+
+    def _share_of_way(self, too_large: CheckedErrors, found: CheckedErrors) -> float:  # in (0, 1)
+        """Return how far it is from errors above the bounds to those that are wanted."""
+        share = 0.1
+        for name, value in self.above(too_large).items():
+            start, end = math.sqrt(value), math.sqrt(self.above(found, -1.0)[name])
+            share = max(share, (start - math.sqrt(_WANTED_SHARE)) / (start - end))
+        return min(share, 0.9)
 
     def fade(
         self, splats: Splats, found: CheckedErrors, rounds: int, sweep: int, *, entirely: bool

@@ -217,13 +217,13 @@ def test_pixels_where_p_is_faint_can_be_left_out():
 
 
 def test_no_more_is_taken_than_has_to_be(monkeypatch):
-    """Half of what the last round or fading did is taken back while the bounds still hold."""
+    """A part of what the last round or fading did is taken back while the bounds still hold."""
     new = concatenate([IN_FRONT, BEHIND])
     results = {}
-    for halvings in (0, 4):
-        monkeypatch.setattr(hard_preservation, "_HALVINGS", halvings)
+    for tries in (0, 4):
+        monkeypatch.setattr(hard_preservation, "_GOING_BACK", tries)
         settings = dataclasses.replace(SMALL, rounds=0)
-        results[halvings] = preserve_hard(new, PARTIAL, VIEWS, settings)
+        results[tries] = preserve_hard(new, PARTIAL, VIEWS, settings)
     for result in results.values():
         assert result.report.met
     assert results[4].report.fadings == results[0].report.fadings > 0
