@@ -18,6 +18,7 @@ import dataclasses
 import json
 import logging
 import multiprocessing
+import os
 import threading
 import time
 from collections.abc import Iterator
@@ -186,6 +187,7 @@ def _feed(made: Iterator[np.ndarray], pool: SetPool) -> None:
 
 def _prepare(maker: ShapeSetMaker, variants: int) -> None:
     torch.set_num_threads(1)
+    os.nice(5)  # the trainer's process comes first
     _MAKERS.append((maker, variants))
 
 
