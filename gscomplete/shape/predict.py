@@ -22,7 +22,7 @@ from gscomplete.splats import Splats
 from gscomplete.util.stages import stage
 from gscomplete.views import ViewDistribution
 
-ORIENTATIONS = 4
+ORIENTATIONS = 2
 """Of the eight, which are four quarter turns, each mirrored or not. All eight are no better."""
 
 

@@ -4,7 +4,8 @@
 published architecture with random numbers (weights decide nothing about speed) and reports, for
 the completion loop at the paper's settings: milliseconds per step and where they go, the share of
 the measured matrix peak, peak memory, minutes for 6,000 steps; the same for a plain loop; and
-gsplat's errors against the float64 renderer on the given objects. ``--reduced --device cpu`` runs
+gsplat's errors against the float64 renderer on the given objects. What is measured is written at
+once: a run that is stopped loses the rest alone. ``--reduced --device cpu`` runs
 all of it at reduced width without a GPU, to see that it runs; those times mean nothing.
 
 The plain loop is what a first implementation does: float32, conditional and unconditional images
@@ -308,35 +309,41 @@ def read_object(path: Path) -> Splats:
     )
 
 
-def measure(options: Options) -> dict[str, Any]:
-    """Run everything that was asked for."""
+def measure(options: Options) -> Iterator[dict[str, Any]]:
+    """Run everything that was asked for; give numbers as they come."""
     device = choose_device(options.device)
     render_device, note = choose_render_device(options.device, device)
-    clock, out = Clock(device), {"device": _device_name(device), "note": note}
+    clock = Clock(device)
+    yield {"device": _device_name(device), "note": note}
     dtype = torch.bfloat16 if device.type == "cuda" else torch.float32
     knobs = LatentPriorSettings(memory=options.memory, compile=options.compile)
     prior = random_prior(options, device, knobs)
     job = completion_job(options, prior, render_device)
     _reset_peak(device)
     ours = time_steps(job.step, options.steps, clock)
-    out["ours_ms"] = ours
-    out["ours_minutes_for_6000_steps"] = ours * 6000 / 6e4
-    out["ours_peak_gib"] = _peak_gib(device)
-    out["ours_parts_ms"] = time_parts(job, prior, max(1, options.steps // 4), Clock(device))
+    yield {
+        "ours_ms": ours,
+        "ours_minutes_for_6000_steps": ours * 6000 / 6e4,
+        "ours_peak_gib": _peak_gib(device),
+    }
+    yield {"ours_parts_ms": time_parts(job, prior, max(1, options.steps // 4), Clock(device))}
     plain_prior = random_prior(options, device, dataclasses.replace(knobs, compile="off"))
     flops = network_flops(completion_job(options, plain_prior, render_device))
     del plain_prior
     peak = matrix_peak_flops(device, dtype, 512 if options.reduced else 8192)
-    out |= {"network_tflop_per_step": flops / 1e12, "matrix_peak_tflops": peak / 1e12}
-    out["share_of_peak"] = flops / (ours / 1e3) / peak
+    yield {
+        "network_tflop_per_step": flops / 1e12,
+        "matrix_peak_tflops": peak / 1e12,
+        "share_of_peak": flops / (ours / 1e3) / peak,
+    }
     if options.plain:
         del prior, job
-        out |= measure_plain(options, device, render_device)
-        out["times_faster"] = out["plain_ms"] / ours
+        plain = measure_plain(options, device, render_device)
+        yield plain | {"times_faster": plain["plain_ms"] / ours}
     parity = {}
     for path in options.objects:
         parity[path.name] = dataclasses.asdict(renderer_parity(read_object(path)))
-    return out | {"gsplat_errors": parity}
+        yield {"gsplat_errors": parity}
 
 
 def measure_plain(
@@ -360,11 +367,14 @@ def main(options: Options) -> None:
     """Measure and report."""
     if options.reduced:
         options = dataclasses.replace(options, partial_splats=500, new_splats=500)
-    numbers = json.dumps(measure(options), indent=1)
-    sys.stdout.write(numbers + "\n")
-    if options.json:
-        with atomic_path(options.json) as temporary:
-            temporary.write_text(numbers + "\n", encoding="utf-8")
+    found: dict[str, Any] = {}
+    for numbers in measure(options):
+        found |= numbers
+        sys.stdout.write(json.dumps(numbers, indent=1) + "\n")
+        sys.stdout.flush()
+        if options.json:
+            with atomic_path(options.json) as temporary:
+                temporary.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
 
 def _device_name(device: torch.device) -> str:

@@ -92,6 +92,8 @@ def test_all_likely_planes_are_asked_about_and_the_best_is_the_one_shown():
     assert asked.planes[0] is not asked.planes[1]
     assert (asked.planes[0].shift == shown.symmetries[0].shift).all()
     assert asked.symmetry_scores[0] == shown.symmetry_score
+    few = score_planes(Believer(), LOOK, tokens, 3, ends_in_plane=True)
+    assert {p.shift.tobytes() for p in few.planes} == {p.shift.tobytes() for p in planes[:3]}
     unlike = asked.distinct(LOOK.positions)
     assert unlike[0] is asked.planes[0]
     twice = ScoredPlanes(
