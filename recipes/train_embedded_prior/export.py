@@ -63,6 +63,9 @@ class ExportConfig:
     """Folder of the denoiser's training run; None = keep the denoiser that ``out`` holds."""
     shape_run: Path | None = None
     """Folder of the shape network's training run; None = keep that of ``out``, if it has one."""
+    shape_share: float = 1.0
+    """Share of the run's weights in the shape network's; the rest is of the network that ``out``
+    holds, which the run was started from. Below 1 it keeps more of what it could before."""
     out: Path = dataclasses.field(default_factory=packaged_weights)
     """Folder for the weights; the default is the package's own."""
     storage: Storage = "int8"
@@ -105,6 +108,34 @@ class Exportable:
         return Exportable(model, self.weights(kept), kept, self.training)
 
 
+def blended(after: Exportable, before: Exportable, share: float) -> Exportable:
+    """Return weights on the way from those that a run started from to those that it ended with.
+
+    On objects unlike those trained on they are often better than both (Wortsman et al., "Robust
+    fine-tuning of zero-shot models", 2022).
+
+    Args:
+        after: of the run; its network may have more blocks and more words than before, whose
+            words come first.
+        before: what the run was started from.
+        share: of ``after``, in [0, 1].
+
+    Raises:
+        UserError: the words of ``before`` are not the first of ``after``.
+    """
+    if after.words[: len(before.words)] != before.words:
+        raise UserError("export: --shape-share: the run did not start from the weights of --out")
+    state = {}
+    for name, value in after.state.items():
+        start = before.state.get(name)
+        if start is None:  # of a new block, which adds nothing before
+            state[name] = share * value if ".conv_out." in name else value
+            continue
+        rest = value[len(start) :] if value.shape != start.shape else value[:0]
+        state[name] = torch.cat([torch.lerp(start, value[: len(start)], share), rest])
+    return dataclasses.replace(after, state=state)
+
+
 @dataclass(frozen=True, slots=True)
 class TrainedRun:
     """A training run as it stands."""
@@ -116,7 +147,7 @@ class TrainedRun:
 
     @classmethod
     def load(cls, folder: Path) -> TrainedRun:
-        """Read a run folder.
+        """Read a run folder onto the CPU, whatever it was trained on.
 
         Raises:
             UserError: the folder holds no run.
@@ -129,7 +160,7 @@ class TrainedRun:
             if isinstance(config, ShapeTrainConfig)
             else ViewsTask(config, procedural_source, record.words)
         )
-        state = TrainState.start(config, task.make_model)
+        state = TrainState.start(dataclasses.replace(config, device="cpu"), task.make_model)
         state.load(folder)
         return cls(config, state, record.words, record.before)
 
@@ -248,17 +279,26 @@ def export_runs(options: ExportConfig) -> tuple[TrainedRun | None, set[str]]:
     """
     if options.run is None and options.shape_run is None:
         raise UserError("export: expected --run, --shape-run or both, found neither")
+    if not 0 < options.shape_share <= 1:
+        raise UserError(f"--shape-share: expected above 0, at most 1; found {options.shape_share}")
     run = None if options.run is None else TrainedRun.load(options.run)
     shape_run = None if options.shape_run is None else TrainedRun.load(options.shape_run)
     denoiser, views, shape = _held(options.out, needed=run is None)
     left_out: set[str] = set()
     if run is not None:
         assert isinstance(run.config, TrainConfig)
-        denoiser = _of_seen_words(run, options.words_from)
+        denoiser = _of_seen_words(run, options.words_from, run.exportable())
         views = run.config.data.views(run.config.model.resolution_px)
         left_out |= set(run.words) - set(denoiser.words)
     if shape_run is not None:
-        shape = _of_seen_words(shape_run, options.words_from)
+        trained = shape_run.exportable()
+        if options.shape_share < 1:
+            if shape is None:
+                raise UserError(
+                    f"{options.out}: --shape-share: expected a shape network, found none"
+                )
+            trained = blended(trained, shape, options.shape_share)
+        shape = _of_seen_words(shape_run, options.words_from, trained)
         left_out |= set(shape_run.words) - set(shape.words)
     assert denoiser is not None
     assert views is not None
@@ -288,12 +328,12 @@ def _held(
     )
 
 
-def _of_seen_words(run: TrainedRun, count: int) -> Exportable:
+def _of_seen_words(run: TrainedRun, count: int, made: Exportable) -> Exportable:
     """Return what a run has made, with the words that a caption of its objects holds."""
     captions = [make_object(run.config.seed, index).caption for index in range(count)]
     if run.config.meshes is not None:
         captions += MixedSource(run.config.meshes).captions()
-    return run.exportable().with_words(words_seen(run.words, captions))
+    return made.with_words(words_seen(run.words, captions))
 
 
 def main() -> int:

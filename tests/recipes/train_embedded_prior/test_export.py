@@ -1,3 +1,4 @@
+import dataclasses
 from types import SimpleNamespace
 
 import pytest
@@ -8,11 +9,15 @@ from gscomplete.priors import load_prior
 from gscomplete.priors.embedded.prior import packaged_weights
 from gscomplete.priors.embedded.weights import load_weights
 from gscomplete.shape.bank.store import BANK_FILE, read_bank
+from gscomplete.shape.network import ShapeCompleter
+from gscomplete.shape.symmetry import COPIES, SOURCES
+from gscomplete.shape.voxels import CELLS, COARSE_CELLS
 from recipes.train_embedded_prior.card import card
 from recipes.train_embedded_prior.data.mesh_pack import PackEntry
 from recipes.train_embedded_prior.export import (
     ExportConfig,
     TrainedRun,
+    blended,
     export,
     export_runs,
     words_seen,
@@ -72,6 +77,41 @@ def test_exported_weights_make_a_prior(tmp_path):
     named = read_bank(packaged_weights() / BANK_FILE)
     text = card(read, model, shape_model, losses, {}, bank=named)
     assert f"surfaces of {len(named.names)} free meshes" in text
+
+
+def test_weights_on_the_way_lie_between_both_ends(tmp_path):
+    """A deeper network with more words, blended to nothing, answers as the one before it."""
+    before = trained(ShapeTask(tiny_shape_run(tmp_path / "a"), stub_source, WORDS)).exportable()
+    sizes = dataclasses.replace(before.model, blocks=(1, 1, 2), vocabulary_size=9)
+    config = tiny_shape_run(tmp_path / "b", model=sizes, seed=1)
+    after = trained(ShapeTask(config, stub_source, (*WORDS, "green"))).exportable()
+    after.state["up.2.1.conv_out.weight"].normal_()  # as training makes of the new block's zeros
+
+    def answer(state, model):
+        network = ShapeCompleter(model, COARSE_CELLS)
+        network.load_state_dict(state)
+        g = torch.Generator().manual_seed(0)
+        volumes = torch.rand(1, SOURCES, 4, CELLS, CELLS, CELLS, generator=g)
+        evidence = torch.rand(1, 3, *(COARSE_CELLS,) * 3, generator=g)
+        with torch.no_grad():
+            return network.eval()(volumes, evidence, torch.ones(1, COPIES), torch.tensor([[2, 4]]))
+
+    start, end = blended(after, before, 0.0), blended(after, before, 1.0)
+    ours, theirs = answer(start.state, sizes), answer(before.state, before.model)
+    torch.testing.assert_close(ours.colors, theirs.colors)
+    torch.testing.assert_close(ours.sources, theirs.sources)
+    assert all(torch.equal(end.state[name], value) for name, value in after.state.items())
+    middle = blended(after, before, 0.25).state
+    name = "down.0.0.conv_in.weight"
+    torch.testing.assert_close(middle[name], 0.75 * before.state[name] + 0.25 * after.state[name])
+    assert torch.equal(middle["words.weight"][5:], after.state["words.weight"][5:])
+    with pytest.raises(UserError, match="did not start from"):
+        blended(before, after, 0.5)
+
+
+def test_a_share_is_one_of_the_way(tmp_path):
+    with pytest.raises(UserError, match="expected above 0, at most 1"):
+        export_runs(ExportConfig(shape_run=tmp_path, shape_share=1.5))
 
 
 def test_weights_without_a_shape_network_make_a_prior_that_does_not_guess(tmp_path):
