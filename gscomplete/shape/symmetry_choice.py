@@ -37,10 +37,6 @@ from gscomplete.shape.voxels import FloatArray, grown, surface_cells
 from gscomplete.util.stages import stage
 
 CANDIDATES = 8
-"""Likely planes that users choose among and training sets are made of ..."""
-ASKED = 5
-"""... and how many of them the network is asked about to choose one: on 240 parts of unseen objects
-the cells of the answers have an IoU of .7671 with five, .7679 with eight, .7646 with three."""
 _POSSIBLE = 0.1
 """Cells with at least this probability count for how sure an answer is."""
 _BELIEF_WEIGHT = 0.15
@@ -110,9 +106,7 @@ def choose_symmetries(
         angle = math.radians(mirror_plane.azimuth_deg)
         given = mirror(angle, mirror_plane.offset, planes[0].score)
         return Choice(voxels.input_symmetries([given, *planes], 0), 1.0)
-    asked = score_planes(
-        model, voxels, tokens, ASKED, ends_in_plane=ends_in_plane, bfloat16=bfloat16
-    )
+    asked = score_planes(model, voxels, tokens, ends_in_plane=ends_in_plane, bfloat16=bfloat16)
     if asked.none_is_surest:
         return Choice(no_symmetries(), 0.0)
     return Choice(voxels.input_symmetries(asked.planes, 0), asked.symmetry_scores[0])
@@ -123,14 +117,13 @@ def score_planes(
     model: ShapeCompleter,
     voxels: PartialVoxels,
     tokens: Tensor,  # [L]
-    count: int = CANDIDATES,
     *,
     ends_in_plane: bool,
     bfloat16: bool = False,
 ) -> ScoredPlanes:
-    """Ask the network about ``count`` planes; other arguments as of :func:`choose_symmetries`."""
+    """Ask the network about every likely plane; arguments as of :func:`choose_symmetries`."""
     with stage("planes"):
-        planes = candidate_planes(voxels, count, bfloat16=bfloat16)
+        planes = candidate_planes(voxels, CANDIDATES, bfloat16=bfloat16)
     asked = [_inputs_with_first(voxels, planes, k) for k in range(len(planes))]
     if not ends_in_plane:
         asked.append(voxels.with_copies(no_symmetries()))
