@@ -125,11 +125,11 @@ def assemble_splats(
         known: finds shapes that suit P, which may contradict mirror images; called where the
             network doubts a part of them.
     """
-    copies, contradicted = None, 0
+    copies, contradicted = None, None
     most = int(_MOST_MIRRORED_SHARE * settings.count)
     if most and is_mirrored_by_splats(prediction):
         copies, contradicted = _new_copies(prediction, partial, known, most, generator)
-    if copies is None or not len(copies):
+    if copies is None or contradicted is None or not len(copies):
         level = _surface_logit(prediction, settings)
         near = settings.near_partial
         plain = SurfaceSettings(settings.count, near_partial=near, filled_logit=level)
@@ -143,7 +143,9 @@ def assemble_splats(
         least_spacing=min(max(median_spacing(copies.means), _LEAST_SPACING), _MOST_SPACING),
     )
     surface = surface_splats(prediction.output, prediction.seen, partial, beside, generator, copies)
-    return AssembledSplats(concatenate([copies, surface]), len(copies), contradicted)
+    if len(contradicted):
+        surface = surface.select(~stands_off(known(), surface, contradicted))
+    return AssembledSplats(concatenate([copies, surface]), len(copies), len(contradicted))
 
 
 def is_mirrored_by_splats(prediction: Prediction) -> bool:
@@ -218,10 +220,10 @@ def _new_copies(
     known: Callable[[], Sequence[FittedShape]],
     limit: int,
     generator: torch.Generator,
-) -> tuple[Splats, int]:
+) -> tuple[Splats, Splats]:
     """Return P's splats through the first mirror image, where P has none and nothing is against.
 
-    The second value counts those that known shapes alone are against.
+    The second value are those that known shapes alone are against.
     """
     source = thinned(partial, _MOST_MIRRORED, generator)
     copies = mirror_image(source, prediction.seen.symmetries[0])
@@ -231,15 +233,15 @@ def _new_copies(
     against = torch.zeros_like(doubted)
     if float(doubted.sum()) > _FEW_DOUBTED * len(copies):
         against = contradicted_by(known(), copies, doubted)
-    copies = copies.select(~against)
+    contradicted, copies = copies.select(against), copies.select(~against)
     if not len(copies):
-        return copies, int(against.sum())
+        return copies, contradicted
     axes = rotation_matrices(copies.quaternions)
     thinnest = copies.scales.argmin(dim=1)[:, None, None].expand(-1, 3, 1)
     normals = axes.gather(2, thinnest)[:, :, 0]
     anchor = thinned(partial, _MOST_LOOKED_AT, generator)
     is_new = is_missing(copies.means, normals, anchor.means, SurfaceSettings())
-    return thinned(copies.select(is_new), limit, generator), int(against.sum())
+    return thinned(copies.select(is_new), limit, generator), contradicted
 
 
 def select_consistent(
@@ -280,6 +282,23 @@ def contradicted_by(
         return marked
     to_theirs, to_others = ((copies.base_colors - color).norm(dim=1) for color in (theirs, others))
     return marked | (is_beside & (to_theirs < to_others))
+
+
+def stands_off(known: Sequence[FittedShape], splats: Splats, contradicted: Splats) -> Tensor:
+    """Mark the splats beside contradicted copies that no known shape has: a second handle's stumps.
+
+    Args:
+        known: shapes, at least one.
+        splats: N of the network's surface.
+        contradicted: copies that ``contradicted_by`` marked, at least one.
+
+    Returns:
+        [N] bool.
+    """
+    points = splats.means.numpy()
+    beside, _ = cKDTree(contradicted.means.numpy()).query(points, distance_upper_bound=_BESIDE)
+    away = np.min([cKDTree(shape.points).query(points)[0] for shape in known], axis=0)
+    return torch.from_numpy(np.isfinite(beside) & (away > _OFF_KNOWN))
 
 
 def hides_nothing(splats: Splats, evidence: Evidence) -> Tensor:  # [N] bool

@@ -13,6 +13,7 @@ from gscomplete.shape.assemble import (
     is_mirrored_by_splats,
     notes_of,
     select_consistent,
+    stands_off,
 )
 from gscomplete.shape.bank.fit import FittedShape
 from gscomplete.shape.bank.pose import Pose
@@ -275,3 +276,15 @@ def test_known_shapes_that_have_the_handle_keep_it():
     (one,) = known(1)
     other = dataclasses.replace(one, cells=with_handle, points=cell_points(with_handle))
     assert not contradicted_by([one, other], copies, all_of(copies)).any()
+
+
+def test_the_surface_keeps_no_stumps_of_a_contradicted_handle():
+    copies, body = body_and_handle()
+    handle = copies.select(torch.arange(len(copies)) >= body)
+    marked = stands_off(known(1), copies, handle)
+    assert not marked[:body].any()
+    sticks_out = copies.means[:, 0] > 0.25 + 0.03 + 1 / 48
+    assert marked[sticks_out].all()
+    far = handle.select(handle.means[:, 0] > handle.means[:, 0].max() - 1e-3)
+    moved = dataclasses.replace(far, means=far.means + torch.tensor([0.0, 0.0, 5.0]))
+    assert not stands_off(known(1), copies, moved).any()
