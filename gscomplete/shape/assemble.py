@@ -56,7 +56,7 @@ _LEAST_SYMMETRY_SCORE = 0.75
 """Score of the first mirror image, by the network's output, from which on its splats are used;
 below it the network's surface is all there is."""
 _LITTLE = 0.1
-"""Where P lacks less of the network's surface, mirrored splats would only stand beside P's own: of the
+"""Where P lacks less of the network's surface, mirrored splats would only stand beside P's own: of
 parts of 60 unseen objects, complete ones alone are below .12."""
 _LOGIT_BESIDE = 0.0
 """Cells of the network's surface beside mirrored splats count as filled from this logit on."""
