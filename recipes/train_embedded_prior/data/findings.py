@@ -1,10 +1,7 @@
 """What a run finds out about a part before it asks the shape network.
 
 It takes three quarters of the time of a training set and less than 200 bytes.
-
-``python -m recipes.train_embedded_prior.data.findings --meshes PACK --out FILE --first A --last B``
-makes them ahead, for a machine whose processors cannot keep up with its accelerator
-(``train_on_gpu``).
+``gpu.make_findings`` makes them ahead.
 
 Conventions
 -----------
@@ -14,21 +11,15 @@ Conventions
 
 from __future__ import annotations
 
-import multiprocessing
-import sys
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from gscomplete.shape.symmetry import SymmetryMap, mirror, plane_of
 from gscomplete.shape.symmetry_choice import CANDIDATES
 from gscomplete.splats import Splats
-from gscomplete.util.atomic import atomic_path
-from recipes.entry_point import start
 
 DTYPE = np.dtype(
     [
@@ -93,72 +84,3 @@ def read_findings(paths: Sequence[Path]) -> dict[int, Findings]:
     """Return the findings of files by the number of their part."""
     rows = [row for path in paths for row in np.load(path)]
     return {int(row["index"]): Findings.of(row) for row in rows}
-
-
-@dataclass(frozen=True)
-class Options:
-    """Make findings ahead."""
-
-    meshes: Path
-    """Pack of meshes."""
-    out: Path
-    """File of the findings; what it holds already is kept."""
-    first: int
-    """First part."""
-    last: int
-    """First part that is not made."""
-    seed: int = 0
-    mesh_share: float = 0.7
-    """Share of parts of meshes, as in training."""
-    minutes: float = 60.0
-    """Stop after so long."""
-    jobs: int = 2
-
-
-def main(options: Options) -> None:
-    """Make, and write every few hundred."""
-    rows = list(np.load(options.out)) if options.out.exists() else []
-    made = {int(row["index"]) for row in rows}
-    wanted = [k for k in range(options.first, options.last) if k not in made]
-    began = time.monotonic()
-    context = multiprocessing.get_context("spawn")
-    with context.Pool(options.jobs, _prepare, (options,)) as pool:
-        for row in pool.imap_unordered(_made, wanted, chunksize=8):
-            rows.append(row)
-            over = time.monotonic() - began > 60 * options.minutes
-            if len(rows) % 256 == 0 or over:
-                _write(rows, options.out)
-                sys.stdout.write(f"{len(rows)} findings, {time.monotonic() - began:.0f} s\n")
-                sys.stdout.flush()
-            if over:
-                break
-    _write(rows, options.out)
-
-
-def _write(rows: list[np.ndarray], path: Path) -> None:
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        np.save(file, np.stack(rows))
-
-
-def _prepare(options: Options) -> None:
-    from gscomplete.priors.embedded.text import Tokenizer
-    from recipes.train_embedded_prior.config import ShapeDataConfig
-    from recipes.train_embedded_prior.data.mesh_source import MixedSource
-    from recipes.train_embedded_prior.data.shape_dataset import TEXT_LENGTH, ShapeSetMaker
-
-    torch.set_num_threads(1)
-    source = MixedSource(options.meshes, options.mesh_share)
-    data = ShapeDataConfig(mesh_share=options.mesh_share)
-    _MAKER.append(ShapeSetMaker(source, data, Tokenizer((), TEXT_LENGTH), options.seed))
-
-
-_MAKER: list = []
-
-
-def _made(index: int) -> np.ndarray:
-    found: np.ndarray = _MAKER[0].findings(index).stored(index)
-    return found
-
-
-if __name__ == "__main__":
-    start(main, Options, __doc__)

@@ -1,9 +1,9 @@
 """Train the shape network on one GPU beside as many processors as there are.
 
-``python -m recipes.train_embedded_prior.train_on_gpu --run.out DIR --run.meshes PACK`` is ``train
+``python -m recipes.train_embedded_prior.gpu.train --run.out DIR --run.meshes PACK`` is ``train
 shape`` for a machine whose GPU takes steps faster than its processors make sets: they make a few
 variants of every part, and all sets stay in the GPU's memory, to be drawn again in other
-orientations. ``--findings`` takes what ``data.findings`` made ahead. The run folder is that of
+orientations. ``--findings`` takes what ``make_findings`` made ahead. The run folder is that of
 ``train``: ``export`` and ``compare_shapes`` read it.
 
 Conventions
@@ -32,13 +32,13 @@ from gscomplete.priors.embedded.text import Tokenizer
 from recipes.entry_point import start
 from recipes.train_embedded_prior.config import ShapeTrainConfig
 from recipes.train_embedded_prior.data.findings import Findings, read_findings
-from recipes.train_embedded_prior.data.set_pool import SetPool
 from recipes.train_embedded_prior.data.shape_dataset import (
     TEXT_LENGTH,
     ShapeSetMaker,
     decode_sets,
 )
 from recipes.train_embedded_prior.evaluate import autocast
+from recipes.train_embedded_prior.gpu.set_pool import SetPool
 from recipes.train_embedded_prior.shape_task import ShapeTask, filled_iou
 from recipes.train_embedded_prior.state import TrainState, open_run, write_record
 from recipes.train_embedded_prior.train import learning_rate, training_source
@@ -53,7 +53,7 @@ class Options:
     run: ShapeTrainConfig
     """The run; its length is given in minutes, and it has one replica."""
     findings: tuple[Path, ...] = ()
-    """Files of ``data.findings`` of the same seed and share of meshes: these parts come first."""
+    """Files of ``make_findings`` of the same seed and share of meshes: these parts come first."""
     variants: int = 5
     """Sets made of every part."""
     pool_sets: int = 150_000

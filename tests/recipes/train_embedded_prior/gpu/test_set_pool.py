@@ -6,13 +6,13 @@ import torch
 
 from gscomplete.priors.embedded.text import Tokenizer
 from recipes.train_embedded_prior.config import ShapeDataConfig
-from recipes.train_embedded_prior.data.set_pool import ORIENTATIONS, SetPool
 from recipes.train_embedded_prior.data.shape_dataset import (
     ShapeSetMaker,
     decode_sets,
     joined,
     turn_batch,
 )
+from recipes.train_embedded_prior.gpu.set_pool import ORIENTATIONS, SetPool
 from tests.builders.training import WORDS, stub_source
 
 

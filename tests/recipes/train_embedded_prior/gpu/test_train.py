@@ -4,15 +4,14 @@ import json
 import numpy as np
 
 from gscomplete.priors.embedded.text import Tokenizer
-from recipes.train_embedded_prior import train_on_gpu
 from recipes.train_embedded_prior.config import ShapeDataConfig
-from recipes.train_embedded_prior.data import findings
 from recipes.train_embedded_prior.data.findings import read_findings
 from recipes.train_embedded_prior.data.mesh_source import MixedSource
-from recipes.train_embedded_prior.data.set_pool import ORIENTATIONS
 from recipes.train_embedded_prior.data.shape_dataset import TEXT_LENGTH, ShapeSetMaker
 from recipes.train_embedded_prior.export import TrainedRun
-from recipes.train_embedded_prior.train_on_gpu import Options
+from recipes.train_embedded_prior.gpu import make_findings, train
+from recipes.train_embedded_prior.gpu.set_pool import ORIENTATIONS
+from recipes.train_embedded_prior.gpu.train import Options
 from tests.builders.mesh_pack import write_pack
 from tests.builders.training import tiny_shape_run
 
@@ -20,8 +19,12 @@ from tests.builders.training import tiny_shape_run
 def test_a_run_begins_with_the_parts_of_which_something_is_known(tmp_path):
     """End to end on the CPU: the loop asks nothing of a GPU but its speed."""
     pack, known = write_pack(tmp_path / "pack"), tmp_path / "findings.npy"
-    findings.main(findings.Options(pack, known, first=2, last=4, seed=3, mesh_share=1.0, jobs=1))
-    findings.main(findings.Options(pack, known, first=2, last=5, seed=3, mesh_share=1.0, jobs=1))
+    make_findings.main(
+        make_findings.Options(pack, known, first=2, last=4, seed=3, mesh_share=1.0, jobs=1)
+    )
+    make_findings.main(
+        make_findings.Options(pack, known, first=2, last=5, seed=3, mesh_share=1.0, jobs=1)
+    )
     assert sorted(read_findings([known])) == [2, 3, 4]
 
     model = tiny_shape_run(tmp_path).model
@@ -42,7 +45,7 @@ def test_a_run_begins_with_the_parts_of_which_something_is_known(tmp_path):
     options = Options(
         run, (known,), variants=2, first_sets=4, pool_sets=8, held_out=tmp_path / "held_out.npy"
     )
-    train_on_gpu.main(options)
+    train.main(options)
     trained = TrainedRun.load(tmp_path / "run")
     assert trained.state.step > 0
     assert trained.record().sets >= 4
