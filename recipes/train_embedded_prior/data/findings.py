@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gscomplete.errors import UserError
 from gscomplete.shape.symmetry import SymmetryMap, mirror, plane_of
 from gscomplete.shape.symmetry_choice import CANDIDATES
 from gscomplete.splats import Splats
@@ -81,6 +82,18 @@ class Findings:
 
 
 def read_findings(paths: Sequence[Path]) -> dict[int, Findings]:
-    """Return the findings of files by the number of their part."""
-    rows = [row for path in paths for row in np.load(path)]
-    return {int(row["index"]): Findings.of(row) for row in rows}
+    """Return the findings of files by the number of their part.
+
+    Raises:
+        UserError: a file is missing, damaged or of another kind.
+    """
+    found = {}
+    for path in paths:
+        try:
+            rows = np.load(path)
+        except (OSError, ValueError, EOFError) as error:
+            raise UserError(f"{path}: expected findings (.npy), found damage: {error}") from None
+        if rows.dtype != DTYPE:
+            raise UserError(f"{path}: expected rows of {DTYPE.names}, found {rows.dtype}")
+        found |= {int(row["index"]): Findings.of(row) for row in rows}
+    return found

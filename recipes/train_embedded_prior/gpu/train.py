@@ -28,6 +28,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from gscomplete.errors import UserError
 from gscomplete.priors.embedded.text import Tokenizer
 from recipes.entry_point import start
 from recipes.train_embedded_prior.config import ShapeTrainConfig
@@ -38,7 +39,7 @@ from recipes.train_embedded_prior.data.shape_dataset import (
     decode_sets,
 )
 from recipes.train_embedded_prior.evaluate import autocast
-from recipes.train_embedded_prior.gpu.set_pool import SetPool
+from recipes.train_embedded_prior.gpu.set_pool import ORIENTATIONS, SetPool
 from recipes.train_embedded_prior.shape_task import ShapeTask, filled_iou
 from recipes.train_embedded_prior.state import TrainState, open_run, write_record
 from recipes.train_embedded_prior.train import learning_rate, training_source
@@ -74,6 +75,8 @@ _MAKERS: list[tuple[ShapeSetMaker, int]] = []
 def main(options: Options) -> None:
     """Train, log, and write the checkpoint."""
     config = options.run
+    _check(options)
+    known = read_findings(options.findings)
     torch.backends.cudnn.benchmark = True
     source, words = training_source(config)
     words = open_run(config, words)
@@ -83,12 +86,30 @@ def main(options: Options) -> None:
     context = multiprocessing.get_context("spawn")
     began = time.monotonic()
     with context.Pool(config.workers, _prepare, (maker, options.variants)) as workers:
-        made = workers.imap_unordered(_make, _parts(read_findings(options.findings)))
+        made = workers.imap_unordered(_make, _parts(known))
         feeder = threading.Thread(target=_feed, args=(made, pool), daemon=True)
         feeder.start()
-        while len(pool) < options.first_sets and feeder.is_alive():
+        while len(pool) < min(options.first_sets, options.pool_sets) and feeder.is_alive():
             time.sleep(0.2)
         _train(options, task, pool, began)
+
+
+def _check(options: Options) -> None:
+    """Refuse what this trainer cannot do.
+
+    Raises:
+        UserError: an option is out of its range.
+    """
+    run = options.run
+    for name, is_fine, expected, found in (
+        ("minutes", run.minutes is not None, "a length in minutes", "steps"),
+        ("resume", not run.resume, "a new run", "one to be resumed"),
+        ("replicas", run.replicas == 1, "1", run.replicas),
+        ("workers", run.workers >= 1, "1 or more", run.workers),
+        ("batch-sets", run.batch_sets % ORIENTATIONS == 0, "a multiple of 8", run.batch_sets),
+    ):
+        if not is_fine:
+            raise UserError(f"--run.{name}: expected {expected}, found {found}")
 
 
 def _train(options: Options, task: ShapeTask, pool: SetPool, began: float) -> None:

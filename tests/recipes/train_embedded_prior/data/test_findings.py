@@ -1,7 +1,9 @@
 import math
 
 import numpy as np
+import pytest
 
+from gscomplete.errors import UserError
 from gscomplete.shape.symmetry import mirror
 from recipes.train_embedded_prior.data.findings import Findings, GuessedFrame, read_findings
 
@@ -20,3 +22,11 @@ def test_findings_come_back_from_a_file(tmp_path):
         np.testing.assert_allclose(ours.matrix, plane.matrix, atol=1e-6)
         np.testing.assert_allclose(ours.shift, plane.shift, atol=1e-6)
         assert math.isclose(ours.score, plane.score, abs_tol=1e-6)
+
+
+def test_other_files_are_refused(tmp_path):
+    (tmp_path / "text.npy").write_text("findings")
+    np.save(tmp_path / "other.npy", np.zeros(3))
+    for name, reason in (("text", "damage"), ("other", "float64"), ("none", "No such file")):
+        with pytest.raises(UserError, match=reason):
+            read_findings([tmp_path / f"{name}.npy"])

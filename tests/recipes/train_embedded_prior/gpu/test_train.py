@@ -2,7 +2,9 @@ import dataclasses
 import json
 
 import numpy as np
+import pytest
 
+from gscomplete.errors import UserError
 from gscomplete.priors.embedded.text import Tokenizer
 from recipes.train_embedded_prior.config import ShapeDataConfig
 from recipes.train_embedded_prior.data.findings import read_findings
@@ -52,3 +54,17 @@ def test_a_run_begins_with_the_parts_of_which_something_is_known(tmp_path):
     lines = [json.loads(x) for x in (tmp_path / "run/log.jsonl").read_text().splitlines()]
     assert 0.0 <= lines[-1]["held_out_iou"] <= 1.0
     assert lines[-1]["sets"] >= 4
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({}, "run.minutes: expected a length in minutes, found steps"),
+        ({"minutes": 1.0, "steps": None}, "run.workers: expected 1 or more, found 0"),
+        ({"minutes": 1.0, "steps": None, "workers": 1}, "batch-sets: expected a multiple of 8"),
+    ],
+)
+def test_what_it_cannot_do_is_refused(tmp_path, changes, reason):
+    with pytest.raises(UserError, match=reason):
+        train.main(Options(tiny_shape_run(tmp_path / "run", **changes)))
+    assert not (tmp_path / "run").exists()
