@@ -81,19 +81,25 @@ class Findings:
         )
 
 
+def read_rows(path: Path) -> np.ndarray:  # [N] of DTYPE
+    """Return what a file holds, in the stored form.
+
+    Raises:
+        UserError: the file is missing, damaged or of another kind.
+    """
+    try:
+        rows: np.ndarray = np.load(path)
+    except (OSError, ValueError, EOFError) as error:
+        raise UserError(f"{path}: expected findings (.npy), found damage: {error}") from None
+    if rows.dtype != DTYPE:
+        raise UserError(f"{path}: expected rows of {DTYPE.names}, found {rows.dtype}")
+    return rows
+
+
 def read_findings(paths: Sequence[Path]) -> dict[int, Findings]:
     """Return the findings of files by the number of their part.
 
     Raises:
-        UserError: a file is missing, damaged or of another kind.
+        UserError: as from :func:`read_rows`.
     """
-    found = {}
-    for path in paths:
-        try:
-            rows = np.load(path)
-        except (OSError, ValueError, EOFError) as error:
-            raise UserError(f"{path}: expected findings (.npy), found damage: {error}") from None
-        if rows.dtype != DTYPE:
-            raise UserError(f"{path}: expected rows of {DTYPE.names}, found {rows.dtype}")
-        found |= {int(row["index"]): Findings.of(row) for row in rows}
-    return found
+    return {int(row["index"]): Findings.of(row) for path in paths for row in read_rows(path)}

@@ -2,7 +2,7 @@
 
 ``python -m recipes.train_embedded_prior.gpu.make_findings --meshes PACK --out FILE --first 0 --last
 20000`` is for a machine whose processors cannot keep up with its GPU: made elsewhere, findings
-leave it a ninth of a set's work. An interrupted command goes on where it stopped.
+leave it a ninth of a set's work. An interrupted command goes on from the last few hundred.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from gscomplete.priors.embedded.text import Tokenizer
 from gscomplete.util.atomic import atomic_path
 from recipes.entry_point import start
 from recipes.train_embedded_prior.config import ShapeDataConfig
+from recipes.train_embedded_prior.data.findings import read_rows
 from recipes.train_embedded_prior.data.mesh_source import MixedSource
 from recipes.train_embedded_prior.data.shape_dataset import TEXT_LENGTH, ShapeSetMaker
 
@@ -46,9 +47,11 @@ class Options:
 
 def main(options: Options) -> None:
     """Make, and write every few hundred."""
-    rows = list(np.load(options.out)) if options.out.exists() else []
+    rows = list(read_rows(options.out)) if options.out.exists() else []
     made = {int(row["index"]) for row in rows}
     wanted = [k for k in range(options.first, options.last) if k not in made]
+    if not wanted:
+        return
     began = time.monotonic()
     context = multiprocessing.get_context("spawn")
     with context.Pool(options.jobs, _prepare, (options,)) as pool:

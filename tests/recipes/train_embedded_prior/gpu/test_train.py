@@ -28,6 +28,9 @@ def test_a_run_begins_with_the_parts_of_which_something_is_known(tmp_path):
         make_findings.Options(pack, known, first=2, last=5, seed=3, mesh_share=1.0, jobs=1)
     )
     assert sorted(read_findings([known])) == [2, 3, 4]
+    before = known.stat().st_mtime_ns
+    make_findings.main(make_findings.Options(pack, known, first=2, last=5))
+    assert known.stat().st_mtime_ns == before  # nothing is left to make
 
     model = tiny_shape_run(tmp_path).model
     data = ShapeDataConfig(mesh_share=1.0)
