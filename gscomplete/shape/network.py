@@ -14,7 +14,6 @@ Conventions
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -187,11 +186,3 @@ def unfold(x: Tensor) -> Tensor:  # [B, 8 C, n, n, n] -> [B, C, 2n, 2n, 2n]
     c = folded // _FOLD**3
     x = x.reshape(b, c, _FOLD, _FOLD, _FOLD, h, h, h)
     return x.permute(0, 1, 5, 2, 6, 3, 7, 4).reshape(b, c, h * _FOLD, h * _FOLD, h * _FOLD)
-
-
-def cpu_precision(*, bfloat16: bool) -> contextlib.AbstractContextManager[None]:
-    """Return the context that a network runs in on the CPU."""
-    context: contextlib.AbstractContextManager[None] = torch.autocast(
-        "cpu", torch.bfloat16, enabled=bfloat16
-    )
-    return context

@@ -23,17 +23,17 @@ import dataclasses
 import math
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import Tensor
 
+from gscomplete.shape.ask import ask
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
-from gscomplete.shape.network import ShapeCompleter, cpu_precision
+from gscomplete.shape.network import ShapeCompleter, ShapeOutput
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs
 from gscomplete.shape.planes.best_view import best_view_share
 from gscomplete.shape.planes.proposals import candidate_planes
 from gscomplete.shape.symmetry import SymmetryMap, mirror, no_symmetries
-from gscomplete.shape.voxels import FloatArray, grown, surface_cells
+from gscomplete.shape.voxels import CELLS, FloatArray, grown, surface_cells
 from gscomplete.util.stages import stage
 
 CANDIDATES = 8
@@ -56,9 +56,12 @@ WRONG_WEIGHT = 0.5
 class Choice:
     """What the network is given."""
 
-    symmetries: tuple[SymmetryMap, ...]  # COPIES
+    seen: ShapeInputs
     symmetry_score: float
-    """Of the first by the network's answer; 0 where none is given, 1 where users chose it."""
+    """Of the first mirror image by the network's answer; 0 where none is given, 1 where users chose
+    it."""
+    answer: ShapeOutput | None = None
+    """The network's, for a batch of one; None = it was not asked."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +73,10 @@ class ScoredPlanes:
     """Of each by the answer to it."""
     none_is_surest: bool
     """Whether the network is surer of its answer to no mirror image than of those to all others."""
+    seen: ShapeInputs
+    """What the network is given: the best plane, or no mirror image."""
+    answer: ShapeOutput
+    """Its answer to that."""
 
     def distinct(self, points: FloatArray) -> tuple[SymmetryMap, ...]:  # points [N, 3] of P
         """Return the planes that show something else than those before them."""
@@ -100,16 +107,15 @@ def choose_symmetries(
         mirror_plane: which one to show first.
     """
     if mirror_plane == "none":
-        return Choice(no_symmetries(), 0.0)
+        return Choice(voxels.with_copies(no_symmetries()), 0.0)
     if isinstance(mirror_plane, MirrorPlane):
         planes = candidate_planes(voxels, CANDIDATES, bfloat16=bfloat16)
         angle = math.radians(mirror_plane.azimuth_deg)
         given = mirror(angle, mirror_plane.offset, planes[0].score)
-        return Choice(voxels.input_symmetries([given, *planes], 0), 1.0)
+        return Choice(voxels.with_copies(voxels.input_symmetries([given, *planes], 0)), 1.0)
     asked = score_planes(model, voxels, tokens, ends_in_plane=ends_in_plane, bfloat16=bfloat16)
-    if asked.none_is_surest:
-        return Choice(no_symmetries(), 0.0)
-    return Choice(voxels.input_symmetries(asked.planes, 0), asked.symmetry_scores[0])
+    score = 0.0 if asked.none_is_surest else asked.symmetry_scores[0]
+    return Choice(asked.seen, score, asked.answer)
 
 
 @torch.no_grad()
@@ -124,22 +130,22 @@ def score_planes(
     """Ask the network about every likely plane; arguments as of :func:`choose_symmetries`."""
     with stage("planes"):
         planes = candidate_planes(voxels, CANDIDATES, bfloat16=bfloat16)
-    asked = [_inputs_with_first(voxels, planes, k) for k in range(len(planes))]
-    if not ends_in_plane:
-        asked.append(voxels.with_copies(no_symmetries()))
-    volumes = torch.from_numpy(np.stack([a.volumes for a in asked]))
-    with cpu_precision(bfloat16=bfloat16):
-        answer = model(
-            volumes,
-            torch.from_numpy(voxels.shares).expand(len(asked), -1, -1, -1, -1),
-            torch.from_numpy(np.stack([a.scores for a in asked])),
-            tokens.expand(len(asked), -1),
-        )
-    filled = answer.occupancy.float().sigmoid()
     count = len(planes)
-    if not ends_in_plane and missing_share(filled[:count], volumes[0, 0, 0]) > _MUCH_MISSING:
+    shown = [_symmetries_with_first(voxels, planes, k) for k in range(count)]
+    if not ends_in_plane:
+        shown.append(no_symmetries())
+    copies = torch.empty(count, *(CELLS,) * 3)
+    answers = []
+    for k, symmetries in enumerate(shown):  # one by one: what a question needs stays in the caches
+        seen = voxels.with_copies(symmetries)
+        answers.append(ask(model, seen, tokens, bfloat16=bfloat16))
+        if k < count:
+            copies[k] = torch.from_numpy(seen.volumes[1, 0])
+    filled = torch.cat([answer.occupancy for answer in answers]).sigmoid_()
+    partial = torch.from_numpy(voxels.volume[0])
+    if not ends_in_plane and missing_share(filled[:count], partial) > _MUCH_MISSING:
         ends_in_plane = best_view_share(voxels.positions) < _LEAST_SHOWN
-    scores = symmetry_scores_of_answers(filled[:count], volumes[:count, 1, 0], volumes[0, 0, 0])
+    scores = symmetry_scores_of_answers(filled[:count], copies, partial)
     sure = sureness(filled)
     if ends_in_plane:
         belief = torch.tensor([plane.score for plane in planes])
@@ -147,10 +153,14 @@ def score_planes(
     else:
         rank = sure[:count]
     order = rank.argsort(descending=True, stable=True).tolist()
+    none_is_surest = not ends_in_plane and bool(sure[count] > sure[:count].max())
+    best = count if none_is_surest else order[0]
     return ScoredPlanes(
         tuple(planes[k] for k in order),
         tuple(float(scores[k]) for k in order),
-        not ends_in_plane and bool(sure[count] > sure[:count].max()),
+        none_is_surest,
+        voxels.with_copies(shown[best]),
+        answers[best],
     )
 
 
@@ -189,8 +199,10 @@ def symmetry_scores_of_answers(
     return covered / wanted.clamp_min(float(wanted.mean()) + 1e-3) - WRONG_WEIGHT * left_empty
 
 
-def _inputs_with_first(voxels: PartialVoxels, planes: list[SymmetryMap], index: int) -> ShapeInputs:
+def _symmetries_with_first(
+    voxels: PartialVoxels, planes: list[SymmetryMap], index: int
+) -> tuple[SymmetryMap, ...]:  # COPIES
     """Show one plane first, as if it were the likeliest."""
     as_likely = list(planes)
     as_likely[index] = dataclasses.replace(planes[index], score=planes[0].score)
-    return voxels.with_copies(voxels.input_symmetries(as_likely, index))
+    return voxels.input_symmetries(as_likely, index)

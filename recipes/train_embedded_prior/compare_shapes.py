@@ -24,8 +24,8 @@ import torch
 from gscomplete.errors import UserError
 from gscomplete.evaluate.bootstrap import bootstrap_interval
 from gscomplete.priors.embedded.weights import load_weights
+from gscomplete.shape.ask import ORIENTATIONS, answer_in, mean_of
 from gscomplete.shape.network import ShapeCompleter
-from gscomplete.shape.predict import ORIENTATIONS, answer_in, mean_answer
 from gscomplete.util import jsonio
 from gscomplete.util.atomic import atomic_path
 from recipes.entry_point import start
@@ -119,7 +119,7 @@ def part_ious(model: ShapeCompleter, batch: ShapeBatch, orientations: int) -> li
     for k in range(len(batch.solid)):
         asked = [part[k : k + 1] for part in given]
         answers = [answer_in(model, *asked, o, bfloat16=True) for o in range(orientations)]
-        filled = mean_answer(answers).occupancy > 0
+        filled = mean_of(answers).occupancy > 0
         found.append(float(cell_ious(filled, batch.solid[k : k + 1] > 0)))
     return found
 

@@ -1,9 +1,11 @@
+import dataclasses
 import math
 
 import pytest
 import torch
 
 from gscomplete.shape import symmetry_choice
+from gscomplete.shape.ask import ask
 from gscomplete.shape.mirror_plane import MirrorPlane
 from gscomplete.shape.network import ShapeOutput
 from gscomplete.shape.partial_voxels import voxelize_partial
@@ -11,7 +13,6 @@ from gscomplete.shape.planes.proposals import candidate_planes
 from gscomplete.shape.symmetry import SOURCES, plane_of
 from gscomplete.shape.symmetry_choice import (
     CANDIDATES,
-    ScoredPlanes,
     choose_symmetries,
     missing_share,
     score_planes,
@@ -71,7 +72,7 @@ def test_the_copies_that_answers_are_consistent_with_are_given():
     tokens = torch.zeros(4, dtype=torch.long)
     planes = candidate_planes(LOOK, CANDIDATES)
     choice = choose_symmetries(Believer(), LOOK, tokens, ends_in_plane=True)
-    chosen = choice.symmetries
+    chosen = choice.seen.symmetries
     assert 0.9 < choice.symmetry_score <= 1
     assert len(chosen) == SOURCES - 1
     places = {plane.shift.tobytes() + plane.matrix.tobytes() for plane in planes}
@@ -79,8 +80,17 @@ def test_the_copies_that_answers_are_consistent_with_are_given():
     assert among == [True, True, False]
     farthest = chosen[0].apply(LOOK.positions)[:, 0].min()
     assert farthest < -0.36
-    again = choose_symmetries(Believer(), LOOK, tokens, ends_in_plane=True).symmetries
+    again = choose_symmetries(Believer(), LOOK, tokens, ends_in_plane=True).seen.symmetries
     assert [c.score for c in chosen] == [c.score for c in again]
+
+
+def test_the_answer_that_decided_is_handed_on():
+    tokens = torch.zeros(4, dtype=torch.long)
+    for model, ends_in_plane in ((Believer(), True), (Doubter(), False)):
+        choice = choose_symmetries(model, LOOK, tokens, ends_in_plane=ends_in_plane)
+        again = ask(model, choice.seen, tokens)
+        assert choice.answer is not None
+        assert torch.equal(choice.answer.occupancy, again.occupancy)
 
 
 def test_all_likely_planes_are_asked_about_and_the_best_is_the_one_shown():
@@ -90,13 +100,12 @@ def test_all_likely_planes_are_asked_about_and_the_best_is_the_one_shown():
     planes = candidate_planes(LOOK, CANDIDATES)
     assert {p.shift.tobytes() for p in asked.planes} == {p.shift.tobytes() for p in planes}
     assert asked.planes[0] is not asked.planes[1]
-    assert (asked.planes[0].shift == shown.symmetries[0].shift).all()
+    assert (asked.planes[0].shift == shown.seen.symmetries[0].shift).all()
     assert asked.symmetry_scores[0] == shown.symmetry_score
     unlike = asked.distinct(LOOK.positions)
     assert unlike[0] is asked.planes[0]
-    twice = ScoredPlanes(
-        asked.planes[:1] * 2 + asked.planes, (0.0,) * (len(asked.planes) + 2), False
-    )
+    planes_twice = asked.planes[:1] * 2 + asked.planes
+    twice = dataclasses.replace(asked, planes=planes_twice, symmetry_scores=(0.0,) * 11)
     assert twice.distinct(LOOK.positions) == unlike
     assert not any(a.is_like(b, LOOK.positions) for k, a in enumerate(unlike) for b in unlike[:k])
 
@@ -105,15 +114,15 @@ def test_users_may_choose_the_plane_or_none():
     tokens = torch.zeros(4, dtype=torch.long)
     none = choose_symmetries(Believer(), LOOK, tokens, ends_in_plane=True, mirror_plane="none")
     assert none.symmetry_score == 0
-    assert all(symmetry.score == 0 for symmetry in none.symmetries)
+    assert all(symmetry.score == 0 for symmetry in none.seen.symmetries)
     given = choose_symmetries(
         Believer(), LOOK, tokens, ends_in_plane=True, mirror_plane=MirrorPlane(30.0, 0.1)
     )
-    angle, offset = plane_of(given.symmetries[0])
+    angle, offset = plane_of(given.seen.symmetries[0])
     assert math.degrees(angle) == pytest.approx(30.0, abs=1e-4)
     assert offset == pytest.approx(0.1, abs=1e-6)
     assert given.symmetry_score == 1
-    assert given.symmetries[0].score > 0
+    assert given.seen.symmetries[0].score > 0
 
 
 class Doubter(torch.nn.Module):
@@ -143,10 +152,10 @@ def test_no_copy_is_shown_where_every_copy_leaves_the_network_in_doubt():
     assert score_planes(Doubter(), LOOK, tokens, ends_in_plane=False).none_is_surest
     open_part = choose_symmetries(Doubter(), LOOK, tokens, ends_in_plane=False)
     assert open_part.symmetry_score == 0
-    assert all(symmetry.score == 0 for symmetry in open_part.symmetries)
+    assert all(symmetry.score == 0 for symmetry in open_part.seen.symmetries)
     # What lies beyond a cut is missing, however sure the network is of P.
     cut_part = choose_symmetries(Doubter(), LOOK, tokens, ends_in_plane=True)
-    assert cut_part.symmetries[0].score > 0
+    assert cut_part.seen.symmetries[0].score > 0
 
 
 def test_of_parts_that_end_in_no_plane_the_surest_answer_wins():

@@ -27,6 +27,7 @@ from torch import Tensor
 from gscomplete.errors import UserError
 from gscomplete.framing.cut_plane import find_cut
 from gscomplete.framing.extent import is_closed
+from gscomplete.networks.precision import Precision, is_bfloat16, multiplies_bytes
 from gscomplete.priors.base import Conditioning, FirstGuess, FourViews, Guidance, PriorViews
 from gscomplete.priors.embedded.conditioning import EmbeddedConditioning, about_partial
 from gscomplete.priors.embedded.diffusion import (
@@ -37,14 +38,15 @@ from gscomplete.priors.embedded.diffusion import (
     x0_from_v,
 )
 from gscomplete.priors.embedded.inputs import images_to_color_alpha, input_map, network_images
+from gscomplete.priors.embedded.int8 import in_bytes as denoiser_in_bytes
 from gscomplete.priors.embedded.model import INPUT_CHANNELS, VIEWS, FourViewDenoiser
-from gscomplete.priors.embedded.precision import Precision, is_bfloat16, multiplies_bytes
 from gscomplete.priors.embedded.rays import ring_numbers
 from gscomplete.priors.embedded.text import Tokenizer, understood_by
 from gscomplete.priors.embedded.weights import PriorConfig, read_weights, weights_digest
 from gscomplete.shape.assemble import mirror_plane_of
 from gscomplete.shape.bank.store import BANK_FILE
 from gscomplete.shape.guess import Asked, KnownShapes, guess_complete
+from gscomplete.shape.int8 import in_bytes as shape_in_bytes
 from gscomplete.shape.mirror_plane import ChosenMirror, Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter
 from gscomplete.shape.partial_voxels import voxelize_partial
@@ -110,25 +112,27 @@ class EmbeddedPrior:
             device: where it runs.
             precision: of the network; ``int8`` = residual blocks in 8 bits and the rest in
                 bfloat16, on the CPU; ``auto`` = the fastest that the hardware has.
-            shape: in evaluation mode; None = no first guess of the complete object.
+            shape: in evaluation mode, for this prior alone, which may put it into 8 bits; None = no
+                first guess of the complete object.
             bank: file of known shapes; None = none is known.
         """
         self.views: PriorViews = config.views
         self._device = torch.device(device)
         self._given_model = model
         self._bank = bank
-        self._shape = shape  # always on the CPU: one pass of a second
         self._tokenizer = Tokenizer(config.words, config.model.text_length)
         words = config.words if config.shape is None else config.shape.words
         self._shape_tokenizer = Tokenizer(words, config.model.text_length)
         self._bfloat16 = is_bfloat16(precision, self._device)
-        self._int8 = precision == "int8" or (
-            precision == "auto"
-            and self._device.type == "cpu"
-            and self._bfloat16
-            and multiplies_bytes()
+        on_cpu = torch.device("cpu")  # where the shape network is always: one pass of a second
+        self._shape_bfloat16 = is_bfloat16(precision, on_cpu)
+        in_8_bits = precision == "int8" or (
+            precision == "auto" and self._shape_bfloat16 and multiplies_bytes()
         )
-        self._shape_bfloat16 = is_bfloat16(precision, torch.device("cpu"))
+        self._int8 = in_8_bits and self._device.type == "cpu"
+        self._shape = shape
+        if shape is not None and in_8_bits:
+            self._shape = shape_in_bytes(shape)
         if self._device.type != "cpu":
             _ = self._model  # a device that cannot be used is told before anything else is done
 
@@ -157,9 +161,7 @@ class EmbeddedPrior:
         given = self._given_model
         model = given if isinstance(given, FourViewDenoiser) else given()
         if self._int8:
-            from gscomplete.priors.embedded.int8 import in_bytes
-
-            return in_bytes(copy.deepcopy(model))
+            return denoiser_in_bytes(copy.deepcopy(model))
         return model.to(self._device)
 
     def default_guidance(self, *, sees_input: bool) -> Guidance:

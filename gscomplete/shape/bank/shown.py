@@ -11,10 +11,10 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from gscomplete.shape.ask import mean_answer
 from gscomplete.shape.bank.fit import FittedShape
 from gscomplete.shape.network import ShapeCompleter
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs
-from gscomplete.shape.predict import predict_occupancy
 
 _ORIENTATIONS = 2
 """In which the network is asked with each known shape (``predict.ORIENTATIONS`` without)."""
@@ -58,9 +58,7 @@ def occupancy_by_shapes(
     shown = []
     for shape in shapes:
         given = voxels.with_shape(seen, shape.points)
-        answer = predict_occupancy(
-            model, given, tokens, orientations=_ORIENTATIONS, bfloat16=bfloat16
-        )
+        answer = mean_answer(model, given, tokens, orientations=_ORIENTATIONS, bfloat16=bfloat16)
         shown.append(answer.occupancy)
     counting = answers_that_count(shown, plain, shapes_alone=shapes_alone)
     return torch.stack(counting).mean(dim=0) if counting else None

@@ -20,8 +20,8 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from gscomplete.networks.precision import cpu_precision
 from gscomplete.shape.evidence import Evidence
-from gscomplete.shape.network import cpu_precision
 from gscomplete.shape.partial_voxels import PartialVoxels
 from gscomplete.shape.planes.coarse_scorer import CoarseSymmetryScorer, packaged_coarse_scorer
 from gscomplete.shape.planes.features import (

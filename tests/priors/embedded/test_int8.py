@@ -4,17 +4,14 @@ import numba
 import pytest
 import torch
 import torch.nn.functional as F
-from torch import nn
 
+from gscomplete.networks.precision import multiplies_bytes
 from gscomplete.priors.embedded.int8 import (
-    ByteConvolution,
     ByteCopies,
     attention,
     in_bytes,
-    normalised_silu,
 )
 from gscomplete.priors.embedded.model import CopiesConvolution, fold_cells, symmetric_copies
-from gscomplete.priors.embedded.precision import multiplies_bytes
 from gscomplete.priors.embedded.prior import packaged_weights
 from gscomplete.priors.embedded.weights import read_weights
 from tests.builders.tiny_denoiser import tiny_model
@@ -23,58 +20,6 @@ from tests.priors.embedded.test_model import inputs
 pytestmark = pytest.mark.skipif(
     not multiplies_bytes(), reason="the processor does not multiply bytes itself"
 )
-CHANNELS_LAST = torch.channels_last
-
-
-def features(*shape, seed=0):
-    g = torch.Generator().manual_seed(seed)
-    offsets = 3 * torch.randn(shape[1], 1, 1, generator=g)
-    return (torch.randn(shape, generator=g) + offsets).contiguous(memory_format=CHANNELS_LAST)
-
-
-@pytest.mark.parametrize("modulated", [False, True])
-@pytest.mark.parametrize("shape", [(4, 16, 8, 8), (4, 64, 16, 16), (8, 48, 5, 3)])
-def test_normalised_features_are_within_half_a_step(shape, modulated):
-    x, norm = features(*shape), nn.GroupNorm(4, shape[1]).requires_grad_(False)
-    norm.weight.uniform_(0.5, 2.0)
-    norm.bias.uniform_(-1.0, 1.0)
-    film = None
-    twin = F.group_norm(x.double(), 4, norm.weight.double(), norm.bias.double())
-    if modulated:
-        film = torch.rand(shape[:2]) - 0.3, torch.randn(shape[:2])
-        twin = twin * film[0].double()[..., None, None] + film[1].double()[..., None, None]
-    values, step, zero = normalised_silu(x, norm, film)
-    assert values.is_contiguous(memory_format=CHANNELS_LAST)
-    error = (values.double() - zero) * step - F.silu(twin)
-    # half a step for a value's rounding; sums, exponentials and zero's rounding in float32
-    assert float(error.abs().max()) <= 0.51 * step
-    assert step <= 1.01 * float(F.silu(twin).max() + 0.2785) / 255
-
-
-def test_features_of_zeros_and_of_one_large_value_are_kept():
-    norm = nn.GroupNorm(1, 4, affine=True).requires_grad_(False)
-    values, step, zero = normalised_silu(torch.zeros(1, 4, 4, 4), norm)
-    assert float(((values.double() - zero) * step).abs().max()) <= step
-    spike = torch.zeros(1, 4, 4, 4).contiguous(memory_format=CHANNELS_LAST)
-    spike[0, 2, 1, 1] = 1e6
-    values, step, zero = normalised_silu(spike, norm)
-    assert values.max() == 255
-    assert abs((255 - zero) * step - float(F.group_norm(spike.double(), 1).max())) < 0.51 * step
-
-
-@pytest.mark.parametrize("zero", [0, 9, 127])
-def test_a_convolution_of_bytes_is_that_of_what_they_stand_for(zero):
-    given = nn.Conv2d(20, 24, 3, padding=1).requires_grad_(False)
-    codes = torch.randint(-127, 128, given.weight.shape)
-    codes[:, 0, 0, 0] = 127
-    scales = torch.rand(24, 1, 1, 1) / 127
-    given.weight.copy_(codes * scales)
-    values = torch.randint(0, 256, (4, 20, 7, 7), dtype=torch.uint8)
-    answer = ByteConvolution(given)(values.contiguous(memory_format=CHANNELS_LAST), 0.01, zero)
-    meant = (values.double() - zero) * 0.01
-    expected = F.conv2d(meant, (codes * scales).double(), given.bias.double(), padding=1)
-    # sums of integers are exact; their scaling is in float32
-    torch.testing.assert_close(answer.double(), expected, rtol=1e-5, atol=1e-5)
 
 
 def test_copies_are_shown_in_steps_of_a_127th():

@@ -172,7 +172,7 @@ def test_the_shape_network_runs_in_the_precision_of_the_cpu(monkeypatch):
     """Wherever the denoiser is: emulated bfloat16 is many times slower than float32."""
     answers = {"cpu": False, "meta": True}
     monkeypatch.setattr(
-        "gscomplete.priors.embedded.precision.multiplies_bfloat16",
+        "gscomplete.networks.precision.multiplies_bfloat16",
         lambda device: answers[device.type],
     )
     prior = EmbeddedPrior(tiny_model(), tiny_config(), "meta")

@@ -1,7 +1,8 @@
-"""In which numbers the embedded prior's networks run, by what the device multiplies itself."""
+"""In which numbers networks run, by what the device multiplies itself."""
 
 from __future__ import annotations
 
+import contextlib
 from typing import Literal
 
 import torch
@@ -28,5 +29,13 @@ def multiplies_bytes() -> bool:
     return (
         torch.backends.mkldnn.is_available()
         and bool(getattr(torch.cpu, "_is_vnni_supported", bool)())
-        and hasattr(torch.ops.onednn, "qconv2d_pointwise")
+        and hasattr(torch.ops.onednn, "qconv3d_pointwise")
     )
+
+
+def cpu_precision(*, bfloat16: bool) -> contextlib.AbstractContextManager[None]:
+    """Return the context that a network runs in on the CPU."""
+    context: contextlib.AbstractContextManager[None] = torch.autocast(
+        "cpu", torch.bfloat16, enabled=bfloat16
+    )
+    return context

@@ -1,0 +1,113 @@
+"""Questions to the shape network about one object, in one orientation or averaged over some.
+
+Conventions
+-----------
+* The network is not told which way an object faces, so the same object turned by quarter turns
+  about z, or mirrored, should get the same answer. The mean of a few answers, carried back, is
+  better than any one of them. (Frames moved by half a cell or more are not: thin parts blur.)
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from gscomplete.networks.precision import cpu_precision
+from gscomplete.shape.network import ShapeCompleter, ShapeOutput
+from gscomplete.shape.partial_voxels import ShapeInputs
+
+ORIENTATIONS = 2
+"""Of the eight, which are four quarter turns, each mirrored or not. All eight are no better."""
+
+
+@torch.no_grad()
+def ask(
+    model: ShapeCompleter,
+    seen: ShapeInputs,
+    tokens: Tensor,  # [L]
+    orientation: int = 0,  # of the eight
+    *,
+    bfloat16: bool = False,
+) -> ShapeOutput:
+    """Ask the network about one object in one orientation.
+
+    Args:
+        model: in evaluation mode, on the CPU.
+        seen: what it is given.
+        tokens: the prompt.
+        orientation: in which it is given; the answer is turned back.
+        bfloat16: precision of the network.
+
+    Returns:
+        The answer for a batch of one.
+    """
+    volumes = torch.from_numpy(seen.volumes)[None]
+    evidence = torch.from_numpy(seen.evidence)[None]
+    scores = torch.from_numpy(seen.scores)[None]
+    return answer_in(model, volumes, evidence, scores, tokens[None], orientation, bfloat16=bfloat16)
+
+
+def mean_answer(
+    model: ShapeCompleter,
+    seen: ShapeInputs,
+    tokens: Tensor,  # [L]
+    *,
+    first: ShapeOutput | None = None,
+    orientations: int = ORIENTATIONS,
+    bfloat16: bool = False,
+) -> ShapeOutput:
+    """Ask the network about one object in some orientations; arguments as of :func:`ask`.
+
+    Args:
+        model: the network.
+        seen: what it is given.
+        tokens: the prompt.
+        first: its answer in the first orientation, where that is known already.
+        orientations: how many of the eight are asked and averaged.
+        bfloat16: precision of the network.
+
+    Returns:
+        The answer for a batch of one.
+    """
+    known = [] if first is None else [first]
+    asked = range(len(known), orientations)
+    return mean_of(known + [ask(model, seen, tokens, o, bfloat16=bfloat16) for o in asked])
+
+
+def mean_of(answers: list[ShapeOutput]) -> ShapeOutput:
+    """Average answers, in their order."""
+    parts = [
+        sum(columns[1:], start=columns[0]) / len(answers)
+        for columns in zip(*((a.occupancy, a.colors, a.sources) for a in answers), strict=True)
+    ]
+    return ShapeOutput(*parts)
+
+
+def answer_in(
+    model: ShapeCompleter,
+    volumes: Tensor,  # [B, SOURCES, 4, C, C, C]
+    evidence: Tensor,  # [B, 3, C/2, C/2, C/2]
+    scores: Tensor,  # [B, COPIES]
+    tokens: Tensor,  # [B, L]
+    orientation: int,  # of the eight
+    *,
+    bfloat16: bool,
+) -> ShapeOutput:
+    """Ask the network about objects in one orientation, and turn the answer back."""
+    turns, mirror = orientation % 4, orientation >= 4
+    with cpu_precision(bfloat16=bfloat16):
+        out = model(turned(volumes, turns, mirror), turned(evidence, turns, mirror), scores, tokens)
+    parts = (out.occupancy, out.colors, out.sources)
+    return ShapeOutput(*(turned_back(part.float(), turns, mirror) for part in parts))
+
+
+def turned(volume: Tensor, turns: int, mirror: bool) -> Tensor:  # [..., x, y, z]
+    """Turn a volume by quarter turns about z, then mirror x."""
+    volume = torch.rot90(volume, turns, dims=(-3, -2))
+    return volume.flip(-3) if mirror else volume
+
+
+def turned_back(volume: Tensor, turns: int, mirror: bool) -> Tensor:  # [..., x, y, z]
+    """Undo :func:`turned`."""
+    volume = volume.flip(-3) if mirror else volume
+    return torch.rot90(volume, -turns, dims=(-3, -2))

@@ -1,0 +1,42 @@
+"""The shape network for processors that multiply bytes in hardware: blocks in 8 bits.
+
+Convolutions of residual blocks are of bytes (``networks.byte_convolution``), everything else is in
+bfloat16, as autocast has it.
+"""
+
+from __future__ import annotations
+
+from torch import Tensor, nn
+
+from gscomplete.networks.byte_convolution import ByteConvolution, normalised_silu
+from gscomplete.shape.network import Level, ResidualBlock, ShapeCompleter
+
+
+class ByteBlock(nn.Module):
+    """A residual block whose convolutions are of bytes."""
+
+    def __init__(self, block: ResidualBlock) -> None:
+        super().__init__()
+        self.norm_in, self.norm_out = block.norm_in, block.norm_out
+        self.modulation = block.modulation
+        self._conv_in = ByteConvolution(block.conv_in)
+        self._conv_out = ByteConvolution(block.conv_out)
+
+    def forward(self, x: Tensor, embedding: Tensor) -> Tensor:  # [B, C, n, n, n], [B, E]
+        """Return the features after the block, float32."""
+        x = x.float()
+        scale, shift = self.modulation(embedding).float().chunk(2, dim=1)
+        h = self._conv_in(*normalised_silu(x, self.norm_in))
+        h = self._conv_out(*normalised_silu(h, self.norm_out, (1 + scale, shift.contiguous())))
+        return h.add_(x)
+
+
+def in_bytes(model: ShapeCompleter) -> ShapeCompleter:
+    """Put a shape network into 8 bits, in place; autocast has to be on when it is asked."""
+    model.requires_grad_(False)
+    for module in list(model.modules()):
+        if isinstance(module, Level):
+            for index, block in enumerate(module):
+                assert isinstance(block, ResidualBlock)
+                module[index] = ByteBlock(block)
+    return model
