@@ -133,7 +133,10 @@ def assemble_splats(
     if copies is None or contradicted is None or not len(copies):
         level = _surface_logit(prediction, settings)
         near = settings.near_partial
-        plain = SurfaceSettings(settings.count, near_partial=near, filled_logit=level)
+        doubted = prediction.symmetry_score < 1.0  # users and square cuts are taken at their word
+        plain = SurfaceSettings(
+            settings.count, near_partial=near, filled_logit=level, rim_decides=doubted
+        )
         surface = surface_splats(prediction.output, prediction.seen, partial, plain, generator)
         return AssembledSplats(surface, 0)
     beside = SurfaceSettings(

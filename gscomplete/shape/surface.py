@@ -19,7 +19,7 @@ import torch.nn.functional as F
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from gscomplete.shape.colors import nearest_colors, source_colors
+from gscomplete.shape.colors import checked_by_rim, nearest_colors, source_colors
 from gscomplete.shape.network import ShapeOutput
 from gscomplete.shape.partial_voxels import ShapeInputs
 from gscomplete.shape.voxels import CELL_SIDE, HALF_SIDE, grown, sample_volume
@@ -71,6 +71,8 @@ class SurfaceSettings:
     filled_logit: float = -1.0
     """Cells with at least this logit count as filled; ``assemble.AssembleSettings`` says from
     which on for complete objects."""
+    rim_decides: bool = False
+    """Whether colours that are unlike those at P's rim give way to them."""
 
 
 def surface_splats(
@@ -103,6 +105,8 @@ def surface_splats(
     points = on_copies(points, normals, anchor.means, inputs)
     if mirrored is None:
         colors = source_colors(output, inputs, partial, points, generator)
+        if settings.rim_decides:
+            colors = checked_by_rim(colors, points, normals, partial, generator)
     else:
         colored = concatenate([partial.with_sh_degree(0), mirrored])
         colors = nearest_colors(colored, points, normals, generator)
