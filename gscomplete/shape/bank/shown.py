@@ -17,7 +17,7 @@ from gscomplete.shape.network import ShapeCompleter
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs
 
 _ORIENTATIONS = 2
-"""In which the network is asked with each known shape (``predict.ORIENTATIONS`` without)."""
+"""In which the network is asked with each known shape (``ask.ORIENTATIONS`` without)."""
 _LEAST_AGREEMENT = 0.45
 """Of the answers to known shapes among themselves (IoU of filled cells) ..."""
 _LEAST_LEAD = 0.08

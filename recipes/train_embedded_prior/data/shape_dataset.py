@@ -23,11 +23,11 @@ from torch import Tensor
 
 from gscomplete.framing.guess import FramingSettings, guess_framing
 from gscomplete.priors.embedded.text import Tokenizer
+from gscomplete.shape.ask import turned
 from gscomplete.shape.partial_voxels import ShapeInputs, voxelize_partial
 from gscomplete.shape.planes.coarse_scorer import packaged_coarse_scorer
 from gscomplete.shape.planes.fine_scorer import packaged_fine_scorer
 from gscomplete.shape.planes.proposals import candidate_planes
-from gscomplete.shape.predict import turned
 from gscomplete.shape.symmetry import (
     COPIES,
     SOURCES,
