@@ -29,7 +29,7 @@ from tests.builders.commands import SAMPLE
 ROOT = Path(gscomplete.__file__).parents[1]
 READ_INSIDE = ("gscomplete.cli", "gscomplete.completion", "gscomplete.framing")
 ENTERED = ("gscomplete.priors", "gscomplete.shape", "gscomplete.completion.preserve")
-MOST_VISITS, MOST_RETURNS = 26, 8
+MOST_VISITS, MOST_RETURNS = 25, 8
 
 LEVELS = (
     ("errors",),

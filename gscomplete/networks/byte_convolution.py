@@ -53,7 +53,7 @@ _LARGEST_POWER = np.float32(16.0)
 def _norm_lines(
     first: int,
     last: int,
-    features: Any,  # [N, hw, C] float32
+    features: Any,  # [N, cells, C] float32
     weight: Any,  # [C] float32, and so the bias
     bias: Any,
     factors: Any,  # [N, C] float32, and so the terms: what modulates the normalised features
@@ -174,7 +174,7 @@ def normalised_silu(
         factors, terms = (part.numpy() for part in film)
     run_kernel(
         _norm_lines, items, 1 + _SMALL_FEATURES // values[0].size,
-        values, norm.weight.numpy(), norm.bias.numpy(), factors, terms,
+        values, norm.weight.detach().numpy(), norm.bias.detach().numpy(), factors, terms,
         norm.num_groups, norm.eps, scale, shift, tops,
     )  # fmt: skip
     top = float(tops.max())

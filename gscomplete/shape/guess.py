@@ -4,7 +4,7 @@ The network is asked (``predict``). Where P is not to be mirrored, known shapes 
 are fitted to it (``bank.fit``), and the network is asked again with them (``bank.shown``), in the
 object frame or in one that has room for them (``bank.wider``). The answer becomes splats
 (``assemble``). Where the user lets the prompt decide, the known shape that suits P best is the
-answer itself (``bank.as_answer``), in the colour that the prompt names (``prompt_colors``).
+answer itself (``bank.as_answer``), in the colour that the prompt names (``colors.prompt``).
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ from gscomplete.shape.bank.wider import (
     views_in,
     wider_from_object,
 )
+from gscomplete.shape.colors.prompt import with_prompt_color
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter
 from gscomplete.shape.predict import Prediction, predict
-from gscomplete.shape.prompt_colors import with_prompt_color
 from gscomplete.splats import Splats
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.util.stages import stage

@@ -31,12 +31,24 @@ class ByteBlock(nn.Module):
         return h.add_(x)
 
 
-def in_bytes(model: ShapeCompleter) -> ShapeCompleter:
-    """Put a shape network into 8 bits, in place; autocast has to be on when it is asked."""
-    model.requires_grad_(False)
-    for module in list(model.modules()):
-        if isinstance(module, Level):
-            for index, block in enumerate(module):
-                assert isinstance(block, ResidualBlock)
-                module[index] = ByteBlock(block)
-    return model
+class ByteShapeCompleter(ShapeCompleter):
+    """A shape network in 8 bits; autocast has to be on, and gradients off, when it is asked."""
+
+    def __init__(self, given: ShapeCompleter) -> None:
+        """Share all but the residual blocks with one in floats, which stays as it is."""
+        nn.Module.__init__(self)
+        self.config = given.config
+        for name, part in given.named_children():
+            self.add_module(name, part)
+        self.register_buffer("place", given.place, persistent=False)
+        self.down, self.up = _in_bytes(given.down), _in_bytes(given.up)
+        self.eval()
+
+
+def _in_bytes(levels: nn.ModuleList) -> nn.ModuleList:
+    """Return levels whose blocks are of bytes."""
+    found = nn.ModuleList()
+    for level in levels:
+        assert isinstance(level, Level)
+        found.append(Level(ByteBlock(b) for b in level if isinstance(b, ResidualBlock)))
+    return found

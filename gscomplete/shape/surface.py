@@ -19,7 +19,8 @@ import torch.nn.functional as F
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from gscomplete.shape.colors import checked_by_rim, nearest_colors, source_colors
+from gscomplete.shape.colors.rim import checked_by_rim
+from gscomplete.shape.colors.sources import nearest_colors, source_colors
 from gscomplete.shape.network import ShapeOutput
 from gscomplete.shape.partial_voxels import ShapeInputs
 from gscomplete.shape.voxels import CELL_SIDE, HALF_SIDE, grown, sample_volume

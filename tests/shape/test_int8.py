@@ -1,6 +1,5 @@
 """The shape network in 8 bits against the same one in float32."""
 
-import numba
 import pytest
 import torch
 
@@ -8,10 +7,11 @@ from gscomplete.networks.precision import multiplies_bytes
 from gscomplete.priors.embedded.prior import packaged_weights
 from gscomplete.priors.embedded.weights import read_weights
 from gscomplete.shape.ask import ask
-from gscomplete.shape.int8 import in_bytes
+from gscomplete.shape.int8 import ByteShapeCompleter
 from gscomplete.views import ViewDistribution
 from tests.builders.objects import ball, half
 from tests.builders.shape_network import likeliest_inputs, tiny_network
+from tests.builders.threads import each_thread_count
 
 pytestmark = pytest.mark.skipif(
     not multiplies_bytes(), reason="the processor does not multiply bytes itself"
@@ -23,7 +23,7 @@ def test_the_packaged_network_in_bytes_is_close_to_float32():
     seen = likeliest_inputs(half(ball()), ViewDistribution(0.0, 10.0))
     stored = read_weights(packaged_weights())
     expected = ask(stored.shape(), seen, TOKENS)
-    found = ask(in_bytes(stored.shape()), seen, TOKENS, bfloat16=True)
+    found = ask(ByteShapeCompleter(stored.shape()), seen, TOKENS, bfloat16=True)
     error = (found.occupancy - expected.occupancy).square().mean().sqrt()
     assert float(error / expected.occupancy.std()) < 0.04  # measured: 0.01 to 0.026
     filled, meant = found.occupancy > 0, expected.occupancy > 0
@@ -32,15 +32,6 @@ def test_the_packaged_network_in_bytes_is_close_to_float32():
 
 def test_answers_do_not_depend_on_threads():
     seen, model = likeliest_inputs(half(ball()), ViewDistribution(0.0, 10.0)), tiny_network()
-    fast = in_bytes(model)
-    threads = torch.get_num_threads(), numba.get_num_threads()
-    answers = []
-    try:
-        for count in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
-            torch.set_num_threads(count)
-            numba.set_num_threads(count)
-            answers.append(ask(fast, seen, TOKENS, bfloat16=True).occupancy)
-    finally:
-        torch.set_num_threads(threads[0])
-        numba.set_num_threads(threads[1])
+    fast = ByteShapeCompleter(model)
+    answers = [ask(fast, seen, TOKENS, bfloat16=True).occupancy for _ in each_thread_count()]
     assert torch.equal(*answers)

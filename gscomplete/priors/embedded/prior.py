@@ -7,8 +7,8 @@ Conventions
 * P may be withheld (text-only mode), and a known shape of the noun shown instead
   (``conditioning``); guidance pulls towards P and towards the text with separate scales
   (``diffusion.guided_x0``).
-* The network runs in 8 bits and bfloat16 (``int8``) or in bfloat16 where the processor multiplies
-  them in hardware, else in float32; schedules and losses are always float32.
+* Networks run in 8 bits and bfloat16 (``int8``) or in bfloat16 where the processor multiplies them
+  in hardware, else in float32; schedules and losses are always float32.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from gscomplete.priors.embedded.diffusion import (
     x0_from_v,
 )
 from gscomplete.priors.embedded.inputs import images_to_color_alpha, input_map, network_images
-from gscomplete.priors.embedded.int8 import in_bytes as denoiser_in_bytes
+from gscomplete.priors.embedded.int8 import in_bytes
 from gscomplete.priors.embedded.model import INPUT_CHANNELS, VIEWS, FourViewDenoiser
 from gscomplete.priors.embedded.rays import ring_numbers
 from gscomplete.priors.embedded.text import Tokenizer, understood_by
@@ -46,7 +46,7 @@ from gscomplete.priors.embedded.weights import PriorConfig, read_weights, weight
 from gscomplete.shape.assemble import mirror_plane_of
 from gscomplete.shape.bank.store import BANK_FILE
 from gscomplete.shape.guess import Asked, KnownShapes, guess_complete
-from gscomplete.shape.int8 import in_bytes as shape_in_bytes
+from gscomplete.shape.int8 import ByteShapeCompleter
 from gscomplete.shape.mirror_plane import ChosenMirror, Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter
 from gscomplete.shape.partial_voxels import voxelize_partial
@@ -110,10 +110,9 @@ class EmbeddedPrior:
             model: in evaluation mode, or what makes it when it is first asked.
             config: what goes with it.
             device: where it runs.
-            precision: of the network; ``int8`` = residual blocks in 8 bits and the rest in
+            precision: of the networks; ``int8`` = residual blocks in 8 bits and the rest in
                 bfloat16, on the CPU; ``auto`` = the fastest that the hardware has.
-            shape: in evaluation mode, for this prior alone, which may put it into 8 bits; None = no
-                first guess of the complete object.
+            shape: in evaluation mode; None = no first guess of the complete object.
             bank: file of known shapes; None = none is known.
         """
         self.views: PriorViews = config.views
@@ -132,7 +131,7 @@ class EmbeddedPrior:
         self._int8 = in_8_bits and self._device.type == "cpu"
         self._shape = shape
         if shape is not None and in_8_bits:
-            self._shape = shape_in_bytes(shape)
+            self._shape = ByteShapeCompleter(shape)
         if self._device.type != "cpu":
             _ = self._model  # a device that cannot be used is told before anything else is done
 
@@ -161,7 +160,7 @@ class EmbeddedPrior:
         given = self._given_model
         model = given if isinstance(given, FourViewDenoiser) else given()
         if self._int8:
-            return denoiser_in_bytes(copy.deepcopy(model))
+            return in_bytes(copy.deepcopy(model))
         return model.to(self._device)
 
     def default_guidance(self, *, sees_input: bool) -> Guidance:

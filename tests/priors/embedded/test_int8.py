@@ -1,6 +1,5 @@
 """Blocks in 8 bits against float64 twins of what they compute."""
 
-import numba
 import pytest
 import torch
 import torch.nn.functional as F
@@ -14,6 +13,7 @@ from gscomplete.priors.embedded.int8 import (
 from gscomplete.priors.embedded.model import CopiesConvolution, fold_cells, symmetric_copies
 from gscomplete.priors.embedded.prior import packaged_weights
 from gscomplete.priors.embedded.weights import read_weights
+from tests.builders.threads import each_thread_count
 from tests.builders.tiny_denoiser import tiny_model
 from tests.priors.embedded.test_model import inputs
 
@@ -67,17 +67,10 @@ def test_the_packaged_denoiser_in_bytes_is_close_to_float32():
 @torch.no_grad()
 def test_bytes_do_not_depend_on_threads_or_on_what_was_asked_before():
     given, fast = inputs(), in_bytes(tiny_model())
-    threads = torch.get_num_threads(), numba.get_num_threads()
     answers = []
-    try:
-        for count in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
-            torch.set_num_threads(count)
-            numba.set_num_threads(count)
-            with torch.autocast("cpu", torch.bfloat16):
-                answers.append(fast(*given))
-                other = fast(*given[:5], given[5].flip(0))
-        assert torch.equal(answers[0], answers[1])
-        assert not torch.equal(answers[0], other)
-    finally:
-        torch.set_num_threads(threads[0])
-        numba.set_num_threads(threads[1])
+    for _ in each_thread_count():
+        with torch.autocast("cpu", torch.bfloat16):
+            answers.append(fast(*given))
+            other = fast(*given[:5], given[5].flip(0))
+    assert torch.equal(answers[0], answers[1])
+    assert not torch.equal(answers[0], other)

@@ -1,26 +1,18 @@
-"""Colours of new splats: taken from P and its mirror images, where the network points.
+"""Colours that mirror images give, checked against those at P's rim, carried round the object.
 
-Where mirrored splats are used as they are, gaps beside them take the nearest colours instead.
-
-A mirror image shows again what an object has once: a face, a label, a lens. So its colours are
-checked against those at P's rim, carried round the object (``checked_by_rim``): where the two are
-unlike each other on average about a splat, the rim's count. They are the shares that P's main
+A mirror image shows again what an object has once: a face, a label, a lens. Where its colours are
+unlike the rim's on average about a splat, the rim's count. They are the shares that P's main
 colours have at the rim, spread over the surface as heat is (Laplace's equation on a graph of
 neighbouring splats) and sharpened, so that what is black below and white above stays so.
 
-The network also has a colour of its own to mix in, which training needs (without it, colours that
-P does not show would push the pointing astray); mixed into a picture it appears as dirt beside P's
-colours, and so does a mean of two patterns. So new splats take the colour of one source.
-
 Conventions
 -----------
-* Sources are P and its mirror images, in the order of ``partial_voxels``; colours in [0, 1].
+* Colours are sRGB in [0, 1], lengths in object sizes. Arithmetic is float64.
 """
 
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -31,31 +23,19 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from gscomplete.shape.network import ShapeOutput
-from gscomplete.shape.partial_voxels import ShapeInputs
-from gscomplete.shape.symmetry import SOURCES
-from gscomplete.shape.voxels import CELL_SIDE, sample_volume
+from gscomplete.shape.voxels import CELL_SIDE
 from gscomplete.splats import Splats
 from gscomplete.splats.filters import thinned
 from gscomplete.splats.oklab import oklab_from_srgb
 
-_SHARPNESS = 8.0
-"""Factor on the network's logits: mixing happens only where sources change."""
-_NO_SHARE = 3.0
-"""Logits behind another source at which a source's share is below float32's last digit."""
-_PREFERENCE = 1.0
-"""What each mirror image is behind the likelier one before it, in logits: where the network
-cannot tell two of them apart, a mean of both is the one colour that is surely wrong."""
 _NEIGHBOURS = 8
-"""A colour is a mean over this many splats of a source: scans are noisy."""
-_OUTWARD = 2.0 * CELL_SIDE
-"""So far outside new splats the nearest colours are searched: icing, not the dough under it."""
-
+"""Splats that a colour goes to directly."""
 _RIM_REACH = 0.05
 """Splats of P this near to new ones, across the surface, are P's rim."""
 _RIM_SPLATS = 20_000
 """Most splats of P among which the rim is looked for."""
 _MAIN_COLORS = 8
+"""Most of them."""
 _MOST_CLUSTERED = 4000
 """Colours at the rim that decide the main ones."""
 _SHARES_SHARPENED = 2.0
@@ -69,82 +49,6 @@ _ALIKE = 0.1
 _AVERAGED_STEPS = 20
 """Steps to neighbours over which that distance is averaged."""
 _TINY = 1e-6
-
-
-@dataclass(frozen=True, slots=True)
-class ColorSettings:
-    """How sources are chosen; lengths in object sizes."""
-
-    reach: float = 0.06
-    """A source counts in full where it has a splat this near; beyond it loses, the farther the
-    more, so that the nearest is taken where none is near."""
-    max_splats: int = 40_000
-    """Most splats of P searched."""
-    height_weight: float = 3.0
-    """How much farther away a splat counts for being higher or lower than for being beside: rims,
-    bands and stripes go round what stands upright, and go on round it. On most objects it makes no
-    difference; a striped lantern gains 1.9 dB."""
-
-
-_FAR_PENALTY = 3.0
-"""Logits lost per ``reach`` beyond it."""
-
-
-def source_colors(
-    output: ShapeOutput,
-    inputs: ShapeInputs,
-    partial: Splats,
-    points: Tensor,  # [N, 3]
-    generator: torch.Generator,
-    settings: ColorSettings | None = None,
-) -> Tensor:  # [N, 3]
-    """Return the colours of new splats at ``points``.
-
-    Args:
-        output: of the network for a batch of one.
-        inputs: what the network saw.
-        partial: P in the object frame.
-        points: where the new splats are.
-        generator: chooses the splats of P searched, if there are too many.
-        settings: knobs; None = defaults.
-    """
-    chosen = settings or ColorSettings()
-    known = _Known(partial, generator, chosen)
-    places = [points.numpy(), *(s.undo(points.numpy()) for s in inputs.symmetries)]
-    pointing = sample_volume(output.sources[0, :SOURCES].float(), points)
-    behind = _PREFERENCE * (torch.arange(SOURCES) - 1).clamp_min(0)
-    most = pointing - behind  # where a splat of the source is near
-    found = torch.zeros(len(points), SOURCES, 3)
-    logits = torch.full((len(points), SOURCES), -torch.inf)
-    for source, place in enumerate(places):
-        counts = most[:, source] > logits.amax(dim=1) - _NO_SHARE
-        color, distance = known.near(place[counts.numpy()])
-        found[counts, source] = color
-        beyond = (distance / chosen.reach - 1.0).clamp_min(0)
-        logits[counts, source] = pointing[counts, source] - _FAR_PENALTY * beyond - behind[source]
-    shares = (_SHARPNESS * logits).softmax(dim=1)
-    return (shares[:, :, None] * found).sum(dim=1)
-
-
-def nearest_colors(
-    colored: Splats,
-    points: Tensor,  # [N, 3]
-    normals: Tensor,  # [N, 3] outward
-    generator: torch.Generator,
-    settings: ColorSettings | None = None,
-) -> Tensor:  # [N, 3]
-    """Return the colours of what lies about ``points``, outer layers before inner ones.
-
-    Args:
-        colored: splats to take colours from, object frame.
-        points: where the new splats are.
-        normals: of the surface there.
-        generator: chooses the splats searched, if there are too many.
-        settings: knobs; None = defaults.
-    """
-    chosen = settings or ColorSettings()
-    outside = points + _OUTWARD * normals
-    return _Known(colored, generator, chosen).near(outside.numpy())[0]
 
 
 def checked_by_rim(
@@ -246,27 +150,3 @@ def _main_color(colors: NDArray[np.float64]) -> NDArray[np.intp]:  # [N, 3] Okla
         warnings.simplefilter("ignore", UserWarning)  # fewer clusters than asked for will do
         main, _ = kmeans2(some, count, iter=15, minit="++", seed=0)
     return np.asarray(cKDTree(main).query(colors)[1])
-
-
-class _Known:
-    """Splats that colours are taken from."""
-
-    def __init__(self, splats: Splats, generator: torch.Generator, settings: ColorSettings) -> None:
-        looked_at = thinned(splats, settings.max_splats, generator)
-        self._base = looked_at.base_colors.float().clamp(0, 1)
-        self._means = looked_at.means.float().numpy()
-        self._stretch = np.array([1.0, 1.0, settings.height_weight], np.float32)
-        self._tree = cKDTree(self._means * self._stretch)
-        self._nearest = range(1, min(_NEIGHBOURS, len(looked_at)) + 1)
-
-    def near(self, places: NDArray[np.float32]) -> tuple[Tensor, Tensor]:  # [N, 3] -> [N, 3], [N]
-        """Return the mean colour of the nearest splats, near ones first, and how far the first is.
-
-        Heights count ``height_weight`` times for which ones are near, once for how far it is.
-        """
-        distance, index = self._tree.query(places * self._stretch, k=self._nearest)
-        weight = torch.from_numpy(1.0 / (distance + 0.2 * CELL_SIDE) ** 2).float()
-        weight /= weight.sum(dim=1, keepdim=True)
-        color = (weight[:, :, None] * self._base[torch.from_numpy(index)]).sum(dim=1)
-        away = np.linalg.norm(places - self._means[index[:, 0]], axis=1)
-        return color, torch.from_numpy(away).float()

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from gscomplete.shape.prompt_colors import _HUES, with_prompt_color
+from gscomplete.shape.colors.prompt import _HUES, with_prompt_color
 from gscomplete.splats.oklab import oklab_from_srgb
 from tests.builders.objects import round_splats
 

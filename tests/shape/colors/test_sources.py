@@ -3,13 +3,8 @@ import dataclasses
 import pytest
 import torch
 
-from gscomplete.shape import colors
-from gscomplete.shape.colors import (
-    ColorSettings,
-    checked_by_rim,
-    nearest_colors,
-    source_colors,
-)
+from gscomplete.shape.colors import sources
+from gscomplete.shape.colors.sources import ColorSettings, nearest_colors, source_colors
 from gscomplete.shape.network import ShapeOutput
 from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.symmetry import SOURCES
@@ -68,7 +63,7 @@ def test_of_two_sources_trusted_alike_only_the_likelier_is_taken(monkeypatch):
     first, _ = colors_at(points, pointing_at(1))
     near = (both - first).abs().amax(dim=1) < 0.02
     assert float(near.float().mean()) > 0.9
-    monkeypatch.setattr(colors, "_PREFERENCE", 0.0)
+    monkeypatch.setattr(sources, "_PREFERENCE", 0.0)
     mixed, _ = colors_at(points, pointing_at(1, 3))
     assert float((mixed - first).abs().mean()) > float((both - first).abs().mean())
 
@@ -81,7 +76,7 @@ def test_sources_without_a_share_change_no_bit(monkeypatch):
     logits = 2.5 * torch.randn(output.sources.shape, generator=rng)
     output = dataclasses.replace(output, sources=logits)
     some, _ = colors_at(points, output)
-    monkeypatch.setattr(colors, "_NO_SHARE", torch.inf)
+    monkeypatch.setattr(sources, "_NO_SHARE", torch.inf)
     every, _ = colors_at(points, output)
     assert torch.equal(some, every)
 
@@ -113,7 +108,7 @@ def test_of_two_layers_the_outer_one_gives_its_colour_to_what_lies_between_them(
     shown, points = concatenate([white, outer]), inner.means * 1.02
     generator = torch.Generator().manual_seed(0)
     assert float(nearest_colors(shown, points, normals, generator).mean()) < 0.1
-    monkeypatch.setattr(colors, "_OUTWARD", 0.0)
+    monkeypatch.setattr(sources, "_OUTWARD", 0.0)
     assert float(nearest_colors(shown, points, normals, generator).mean()) > 0.6
 
 
@@ -146,42 +141,3 @@ def test_bands_go_on_round_what_stands_upright():
 
     kept, as_near = share_kept(ColorSettings()), share_kept(ColorSettings(height_weight=1.0))
     assert kept > as_near + 0.1
-
-
-def two_bands(points):
-    """Return white above and black below."""
-    return (points[:, 2:] > 0).float().expand(-1, 3)
-
-
-def checked(shown, partial, points, normals):
-    return checked_by_rim(shown, points, normals, partial, torch.Generator().manual_seed(0))
-
-
-def test_what_a_mirror_image_shows_again_gives_way_to_the_rim():
-    """Half a ball, white above and black below, whose far side a copy gives a red face."""
-    directions = torch.randn(6000, 3, generator=torch.Generator().manual_seed(0))
-    means = 0.4 * torch.nn.functional.normalize(directions, dim=1)
-    whole = round_splats(means, color=two_bands(means))
-    seen = whole.means[:, 0] > 0
-    partial, hidden = whole.select(seen), whole.means[~seen]
-    normals = torch.nn.functional.normalize(hidden, dim=1)
-    bands = two_bands(hidden)
-    away = hidden[:, 2].abs() > 0.1
-    assert float((checked(bands, partial, hidden, normals) - bands)[away].abs().mean()) < 0.02
-    face = (hidden - torch.tensor([-0.37, 0.0, 0.15])).norm(dim=1) < 0.1
-    shown = torch.where(face[:, None], torch.tensor([1.0, 0.0, 0.0]), bands)
-    found = checked(shown, partial, hidden, normals)
-    assert float((found - bands)[away & ~face].abs().mean()) < 0.04
-    assert float((found - bands)[face & away].abs().mean()) < 0.1  # of the copy: 0.67
-
-
-def test_what_no_rim_reaches_keeps_its_colours():
-    partial, points = half(ball()), hidden_points()
-    shown = torch.rand(len(points), 3)
-    normals = torch.nn.functional.normalize(points, dim=1)
-    away = points - torch.tensor([5.0, 0.0, 0.0])
-    assert torch.equal(checked(shown, partial, away, normals), shown)
-    assert torch.equal(checked(shown[:3], partial, points[:3], normals[:3]), shown[:3])
-    apart = torch.cat([points, away])
-    found = checked(shown.repeat(2, 1), partial, apart, normals.repeat(2, 1))
-    torch.testing.assert_close(found[len(points) :], shown)

@@ -1,0 +1,1 @@
+"""Colours of new splats: by the network's sources, by P's rim, by the prompt."""
