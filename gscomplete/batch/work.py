@@ -32,6 +32,7 @@ from gscomplete.batch import storage
 from gscomplete.batch.ledger import Row
 from gscomplete.batch.manifest import Item
 from gscomplete.errors import UserError
+from gscomplete.util.atomic import forget_leftovers
 from gscomplete.util.digests import sha256_of
 from gscomplete.util.file_names import OBJECT_FILE, PARTIAL_FILE, RUN_FILE, splat_stem
 from gscomplete.util.jsonio import read_json, write_json
@@ -172,15 +173,16 @@ def died(task: Task, attempts: int) -> Row:
 def _do(task: Task) -> tuple[bool, dict[str, Any]]:
     """Do one object; return whether it was done already, and what the ledger tells of it."""
     work = Path(task.work) / task.item.id
-    copies = work.with_name(f"{work.name}.input")
+    copies, begun = (work.with_name(f"{work.name}.{kind}") for kind in ("input", "json"))
+    forget_leftovers(begun.parent, [begun.name])  # of a worker that was killed
     source = _local_source(task.item.source, copies)
     inputs = {Path(path).name: sha256_of(local) for path, local in source.files.items()}
     record = {"schema": _SCHEMA, "version": 1, "inputs": inputs, "asked": task.key}
     result = _read_record(task.result)
     if result is not None and all(result.get(name) == value for name, value in record.items()):
+        begun.unlink(missing_ok=True)
         shutil.rmtree(copies, ignore_errors=True)
         return True, result.get("facts", {})
-    begun = work.with_name(f"{work.name}.json")
     facts = _finished_facts(begun, work, record)
     if facts is None:
         facts = _make(task, source.path, work, begun, record)

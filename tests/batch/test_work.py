@@ -95,6 +95,14 @@ def test_a_kill_after_publishing_costs_nothing(task, monkeypatch):
             do(task)
     assert do(task).status == "found"
     assert notes_of(task.job.notes) == {"a": ["begun"]}
+    assert leftovers(task) == []
+
+
+def test_what_a_kill_in_the_middle_of_a_record_leaves_goes(task):
+    Path(task.work, ".a.json.abcdefgh.json").write_text("{")
+    Path(task.work, ".b.json.abcdefgh.json").write_text("{")  # another worker's
+    assert do(task).status == "finished"
+    assert leftovers(task) == [".b.json.abcdefgh.json"]
 
 
 def exit_now() -> None:
