@@ -7,6 +7,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from gscomplete.cli.complete_options import CompleteOptions
+from gscomplete.cli.guard import without_collections
 from gscomplete.errors import UserError
 from gscomplete.priors.latent.settings import LatentPriorSettings
 
@@ -56,7 +57,7 @@ def _complete(options: CompleteOptions) -> int:
     """Load the prior, run, and say what came of it."""
     from gscomplete.util.stages import stage
 
-    with stage("load"):
+    with without_collections(), stage("load"):
         from gscomplete.cli.request import request_of
         from gscomplete.completion.run_folder import prepare
         from gscomplete.priors import load_prior
@@ -67,7 +68,8 @@ def _complete(options: CompleteOptions) -> int:
         render_device, fallback = choose_render_device(options.device, device)
         knobs = None if options.diffusion == LatentPriorSettings() else options.diffusion
         prior = load_prior(options.prior, device, knobs)
-    job = prepare(request_of(options, prior), prior, render_device)
+    with without_collections():  # a dozen libraries are loaded where they are first needed
+        job = prepare(request_of(options, prior), prior, render_device)
     _say(options, *job.notes, *([fallback] if fallback else []))
     if job.steps.step_number:
         _say(options, f"resuming at step {job.steps.step_number}")

@@ -23,7 +23,12 @@ from gscomplete.completion.alternatives import alternatives_sheet, guess_alterna
 from gscomplete.completion.optimise import Optimisation, StepReport
 from gscomplete.completion.pipeline import Completed, Prepared
 from gscomplete.errors import UserError
-from gscomplete.evaluate.pictures import preview_sheet, save_image, save_turntable
+from gscomplete.evaluate.pictures import (
+    draw_turntable,
+    preview_sheet,
+    save_image,
+    save_turntable,
+)
 from gscomplete.evaluate.report import evaluate
 from gscomplete.fitting.checkpoint import FILE_NAME, check_fits, load_checkpoint
 from gscomplete.fitting.finite import NonFiniteError
@@ -170,9 +175,10 @@ def execute(run: Run, on_step: Callable[[StepReport], None]) -> dict[str, Any]:
     title = run.request.completion.prompt
     with stage("pictures"):
         views = completed.views.to_show(together.means.double().numpy())
-        sheet = preview_sheet(completed.partial, together, views, title=title)
+        frames = draw_turntable(together, views)
+        sheet = preview_sheet(completed.partial, frames, views, title=title)
         save_image(sheet, out / "preview.png")
-        save_turntable(together, views, out / "turntable.webp")
+        save_turntable(frames, out / "turntable.webp")
     run.timings["pictures_s"] = time.perf_counter() - started
     started = time.perf_counter()
     with stage("alternatives"):

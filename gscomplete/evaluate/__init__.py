@@ -10,6 +10,7 @@ from gscomplete.evaluate.perceptual import Unavailable
 from gscomplete.evaluate.pictures import (
     TurntableSettings,
     contact_sheet,
+    draw_turntable,
     preview_sheet,
     render_images,
     save_image,
@@ -31,6 +32,7 @@ __all__ = [
     "Unavailable",
     "against_truth",
     "contact_sheet",
+    "draw_turntable",
     "evaluate",
     "preservation",
     "preview_sheet",

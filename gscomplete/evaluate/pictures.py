@@ -160,28 +160,28 @@ def contact_sheet(
 
 def preview_sheet(
     partial: Splats,
-    completed: Splats,
+    turntable: Sequence[Image.Image],
     views: ViewDistribution,
     *,
-    size_px: int = 256,
     title: str = "",
 ) -> Image.Image:
     """Show input and completion from the same six views, the input view c first.
 
     Args:
         partial: P in the object frame.
-        completed: O in the object frame.
+        turntable: pictures of O from evenly spaced views, c first (``draw_turntable``); their
+            number is a multiple of six.
         views: V with the input view c.
-        size_px: side of each of the twelve pictures.
         title: line above all, such as the prompt.
 
     Returns:
         Two rows of six pictures: input above completion.
     """
-    cameras = views.preview_cameras(size_px)
+    cameras = views.preview_cameras(turntable[0].width)
+    completed = turntable[:: len(turntable) // len(cameras)]
     offsets = [f"c + {60 * index}" if index else "c (input view)" for index in range(6)]
     return contact_sheet(
-        [render_images(partial, cameras), render_images(completed, cameras)],
+        [render_images(partial, cameras), completed],
         row_labels=["input", "completion"],
         column_labels=offsets,
         title=title,
@@ -203,14 +203,30 @@ def save_image(image: Image.Image, path: Path) -> None:
         image.save(temporary)
 
 
-def save_turntable(
-    splats: Splats, views: ViewDistribution, path: Path, settings: TurntableSettings | None = None
-) -> None:
-    """Write an endless animation of one turn about the object, starting at the input view c.
+def draw_turntable(
+    splats: Splats, views: ViewDistribution, settings: TurntableSettings | None = None
+) -> list[Image.Image]:
+    """Draw one turn about the object, starting at the input view c.
 
     Args:
         splats: what to show, in the object frame.
         views: gives the start, elevation, distance and lens.
+        settings: knobs; None = defaults.
+
+    Returns:
+        Pictures from evenly spaced views.
+    """
+    chosen = settings or TurntableSettings()
+    return render_images(splats, views.ring(chosen.frames, chosen.size_px))
+
+
+def save_turntable(
+    frames: Sequence[Image.Image], path: Path, settings: TurntableSettings | None = None
+) -> None:
+    """Write the pictures of a turn as an endless animation.
+
+    Args:
+        frames: what ``draw_turntable`` returned.
         path: destination; WebP, GIF or animated PNG by its suffix.
         settings: knobs; None = defaults.
 
@@ -220,7 +236,6 @@ def save_turntable(
     chosen = settings or TurntableSettings()
     if path.suffix.lower() not in (".webp", ".gif", ".png"):
         raise UserError(f"{path}: turntable: expected .webp, .gif or .png, found {path.suffix!r}")
-    frames = render_images(splats, views.ring(chosen.frames, chosen.size_px))
     if path.suffix.lower() == ".webp":
         importlib.import_module("PIL.WebPImagePlugin")  # else Pillow loads all formats to find it
     with atomic_path(path) as temporary:

@@ -205,14 +205,14 @@ class ByteConvolution:
         )
         scale = (weight.flatten(1).abs().amax(dim=1) / 127).clamp(min=2.0**-24)
         wide = scale.reshape(-1, 1, *self._ones)
-        weight_bytes = (weight / wide).round().to(torch.int8)
+        rounded = (weight / wide).round_()
         self._scale = scale
         self._zeros = torch.zeros(len(scale), dtype=torch.int64)
         self._bias = None if given.bias is None else given.bias.detach().float()
         self._packed = torch.ops.onednn.qconv_prepack(
-            weight_bytes, scale, 1.0, 0, self._ones, self._ones, self._ones, 1, None
+            rounded.to(torch.int8), scale, 1.0, 0, self._ones, self._ones, self._ones, 1, None
         )
-        self._weight_sums = weight_bytes.float().sum(dim=1, keepdim=True) * wide
+        self._weight_sums = rounded.sum(dim=1, keepdim=True) * wide
         self._of_ones: dict[tuple[int, ...], Tensor] = {}
 
     def __call__(self, values: Tensor, step: float, zero: int) -> Tensor:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from torch import Tensor, nn
 
 from gscomplete.networks.byte_convolution import ByteConvolution, normalised_silu
-from gscomplete.shape.network import Level, ResidualBlock, ShapeCompleter
+from gscomplete.shape.network import Level, ResidualBlock, ShapeCompleter, laid_out
 
 
 class ByteBlock(nn.Module):
@@ -40,9 +40,8 @@ class ByteShapeCompleter(ShapeCompleter):
         self.config = given.config
         for name, part in given.named_children():
             self.add_module(name, part)
-        self.register_buffer("place", given.place, persistent=False)
         self.down, self.up = _in_bytes(given.down), _in_bytes(given.up)
-        self.eval()
+        laid_out(self.eval())
 
 
 def _in_bytes(levels: nn.ModuleList) -> nn.ModuleList:

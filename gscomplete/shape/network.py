@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import torch
 import torch.nn.functional as F
@@ -26,6 +27,7 @@ from gscomplete.util.same_bits import GroupNorm
 
 PACKAGED_WEIGHTS = Path(__file__).resolve().parents[1] / "priors/embedded/weights"
 """Where the weights of the shape networks lie: beside those of the embedded prior."""
+Network = TypeVar("Network", bound=nn.Module)
 _FOLD = 2
 _EVIDENCE = 3
 _POSITION = 3
@@ -110,8 +112,6 @@ class GlobalAttention(nn.Module):
 class ShapeCompleter(nn.Module):
     """Predict the complete object from a part."""
 
-    place: Tensor
-
     def __init__(self, config: ShapeModelConfig, coarse_cells: int) -> None:
         super().__init__()
         self.config = config
@@ -129,13 +129,6 @@ class ShapeCompleter(nn.Module):
         self.norm = GroupNorm(config.groups, w[0])
         self.head = nn.Conv3d(w[0], _FOLD**3 + 3 + SOURCES + 1 + SOURCES, 3, padding=1)
         nn.init.zeros_(self.head.weight)
-        along = torch.linspace(-1, 1, coarse_cells)
-        place = torch.stack(torch.meshgrid(along, along, along, indexing="ij"))
-        self.register_buffer("place", place, persistent=False)
-        for module in self.modules():
-            if isinstance(module, nn.Conv3d):
-                kernel = module.weight.data
-                module.weight.data = kernel.contiguous(memory_format=torch.channels_last_3d)
 
     def _level(self, level: int) -> Level:
         width = self.config.widths[level]
@@ -150,7 +143,7 @@ class ShapeCompleter(nn.Module):
     ) -> ShapeOutput:
         """Predict the complete object."""
         embedding = self.mix(self.words(tokens) + self.scores(scores))
-        place = self.place.expand(len(volumes), -1, -1, -1, -1)
+        place = positions(evidence.shape[-1], evidence.device).expand(len(volumes), -1, -1, -1, -1)
         x = torch.cat([fold(volumes.flatten(1, 2)), evidence, place], dim=1)
         x = self.stem(x.contiguous(memory_format=torch.channels_last_3d))
         kept = []
@@ -170,6 +163,17 @@ class ShapeCompleter(nn.Module):
         filled, colors, sources, trust = out.split(parts, dim=1)
         pointed = F.interpolate(trust, scale_factor=float(_FOLD)) * volumes[:, :, 0]
         return ShapeOutput(unfold(filled)[:, 0] + pointed.sum(1), torch.sigmoid(colors), sources)
+
+
+def laid_out(network: Network) -> Network:
+    """Lay kernels out in memory, in place, as convolutions read them."""
+    return network.to(memory_format=torch.channels_last_3d)  # type: ignore[call-overload]
+
+
+def positions(cells: int, device: torch.device) -> Tensor:  # [3, n, n, n]
+    """Return where the cells of a cubic grid are along its axes, from -1 to 1."""
+    along = torch.linspace(-1, 1, cells, device=device)
+    return torch.stack(torch.meshgrid(along, along, along, indexing="ij"))
 
 
 def fold(x: Tensor) -> Tensor:  # [B, C, n, n, n] -> [B, 8 C, n/2, n/2, n/2]

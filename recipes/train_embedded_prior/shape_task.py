@@ -23,7 +23,7 @@ from PIL import Image
 from torch import Tensor, nn
 
 from gscomplete.priors.embedded.text import NO_TEXT_TOKEN
-from gscomplete.shape.network import ShapeCompleter, ShapeOutput
+from gscomplete.shape.network import ShapeCompleter, ShapeOutput, laid_out
 from gscomplete.shape.symmetry import SOURCES
 from gscomplete.shape.voxels import COARSE_CELLS, grown
 from gscomplete.util.atomic import atomic_path
@@ -72,7 +72,7 @@ class ShapeTask:
 
     def make_model(self) -> nn.Module:
         """Build the network."""
-        return ShapeCompleter(self.config.model, COARSE_CELLS)
+        return laid_out(ShapeCompleter(self.config.model, COARSE_CELLS))
 
     def set_indices(self, step: int) -> Sequence[int]:
         """Return the sets of a step: some of the past, then the new ones."""

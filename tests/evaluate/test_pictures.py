@@ -11,6 +11,7 @@ from gscomplete.errors import UserError
 from gscomplete.evaluate import (
     TurntableSettings,
     contact_sheet,
+    draw_turntable,
     preview_sheet,
     render_images,
     save_image,
@@ -59,9 +60,16 @@ def test_sheet_checks_its_labels() -> None:
 
 
 def test_preview_shows_input_and_completion_from_six_views(tmp_path: Path) -> None:
-    blob = red_blob()
-    sheet = preview_sheet(
-        blob.select(torch.arange(10)), blob, ViewDistribution(30, 15), size_px=32, title="x"
+    blob, views = red_blob(), ViewDistribution(30, 15)
+    turn = draw_turntable(blob, views, TurntableSettings(12, 32))
+    again = render_images(blob, views.preview_cameras(32))
+    assert [p.tobytes() for p in turn[::2]] == [p.tobytes() for p in again]
+    sheet = preview_sheet(blob.select(torch.arange(10)), turn, views, title="x")
+    assert sheet == contact_sheet(
+        [render_images(blob.select(torch.arange(10)), views.preview_cameras(32)), again],
+        row_labels=["input", "completion"],
+        column_labels=["c (input view)", *(f"c + {60 * k}" for k in range(1, 6))],
+        title="x",
     )
     assert sheet.width > 6 * 32
     assert sheet.height > 2 * 32
@@ -81,7 +89,8 @@ def test_rendered_background_is_light_grey() -> None:
 @pytest.mark.parametrize("suffix", [".webp", ".gif"])
 def test_turntable_turns_once_and_loops(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"turntable{suffix}"
-    save_turntable(red_blob(), ViewDistribution(0, 0), path, TurntableSettings(5, 32))
+    turn = draw_turntable(red_blob(), ViewDistribution(0, 0), TurntableSettings(5, 32))
+    save_turntable(turn, path)
     with Image.open(path) as animation:
         assert animation.n_frames == 5  # type: ignore[attr-defined]
         assert animation.size == (32, 32)
@@ -91,7 +100,7 @@ def test_turntable_turns_once_and_loops(tmp_path: Path, suffix: str) -> None:
 
 def test_unknown_suffixes_are_user_errors(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"\.mp4"):
-        save_turntable(red_blob(), ViewDistribution(0, 0), tmp_path / "a.mp4")
+        save_turntable([Image.new("RGB", (2, 2))], tmp_path / "a.mp4")
     with pytest.raises(UserError, match=r"\.xyz"):
         save_image(Image.new("RGB", (2, 2)), tmp_path / "a.xyz")
     with pytest.raises(UserError, match="folder"):

@@ -48,7 +48,7 @@ from gscomplete.shape.bank.store import BANK_FILE
 from gscomplete.shape.guess import Asked, KnownShapes, guess_complete
 from gscomplete.shape.int8 import ByteShapeCompleter
 from gscomplete.shape.mirror_plane import ChosenMirror, Mirror, MirrorPlane
-from gscomplete.shape.network import ShapeCompleter
+from gscomplete.shape.network import ShapeCompleter, laid_out
 from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.symmetry_choice import score_planes
 from gscomplete.splats import Splats
@@ -132,6 +132,8 @@ class EmbeddedPrior:
         self._shape = shape
         if shape is not None and in_8_bits:
             self._shape = ByteShapeCompleter(shape)
+        elif shape is not None:
+            laid_out(shape)
         if self._device.type != "cpu":
             _ = self._model  # a device that cannot be used is told before anything else is done
 

@@ -21,15 +21,16 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
+from torch.overrides import TorchFunctionMode
 
 from gscomplete.errors import UserError
 from gscomplete.priors.base import PriorViews
@@ -271,14 +272,39 @@ def _packed(path: Path, digest: str) -> dict[str, Tensor]:
     return packed
 
 
+_FILLING = (Tensor.fill_, Tensor.zero_)
+"""What modules call besides the functions of ``torch.nn.init``."""
+
+
+class _NoInitialValues(TorchFunctionMode):
+    """Parameters made within are not filled: stored values replace them.
+
+    On PyTorch's meta device they would not be made at all, but its first use takes a second.
+    """
+
+    def __torch_function__(
+        self,
+        func: Callable[..., Any],
+        types: Sequence[type],
+        args: Sequence[Any] = (),
+        kwargs: Mapping[str, Any] | None = None,
+    ) -> Any:
+        """Call a function of PyTorch unless it fills a tensor."""
+        named = kwargs or {}
+        if getattr(func, "__module__", None) == nn.init.__name__:
+            return named["tensor"]
+        return args[0] if func in _FILLING else func(*args, **named)
+
+
 def _filled(
     make: Callable[[Config], Network], config: Config, path: Path, packed: dict[str, Tensor]
 ) -> Network:
     """Make a network of stored tensors, for evaluation."""
     try:
         _check_sizes(path, config, max(max(t.shape, default=1) for t in packed.values()))
-        model = make(config)
-        model.load_state_dict(unpack_tensors(packed))
+        with _NoInitialValues():
+            model = make(config)
+        model.load_state_dict(unpack_tensors(packed), assign=True)
     except UserError:
         raise
     except Exception as error:  # sizes that do not fit each other fail anywhere
