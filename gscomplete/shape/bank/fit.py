@@ -14,6 +14,7 @@ Conventions
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -44,8 +45,11 @@ _SHARES = (1.0, 0.85, 0.72, 0.6, 0.5)
 """How much of the shape P is along the axis where it is most of it ..."""
 _SLACK = 1.08
 """... of which it may be a little more."""
+_MIDDLE = 0.5
+_PLACES = np.array(list(itertools.product((0.0, _MIDDLE, 1.0), repeat=3)))
+"""Places of P's box within the shape's, by the room along each axis ..."""
 _NEXT_TO_NO_ROOM = 0.06
-"""Of the shape's side: P sits in the middle of less room than this."""
+"""... of which less than this, of the shape's side, leaves it in the middle."""
 _SHARE_COST = 0.03
 _IN_FRONT_COST, _UNSEEN_COST, _GROWTH_COST = 0.15, 0.06, 0.012
 _PICTURE_PX = 40
@@ -189,26 +193,34 @@ def _coarse(
     filled = np.argwhere(cells)
     low, high = filled.min(axis=0) / half - 0.5, (filled.max(axis=0) + 1) / half - 0.5
     sides = high - low
+    shares = np.array(_SHARES)
+    share_costs = np.array([_SHARE_COST * math.log(share) for share in _SHARES])
     found = []
     for yaw in 2 * math.pi * np.arange(_TURNS) / _TURNS:
         turned = points @ turn_about_z(yaw).T
         corner = turned.min(axis=0)
         extent = np.maximum(np.ptp(turned, axis=0), 0.02)
-        largest = _SLACK * float((sides / extent).min())
-        for share in _SHARES:
-            scale = largest * share
-            room = sides - scale * extent
-            places = [(0.0, 0.5, 1.0) if r > _NEXT_TO_NO_ROOM else (0.5,) for r in room]
-            at = np.stack(np.meshgrid(*places, indexing="ij"), axis=-1).reshape(-1, 3)
-            shifts = low + at * room - scale * corner
-            cell = np.floor((scale * turned + shifts[:, None] + 0.5 + MARGIN) * half)
-            x, y, z = np.clip(cell.astype(np.int32), 0, len(field) - 1).transpose(2, 0, 1)
-            away = np.minimum(field[x, y, z] / scale, FAR).mean(axis=1)
-            costs = away - _SHARE_COST * math.log(share)
-            for k in np.argsort(costs, kind="stable")[:2]:
-                found.append((float(costs[k]), Pose(float(yaw), np.full(3, scale), shifts[k])))
+        scales = _SLACK * float((sides / extent).min()) * shares
+        room = sides - scales[:, None] * extent
+        shifts = low + _PLACES * room[:, None] - scales[:, None, None] * corner
+        fits = (room[:, None] > _NEXT_TO_NO_ROOM) | (_PLACES == _MIDDLE)
+        tried = np.nonzero(fits.all(axis=2))
+        scale, shift = scales[tried[0], None], shifts[tried]
+        index = np.zeros((len(shift), len(points)), np.int32)
+        for axis in range(3):
+            cell = (scale * turned[:, axis] + shift[:, axis, None] + 0.5 + MARGIN) * half
+            index = index * len(field) + np.clip(cell.astype(np.int32), 0, len(field) - 1)
+        away = np.minimum(field.ravel()[index] / scale, FAR).mean(axis=1)
+        costs = np.full(fits.shape[:2], np.inf)
+        costs[tried] = away - share_costs[tried[0]]
+        for k, places in enumerate(np.argsort(costs, axis=1, kind="stable")[:, :2]):
+            found += [(float(costs[k, n]), yaw, scales[k], shifts[k, n]) for n in places]
     found.sort(key=lambda entry: entry[0])
-    return found[:_POSES_PER_SHAPE]
+    return [
+        (cost, Pose(float(yaw), np.full(3, scale), shift))
+        for cost, yaw, scale, shift in found[:_POSES_PER_SHAPE]
+        if cost < math.inf
+    ]
 
 
 def _judged(

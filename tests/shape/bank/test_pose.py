@@ -1,4 +1,6 @@
 import numpy as np
+import pytest
+from scipy.ndimage import distance_transform_edt
 
 from gscomplete.shape.bank.pose import MARGIN, Pose, distance_field
 from gscomplete.shape.bank.store import BANK_CELLS
@@ -17,3 +19,13 @@ def test_a_field_holds_distances_on_the_cells_and_round_them():
     assert field.shape == (BANK_CELLS + 2 * rim,) * 3
     assert field[rim + 20, rim + 21, rim + 20] == 0
     assert field[rim + 25, rim + 21, rim + 20] * BANK_CELLS == 4
+
+
+@pytest.mark.parametrize("count", [6, 12, 48, 66])
+def test_a_field_is_scipys_distance_transform(count: int):
+    cells = np.random.default_rng(count).random((count, count, count)) < 0.01
+    cells[1, 2, 3] = True
+    marked = np.pad(cells, round(MARGIN * count))
+    expected = distance_transform_edt(~marked, sampling=1.0 / count)
+    # Both are roots of whole numbers, rounded once or twice.
+    assert np.allclose(distance_field(cells), expected, rtol=0, atol=1e-15)
