@@ -1,7 +1,9 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
-from gscomplete.framing.cut_plane import find_cut
+from gscomplete.framing.cut_plane import CutPlane, find_cut
 from gscomplete.framing.extent import (
     CLOSED_BELOW,
     CLOSED_BELOW_FINELY,
@@ -82,3 +84,35 @@ def test_of_thin_things_many_points_are_not_asked():
     assert share_exposed_twice(fin, 8000) > CLOSED_BELOW
     assert share_exposed_twice(fin) < CLOSED_BELOW_FINELY
     assert not closed(fin)
+
+
+def blade(step=0.003):
+    """A closed blade that is thinner towards both edges, 0.2 wide and 1 high."""
+
+    def half_thickness(x):
+        return 0.03 - 0.22 * np.abs(x)
+
+    across, height = np.arange(-0.1, 0.1 + step / 2, step), np.arange(-0.5, 0.5 + step / 2, step)
+    x, z = (grid.ravel() for grid in np.meshgrid(across, height, indexing="ij"))
+    found = [np.stack([x, sign * half_thickness(x), z], axis=1) for sign in (-1.0, 1.0)]
+    y = np.arange(-0.03, 0.03, step)
+    for end in (-0.1, 0.1):
+        found.append(np.array([(end, v, w) for v in y for w in height if abs(v) < 0.008]))
+        found.append(np.array([(u, v, 5 * end) for u in across for v in y
+                               if abs(v) < half_thickness(u)]))  # fmt: skip
+    return np.concatenate(found)
+
+
+def test_sharp_edges_that_pass_for_a_cut_leave_a_blade_closed():
+    cut = find_cut(blade())
+    assert cut is not None
+    assert not cut.is_symmetric
+    assert closed(blade())
+    assert not closed(blade()[blade()[:, 1] > 0])
+
+
+def test_what_is_cut_squarely_or_has_no_thickness_is_not_closed():
+    square = CutPlane(0.0, 0.0, 0.9, 0.9, 0.05)
+    assert square.is_symmetric
+    assert not is_closed(blade(), square)
+    assert not is_closed(blade() * [5.0, 0.05, 1.0], dataclasses.replace(square, squareness=0.1))
