@@ -45,6 +45,8 @@ _LEAST_SQUARENESS = 0.5
 _FEWEST_SQUARE = 16
 """... or a smaller one where so many points of it and such a share meet the plane squarely. Of 30
 unseen objects each, next to no scan or complete object has such a rim."""
+_LEAST_MET = 0.08
+"""Of 295 cuts of halves 93 % have at least this squareness, of the rims of 83 scans 29 %."""
 _SYMMETRIC_SQUARENESS = 0.78
 _SYMMETRIC_SHARE = 0.35
 _SYMMETRIC_COSINE = 0.2
@@ -81,6 +83,11 @@ class CutPlane:
             and self.rim_share >= _SYMMETRIC_SHARE
             and self.mean_cosine <= _SYMMETRIC_COSINE
         )
+
+    @property
+    def meets_surface(self) -> bool:
+        """Whether P's surface runs into the plane somewhere, as where something was cut away."""
+        return self.squareness >= _LEAST_MET
 
     def mirrored(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
         """Mirror points through the plane."""

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from gscomplete.shape.ask import ask, mean_answer
-from gscomplete.shape.mirror_plane import Mirror
+from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter, ShapeOutput
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs, voxelize_partial
+from gscomplete.shape.silhouette import beside_scan
 from gscomplete.shape.symmetry_choice import choose_symmetries
+from gscomplete.shape.voxels import CELLS, FloatArray, cell_centers
 from gscomplete.splats import Splats
 from gscomplete.util.stages import stage
 from gscomplete.views import ViewDistribution
+
+_BESIDE_LOGITS = 6.0
+"""What cells beside a scan's silhouette lose: only those that the network is sure of stay."""
+_EMPTY_LOGIT = -4.0
+"""Cells below count as filled at no level that is in use."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,11 +81,28 @@ def predict(
         if first is None:
             first = ask(*asked, tokens, bfloat16=bfloat16)
         answer = mean_answer(*asked, tokens, first=first, bfloat16=bfloat16)
+        if not (ends_in_plane or isinstance(mirror_plane, MirrorPlane)):
+            answer = _doubted_beside_scan(answer, voxels.positions, distribution)
         share = None
         if no_tokens is not None and not torch.equal(tokens, no_tokens):
             without = ask(*asked, no_tokens, bfloat16=bfloat16)
             share = differing_share(first.occupancy, without.occupancy)
     return Prediction(voxels, choice.seen, answer, choice.symmetry_score, share)
+
+
+def _doubted_beside_scan(
+    answer: ShapeOutput,
+    points: FloatArray,  # [N, 3] of P
+    distribution: ViewDistribution,
+) -> ShapeOutput:
+    """Lower the logits of cells that lie beside P as its scanner saw it."""
+    logits = answer.occupancy.flatten()
+    possible = (logits > _EMPTY_LOGIT).nonzero()[:, 0]
+    places = cell_centers(CELLS).reshape(-1, 3)[possible.numpy()]
+    beside = torch.from_numpy(beside_scan(points, distribution, places))
+    lowered = logits.clone()
+    lowered[possible[beside]] -= _BESIDE_LOGITS
+    return dataclasses.replace(answer, occupancy=lowered.reshape(answer.occupancy.shape))
 
 
 def differing_share(

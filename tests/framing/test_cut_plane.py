@@ -49,6 +49,13 @@ def test_a_cut_beside_the_middle_is_not_one_of_symmetry(offset):
     assert not found.is_symmetric
 
 
+def test_a_surface_runs_into_its_cut_and_a_scans_rim_lies_along_its_plane():
+    cut, scan = find_cut(BALL[BALL[:, 0] < 0.15]), find_cut(BALL[BALL[:, 0] > 0.35])
+    assert cut is not None
+    assert cut.meets_surface
+    assert scan is None or not scan.meets_surface
+
+
 def test_half_a_sheet_ends_in_a_plane_but_is_not_mirrored():
     rng = np.random.default_rng(0)
     sheet = np.stack([rng.random(4000), rng.random(4000), 0.0 * rng.random(4000)], axis=1)

@@ -219,7 +219,7 @@ class EmbeddedPrior:
             conditioning.shape_tokens,
             self._shape_tokenizer.encode(""),
             bfloat16=self._shape_bfloat16,
-            ends_in_plane=cut is not None,
+            ends_in_plane=cut is not None and cut.meets_surface,
         )
         guess = guess_complete(asked, partial, distribution, mirror, known, count, generator)
         return FirstGuess(guess.splats, notes + guess.notes)
