@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import gc
 import json
 import sys
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from gscomplete.cli.complete_options import CompleteOptions
-from gscomplete.cli.guard import without_collections
 from gscomplete.errors import UserError
 from gscomplete.priors.latent.settings import LatentPriorSettings
 
@@ -57,7 +59,7 @@ def _complete(options: CompleteOptions) -> int:
     """Load the prior, run, and say what came of it."""
     from gscomplete.util.stages import stage
 
-    with without_collections(), stage("load"):
+    with _without_collections(), stage("load"):
         from gscomplete.cli.request import request_of
         from gscomplete.completion.run_folder import prepare
         from gscomplete.priors import load_prior
@@ -68,7 +70,7 @@ def _complete(options: CompleteOptions) -> int:
         render_device, fallback = choose_render_device(options.device, device)
         knobs = None if options.diffusion == LatentPriorSettings() else options.diffusion
         prior = load_prior(options.prior, device, knobs)
-    with without_collections():  # a dozen libraries are loaded where they are first needed
+    with _without_collections():  # a dozen libraries are loaded where they are first needed
         job = prepare(request_of(options, prior), prior, render_device)
     _say(options, *job.notes, *([fallback] if fallback else []))
     if job.steps.step_number:
@@ -94,6 +96,18 @@ def _complete(options: CompleteOptions) -> int:
         + (f"; the new splats alone: {options.new_only}" if options.new_only else ""),
     )
     return 0
+
+
+@contextlib.contextmanager
+def _without_collections() -> Iterator[None]:
+    """Have Python look for no unused objects while modules load and little else is done."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 def _with_progress(job: Run) -> dict[str, Any]:

@@ -79,18 +79,6 @@ def keep_freed_memory() -> None:
             mallopt(_M_MMAP_THRESHOLD, _LARGEST_OF_OLD_GLIBC)
 
 
-@contextlib.contextmanager
-def without_collections() -> Iterator[None]:
-    """Look for no unused objects while modules load and little else is done."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
-
-
 def print_version(program: str) -> int:
     """Print the version of a console command; return the exit code."""
 
