@@ -33,7 +33,9 @@ _LEAST_SHOWN = 0.965
 _NEARLY_AS_MUCH = 0.02
 """... and how much less another may show that may have been the scanner's as well."""
 _MOST_VIEWS = 60
-"""Of 288. Flat parts show all of themselves to more: most of them are no scans."""
+"""Of 288. Flat parts show all of themselves to more: most of them are no scans ..."""
+_STEEP = 0.85
+"""... and nor are those, such as plates, that show all of themselves from this height, a sine."""
 _HALF_WIDTH = 0.9
 """Of a picture, object sizes."""
 _SILHOUETTE_PX, _GROWN_PX = 128, 5
@@ -96,7 +98,8 @@ def beside_scan(
     tried = [(view.shown(few), view) for view in _views_about(views.radius)]
     most = max(share for share, _ in tried)
     maybe = [view for share, view in tried if share >= most - _NEARLY_AS_MUCH]
-    beside = np.full(len(places), most >= _LEAST_SHOWN and len(maybe) <= _MOST_VIEWS)
+    is_flat = len(maybe) > _MOST_VIEWS or any(view.axes[2, 2] > _STEEP for view in maybe)
+    beside = np.full(len(places), most >= _LEAST_SHOWN and not is_flat)
     for view in maybe:
         if not beside.any():
             break

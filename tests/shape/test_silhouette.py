@@ -43,6 +43,11 @@ def test_what_is_seen_from_all_sides_was_scanned_from_none():
         assert not beside_scan(points, VIEWS, places((0, 0.7, 0), (0, 0, 0.7))).any()
 
 
+def test_part_of_a_plate_is_seen_from_above_and_no_scan():
+    dish = BALL[BALL[:, 2] < -0.3]  # shallow: its inside shows from above alone
+    assert not beside_scan(dish[dish[:, 0] < 0.1], VIEWS, places((0.4, 0, -0.3))).any()
+
+
 def test_the_distance_and_the_target_of_the_views_count():
     asked = places((-0.3, 0, 0), (0, 0.6, 0))
     moved = ViewDistribution(0.0, 10.0, target=(0.1, -0.2, 0.3))
