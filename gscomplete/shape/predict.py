@@ -1,4 +1,7 @@
-"""The shape network's answer about one object: look at P, choose its mirror images, ask."""
+"""The shape network's answer about one object.
+
+Look at P, choose its mirror images, ask, and doubt what lies beside a scan.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +14,8 @@ from torch import Tensor
 from gscomplete.shape.ask import ask, mean_answer
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter, ShapeOutput
+from gscomplete.shape.one_view import beside_scan
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs, voxelize_partial
-from gscomplete.shape.silhouette import beside_scan
 from gscomplete.shape.symmetry_choice import choose_symmetries
 from gscomplete.shape.voxels import CELLS, FloatArray, cell_centers
 from gscomplete.splats import Splats

@@ -29,8 +29,8 @@ from torch import Tensor
 from gscomplete.shape.ask import ask
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter, ShapeOutput
+from gscomplete.shape.one_view import best_view_share
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs
-from gscomplete.shape.planes.best_view import best_view_share
 from gscomplete.shape.planes.proposals import candidate_planes
 from gscomplete.shape.symmetry import SymmetryMap, mirror, no_symmetries
 from gscomplete.shape.voxels import CELLS, FloatArray, grown, surface_cells

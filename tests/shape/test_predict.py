@@ -3,12 +3,12 @@ import torch
 
 from gscomplete.shape.ask import ask, mean_answer
 from gscomplete.shape.mirror_plane import MirrorPlane
+from gscomplete.shape.one_view import beside_scan
 from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.predict import (
     differing_share,
     predict,
 )
-from gscomplete.shape.silhouette import beside_scan
 from gscomplete.shape.symmetry_choice import choose_symmetries
 from gscomplete.shape.voxels import CELLS, cell_centers
 from gscomplete.views import ViewDistribution

@@ -25,7 +25,7 @@ import torch
 from torch import Tensor
 
 from gscomplete.errors import UserError
-from gscomplete.framing.cut_plane import find_cut
+from gscomplete.framing.cut_plane import CutPlane, find_cut
 from gscomplete.framing.extent import is_closed
 from gscomplete.networks.precision import Precision, is_bfloat16, multiplies_bytes
 from gscomplete.priors.base import Conditioning, FirstGuess, FourViews, Guidance, PriorViews
@@ -219,7 +219,7 @@ class EmbeddedPrior:
             conditioning.shape_tokens,
             self._shape_tokenizer.encode(""),
             bfloat16=self._shape_bfloat16,
-            ends_in_plane=cut is not None and cut.meets_surface,
+            ends_in_plane=_ends_in_plane(cut),
         )
         guess = guess_complete(asked, partial, distribution, mirror, known, count, generator)
         return FirstGuess(guess.splats, notes + guess.notes)
@@ -245,7 +245,7 @@ class EmbeddedPrior:
             self._shape,
             voxels,
             conditioning.shape_tokens,
-            ends_in_plane=find_cut(partial.means.double().numpy()) is not None,
+            ends_in_plane=_ends_in_plane(find_cut(partial.means.double().numpy())),
             bfloat16=self._shape_bfloat16,
         )
         return (*(mirror_plane_of(plane) for plane in asked.distinct(voxels.positions)), "none")
@@ -375,6 +375,11 @@ class _Task:
     shape: Tensor  # [4, 2, s, s]
     conditioning: EmbeddedConditioning
     guidance: Guidance
+
+
+def _ends_in_plane(cut: CutPlane | None) -> bool:
+    """Say whether P was cut along a plane, as far as found."""
+    return cut is not None and cut.meets_surface
 
 
 def packaged_weights() -> Path:

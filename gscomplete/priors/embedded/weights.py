@@ -35,7 +35,7 @@ from torch.overrides import TorchFunctionMode
 from gscomplete.errors import UserError
 from gscomplete.priors.base import PriorViews
 from gscomplete.priors.embedded.model import FourViewDenoiser, ModelConfig
-from gscomplete.shape.network import ShapeCompleter, ShapeModelConfig
+from gscomplete.shape.network import ShapeCompleter, ShapeModelConfig, laid_out
 from gscomplete.shape.voxels import COARSE_CELLS
 from gscomplete.util.atomic import atomic_path
 from gscomplete.util.digests import sha256_of
@@ -201,7 +201,8 @@ def load_weights(folder: Path) -> tuple[FourViewDenoiser, ShapeCompleter | None,
         UserError: as from :func:`read_weights` and the networks of what it returns.
     """
     stored = read_weights(folder)
-    return stored.denoiser(), stored.shape(), stored.config
+    shape = stored.shape()
+    return stored.denoiser(), None if shape is None else laid_out(shape), stored.config
 
 
 def weights_digest(folder: Path) -> str:

@@ -61,7 +61,7 @@ def surface_centers(cells: NDArray[np.bool_]) -> FloatArray:  # [C, C, C] -> [N,
 def distance_field(cells: NDArray[np.bool_]) -> FloatArray:  # [C, C, C] -> [F, F, F]
     """Return the distance from a surface in the shape's cube and ``MARGIN`` round it.
 
-    Squared distances are taken along one axis after another, which in so small a grid takes a fifth
+    Squared distances are taken along one axis after another, which in so small a grid takes a third
     of the time of SciPy's transform.
     """
     marked = np.pad(cells, round(MARGIN * len(cells)))

@@ -1,18 +1,22 @@
-"""What lies beside P as its scanner saw it: nothing of the object does.
+"""What one view shows of P, and what lies beside P as its scanner saw it.
 
-A part that one view shows nearly all of was scanned from there, or from somewhere beside. From that
-view the object's silhouette is P's. Which view it was is not known for sure, so a place counts as
-beside P only where every view that may have been the scanner's finds it there. Parts that no view
-shows have no such view: cut objects show their insides, too.
+A scan has what one view shows, half an object its inside, too. A part that one view shows nearly
+all of was scanned from there, or from somewhere beside. From that view the object's silhouette is
+P's: nothing lies beside it. Which view it was is not known for sure, so a place counts as beside P
+only where every view that may have been the scanner's finds it there.
 
 Conventions
 -----------
-* Views are at V's distance and look at its target; pictures are planes through the target.
+* A view is three axes: to the right, up, and towards the viewer.
+* How much of any part one view shows is counted with parallel rays, in sides of P. Views of a scan
+  are at V's distance and look at its target; their pictures are planes through the target.
 * Depth cameras lose dark surfaces: what lies beside P is unlikely, not impossible.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,9 +26,14 @@ from scipy.ndimage import maximum_filter
 from gscomplete.shape.voxels import FloatArray
 from gscomplete.views import ViewDistribution
 
-_MOST_POINTS = 2000
-_AZIMUTH_STEP_DEG = 10.0
-_ELEVATIONS_DEG = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 75.0)
+_SHARE_POINTS = 6000
+_SHARE_STEP_DEG, _SHARE_ELEVATIONS_DEG = 20.0, (0.0, 15.0, 30.0, 45.0)
+_SHARE_PX, _SHARE_DEPTH = 48, 0.06
+"""What is so near behind the nearest of a pixel is seen, in sides of P."""
+
+_SCAN_POINTS = 2000
+_SCAN_STEP_DEG = 10.0
+_SCAN_ELEVATIONS_DEG = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 75.0)
 _SHOWN_PX, _SEEN_DEPTH = 77, 0.05
 """Of a picture that tells how much of P a view shows; what is this near behind the nearest of a
 pixel is seen, object sizes."""
@@ -34,17 +43,36 @@ _NEARLY_AS_MUCH = 0.02
 """... and how much less another may show that may have been the scanner's as well."""
 _MOST_VIEWS = 60
 """Of 288. Flat parts show all of themselves to more: most of them are no scans ..."""
-_STEEP = 0.85
-"""... and nor are those, such as plates, that show all of themselves from this height, a sine."""
+_STEEP_SINE = 0.85
+"""... and nor are those, such as plates, that show all of themselves from above: from a view whose
+elevation has a larger sine."""
 _HALF_WIDTH = 0.9
 """Of a picture, object sizes."""
 _SILHOUETTE_PX, _GROWN_PX = 128, 5
 """Side of a picture of P's silhouette, and of the square that each of its pixels grows to."""
 
 
+def best_view_share(points: NDArray[np.floating]) -> float:  # [N, 3] z up, in [0, 1]
+    """Return how much of P is seen from where most of it is, by parallel rays."""
+    if not len(points):
+        return 1.0
+    chosen = points[:: max(1, -(-len(points) // _SHARE_POINTS))]
+    side = max(float(np.ptp(points, axis=0).max()), 1e-12)
+    best = 0.0
+    for axes in _axes_of_views(_SHARE_STEP_DEG, _SHARE_ELEVATIONS_DEG):
+        x, y, near = (chosen @ axis for axis in axes)
+        cell = max(float(np.ptp(x)), float(np.ptp(y)), 1e-12) / _SHARE_PX * (1 + 1e-9)
+        column, row = ((v - v.min()) // cell for v in (x, y))
+        pixel = (row * _SHARE_PX + column).astype(np.int64)
+        nearest = np.full(_SHARE_PX**2, -np.inf)
+        np.maximum.at(nearest, pixel, near)
+        best = max(best, float((near > nearest[pixel] - _SHARE_DEPTH * side).mean()))
+    return best
+
+
 @dataclass(frozen=True, slots=True)
 class _View:
-    """A view as axes: to the right, up, and towards the viewer."""
+    """One that may be a scanner's."""
 
     axes: FloatArray  # [3, 3]
     distance: float
@@ -94,11 +122,13 @@ def beside_scan(
     """
     target = np.array(views.target, np.float32)
     points, places = points - target, places - target
-    few = points[:: max(1, -(-len(points) // _MOST_POINTS))]
-    tried = [(view.shown(few), view) for view in _views_about(views.radius)]
+    few = points[:: max(1, -(-len(points) // _SCAN_POINTS))]
+    every = _axes_of_views(_SCAN_STEP_DEG, _SCAN_ELEVATIONS_DEG)
+    found = (_View(axes.astype(np.float32), views.radius) for axes in every)
+    tried = [(view.shown(few), view) for view in found]
     most = max(share for share, _ in tried)
     maybe = [view for share, view in tried if share >= most - _NEARLY_AS_MUCH]
-    is_flat = len(maybe) > _MOST_VIEWS or any(view.axes[2, 2] > _STEEP for view in maybe)
+    is_flat = len(maybe) > _MOST_VIEWS or any(view.axes[2, 2] > _STEEP_SINE for view in maybe)
     beside = np.full(len(places), most >= _LEAST_SHOWN and not is_flat)
     for view in maybe:
         if not beside.any():
@@ -107,14 +137,11 @@ def beside_scan(
     return beside
 
 
-def _views_about(distance: float) -> list[_View]:
-    """Return views from all sides and from above."""
-    found = []
-    for elevation in np.deg2rad(_ELEVATIONS_DEG):
-        for azimuth in np.deg2rad(np.arange(0.0, 360.0, _AZIMUTH_STEP_DEG)):
-            level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-            right = np.array([-level[1], level[0], 0.0])
-            toward = np.cos(elevation) * level + [0.0, 0.0, np.sin(elevation)]
-            axes = np.stack([right, np.cross(toward, right), toward]).astype(np.float32)
-            found.append(_View(axes, distance))
-    return found
+def _axes_of_views(step_deg: float, elevations_deg: Sequence[float]) -> Iterator[FloatArray]:
+    """Yield the axes [3, 3] of views from all sides, at some elevations."""
+    for elevation in np.deg2rad(elevations_deg):
+        for azimuth in np.deg2rad(np.arange(0.0, 360.0, step_deg)):
+            right = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
+            level = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
+            toward = level * math.cos(elevation) + (0.0, 0.0, math.sin(elevation))
+            yield np.stack([right, np.cross(toward, right), toward])
