@@ -111,6 +111,22 @@ def test_sharp_edges_that_pass_for_a_cut_leave_a_blade_closed():
     assert not closed(blade()[blade()[:, 1] > 0])
 
 
+def test_of_what_is_not_thin_only_a_cut_met_at_a_slant_is_an_edge():
+    fin = with_fin(0.012)
+    edge = CutPlane(0.0, 0.0, 0.9, 0.1, 0.6)
+    assert is_closed(fin, edge)
+    assert not is_closed(fin, dataclasses.replace(edge, squareness=0.4, mean_cosine=0.4))
+
+
+@pytest.mark.parametrize(("many", "expected"), [(0.016, False), (0.004, True)])
+def test_many_points_may_contradict_few_that_see_no_inside(monkeypatch, many, expected):
+    def share(points, most_points=24_000):
+        return 0.006 if most_points == 8000 else many
+
+    monkeypatch.setattr("gscomplete.framing.extent.share_exposed_twice", share)
+    assert is_closed(points_of_ball(), None) is expected
+
+
 def test_what_is_cut_squarely_or_has_no_thickness_is_not_closed():
     square = CutPlane(0.0, 0.0, 0.9, 0.9, 0.05)
     assert square.is_symmetric
