@@ -34,7 +34,7 @@ _OPEN_FROM, _CUT_OPEN_FROM = 0.04, 0.06
 _THIN = 0.15
 """Nor are they where P is thinner than this, sizes: halves of plates and pallets show no inside."""
 _EDGE_SQUARENESS = 0.25
-"""Edges of what is not thin are met at a slant: of seven closed objects with a "cut", .24 at most."""
+"""Edges of what is not thin are met at a slant: of seven closed objects .24 at most."""
 _FLAT = 0.015
 """Both sides of what is thinner than this cannot be told apart."""
 _FEW_POINTS, _MOST_POINTS = 8000, 24_000
