@@ -210,7 +210,6 @@ def _by_known_shapes(
                 there,
                 asked.tokens,
                 bfloat16=asked.bfloat16,
-                shapes_alone=frame is not None,  # the plain answer was given without room for them
             )
     if occupancy is None:
         return None

@@ -1,7 +1,7 @@
 """What the network answers when it is shown known shapes in the place of a mirror image.
 
-Each answer to a known shape is often wrong. They count where they agree, and more than with the
-plain answer, that to none.
+Each answer to a known shape is often wrong. They count beside the plain answer, that to none, where
+they agree about as much among themselves as with it, and not too little with it.
 """
 
 from __future__ import annotations
@@ -18,14 +18,13 @@ from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs
 
 _ORIENTATIONS = 2
 """In which the network is asked with each known shape (``ask.ORIENTATIONS`` without)."""
-_LEAST_AGREEMENT = 0.45
-"""Of the answers to known shapes among themselves (IoU of filled cells) ..."""
-_LEAST_LEAD = 0.08
-"""... and how much more that is than with the plain answer."""
+_LEAST_PLAIN_AGREEMENT = 0.4
+"""Of the plain answer with those to known shapes (IoU of filled cells). Below it they are of
+another object ..."""
 _MOST_PLAIN_AGREEMENT = 0.75
-"""Above it the plain answer is taken: it is like them, and mirrors P itself."""
-_LEAST_PLAIN_AGREEMENT = 0.5
-"""Below it the plain answer does not count beside them."""
+"""... and above it the plain answer is taken: it is like them, and mirrors P itself."""
+_LEAST_LEAD = -0.05
+"""How much more the answers to known shapes must agree among themselves than with the plain one."""
 _LIKELY = -0.5
 """Cells are compared where they are filled from this logit on."""
 
@@ -39,7 +38,6 @@ def occupancy_by_shapes(
     tokens: Tensor,  # [L]
     *,
     bfloat16: bool,
-    shapes_alone: bool = False,
 ) -> Tensor | None:  # [1, C, C, C] logits
     """Return what is filled by the answers that count; None where the plain one stays as it is.
 
@@ -51,7 +49,6 @@ def occupancy_by_shapes(
         shapes: known shapes in place, the best first.
         tokens: the prompt.
         bfloat16: precision of the network.
-        shapes_alone: leave the plain answer out whatever it is like.
     """
     if len(shapes) < 2:
         return None
@@ -60,32 +57,24 @@ def occupancy_by_shapes(
         given = voxels.with_shape(seen, shape.points)
         answer = mean_answer(model, given, tokens, orientations=_ORIENTATIONS, bfloat16=bfloat16)
         shown.append(answer.occupancy)
-    counting = answers_that_count(shown, plain, shapes_alone=shapes_alone)
+    counting = answers_that_count(shown, plain)
     return torch.stack(counting).mean(dim=0) if counting else None
 
 
 def answers_that_count(
     shown: Sequence[Tensor],  # logits, answers to known shapes, the best first
     plain: Tensor,  # logits, the answer to none
-    *,
-    shapes_alone: bool = False,
 ) -> list[Tensor]:
     """Return the answers that the guess is the mean of; none = the plain one as it is.
-
-    Where the plain answer is very unlike those to known shapes, they count alone.
 
     Args:
         shown: answers to known shapes.
         plain: answer to none.
-        shapes_alone: leave the plain one out whatever it is like.
     """
     among, with_plain = _mean_overlap(shown[0], shown[1:]), _mean_overlap(plain, shown)
-    if among < max(_LEAST_AGREEMENT, with_plain + _LEAST_LEAD):
+    is_like_them = with_plain > _MOST_PLAIN_AGREEMENT
+    if with_plain < _LEAST_PLAIN_AGREEMENT or is_like_them or among < with_plain + _LEAST_LEAD:
         return []
-    if with_plain > _MOST_PLAIN_AGREEMENT:
-        return []
-    if shapes_alone or with_plain < _LEAST_PLAIN_AGREEMENT:
-        return list(shown)
     return [plain, *shown]
 
 
