@@ -4,9 +4,11 @@ Planes are proposed by P's appearance through them. The network knows more of ob
 asked once per likely plane and once without any. Then:
 
 * A part that ends in a plane lacks what lies beyond: a plane is scored by the share of new surface
-  that its copy covers, less half the share of the copy that is new and left empty.
+  that its copy covers, less half the share of the copy that is new and left empty. Where less than
+  half is missing, the network's sureness counts more: there is more that a wrong copy contradicts.
 * Of other parts the answer that the network is surest of is taken, with a copy or without: a copy
-  in the wrong place, such as a second head, leaves it in doubt.
+  in the wrong place, such as a second head, leaves it in doubt. What several views show lacks
+  little, so that the answer counts that fills less.
 * The insides of fences, racks and crates have rims of their own, among which the plane of a cut is
   not found. A part that no view shows much of, and much of which is missing, counts as cut.
 
@@ -48,6 +50,12 @@ _LEAST_SHOWN = 0.7
 of 33 halves and 35 of 67 that lack a box show less, no arc of 65 and no scan of 59 ..."""
 _MUCH_MISSING = 0.25
 """... and share of the surface that is missing then: complete objects lack less."""
+_LITTLE_MISSING, _SURENESS_WEIGHT = 0.43, 6.0
+"""Of parts that end in a plane and lack a smaller share of the surface, sureness counts so much
+beside the score."""
+_ONE_VIEW, _FILLED_WEIGHT = 0.97, 0.4
+"""Of other parts, where the best view shows a smaller share, the logarithm of the number of cells
+that an answer fills counts against its sureness by this much."""
 WRONG_WEIGHT = 0.5
 """Of the share of a copy that is new and wrong, beside the share of the missing that it shows."""
 
@@ -72,7 +80,7 @@ class ScoredPlanes:
     symmetry_scores: tuple[float, ...]
     """Of each by the answer to it."""
     none_is_surest: bool
-    """Whether the network is surer of its answer to no mirror image than of those to all others."""
+    """Whether the network's answer to no mirror image is ranked before those to all others."""
     seen: ShapeInputs
     """What the network is given: the best plane, or no mirror image."""
     answer: ShapeOutput
@@ -143,17 +151,21 @@ def score_planes(
             copies[k] = torch.from_numpy(seen.volumes[1, 0])
     filled = torch.cat([answer.occupancy for answer in answers]).sigmoid_()
     partial = torch.from_numpy(voxels.volume[0])
-    if not ends_in_plane and missing_share(filled[:count], partial) > _MUCH_MISSING:
-        ends_in_plane = best_view_share(voxels.positions) < _LEAST_SHOWN
+    missing = missing_share(filled[:count], partial)
+    shown_at_once = 1.0 if ends_in_plane else best_view_share(voxels.positions)
+    if missing > _MUCH_MISSING and shown_at_once < _LEAST_SHOWN:
+        ends_in_plane = True
     scores = symmetry_scores_of_answers(filled[:count], copies, partial)
-    sure = sureness(filled)
+    rank = sureness(filled)
     if ends_in_plane:
         belief = torch.tensor([plane.score for plane in planes])
-        rank = scores + _BELIEF_WEIGHT * (belief + 1e-4).log()
-    else:
-        rank = sure[:count]
-    order = rank.argsort(descending=True, stable=True).tolist()
-    none_is_surest = not ends_in_plane and bool(sure[count] > sure[:count].max())
+        sure_weight = _SURENESS_WEIGHT if missing < _LITTLE_MISSING else 0.0
+        rank = sure_weight * rank[:count] + scores + _BELIEF_WEIGHT * (belief + 1e-4).log()
+    elif shown_at_once < _ONE_VIEW:
+        cells = (filled > _FILLED).sum(dim=(1, 2, 3))
+        rank = rank - _FILLED_WEIGHT * (cells + 1.0).log()
+    order = rank[:count].argsort(descending=True, stable=True).tolist()
+    none_is_surest = not ends_in_plane and bool(rank[count] > rank[:count].max())
     best = count if none_is_surest else order[0]
     return ScoredPlanes(
         tuple(planes[k] for k in order),

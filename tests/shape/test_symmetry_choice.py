@@ -158,7 +158,12 @@ def test_no_copy_is_shown_where_every_copy_leaves_the_network_in_doubt():
     assert cut_part.seen.symmetries[0].score > 0
 
 
-def test_of_parts_that_end_in_no_plane_the_surest_answer_wins():
+@pytest.mark.parametrize("share", [1.0, 0.9])
+def test_of_parts_that_one_view_shows_the_surest_answer_wins_of_others_a_small_one(
+    monkeypatch, share
+):
+    monkeypatch.setattr(symmetry_choice, "best_view_share", lambda points: share)
+
     class Surest(Doubter):
         def forward(self, volumes, evidence, scores, tokens):
             out = super().forward(volumes, evidence, scores, tokens)
@@ -170,8 +175,8 @@ def test_of_parts_that_end_in_no_plane_the_surest_answer_wins():
 
     tokens = torch.zeros(4, dtype=torch.long)
     asked = score_planes(Surest(), LOOK, tokens, ends_in_plane=False)
-    assert not asked.none_is_surest
-    assert asked.planes[0].apply(LOOK.positions)[:, 0].min() < -0.36
+    assert asked.none_is_surest == (share < 1.0)
+    assert asked.planes[0].apply(LOOK.positions)[:, 0].min() < -0.36 or share < 1.0
 
 
 class Filler(Believer):
@@ -191,6 +196,22 @@ def test_a_part_that_no_view_shows_much_of_counts_as_cut_if_much_is_missing(monk
         score_planes(Filler(), LOOK, tokens, ends_in_plane=ends) for ends in (False, True)
     )
     assert (found.symmetry_scores == cut.symmetry_scores) == (share < 0.7)
+
+
+@pytest.mark.parametrize("missing", [0.3, 0.6])
+def test_sureness_counts_beside_the_score_where_little_is_missing(monkeypatch, missing):
+    favourite = torch.zeros(CANDIDATES)
+    favourite[3] = 1.0
+    scores = torch.zeros(CANDIDATES)
+    scores[5] = 3.0
+    monkeypatch.setattr(symmetry_choice, "missing_share", lambda filled, partial: missing)
+    monkeypatch.setattr(symmetry_choice, "sureness", lambda filled: favourite)
+    monkeypatch.setattr(symmetry_choice, "symmetry_scores_of_answers", lambda *_: scores)
+    tokens = torch.zeros(4, dtype=torch.long)
+    first = score_planes(Filler(), LOOK, tokens, ends_in_plane=True).planes[0]
+    planes = candidate_planes(LOOK, CANDIDATES)
+    expected = planes[3 if missing < 0.43 else 5]
+    assert plane_of(first) == pytest.approx(plane_of(expected))
 
 
 def test_what_is_missing_is_the_surface_beyond_p():
