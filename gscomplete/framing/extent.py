@@ -65,14 +65,16 @@ def is_closed(
         cut: what ``find_cut`` finds of them.
     """
     sides = np.ptp(points, axis=0)
-    is_thin, is_flat = sides.min() < _THIN * sides.max(), sides.min() < _FLAT * sides.max()
+    thickness = float(sides.min() / max(sides.max(), 1e-12))
+    is_thin = thickness < _THIN
     if cut is not None:
         may_be_edge = is_thin or cut.squareness < _EDGE_SQUARENESS
-        if cut.is_symmetric or is_flat or not may_be_edge:
+        if cut.is_symmetric or thickness < _FLAT or not may_be_edge:
             return False
+        if share_exposed_twice(points, _FEW_POINTS) >= _CUT_OPEN_FROM:
+            return False
+        return share_exposed_twice(points) < CLOSED_BELOW_FINELY
     share = share_exposed_twice(points, _FEW_POINTS)
-    if cut is not None:
-        return share < _CUT_OPEN_FROM and share_exposed_twice(points) < CLOSED_BELOW_FINELY
     if share < CLOSED_BELOW:
         return share_exposed_twice(points) < _CONTRADICTED_FROM
     if share >= _OPEN_FROM or is_thin:

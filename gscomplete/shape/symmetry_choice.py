@@ -79,7 +79,7 @@ class ScoredPlanes:
     planes: tuple[SymmetryMap, ...]
     symmetry_scores: tuple[float, ...]
     """Of each by the answer to it."""
-    none_is_surest: bool
+    none_is_best: bool
     """Whether the network's answer to no mirror image is ranked before those to all others."""
     seen: ShapeInputs
     """What the network is given: the best plane, or no mirror image."""
@@ -122,7 +122,7 @@ def choose_symmetries(
         given = mirror(angle, mirror_plane.offset, planes[0].score)
         return Choice(voxels.with_copies(voxels.input_symmetries([given, *planes], 0)), 1.0)
     asked = score_planes(model, voxels, tokens, ends_in_plane=ends_in_plane, bfloat16=bfloat16)
-    score = 0.0 if asked.none_is_surest else asked.symmetry_scores[0]
+    score = 0.0 if asked.none_is_best else asked.symmetry_scores[0]
     return Choice(asked.seen, score, asked.answer)
 
 
@@ -165,12 +165,12 @@ def score_planes(
         cells = (filled > _FILLED).sum(dim=(1, 2, 3))
         rank = rank - _FILLED_WEIGHT * (cells + 1.0).log()
     order = rank[:count].argsort(descending=True, stable=True).tolist()
-    none_is_surest = not ends_in_plane and bool(rank[count] > rank[:count].max())
-    best = count if none_is_surest else order[0]
+    none_is_best = not ends_in_plane and bool(rank[count] > rank[:count].max())
+    best = count if none_is_best else order[0]
     return ScoredPlanes(
         tuple(planes[k] for k in order),
         tuple(float(scores[k]) for k in order),
-        none_is_surest,
+        none_is_best,
         voxels.with_copies(shown[best]),
         answers[best],
     )
