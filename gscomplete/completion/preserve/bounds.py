@@ -4,7 +4,8 @@ The preservation loss of the paper (section 3.2) weighs P's appearance against t
 and leaves what it leaves. Here, after the optimisation, the errors E_color and E_depth of
 ``evaluate.metrics`` are brought below bounds, at as little cost to the rest as can be:
 
-1. Measure over the check views. Below the bounds: nothing is changed.
+1. Measure over a few check views; far below the bounds: nothing is changed. Else over all of them;
+   below the bounds: nothing is changed.
 2. Back: where P is thin (its silhouette, gaps between its splats) depth and colour of what lies far
    behind show through it. Copies of P's own splats just behind its surface close it, so that
    what is behind need not fade.
@@ -31,6 +32,7 @@ Conventions
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import time
 from collections.abc import Collection
@@ -54,7 +56,7 @@ from gscomplete.completion.preserve.outcome import (
 )
 from gscomplete.completion.settings import HardPreservationSettings
 from gscomplete.evaluate.metrics import MID_GREY
-from gscomplete.render import PreparedFrozen, Render, prepare_frozen, render
+from gscomplete.render import PreparedFrozen, Render, join_prepared, prepare_frozen, render
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.filters import thinned
 from gscomplete.util.randomness import generator_for
@@ -63,6 +65,10 @@ from gscomplete.views import Cameras, ViewDistribution, join_cameras
 
 _CHECK_VIEWS = 24
 """Views of V that the errors are measured over; never those that splats are fitted to."""
+_FIRST_VIEWS = 8
+"""The first of them, which are enough where the errors are far below the bounds."""
+_FAR_BELOW = 0.25
+"""Share of what is aimed at that errors are far below the bounds up to."""
 _CHECK_PX = 256
 """Side of the check views: that of the evaluation, since errors grow with the resolution."""
 _FIRST_CHECK_VIEW = 10_000
@@ -128,7 +134,11 @@ def preserve_hard(
     started = time.perf_counter()
     original = new.detach()
     work = _Work(original, partial.detach(), distribution, settings, seed)
-    found = before = work.check(original)
+    found = before = work.check(original, few=True)
+    checked = _FIRST_VIEWS
+    if work.above(found, _FAR_BELOW):
+        found, checked = work.check(original), _CHECK_VIEWS
+        before = found
     start = original
     if work.above(found):
         start, found = work.backed(original, found)
@@ -160,6 +170,7 @@ def preserve_hard(
             met=found.color <= settings.color_bound and found.depth <= settings.depth_bound,
             rounds=rounds,
             fadings=fadings,
+            views=checked,
             seconds=time.perf_counter() - started,
             added=int(kept[count:].sum()),
             **count_changes(
@@ -180,22 +191,30 @@ class _Work:
         settings: HardPreservationSettings,
         seed: int,
     ) -> None:
-        """Draw P from the check views, and the completion as it was from outside V."""
+        """Place the views, and draw P from the first check views."""
         self._partial, self._distribution = partial, distribution
         self._settings, self._seed, self._original = settings, seed, original
         self._background = partial.means.new_tensor(MID_GREY)
-        checked = self._views(_FIRST_CHECK_VIEW, _CHECK_VIEWS, _CHECK_PX)
-        self._check = prepare_frozen(partial, checked)
+        first = self._views(_FIRST_CHECK_VIEW, _FIRST_VIEWS, _CHECK_PX)
+        self._first_check = prepare_frozen(partial, first)
         self._outside = outside_cameras(distribution, _FIT_PX)
 
-    @torch.no_grad()
-    def check(self, splats: Splats) -> CheckedErrors:
-        """Measure the errors over the check views."""
-        visible = splats.select(splats.opacities > 0)
-        drawn = render(visible, self._check.cameras, self._background, frozen=self._check)
-        color, depth = masked_errors(
-            drawn, self._check.picture(self._background), self._settings.mask_from
+    @functools.cached_property
+    def _check(self) -> PreparedFrozen:
+        """P from all check views."""
+        rest = self._views(
+            _FIRST_CHECK_VIEW + _FIRST_VIEWS, _CHECK_VIEWS - _FIRST_VIEWS, _CHECK_PX
         )
+        return join_prepared([self._first_check, prepare_frozen(self._partial, rest)])
+
+    @torch.no_grad()
+    def check(self, splats: Splats, *, few: bool = False) -> CheckedErrors:
+        """Measure the errors over the check views, or over the first of them."""
+        prepared = self._first_check if few else self._check
+        visible = splats.select(splats.opacities > 0)
+        drawn = render(visible, prepared.cameras, self._background, frozen=prepared)
+        target = prepared.picture(self._background)
+        color, depth = masked_errors(drawn, target, self._settings.mask_from)
         return CheckedErrors(float(color), float(depth))
 
     def above(self, found: CheckedErrors, share: float = 1.0) -> dict[str, float]:

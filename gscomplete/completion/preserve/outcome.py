@@ -19,7 +19,7 @@ _VISIBLE_MOVE = 0.001
 
 @dataclass(frozen=True, slots=True)
 class CheckedErrors:
-    """E_color and E_depth over the check views.
+    """E_color and E_depth over the check views (``HardPreservationReport.views``).
 
     With ``mask_from`` above 0 only of the pixels that are held, so below what the evaluation finds
     over all of P.
@@ -56,6 +56,8 @@ class HardPreservationReport:
     """Rounds of refitting."""
     fadings: int
     """Sweeps of fading and removing."""
+    views: int
+    """Check views that ``before`` and ``after`` are of."""
     seconds: float
 
     @property
