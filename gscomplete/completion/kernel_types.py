@@ -30,6 +30,17 @@ COMPILED_BESIDE: tuple[KernelTypes, ...] = (
         "spread_cells",
         "(f4[:, ::1], f4[::1], f4[::1], i8, i8, i8, f4[:, :, :, ::1])",
     ),
+    KernelTypes(
+        "gscomplete.networks.byte_convolution",
+        "norm_lines",
+        "(i8, i8, f4[:, :, ::1], f4[::1], f4[::1], f4[:, ::1], f4[:, ::1], i8, f8, f4[:, ::1], "
+        "f4[:, ::1], f8[::1])",
+    ),
+    KernelTypes(
+        "gscomplete.networks.byte_convolution",
+        "silu_bytes",
+        "(i8, i8, f4[:, ::1], i8, f4[:, ::1], f4[:, ::1], f4, f4, u1[:, ::1])",
+    ),
     KernelTypes("gscomplete.render.cpu.merge", "count_in_front", "(u8[::1], u8[::1])"),
     KernelTypes(
         "gscomplete.render.cpu.merge",

@@ -50,7 +50,7 @@ _LARGEST_POWER = np.float32(16.0)
 
 
 @numba.njit(**(KERNEL | FAST))
-def _norm_lines(
+def norm_lines(
     first: int,
     last: int,
     features: Any,  # [N, cells, C] float32
@@ -127,7 +127,7 @@ def _silu(x: Any) -> Any:
 
 
 @numba.njit(**(KERNEL | FAST))
-def _silu_bytes(
+def silu_bytes(
     first: int,
     last: int,
     features: Any,  # [N * cells, C] float32
@@ -173,7 +173,7 @@ def normalised_silu(
     else:
         factors, terms = (part.numpy() for part in film)
     run_kernel(
-        _norm_lines, items, 1 + _SMALL_FEATURES // values[0].size,
+        norm_lines, items, 1 + _SMALL_FEATURES // values[0].size,
         values, norm.weight.detach().numpy(), norm.bias.detach().numpy(), factors, terms,
         norm.num_groups, norm.eps, scale, shift, tops,
     )  # fmt: skip
@@ -182,7 +182,7 @@ def normalised_silu(
     zero = round(-SILU_MIN / step)
     out = np.empty((items * cells, channels), np.uint8)
     run_kernel(
-        _silu_bytes, items * cells, 1 + _SMALL_FEATURES // channels,
+        silu_bytes, items * cells, 1 + _SMALL_FEATURES // channels,
         values.reshape(-1, channels), cells, scale, shift,
         np.float32(1.0 / step), np.float32(zero), out,
     )  # fmt: skip
