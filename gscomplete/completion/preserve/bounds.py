@@ -202,9 +202,7 @@ class _Work:
     @functools.cached_property
     def _check(self) -> PreparedFrozen:
         """P from all check views."""
-        rest = self._views(
-            _FIRST_CHECK_VIEW + _FIRST_VIEWS, _CHECK_VIEWS - _FIRST_VIEWS, _CHECK_PX
-        )
+        rest = self._views(_FIRST_CHECK_VIEW + _FIRST_VIEWS, _CHECK_VIEWS - _FIRST_VIEWS, _CHECK_PX)
         return join_prepared([self._first_check, prepare_frozen(self._partial, rest)])
 
     @torch.no_grad()
