@@ -18,7 +18,7 @@ from tests.builders.priors import GuessingPrior
 
 PART, REST = half_cylinder(75.0), half_cylinder(255.0)
 RIGHT, WRONG = ViewDistribution(75.0, 15.0), ViewDistribution(255.0, 15.0)
-CLEAN = CheckedErrors(0.0, 0.0)
+CLEAN = CheckedErrors(0.0, 0.0, 8)
 REPORT = HardPreservationReport(CLEAN, CLEAN, True, 100, 100, 0, 0, 0, {}, 0, 0, 0, 0.0)
 
 

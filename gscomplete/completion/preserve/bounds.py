@@ -134,12 +134,10 @@ def preserve_hard(
     started = time.perf_counter()
     original = new.detach()
     work = _Work(original, partial.detach(), distribution, settings, seed)
-    found = before = work.check(original, few=True)
-    checked = _FIRST_VIEWS
+    found = work.check(original, few=True)
     if work.above(found, _FAR_BELOW):
-        found, checked = work.check(original), _CHECK_VIEWS
-        before = found
-    start = original
+        found = work.check(original)
+    start, before = original, found
     if work.above(found):
         start, found = work.backed(original, found)
     current, rounds, fadings = start, 0, 0
@@ -170,7 +168,6 @@ def preserve_hard(
             met=found.color <= settings.color_bound and found.depth <= settings.depth_bound,
             rounds=rounds,
             fadings=fadings,
-            views=checked,
             seconds=time.perf_counter() - started,
             added=int(kept[count:].sum()),
             **count_changes(
@@ -213,7 +210,7 @@ class _Work:
         drawn = render(visible, prepared.cameras, self._background, frozen=prepared)
         target = prepared.picture(self._background)
         color, depth = masked_errors(drawn, target, self._settings.mask_from)
-        return CheckedErrors(float(color), float(depth))
+        return CheckedErrors(float(color), float(depth), len(prepared))
 
     def above(self, found: CheckedErrors, share: float = 1.0) -> dict[str, float]:
         """Return the errors, in units of what is aimed at, that are above a share of that."""

@@ -19,7 +19,7 @@ _VISIBLE_MOVE = 0.001
 
 @dataclass(frozen=True, slots=True)
 class CheckedErrors:
-    """E_color and E_depth over the check views (``HardPreservationReport.views``).
+    """E_color and E_depth over the check views.
 
     With ``mask_from`` above 0 only of the pixels that are held, so below what the evaluation finds
     over all of P.
@@ -27,6 +27,8 @@ class CheckedErrors:
 
     color: float
     depth: float
+    views: int
+    """How many views they are of: few where they are far below the bounds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,8 +58,6 @@ class HardPreservationReport:
     """Rounds of refitting."""
     fadings: int
     """Sweeps of fading and removing."""
-    views: int
-    """Check views that ``before`` and ``after`` are of."""
     seconds: float
 
     @property

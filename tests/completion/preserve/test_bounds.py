@@ -26,7 +26,9 @@ VIEWS = ViewDistribution(0.0, 10.0, azimuth_range_deg=30.0)
 
 @pytest.fixture(autouse=True)
 def _few_small_pictures(monkeypatch):
-    for name, value in {"CHECK_PX": 48, "FIT_PX": 32, "CHECK_VIEWS": 6, "FIT_VIEWS": 4}.items():
+    sizes = {"CHECK_PX": 48, "FIT_PX": 32}
+    counts = {"CHECK_VIEWS": 6, "FIRST_VIEWS": 2, "FIT_VIEWS": 4}
+    for name, value in (sizes | counts).items():
         monkeypatch.setattr(hard_preservation, f"_{name}", value)
 
 
@@ -130,6 +132,20 @@ def test_within_the_bounds_nothing_is_changed():
     assert result.report.rounds == result.report.fadings == 0
     for (_, old), (_, new) in zip(BESIDE.fields(), result.splats.fields(), strict=True):
         assert torch.equal(old, new)
+
+
+@pytest.mark.parametrize(("times_found", "views"), [(5.1, 2), (3.9, 6), (0.5, 6)])
+def test_few_views_are_enough_far_below_the_bounds_alone(times_found, views):
+    new = BEHIND  # shows through the gaps of P by little
+    all_of_it = HardPreservationSettings(color_bound=1e-9, depth_bound=10.0, rounds=0)
+    few = hard_preservation._Work(new, PARTIAL, VIEWS, all_of_it, 0).check(new, few=True)
+    assert few.views == 2
+    assert few.color > 0
+    bound = times_found * few.color / MARGIN
+    settings = dataclasses.replace(all_of_it, color_bound=bound)
+    report = preserve_hard(new, PARTIAL, VIEWS, settings).report
+    assert report.before.views == report.after.views == views
+    assert (report.untouched == len(new)) == (times_found > 1)
 
 
 def test_the_result_is_a_function_of_its_input_and_the_seed():
