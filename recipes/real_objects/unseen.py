@@ -35,8 +35,11 @@ from torch import Tensor
 
 from gscomplete.evaluate.bootstrap import bootstrap_interval
 from gscomplete.evaluate.geometry import hidden_surface_errors
+from gscomplete.evaluate.metrics import MID_GREY
+from gscomplete.evaluate.report import truth_pictures_of_renders
 from gscomplete.priors import load_prior
 from gscomplete.priors.base import prior_identity
+from gscomplete.render import render
 from gscomplete.splats import Splats, colors_to_sh, concatenate, write_splats
 from gscomplete.util import jsonio
 from recipes.entry_point import start
@@ -78,6 +81,8 @@ _BOX_SHARE = 0.4
 _LARGEST_OFFSET = 0.12
 _FEWEST_SHARE = 0.1
 """A half that keeps less of a thin object is cut through the middle instead."""
+_PICTURES, _PICTURE_PX = 8, 256
+"""Views all round that pictures are compared from, and their side."""
 _FLAT_COLOR = (0.6, 0.6, 0.6)
 
 
@@ -186,12 +191,15 @@ def seen_from(splats: Splats, azimuth_rad: ArrayLike, elevation_rad: float) -> T
 
 
 def measure_all(framed: FramedObject, outcome: Outcome) -> dict[str, Any]:
-    """Return the numbers of ``compare`` and those of the hidden surface."""
+    """Return the numbers of ``compare``, those of the hidden surface and of the pictures."""
     assert framed.truth is not None
     partial = framed.partial.with_sh_degree(0)
     completed = concatenate([partial, outcome.splats])
+    cameras, grey = framed.views.ring(_PICTURES, _PICTURE_PX), torch.tensor(MID_GREY)
+    with torch.no_grad():
+        shown = [render(it, cameras, grey) for it in (completed, partial, framed.truth)]
+    row = measure(framed, outcome) | jsonio.to_json(truth_pictures_of_renders(*shown))
     surface = hidden_surface_errors(completed, partial, framed.truth)
-    row = measure(framed, outcome)
     return row if surface is None else row | jsonio.to_json(surface)
 
 
@@ -241,6 +249,7 @@ _COLUMNS = (
     ("silhouette_missed", "missed", ".3f"),
     ("silhouette_excess", "excess", ".3f"),
     ("hidden_color_psnr_db", "PSNR", ".2f"),
+    ("haarpsi", "HaarPSI", ".3f"),
     ("f_score_1", "F 1 %", ".3f"),
     ("f_score_3", "F 3 %", ".3f"),
     ("e_color_v", "E_color", ".5f"),
