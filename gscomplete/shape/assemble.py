@@ -35,12 +35,14 @@ from gscomplete.splats.rotations import rotation_matrices
 _LEAST_SPACING = 0.002
 _MOST_SPACING = 0.03
 """Of the surface beside mirrored splats, which is that of the mirrored splats between the two."""
-_MOST_MIRRORED = 60_000
-"""Splats of P, chosen at random where it has more."""
 _MOST_LOOKED_AT = 20_000
 """Splats of P that tell where P is."""
+_SEAM_SPACINGS, _ONE_SIDED_COPY = 0.5, 0.55
+"""Copies beyond P's rim count as new from so many of P's spacings on, where P's nearest splats lie
+to one side by so much: else a dark line is left along a cut."""
 _LEAST_COPY_LOGIT = -2.0
-"""Copies in cells that the network finds emptier than this are left out ..."""
+"""Copies in cells that the network finds emptier than this are left out, unless the plane is
+certain: views between the legs of half a cow see that the other legs are not there, ..."""
 _DOUBTED_LOGIT, _FEWEST_KNOWN, _UNLIKE_KNOWN = 0.0, 2, 0.08
 """Copies in cells emptier than this are left out, too, where so many known shapes suit P and none
 is this near, object sizes; ..."""
@@ -63,8 +65,6 @@ _LOGIT_BESIDE = 0.0
 _SYMMETRY_SCORES = (0.1, 0.3)
 """Little is missing where no mirror image of P scores more than the first: none adds anything
 that the network predicts. From the second on that says nothing."""
-_MOST_MIRRORED_SHARE = 0.7
-"""Most of the new splats that are mirrored ones."""
 _GAP_SPACINGS = 3.0
 """Where P and mirrored splats leave gaps wider than so many spacings of splats, the network's
 surface closes them."""
@@ -77,7 +77,8 @@ class AssembleSettings:
     """How the first guess is put together."""
 
     count: int = 20_000
-    """Most new splats."""
+    """Most splats of the network's surface. Mirrored ones are as many as P has: between fewer,
+    however wide, what lies behind them shows."""
     occupancy_threshold_low: float = -1.0
     """Without mirrored splats: from this logit on where much is missing; the network is never
     confident of thin walls there, and some excess is accepted for them ..."""
@@ -127,20 +128,19 @@ def assemble_splats(
             network doubts a part of them.
     """
     copies, contradicted = None, None
-    most = int(_MOST_MIRRORED_SHARE * settings.count)
-    if most and is_mirrored_by_splats(prediction):
-        copies, contradicted = _new_copies(prediction, partial, known, most, generator)
+    if is_mirrored_by_splats(prediction):
+        copies, contradicted = _new_copies(prediction, partial, known, generator)
     if copies is None or contradicted is None or not len(copies):
         level = _surface_logit(prediction, settings)
         near = settings.near_partial
-        doubted = prediction.symmetry_score < 1.0  # users and square cuts are taken at their word
+        doubted = not _is_certain(prediction)
         plain = SurfaceSettings(
             settings.count, near_partial=near, filled_logit=level, rim_decides=doubted
         )
         surface = surface_splats(prediction.output, prediction.seen, partial, plain, generator)
         return AssembledSplats(surface, 0)
     beside = SurfaceSettings(
-        settings.count - len(copies),
+        settings.count,
         near_partial=settings.reach,
         gap_spacings=_GAP_SPACINGS,
         filled_logit=_LOGIT_BESIDE,
@@ -156,6 +156,11 @@ def is_mirrored_by_splats(prediction: Prediction) -> bool:
     """Say whether the plane of symmetry is sure enough for P's own splats to be mirrored."""
     is_sure = prediction.symmetry_score >= _LEAST_SYMMETRY_SCORE
     return is_sure and _missing_share(prediction) >= _LITTLE
+
+
+def _is_certain(prediction: Prediction) -> bool:
+    """Say whether the plane is taken without a doubt: users and square cuts are."""
+    return prediction.symmetry_score >= 1.0
 
 
 def _missing_share(prediction: Prediction) -> float:  # in [0, 1]
@@ -222,17 +227,16 @@ def _new_copies(
     prediction: Prediction,
     partial: Splats,
     known: Callable[[], Sequence[FittedShape]],
-    limit: int,
     generator: torch.Generator,
 ) -> tuple[Splats, Splats]:
     """Return P's splats through the first mirror image, where P has none and nothing is against.
 
     The second value are those that known shapes alone are against.
     """
-    source = thinned(partial, _MOST_MIRRORED, generator)
-    copies = mirror_image(source, prediction.seen.symmetries[0])
+    copies = mirror_image(partial, prediction.seen.symmetries[0])
     occupancy = prediction.output.occupancy.float()
-    copies = select_consistent(copies, occupancy, prediction.voxels.evidence)
+    least_logit = -math.inf if _is_certain(prediction) else _LEAST_COPY_LOGIT
+    copies = select_consistent(copies, occupancy, prediction.voxels.evidence, least_logit)
     doubted = sample_volume(occupancy, copies.means)[:, 0] < _DOUBTED_LOGIT
     against = torch.zeros_like(doubted)
     if float(doubted.sum()) > _FEW_DOUBTED * len(copies):
@@ -244,18 +248,23 @@ def _new_copies(
     thinnest = copies.scales.argmin(dim=1)[:, None, None].expand(-1, 3, 1)
     normals = axes.gather(2, thinnest)[:, :, 0]
     anchor = thinned(partial, _MOST_LOOKED_AT, generator)
-    is_new = is_missing(copies.means, normals, anchor.means, SurfaceSettings())
-    return thinned(copies.select(is_new), limit, generator), contradicted
+    seam = _SEAM_SPACINGS * median_spacing(anchor.means)
+    beyond = SurfaceSettings(
+        near_rim=min(SurfaceSettings().near_rim, seam), one_sided=_ONE_SIDED_COPY
+    )
+    is_new = is_missing(copies.means, normals, anchor.means, beyond)
+    return copies.select(is_new), contradicted
 
 
 def select_consistent(
     copies: Splats,
     occupancy: Tensor,  # [1, C, C, C] logits of the network's answer
     evidence: Evidence,
+    least_logit: float = _LEAST_COPY_LOGIT,
 ) -> Splats:
     """Return the copies that neither the network nor the views contradict."""
     logit = sample_volume(occupancy, copies.means)[:, 0]
-    return copies.select((logit > _LEAST_COPY_LOGIT) & hides_nothing(copies, evidence))
+    return copies.select((logit > least_logit) & hides_nothing(copies, evidence))
 
 
 def contradicted_by(

@@ -44,8 +44,6 @@ _LEAST_GAP = 0.004
 """Object sizes; narrower gaps do not show."""
 _ROUNDING = 1e-3
 """A splat is at least as far away as across the surface, but for rounding; this is more."""
-_ONE_SIDED = 0.7
-"""Of a point beyond the rim, the ``one_sidedness`` of P's nearest splats is larger."""
 _COPY_REACH = 1.2
 """Cells to a mirror image of P within which a point belongs on it."""
 _COPY_NEIGHBOURS = 4
@@ -64,6 +62,8 @@ class SurfaceSettings:
     """Surface points this near to P's splats are P's own, ..."""
     near_rim: float = 0.01
     """... unless they lie beyond P's rim: there only points this near are. So no gap shows."""
+    one_sided: float = 0.7
+    """Of a point beyond the rim, the ``one_sidedness`` of P's nearest splats is larger."""
     gap_spacings: float | None = None
     """Points with no splat within so many spacings of splats across the surface lie in a gap: they
     are new however near splats are; None = gaps are left as they are."""
@@ -260,7 +260,7 @@ def is_missing(
     offsets = others[torch.from_numpy(index)] - points[:, None]
     along = (offsets * normals[:, None]).sum(dim=2, keepdim=True)
     offsets = offsets - along * normals[:, None]
-    one_sided = torch.from_numpy(one_sidedness(offsets.numpy()) > _ONE_SIDED)
+    one_sided = torch.from_numpy(one_sidedness(offsets.numpy()) > settings.one_sided)
     missing[close] = one_sided & (torch.from_numpy(distance[:, 0]) > settings.near_rim)
     missing[close] |= offsets.norm(dim=2).amin(dim=1) > widest
     return missing

@@ -143,19 +143,51 @@ def test_the_mirrored_object_has_the_silhouette_of_the_truth():
 
 
 @pytest.mark.parametrize("count", [1, 2, 100, 3000])
-def test_no_more_splats_than_asked_for(count):
-    new = put_together(predicted(0.9), count=count)
-    assert 0 < len(new) <= count
-    for _, value in new.fields():
-        assert torch.isfinite(value).all()
+def test_no_more_splats_of_the_networks_surface_than_asked_for(count):
+    settings, partial = AssembleSettings(count=count), half(ball())
+    for score in (0.1, 0.9):
+        generator = torch.Generator().manual_seed(0)
+        found = assemble_splats(predicted(score), partial, settings, generator)
+        assert (found.mirrored > 0) == (score > 0.5)
+        assert found.mirrored <= len(partial)
+        assert 0 < len(found.splats) <= found.mirrored + count
+        for _, value in found.splats.fields():
+            assert torch.isfinite(value).all()
 
 
-def test_what_the_network_leaves_empty_is_not_mirrored():
-    prediction = predicted(0.9)
-    empty = dataclasses.replace(
-        prediction.output, occupancy=torch.full_like(prediction.output.occupancy, -8.0)
-    )
-    assert len(put_together(dataclasses.replace(prediction, output=empty))) == 0
+def test_mirrored_splats_are_as_many_and_as_wide_as_those_of_p():
+    partial = half(ball(30_000))
+    generator = torch.Generator().manual_seed(0)
+    found = assemble_splats(predicted(0.9), partial, AssembleSettings(count=500), generator)
+    assert found.mirrored > 0.97 * len(partial)
+    copies = found.splats.select(torch.arange(found.mirrored))
+    assert float(copies.scales.max()) <= float(partial.scales.max())
+
+
+def test_copies_reach_to_the_seam():
+    """No strip is left between P and its mirror image: it would show as a dark line."""
+    partial = half(ball(30_000))
+    generator = torch.Generator().manual_seed(0)
+    found = assemble_splats(predicted(0.9), partial, AssembleSettings(count=500), generator)
+    copies = found.splats.means[: found.mirrored]
+    spacing = 0.4 * (4 * np.pi / 30_000) ** 0.5
+    at_seam = copies[:, 0].abs() < 0.75 * spacing
+    expected = partial.means[:, 0].abs() < 0.75 * spacing
+    assert int(at_seam.sum()) > 0.5 * int(expected.sum()) > 50
+
+
+@pytest.mark.parametrize("is_certain", [False, True])
+def test_what_the_network_leaves_empty_is_mirrored_through_a_certain_plane_alone(is_certain):
+    prediction = predicted(1.0 if is_certain else 0.9)
+    empty = torch.full_like(prediction.output.occupancy, -8.0)
+    empty[0, :4] = 8.0  # far from P, so that something is missing
+    output = dataclasses.replace(prediction.output, occupancy=empty)
+    given = dataclasses.replace(prediction, output=output)
+    assert is_mirrored_by_splats(given)
+    generator = torch.Generator().manual_seed(0)
+    found = assemble_splats(given, half(ball()), AssembleSettings(count=100), generator)
+    assert (found.mirrored > 0.9 * len(half(ball()))) == is_certain
+    assert (found.mirrored == 0) == (not is_certain)
 
 
 def test_notes_tell_the_plane_as_users_ask_for_it():
