@@ -128,7 +128,8 @@ class CompletionSettings:
     """What steps change."""
     seed: int = 0
     new_splats: int = 5000
-    """New splats at the start, uniform in the sphere about the object (section 3.3)."""
+    """New splats at the start, uniform in the sphere about the object (section 3.3);
+    ``start="guess"``: the most beside P's own mirrored ones, which are as many as P has."""
     start: Start = "sphere"
     """Where new splats start."""
     mirror: Mirror = "guess"

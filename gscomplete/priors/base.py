@@ -237,7 +237,7 @@ class ShapePrior(Protocol):
             distribution: V: what its views find empty stays empty.
             conditioning: from ``condition`` of the same prior.
             generator: chooses where splats sit.
-            count: most splats.
+            count: most splats beside P's own mirrored ones.
             mirror: the plane of symmetry.
             known_shapes: whether known shapes of the prompt's noun may help.
             prompt_decides: whether the one that suits P best is the guess.

@@ -152,7 +152,7 @@ def guess_complete(
         views: V.
         mirror: the plane of symmetry.
         known: shapes that may help.
-        count: most new splats.
+        count: most new splats beside P's own mirrored ones.
         generator: chooses where splats sit.
     """
     settings = AssembleSettings(count=count)
