@@ -42,7 +42,7 @@ _SEAM_SPACINGS, _ONE_SIDED_COPY = 0.5, 0.55
 to one side by so much: else a dark line is left along a cut."""
 _LEAST_COPY_LOGIT = -2.0
 """Copies in cells that the network finds emptier than this are left out, unless the plane is
-certain: views between the legs of half a cow see that the other legs are not there, ..."""
+certain: of half a cow it takes the other side's legs for cut off, as P's views show none, ..."""
 _DOUBTED_LOGIT, _FEWEST_KNOWN, _UNLIKE_KNOWN = 0.0, 2, 0.08
 """Copies in cells emptier than this are left out, too, where so many known shapes suit P and none
 is this near, object sizes; ..."""
