@@ -68,6 +68,9 @@ that the network predicts. From the second on that says nothing."""
 _GAP_SPACINGS = 3.0
 """Where P and mirrored splats leave gaps wider than so many spacings of splats, the network's
 surface closes them."""
+_NEARLY_ALL = 0.9
+"""Share of P's splats whose mirror image is all that is added; where fewer are left, they would
+have hidden P."""
 _NEXT_TO_NOTHING = 0.02
 """Share of the filled cells below which what the prompt changes is not to be seen."""
 
@@ -94,6 +97,9 @@ class AssembleSettings:
     near_partial: float = 0.03
     """Without mirrored splats: surface this near to P's splats is P's own, as
     ``SurfaceSettings.near_partial`` says."""
+    image_is_all: bool = False
+    """Nothing of the network's surface counts beside P's own splats, mirrored, where nearly all of
+    them do: what P lacks was cut away along the plane."""
     reach: float = 1.5 * CELL_SIDE
     """Surface this near to P's splats or mirrored ones is theirs; cells blur it by as much."""
 
@@ -139,6 +145,8 @@ def assemble_splats(
         )
         surface = surface_splats(prediction.output, prediction.seen, partial, plain, generator)
         return AssembledSplats(surface, 0)
+    if settings.image_is_all and len(copies) >= _NEARLY_ALL * len(partial):
+        return AssembledSplats(copies, len(copies), len(contradicted))
     beside = SurfaceSettings(
         settings.count,
         near_partial=settings.reach,

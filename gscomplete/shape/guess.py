@@ -143,6 +143,8 @@ def guess_complete(
     known: KnownShapes,
     count: int,
     generator: torch.Generator,
+    *,
+    mirror_is_cut: bool = False,
 ) -> Guess:
     """Guess the complete object.
 
@@ -154,8 +156,9 @@ def guess_complete(
         known: shapes that may help.
         count: most new splats beside P's own mirrored ones.
         generator: chooses where splats sit.
+        mirror_is_cut: whether P was cut along the plane, and meets it squarely.
     """
-    settings = AssembleSettings(count=count)
+    settings = AssembleSettings(count=count, image_is_all=mirror_is_cut)
     plain = _predict(asked, partial, views, mirror)
     notes: tuple[str, ...] = ()
     is_mirrored = isinstance(mirror, MirrorPlane) or is_mirrored_by_splats(plain)

@@ -164,6 +164,17 @@ def test_mirrored_splats_are_as_many_and_as_wide_as_those_of_p():
     assert float(copies.scales.max()) <= float(partial.scales.max())
 
 
+def test_beside_the_image_that_is_all_nothing_of_the_networks_surface_counts():
+    prediction = predicted(1.0)
+    both = put_together(prediction)
+    copies = put_together(prediction, image_is_all=True)
+    assert 0 < len(copies) < len(both)
+    assert torch.equal(copies.means, both.means[: len(copies)])
+    not_believed = dataclasses.replace(prediction, symmetry_score=0.1)
+    alone = put_together(not_believed)
+    assert torch.equal(put_together(not_believed, image_is_all=True).means, alone.means)
+
+
 def test_copies_reach_to_the_seam():
     """No strip is left between P and its mirror image: it would show as a dark line."""
     partial = half(ball(30_000))

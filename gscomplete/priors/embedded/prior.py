@@ -205,6 +205,7 @@ class EmbeddedPrior:
         cut = find_cut(points)
         bank = self._bank if known_shapes else None
         known = KnownShapes(bank, conditioning.prompt, prompt_decides)
+        is_cut = False
         if mirror == "guess":
             more = prompt_decides and known.fitted(partial, distribution)
             if is_closed(points, cut) and not more:
@@ -212,7 +213,7 @@ class EmbeddedPrior:
                 told = known.notes(()) if prompt_decides else ()
                 return FirstGuess(nothing, (*told, _COMPLETE_NOTE))
             if cut is not None and cut.is_symmetric and abs(cut.offset) <= 1:
-                mirror = MirrorPlane(cut.azimuth_deg, cut.offset)
+                mirror, is_cut = MirrorPlane(cut.azimuth_deg, cut.offset), True
                 notes += (_SQUARE_CUT_NOTE,)
         asked = Asked(
             self._shape,
@@ -221,7 +222,9 @@ class EmbeddedPrior:
             bfloat16=self._shape_bfloat16,
             ends_in_plane=_ends_in_plane(cut),
         )
-        guess = guess_complete(asked, partial, distribution, mirror, known, count, generator)
+        guess = guess_complete(
+            asked, partial, distribution, mirror, known, count, generator, mirror_is_cut=is_cut
+        )
         return FirstGuess(guess.splats, notes + guess.notes)
 
     def with_known_shape(

@@ -8,6 +8,7 @@ from gscomplete.priors import FourViews, Guidance, Prior, load_prior
 from gscomplete.priors.base import prior_identity
 from gscomplete.priors.embedded.prior import EmbeddedPrior
 from gscomplete.priors.embedded.weights import save_weights
+from gscomplete.shape.mirror_plane import MirrorPlane
 from gscomplete.views import ViewDistribution
 from tests.builders.objects import ball, half
 from tests.builders.tiny_denoiser import ring_views, tiny_config, tiny_model
@@ -191,6 +192,24 @@ def test_a_part_that_ends_squarely_at_a_plane_is_mirrored_through_it():
     assert float(nearest.quantile(0.9)) < 0.03
     asked = prior.first_guess(part, views, conditioning, generator(), 2000, "none")
     assert not any("squarely" in note for note in asked.notes)
+
+
+def test_the_image_in_a_square_cut_is_all_that_is_added_unless_it_hides_p():
+    prior, part = load_prior("embedded"), half(ball(4000))
+    conditioning = prior.condition("a ball")
+    added = {}
+    for azimuth_deg in (0.0, 180.0):  # the closed side and the open one
+        views = ViewDistribution(azimuth_deg, 10.0)
+        guess = prior.first_guess(part, views, conditioning, generator(), 2000)
+        added[azimuth_deg] = len(guess.splats)
+        if azimuth_deg == 0.0:
+            away = torch.cdist(guess.splats.means, part.means * torch.tensor([-1.0, 1.0, 1.0]))
+            assert float(away.amin(dim=1).max()) < 0.04
+            plane = MirrorPlane(0.0, 0.0)
+            chosen = prior.first_guess(part, views, conditioning, generator(), 2000, plane)
+            assert len(chosen.splats) > len(guess.splats)  # with the network's surface
+    assert 0.9 * len(part) <= added[0.0] <= len(part)
+    assert added[180.0] > 1000
 
 
 def test_what_the_prompt_changes_is_told_against_no_prompt_whatever_the_negative_one():
