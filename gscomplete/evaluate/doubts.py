@@ -12,7 +12,7 @@ import torch
 
 from gscomplete.framing.input_view import hidden_share
 from gscomplete.splats import Splats, concatenate
-from gscomplete.splats.filters import thinned
+from gscomplete.splats.thinning import thinned
 from gscomplete.views import ViewDistribution
 
 MARK = "doubtful: "

@@ -26,7 +26,7 @@ import torch
 from gscomplete.framing.guess import ViewScores, score_partial
 from gscomplete.render import render
 from gscomplete.splats import Splats, concatenate
-from gscomplete.splats.filters import thinned
+from gscomplete.splats.thinning import thinned
 from gscomplete.views import ViewDistribution
 
 _MOST_HIDDEN = 0.1

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from gscomplete.evaluate.align.align import evenly_spread
 from gscomplete.splats import Splats
-from gscomplete.splats.filters import thinned
+from gscomplete.splats.thinning import thinned
 
 REACH = 1.0
 SMALLEST, LARGEST = 1e-4, 0.5

@@ -29,8 +29,8 @@ from gscomplete.shape.surface import (
 from gscomplete.shape.symmetry import SymmetryMap, mirror_image, plane_of
 from gscomplete.shape.voxels import CELL_SIDE, grown, sample_volume, surface_cells
 from gscomplete.splats import Splats, concatenate
-from gscomplete.splats.filters import thinned
 from gscomplete.splats.rotations import rotation_matrices
+from gscomplete.splats.thinning import thinned
 
 _LEAST_SPACING = 0.002
 _MOST_SPACING = 0.03

@@ -9,8 +9,6 @@ Conventions
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -94,12 +92,3 @@ def far_positions(
         return np.zeros(len(means), bool)
     offsets = np.abs(means - middle.astype(np.float32)).max(axis=1)
     return np.asarray(offsets > factor * extent / 2)
-
-
-def thinned(splats: Splats, limit: int, generator: torch.Generator) -> Splats:
-    """Return an even random choice of at most ``limit`` splats, widths grown to match."""
-    count = len(splats)
-    if count <= limit:
-        return splats
-    chosen = splats.select(torch.randperm(count, generator=generator)[:limit].sort().values)
-    return dataclasses.replace(chosen, scales=chosen.scales * (count / limit) ** 0.5)

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats
-from gscomplete.splats.filters import thinned, usable_rows
+from gscomplete.splats.filters import usable_rows
+from gscomplete.splats.thinning import thinned
 from gscomplete.util.randomness import generator_for
 
 

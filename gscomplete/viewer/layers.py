@@ -28,8 +28,9 @@ from gscomplete.folders import (
     splat_files_of,
 )
 from gscomplete.splats import Splats, read_splats
-from gscomplete.splats.filters import thinned, usable_rows
+from gscomplete.splats.filters import usable_rows
 from gscomplete.splats.formats.any_file import read_any_splats
+from gscomplete.splats.thinning import thinned
 from gscomplete.splats.transform import transform_splats
 from gscomplete.viewer.live import newest
 from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution

@@ -58,7 +58,7 @@ from gscomplete.completion.settings import HardPreservationSettings
 from gscomplete.evaluate.metrics import MID_GREY
 from gscomplete.render import PreparedFrozen, Render, join_prepared, prepare_frozen, render
 from gscomplete.splats import Splats, concatenate
-from gscomplete.splats.filters import thinned
+from gscomplete.splats.thinning import thinned
 from gscomplete.util.randomness import generator_for
 from gscomplete.util.same_bits import fixed_sum
 from gscomplete.views import Cameras, ViewDistribution, join_cameras

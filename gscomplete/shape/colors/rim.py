@@ -25,8 +25,8 @@ from torch import Tensor
 
 from gscomplete.shape.voxels import CELL_SIDE
 from gscomplete.splats import Splats
-from gscomplete.splats.filters import thinned
 from gscomplete.splats.oklab import oklab_from_srgb
+from gscomplete.splats.thinning import thinned
 
 _NEIGHBOURS = 8
 """Splats that a colour goes to directly."""

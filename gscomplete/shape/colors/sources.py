@@ -26,7 +26,7 @@ from gscomplete.shape.partial_voxels import ShapeInputs
 from gscomplete.shape.symmetry import SOURCES
 from gscomplete.shape.voxels import CELL_SIDE, sample_volume
 from gscomplete.splats import Splats
-from gscomplete.splats.filters import thinned
+from gscomplete.splats.thinning import thinned
 
 _SHARPNESS = 8.0
 """Factor on the network's logits: mixing happens only where sources change."""

@@ -32,6 +32,7 @@ from gscomplete.errors import UserError
 from gscomplete.splats.formats.palette import CODES, codebook, row_palette
 from gscomplete.splats.ply_files.records import LOG_SCALE_LIMIT
 from gscomplete.splats.record import SH_C0, Splats
+from gscomplete.splats.thinning import space_filling_order
 from gscomplete.util.atomic import atomic_path
 from gscomplete.util.limits import check_decoded_bytes, most_decoded_bytes
 
@@ -197,7 +198,7 @@ def write_sog(path: Path, splats: Splats) -> tuple[str, ...]:
     side = _picture_side(len(splats))
     if not 0 < side <= _MOST_SIDE:
         raise UserError(f"{path}: SOG: expected 1 to 268 million splats, found {len(splats):,}")
-    splats = splats.select(_morton_order(splats.means.numpy()))
+    splats = splats.select(space_filling_order(splats.means.numpy()))
     means = splats.means.double().numpy()
     logs = np.sign(means) * np.log1p(np.abs(means))
     low, high = logs.min(axis=0), logs.max(axis=0)
@@ -290,14 +291,3 @@ def _pack(quaternions: NDArray[np.float64]) -> Pixels:  # [N, 4] wxyz -> [N, 4]
     small = np.take_along_axis(unit * sign, _PLACES[largest], axis=1)
     bytes_ = np.rint((small * math.sqrt(2) * 0.5 + 0.5).clip(0, 1) * 255)
     return np.concatenate([bytes_, _FIRST_TAG + largest[:, None]], axis=1).astype(np.uint8)
-
-
-def _morton_order(means: NDArray[np.float32]) -> torch.Tensor:  # [N, 3] -> [N]
-    """Return the order of positions along a space-filling curve."""
-    low, high = means.min(axis=0), means.max(axis=0)
-    cell = ((means - low) / np.maximum(high - low, 1e-12) * 1023).astype(np.int64)
-    key = np.zeros(len(means), np.int64)
-    for bit in range(10):
-        for axis in range(3):
-            key |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
-    return torch.from_numpy(np.argsort(key, kind="stable"))
