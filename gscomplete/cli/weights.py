@@ -107,7 +107,7 @@ def _list(options: ListOptions) -> int:
 
 
 def _embedded() -> dict[str, Any]:
-    from gscomplete.priors.embedded.prior import packaged_weights
+    from gscomplete.priors.embedded.weights import packaged_weights
 
     folder = packaged_weights()
     size = sum(path.stat().st_size for path in folder.glob("*.safetensors"))

@@ -45,11 +45,18 @@ from gscomplete.completion.alternatives import guess_alternatives
 from gscomplete.completion.pipeline import Request, finish, framing_for, prepare
 from gscomplete.completion.presets import PresetName, preset
 from gscomplete.completion.settings import CompletionSettings
-from gscomplete.evaluate.metrics import against_truth, preservation
+from gscomplete.evaluate.metrics import (
+    MID_GREY,
+    against_truth,
+    preservation,
+    truth_errors_of_renders,
+)
 from gscomplete.evaluate.pictures import contact_sheet, render_images, save_image
+from gscomplete.evaluate.report import truth_pictures_of_renders
 from gscomplete.framing.decide import FramingRequest
 from gscomplete.priors import Prior, load_prior
 from gscomplete.priors.base import prior_identity
+from gscomplete.render import render
 from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.planes.proposals import candidate_planes
 from gscomplete.shape.symmetry import mirror_image
@@ -220,7 +227,11 @@ def measure(framed: FramedObject, outcome: Outcome) -> dict[str, Any]:
     }
     if framed.truth is not None:
         truth = framed.truth.with_sh_degree(0)
-        row |= jsonio.to_json(against_truth(together, partial, truth, framed.views.ring(8, 256)))
+        cameras, behind = framed.views.ring(8, 256), truth.means.new_tensor(MID_GREY)
+        with torch.no_grad():
+            renders = [render(splats, cameras, behind) for splats in (together, partial, truth)]
+        row |= jsonio.to_json(truth_errors_of_renders(*renders))
+        row |= jsonio.to_json(truth_pictures_of_renders(*renders))
     return row
 
 

@@ -35,11 +35,8 @@ from torch import Tensor
 
 from gscomplete.evaluate.bootstrap import bootstrap_interval
 from gscomplete.evaluate.geometry import hidden_surface_errors
-from gscomplete.evaluate.metrics import MID_GREY
-from gscomplete.evaluate.report import truth_pictures_of_renders
 from gscomplete.priors import load_prior
 from gscomplete.priors.base import prior_identity
-from gscomplete.render import render
 from gscomplete.splats import Splats, colors_to_sh, concatenate, write_splats
 from gscomplete.util import jsonio
 from recipes.entry_point import start
@@ -81,8 +78,6 @@ _BOX_SHARE = 0.4
 _LARGEST_OFFSET = 0.12
 _FEWEST_SHARE = 0.1
 """A half that keeps less of a thin object is cut through the middle instead."""
-_PICTURES, _PICTURE_PX = 8, 256
-"""Views all round that pictures are compared from, and their side."""
 _FLAT_COLOR = (0.6, 0.6, 0.6)
 
 
@@ -191,15 +186,12 @@ def seen_from(splats: Splats, azimuth_rad: ArrayLike, elevation_rad: float) -> T
 
 
 def measure_all(framed: FramedObject, outcome: Outcome) -> dict[str, Any]:
-    """Return the numbers of ``compare``, those of the hidden surface and of the pictures."""
+    """Return the numbers of ``compare`` and those of the hidden surface."""
     assert framed.truth is not None
     partial = framed.partial.with_sh_degree(0)
     completed = concatenate([partial, outcome.splats])
-    cameras, grey = framed.views.ring(_PICTURES, _PICTURE_PX), torch.tensor(MID_GREY)
-    with torch.no_grad():
-        shown = [render(it, cameras, grey) for it in (completed, partial, framed.truth)]
-    row = measure(framed, outcome) | jsonio.to_json(truth_pictures_of_renders(*shown))
     surface = hidden_surface_errors(completed, partial, framed.truth)
+    row = measure(framed, outcome)
     return row if surface is None else row | jsonio.to_json(surface)
 
 

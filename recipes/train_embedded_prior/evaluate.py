@@ -38,9 +38,8 @@ from gscomplete.priors.embedded.diffusion import (
 )
 from gscomplete.priors.embedded.inputs import images_to_color_alpha
 from gscomplete.priors.embedded.model import FourViewDenoiser
-from gscomplete.priors.embedded.prior import packaged_weights
 from gscomplete.priors.embedded.text import NO_TEXT_TOKEN
-from gscomplete.priors.embedded.weights import load_weights
+from gscomplete.priors.embedded.weights import load_weights, packaged_weights
 from gscomplete.util.atomic import atomic_path
 from recipes.train_embedded_prior.config import DataConfig
 from recipes.train_embedded_prior.data.dataset import HELD_OUT_SEED_OFFSET, Batch, decode_sets

@@ -26,7 +26,6 @@ from torch import Tensor
 from gscomplete.errors import UserError
 from gscomplete.priors.base import PriorViews
 from gscomplete.priors.embedded.model import FourViewDenoiser, ModelConfig
-from gscomplete.priors.embedded.prior import packaged_weights
 from gscomplete.priors.embedded.text import FIRST_WORD_TOKEN, STOP_WORDS, split_words
 from gscomplete.priors.embedded.weights import (
     CONFIG_FILE,
@@ -36,6 +35,7 @@ from gscomplete.priors.embedded.weights import (
     Storage,
     TrainingRecord,
     load_weights,
+    packaged_weights,
     save_weights,
 )
 from gscomplete.shape.bank.store import BANK_FILE, read_bank

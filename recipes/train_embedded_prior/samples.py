@@ -39,7 +39,8 @@ from gscomplete.fitting.parameters import BoundedParameters, Bounds
 from gscomplete.fitting.settings import LearningRates
 from gscomplete.priors.base import FourViews
 from gscomplete.priors.embedded.conditioning import EmbeddedConditioning, upright
-from gscomplete.priors.embedded.prior import EmbeddedPrior, packaged_weights
+from gscomplete.priors.embedded.prior import EmbeddedPrior
+from gscomplete.priors.embedded.weights import packaged_weights
 from gscomplete.render import render
 from gscomplete.shape.bank.nouns import head_noun
 from gscomplete.shape.bank.store import BANK_FILE, read_bank

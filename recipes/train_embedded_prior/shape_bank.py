@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
-from gscomplete.priors.embedded.prior import packaged_weights
+from gscomplete.priors.embedded.weights import packaged_weights
 from gscomplete.shape.bank.store import BANK_CELLS, BANK_FILE, ShapeName, write_bank
 from recipes.entry_point import start
 from recipes.train_embedded_prior.data.mesh_pack import PackMesh, read_manifest, read_mesh

@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.progress import track
 from torch import Tensor, nn
 
-from gscomplete.priors.embedded.prior import packaged_weights
+from gscomplete.priors.embedded.weights import packaged_weights
 from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.planes.coarse_scorer import COARSE_SCORER_FILE, LAYERS, CoarseSymmetryScorer
 from gscomplete.shape.planes.features import FEATURES, plane_features

@@ -34,7 +34,7 @@ from torch import Tensor
 from gscomplete.cli.guard import run_guarded
 from gscomplete.fitting.step_loop import require_same_identity
 from gscomplete.networks.precision import cpu_precision
-from gscomplete.priors.embedded.prior import packaged_weights
+from gscomplete.priors.embedded.weights import packaged_weights
 from gscomplete.shape.planes.coarse_scorer import packaged_coarse_scorer
 from gscomplete.shape.planes.features import plane_places
 from gscomplete.shape.planes.fine_scorer import (

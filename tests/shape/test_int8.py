@@ -4,8 +4,7 @@ import pytest
 import torch
 
 from gscomplete.networks.precision import multiplies_bytes
-from gscomplete.priors.embedded.prior import packaged_weights
-from gscomplete.priors.embedded.weights import read_weights
+from gscomplete.priors.embedded.weights import packaged_weights, read_weights
 from gscomplete.shape.ask import ask
 from gscomplete.shape.int8 import ByteShapeCompleter
 from gscomplete.views import ViewDistribution

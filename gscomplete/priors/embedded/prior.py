@@ -42,7 +42,12 @@ from gscomplete.priors.embedded.int8 import in_bytes
 from gscomplete.priors.embedded.model import INPUT_CHANNELS, VIEWS, FourViewDenoiser
 from gscomplete.priors.embedded.rays import ring_numbers
 from gscomplete.priors.embedded.text import Tokenizer, understood_by
-from gscomplete.priors.embedded.weights import PriorConfig, read_weights, weights_digest
+from gscomplete.priors.embedded.weights import (
+    PriorConfig,
+    packaged_weights,
+    read_weights,
+    weights_digest,
+)
 from gscomplete.shape.assemble import mirror_plane_of
 from gscomplete.shape.bank.store import BANK_FILE
 from gscomplete.shape.guess import Asked, KnownShapes, guess_complete
@@ -383,11 +388,6 @@ class _Task:
 def _ends_in_plane(cut: CutPlane | None) -> bool:
     """Say whether P was cut along a plane, as far as found."""
     return cut is not None and cut.meets_surface
-
-
-def packaged_weights() -> Path:
-    """Return the folder of the weights that ship with the package."""
-    return Path(__file__).resolve().parent / "weights"
 
 
 def load_embedded(folder: Path | None, device: torch.device | str) -> EmbeddedPrior:

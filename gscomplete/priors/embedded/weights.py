@@ -182,6 +182,11 @@ class StoredWeights:
         return _filled(make, config, self.folder / name, self._tensors[name])
 
 
+def packaged_weights() -> Path:
+    """Return the folder of the weights that ship with the package."""
+    return Path(__file__).resolve().parent / "weights"
+
+
 def read_weights(folder: Path) -> StoredWeights:
     """Read the files of a folder.
 

@@ -11,8 +11,7 @@ from gscomplete.priors.embedded.int8 import (
     in_bytes,
 )
 from gscomplete.priors.embedded.model import CopiesConvolution, fold_cells, symmetric_copies
-from gscomplete.priors.embedded.prior import packaged_weights
-from gscomplete.priors.embedded.weights import read_weights
+from gscomplete.priors.embedded.weights import packaged_weights, read_weights
 from tests.builders.threads import each_thread_count
 from tests.builders.tiny_denoiser import tiny_model
 from tests.priors.embedded.test_model import inputs

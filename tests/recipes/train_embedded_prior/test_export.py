@@ -6,8 +6,7 @@ import torch
 
 from gscomplete.errors import UserError
 from gscomplete.priors import load_prior
-from gscomplete.priors.embedded.prior import packaged_weights
-from gscomplete.priors.embedded.weights import load_weights
+from gscomplete.priors.embedded.weights import load_weights, packaged_weights
 from gscomplete.shape.bank.store import BANK_FILE, read_bank
 from gscomplete.shape.network import ShapeCompleter
 from gscomplete.shape.symmetry import COPIES, SOURCES

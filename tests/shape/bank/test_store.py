@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from gscomplete.errors import UserError
-from gscomplete.priors.embedded.prior import packaged_weights
+from gscomplete.priors.embedded.weights import packaged_weights
 from gscomplete.shape.bank.store import (
     BANK_CELLS,
     BANK_FILE,
