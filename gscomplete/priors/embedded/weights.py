@@ -35,7 +35,12 @@ from torch.overrides import TorchFunctionMode
 from gscomplete.errors import UserError
 from gscomplete.priors.base import PriorViews
 from gscomplete.priors.embedded.model import FourViewDenoiser, ModelConfig
-from gscomplete.shape.network import ShapeCompleter, ShapeModelConfig, laid_out
+from gscomplete.shape.network import (
+    PACKAGED_WEIGHTS,
+    ShapeCompleter,
+    ShapeModelConfig,
+    laid_out,
+)
 from gscomplete.shape.voxels import COARSE_CELLS
 from gscomplete.util.atomic import atomic_path
 from gscomplete.util.digests import sha256_of
@@ -184,7 +189,7 @@ class StoredWeights:
 
 def packaged_weights() -> Path:
     """Return the folder of the weights that ship with the package."""
-    return Path(__file__).resolve().parent / "weights"
+    return PACKAGED_WEIGHTS
 
 
 def read_weights(folder: Path) -> StoredWeights:
