@@ -56,6 +56,9 @@ class HowToComplete:
     fill: bool = False
     """P is complete but for gaps (scan shadows, slits, a hole under it): close these by a smooth
     surface and add nothing else. Takes no prior's guess, and needs no prompt."""
+    close_slits: bool = True
+    """At the end, close the slits between the samples of a scan, which open wherever its surface
+    leans away from the scanner (--preset paper leaves them)."""
     match_seam: bool = False
     """At the end, shift new splats' colours near P towards P's, so that no seam shows."""
     mirror: str = "guess"

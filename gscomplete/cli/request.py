@@ -120,6 +120,8 @@ def settings_of(options: HowToComplete, prior: Prior) -> CompletionSettings:
             raise UserError(f"--preserve: expected positive bounds, found {options.preserve!r}")
         hard = HardPreservationSettings(color_bound=bounds[0], depth_bound=bounds[1])
         settings = dataclasses.replace(settings, hard_preservation=hard)
+    if not options.close_slits:
+        settings = dataclasses.replace(settings, close_slits=False)
     if options.match_seam:
         settings = dataclasses.replace(settings, match_seam_colors=True)
     if options.mirror != "guess":

@@ -24,7 +24,7 @@ import torch
 
 import gscomplete
 from gscomplete.completion.optimise import Optimisation, StepReport
-from gscomplete.completion.preserve.bounds import preserve_hard
+from gscomplete.completion.preserve.bounds import are_within_bounds, preserve_hard
 from gscomplete.completion.preserve.outcome import HardPreservationReport
 from gscomplete.completion.seam import SeamColorReport, match_seam_colors
 from gscomplete.completion.settings import CompletionSettings
@@ -39,6 +39,7 @@ from gscomplete.framing.check import (
 from gscomplete.framing.decide import Framing, FramingRequest, decide_framing
 from gscomplete.framing.input_view import refine_input_view
 from gscomplete.priors.base import Conditioning, KnowsShapes, Prior, prior_identity
+from gscomplete.shape.fill.slits import slit_splats
 from gscomplete.splats import (
     SplatFile,
     Splats,
@@ -306,7 +307,9 @@ def framing_for(splats: Splats, request: FramingRequest, prior: Prior) -> Framin
 
 
 def finish(prepared: Prepared, given: SplatFile | Splats) -> Completed:
-    """Do what follows the last step: match colours at the seam, then hold P's appearance to bounds.
+    """Do what follows the last step: match colours, close slits, hold P's appearance to bounds.
+
+    What closes P's slits counts as P's own there: it may not give way to what it hides.
 
     Args:
         prepared: its steps are taken.
@@ -321,10 +324,13 @@ def finish(prepared: Prepared, given: SplatFile | Splats) -> Completed:
         with stage("seam"):
             new, colors = match_seam_colors(new, partial)
         notes += (colors.summary,)
+    slits, found = _slits(prepared)
+    notes += found
     if settings.hard_preservation is not None:
+        closed = concatenate([partial, slits]) if len(slits) else partial
         with stage("preservation"):
             bounded = preserve_hard(
-                new, partial, prepared.views, settings.hard_preservation, settings.seed
+                new, closed, prepared.views, settings.hard_preservation, settings.seed
             )
         new, bounds = bounded.splats, bounded.report
         notes += (bounds.summary,)
@@ -332,7 +338,25 @@ def finish(prepared: Prepared, given: SplatFile | Splats) -> Completed:
     if settings.start == "guess":
         found = doubts_of_result(partial, new, None if bounds is None else bounds.lost)
         doubts, notes = doubts + found, notes + found
+    if len(slits):
+        new = concatenate([new, slits])
     seconds = time.perf_counter() - started
     return Completed(
         given, partial, new, prepared.frame, prepared.views, notes, doubts, colors, bounds, seconds
     )
+
+
+def _slits(prepared: Prepared) -> tuple[Splats, tuple[str, ...]]:
+    """Return what closes the slits of a scan, and a note for the user."""
+    settings, partial, views = prepared.request.settings, prepared.partial, prepared.views
+    nothing = partial.with_sh_degree(0).select(torch.arange(0))
+    if not settings.close_slits:
+        return nothing, ()
+    with stage("slits"):
+        slits = slit_splats(partial, views)
+    bounds = settings.hard_preservation
+    if not len(slits):
+        return nothing, ()
+    if bounds is not None and not are_within_bounds(slits, partial, views, bounds, settings.seed):
+        return nothing, ("slits of the scan: left open, as closing them changes P by too much",)
+    return slits, (f"slits of the scan: closed by {len(slits):,} splats (--no-close-slits: open)",)

@@ -178,6 +178,8 @@ class CompletionSettings:
     loss leaves (the paper)."""
     match_seam_colors: bool = False
     """Match new splats' colours to P's at the seam, at the end; the paper leaves them."""
+    close_slits: bool = False
+    """Close the slits between a scan's samples, at the end; the paper leaves them."""
     min_scale_px: float = 0.0
     """Smallest scale of a new splat in pixels of the run's resolution (at the centre); splats
     smaller than a pixel's footprint turn to dust at any other resolution. 0 = no bound."""

@@ -177,6 +177,18 @@ def preserve_hard(
     )
 
 
+def are_within_bounds(
+    new: Splats,
+    partial: Splats,
+    distribution: ViewDistribution,
+    settings: HardPreservationSettings,
+    seed: int,
+) -> bool:
+    """Say whether new splats keep the bounds as they are, by the first check views."""
+    work = _Work(new, partial, distribution, settings, seed)
+    return not work.above(work.check(new, few=True))
+
+
 class _Work:
     """P, its views and the knobs: what stays the same while the splats change."""
 

@@ -1,0 +1,206 @@
+"""Slits between the samples of a scan, closed by samples in between.
+
+A depth image's pixels stand apart wherever the surface leans away from the camera, the more so as
+depths come in steps: from any other side P is open between them. Two samples belong to one surface
+where they are near each other, no other lies between, and the camera sees next to no gap: they are
+neighbours in its picture, or nearly so and the line from one to the other runs along the surface.
+Where it sees a gap there is one, as between the bars of a rack.
+
+Conventions
+-----------
+* Lengths are in spacings: the median distance of P's splats from their nearest neighbours.
+* The camera is at c. A guess of c is a few degrees off, so limits across its rays have some room.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.splats.rotations import rotation_matrices
+from gscomplete.util.nearest import query_nearest
+from gscomplete.views import ViewDistribution
+
+FloatArray = NDArray[np.float64]
+
+_ROUND = 0.5
+"""Of a sample's standard deviations the least is at least this share of the largest ..."""
+_EVEN_QUANTILES, _MOST_UNEVEN = (0.05, 0.95), 2.2
+"""... and these quantiles of their distances from each other differ by this factor at most: of 11
+captures and scans of SplatComplete-open by 1.1 to 2.0. Trained captures have 22 and more."""
+_FEWEST = 100
+_NEIGHBOURS = 32
+_LEAST, _MOST = 1.3, 5.0
+"""Samples nearer than the first leave no slit; depth steps are seldom larger than the second."""
+_LARGEST = 0.05
+"""Object sizes; wider slits may be gaps of the object."""
+_BESIDE, _NEARLY_BESIDE = 1.5, 2.5
+"""Neighbours in the camera's picture are this far apart across its rays, at most; others this."""
+_ALONG = 0.5
+"""Cosine between a line along the surface and the surface's normal, at most ..."""
+_PARALLEL = 0.7
+"""... and between the normals at its ends, at least."""
+_BETWEEN = 0.98
+_COVERED = 0.7
+"""From this opacity on a place between samples counts as covered."""
+_COVERING = 12
+_APART = 0.85
+_SIGMA = 0.5
+"""A sample's standard deviation: .6 closes no more and changes P's pictures by a quarter more."""
+_COLOR_NEIGHBOURS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class _Samples:
+    """P's splats and their nearest neighbours."""
+
+    points: FloatArray  # [N, 3]
+    tree: cKDTree
+    distance: FloatArray  # [N, K]
+    index: NDArray[np.intp]  # [N, K]
+
+    @property
+    def spacing(self) -> float:
+        """Median distance from the nearest neighbour."""
+        return float(np.median(self.distance[:, 0]))
+
+
+def slit_splats(
+    partial: Splats,  # in the object frame
+    views: ViewDistribution,
+) -> Splats:
+    """Return the samples that close P's slits; none where P is no scan.
+
+    Args:
+        partial: P.
+        views: V; c is where P was scanned from, about.
+    """
+    nothing = partial.with_sh_degree(0).select(torch.arange(0))
+    samples = _samples_of(partial)
+    if samples is None:
+        return nothing
+    first, second = _ends(samples, views)
+    points = _between(samples, first, second)
+    points = points[_opacity_at(points, partial, samples.tree) < _COVERED]
+    points = _thinned(points, _APART * samples.spacing)
+    if not len(points):
+        return nothing
+    return _like(partial, points, samples)
+
+
+def _samples_of(partial: Splats) -> _Samples | None:
+    """Return P's splats where they are samples of a scan: round and evenly spaced."""
+    if len(partial) < _FEWEST:
+        return None
+    scales = partial.scales
+    roundness = scales.amin(dim=1) / scales.amax(dim=1).clamp_min(1e-30)
+    if float(roundness.median()) < _ROUND:
+        return None
+    points = partial.means.double().numpy()
+    tree = cKDTree(points)
+    distance, index = query_nearest(tree, points, range(2, _NEIGHBOURS + 2))
+    low, high = np.quantile(distance[:, 0], _EVEN_QUANTILES)
+    if not 0 < high <= _MOST_UNEVEN * low:
+        return None
+    return _Samples(points, tree, distance, index)
+
+
+def _ends(
+    samples: _Samples, views: ViewDistribution
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:  # [S], [S]
+    """Return the pairs of samples that a slit is between."""
+    points, spacing = samples.points, samples.spacing
+    longest = min(_MOST * spacing, _LARGEST)
+    is_near = (samples.distance > _LEAST * spacing) & (samples.distance <= longest)
+    first, place = is_near.nonzero()
+    pairs = np.sort(np.stack([first, samples.index[first, place]], axis=1), axis=1)
+    pairs = np.unique(pairs, axis=0)
+    start, end = points[pairs[:, 0]], points[pairs[:, 1]]
+    length = np.linalg.norm(end - start, axis=1)
+    line = (end - start) / length[:, None]
+    middle = (start + end) / 2
+
+    eye = np.array(views.target) + views.radius * views.direction()
+    ray = middle - eye
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    across = length * np.sqrt((1 - _dot(line, ray) ** 2).clip(0))
+    normals = _normals(samples)[pairs]  # [S, 2, 3]
+    runs_along = np.abs(_dot(normals, line[:, None])).max(axis=1) < _ALONG
+    runs_along &= np.abs(_dot(normals[:, 0], normals[:, 1])) > _PARALLEL
+    belong = across < np.where(runs_along, _NEARLY_BESIDE, _BESIDE) * spacing
+
+    pairs, middle, length = pairs[belong], middle[belong], length[belong]
+    nearest, _ = query_nearest(samples.tree, middle)
+    free = nearest >= _BETWEEN * length / 2
+    return pairs[free, 0], pairs[free, 1]
+
+
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.einsum("...i,...i->...", a, b)
+
+
+def _normals(samples: _Samples) -> FloatArray:  # [N, 3]
+    """Return unit surface normals, of either sign."""
+    around = samples.points[samples.index]
+    around = around - around.mean(axis=1, keepdims=True)
+    return np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))[1][:, :, 0]
+
+
+def _between(
+    samples: _Samples,
+    first: NDArray[np.intp],  # [S]
+    second: NDArray[np.intp],  # [S]
+) -> FloatArray:  # [M, 3]
+    """Return places on the lines between samples, about a spacing apart."""
+    start, end = samples.points[first], samples.points[second]
+    length = np.linalg.norm(end - start, axis=1)
+    counts = np.maximum(np.rint(length / samples.spacing).astype(np.intp) - 1, 1)
+    line = np.repeat(np.arange(len(counts)), counts)
+    step = np.arange(len(line)) - np.repeat(counts.cumsum() - counts, counts) + 1
+    share = (step / (counts[line] + 1))[:, None]
+    return (1 - share) * start[line] + share * end[line]
+
+
+def _opacity_at(
+    points: FloatArray,  # [M, 3]
+    partial: Splats,
+    tree: cKDTree,
+) -> FloatArray:  # [M]
+    """Return the sum of opacities of P's splats at places."""
+    if not len(points):
+        return np.zeros(0)
+    _, index = query_nearest(tree, points, range(1, min(_COVERING, len(partial)) + 1))
+    axes = rotation_matrices(partial.quaternions).double().numpy()[index]
+    offsets = points[:, None] - partial.means.double().numpy()[index]
+    scales = partial.scales.double().numpy()[index].clip(1e-12)
+    sigmas = np.einsum("mkji,mkj->mki", axes, offsets) / scales
+    falloff = np.exp(-0.5 * _dot(sigmas, sigmas))
+    return (partial.opacities.double().numpy()[index] * falloff).sum(axis=1)
+
+
+def _thinned(points: FloatArray, side: float) -> FloatArray:  # [M, 3] -> [K, 3]
+    """Keep one place of every grid cell."""
+    cells = np.floor(points / side).astype(np.int64)
+    _, kept = np.unique(cells, axis=0, return_index=True)
+    return points[kept]
+
+
+def _like(partial: Splats, points: FloatArray, samples: _Samples) -> Splats:
+    """Return samples like P's in the colours of those about them."""
+    distance, index = query_nearest(samples.tree, points, range(1, _COLOR_NEIGHBOURS + 1))
+    weights = 1 / (distance + 1e-3 * samples.spacing)
+    weights /= weights.sum(axis=1, keepdims=True)
+    colors = (partial.base_colors.double().numpy()[index] * weights[..., None]).sum(axis=1)
+    count = len(points)
+    return Splats(
+        torch.from_numpy(points).float(),
+        torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
+        torch.full((count, 3), _SIGMA * samples.spacing),
+        partial.opacities.median().expand(count).clone(),
+        colors_to_sh(torch.from_numpy(colors).float().clamp(0.0, 1.0)),
+    )
