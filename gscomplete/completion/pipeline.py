@@ -39,7 +39,6 @@ from gscomplete.framing.check import (
 from gscomplete.framing.decide import Framing, FramingRequest, decide_framing
 from gscomplete.framing.input_view import refine_input_view
 from gscomplete.priors.base import Conditioning, KnowsShapes, Prior, prior_identity
-from gscomplete.shape.fill.slits import slit_splats
 from gscomplete.splats import (
     SplatFile,
     Splats,
@@ -50,6 +49,7 @@ from gscomplete.splats import (
 )
 from gscomplete.splats.formats.any_file import read_splat_file
 from gscomplete.splats.oklab import color_spread
+from gscomplete.splats.slits import slit_splats
 from gscomplete.splats.suspects import describe_suspects
 from gscomplete.splats.working_set import WorkingSet, working_set
 from gscomplete.util.jsonio import to_json
@@ -353,10 +353,12 @@ def _slits(prepared: Prepared) -> tuple[Splats, tuple[str, ...]]:
     if not settings.close_slits:
         return nothing, ()
     with stage("slits"):
-        slits = slit_splats(partial, views)
-    bounds = settings.hard_preservation
+        slits = slit_splats(partial, views.eye())
     if not len(slits):
         return nothing, ()
-    if bounds is not None and not are_within_bounds(slits, partial, views, bounds, settings.seed):
+    bounds = settings.hard_preservation
+    # Bounds that leave out where P is thin leave out its slits.
+    held = None if bounds is None or bounds.mask_from else bounds
+    if held is not None and not are_within_bounds(slits, partial, views, held, settings.seed):
         return nothing, ("slits of the scan: left open, as closing them changes P by too much",)
     return slits, (f"slits of the scan: closed by {len(slits):,} splats (--no-close-slits: open)",)

@@ -149,6 +149,10 @@ class ViewDistribution:
         level = math.cos(elevation)
         return np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)])
 
+    def eye(self) -> np.ndarray:  # [3]
+        """Return the place of the camera at c."""
+        return np.array(self.target) + self.radius * self.direction()
+
     def to_show(
         self,
         points: NDArray[np.floating],  # [N, 3]

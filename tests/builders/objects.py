@@ -9,6 +9,7 @@ Conventions
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,10 +18,13 @@ import torch
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.rotations import quaternions_facing
 from gscomplete.views import up_rotation
+from gscomplete.views.distribution import RADIUS
 from gscomplete.views.frame import UpAxis
 from splatcomplete_data.mesh.discs import discs_at
 
-GREY = (0.5, 0.5, 0.5)
+GREY, RED, GREEN = (0.5, 0.5, 0.5), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+PITCH = 0.008
+"""Between neighbouring samples of ``leaning_board`` where it faces the camera, object sizes."""
 
 
 def round_splats(
@@ -134,3 +138,21 @@ def half_cylinder(keep_azimuth_deg: float, is_flat: bool = True) -> Splats:
 def angle_between(a_deg: float, b_deg: float) -> float:
     """Return how far two directions are apart, in degrees from 0 to 180."""
     return abs((a_deg - b_deg + 180) % 360 - 180)
+
+
+def leaning_board(lean_deg: float, depth_step: float = 1e-4, half_width: float = 0.16) -> Splats:
+    """Return a board as a depth camera out along x samples it: red below, green above.
+
+    Args:
+        lean_deg: how far the board is turned about z away from the camera; at 0 it faces it.
+        depth_step: of the camera's depths.
+        half_width: of the board as the camera sees it.
+    """
+    along = np.arange(-half_width, half_width, PITCH)
+    y, z = (grid.ravel() for grid in np.meshgrid(along, along))
+    # pixels' rays meet in the camera
+    depth = RADIUS / (1 + y / RADIUS * math.tan(math.radians(lean_deg)))
+    depth = np.round(depth / depth_step) * depth_step
+    points = np.stack([RADIUS - depth, y * depth / RADIUS, z * depth / RADIUS], axis=1)
+    color = torch.where(torch.from_numpy(z > 0)[:, None], torch.tensor(GREEN), torch.tensor(RED))
+    return round_splats(torch.from_numpy(points), scale=PITCH / 2, opacity=0.95, color=color)

@@ -9,11 +9,13 @@ from gscomplete.api import complete
 from gscomplete.completion import run_folder
 from gscomplete.completion.pipeline import Request, finish, prepare
 from gscomplete.completion.presets import DEFAULT, DISTILL, RECONSTRUCT
+from gscomplete.completion.settings import HardPreservationSettings
 from gscomplete.errors import UserError
 from gscomplete.framing.decide import FramingRequest
 from gscomplete.priors.base import FirstGuess
 from gscomplete.splats import Similarity, concatenate, read_splats, transform_splats, write_splats
-from tests.builders.objects import ball, half_cylinder
+from gscomplete.splats.slits import slit_splats
+from tests.builders.objects import ball, half_cylinder, leaning_board
 from tests.builders.priors import GuessingPrior, OraclePrior
 
 TRUTH = ball(1500)
@@ -61,6 +63,42 @@ def test_where_nothing_is_missing_nothing_is_added():
     assert len(found.new) == 0
     assert found.hard_preservation is not None
     assert found.hard_preservation.met
+
+
+NOTHING = FirstGuess(TRUTH.select(torch.arange(0)), ("not mirrored",))
+SCAN = {"view_deg": (0.0, 0.0), "center_file": (0.0, 0.0, 0.0), "size_file": 1.0}
+
+
+def test_the_slits_of_a_scan_are_closed_unless_unwanted():
+    board = leaning_board(65.0)
+    prior = GuessingPrior(TRUTH, NOTHING)
+    found = complete(board, "a board", prior=prior, settings=DEFAULT, **SCAN)
+    assert len(found.new) > 1000
+    assert found.hard_preservation is not None
+    assert found.hard_preservation.met
+    assert any(note.startswith("slits of the scan: closed by") for note in found.notes)
+    left = dataclasses.replace(DEFAULT, close_slits=False)
+    assert len(complete(board, "a board", prior=prior, settings=left, **SCAN).new) == 0
+
+
+def test_what_closes_slits_may_not_give_way_to_what_it_hides():
+    """A wall close behind the board shows through its slits; bounds on P's look leave it there."""
+    board = leaning_board(65.0)
+    behind = dataclasses.replace(board, means=board.means - torch.tensor([0.05, 0.0, 0.0]))
+    prior = GuessingPrior(TRUTH, FirstGuess(behind, ("behind",)))
+    found = complete(board, "a board", prior=prior, settings=DEFAULT, **SCAN)
+    slits = slit_splats(found.partial, found.views.eye())
+    assert torch.equal(found.new.means[-len(slits) :], slits.means)
+    assert torch.equal(found.new.opacities[-len(slits) :], slits.opacities)
+
+
+def test_slits_stay_open_where_closing_them_breaks_the_bounds():
+    strict = HardPreservationSettings(color_bound=1e-7, depth_bound=1e-7)
+    settings = dataclasses.replace(DEFAULT, hard_preservation=strict)
+    prior = GuessingPrior(TRUTH, NOTHING)
+    found = complete(leaning_board(65.0), "a board", prior=prior, settings=settings, **SCAN)
+    assert len(found.new) == 0
+    assert any(note.startswith("slits of the scan: left open") for note in found.notes)
 
 
 @pytest.mark.parametrize("least", [0.01, 0.5])

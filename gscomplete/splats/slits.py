@@ -8,8 +8,8 @@ Where it sees a gap there is one, as between the bars of a rack.
 
 Conventions
 -----------
-* Lengths are in spacings: the median distance of P's splats from their nearest neighbours.
-* The camera is at c. A guess of c is a few degrees off, so limits across its rays have some room.
+* Lengths are in spacings: the median distance of samples from their nearest neighbours.
+* Where the camera was is known to a few degrees, so limits across its rays have some room.
 """
 
 from __future__ import annotations
@@ -21,10 +21,9 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.splats.record import Splats, colors_to_sh
 from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.util.nearest import query_nearest
-from gscomplete.views import ViewDistribution
 
 FloatArray = NDArray[np.float64]
 
@@ -38,7 +37,7 @@ _NEIGHBOURS = 32
 _LEAST, _MOST = 1.3, 5.0
 """Samples nearer than the first leave no slit; depth steps are seldom larger than the second."""
 _LARGEST = 0.05
-"""Object sizes; wider slits may be gaps of the object."""
+"""In sides of P's box; wider slits may be gaps of the object."""
 _BESIDE, _NEARLY_BESIDE = 1.5, 2.5
 """Neighbours in the camera's picture are this far apart across its rays, at most; others this."""
 _ALONG = 0.5
@@ -57,7 +56,7 @@ _COLOR_NEIGHBOURS = 4
 
 @dataclass(frozen=True, slots=True)
 class _Samples:
-    """P's splats and their nearest neighbours."""
+    """Splats and their nearest neighbours."""
 
     points: FloatArray  # [N, 3]
     tree: cKDTree
@@ -71,20 +70,20 @@ class _Samples:
 
 
 def slit_splats(
-    partial: Splats,  # in the object frame
-    views: ViewDistribution,
+    partial: Splats,
+    eye: FloatArray,  # [3] in the frame of P
 ) -> Splats:
     """Return the samples that close P's slits; none where P is no scan.
 
     Args:
         partial: P.
-        views: V; c is where P was scanned from, about.
+        eye: where P was scanned from, about.
     """
     nothing = partial.with_sh_degree(0).select(torch.arange(0))
     samples = _samples_of(partial)
     if samples is None:
         return nothing
-    first, second = _ends(samples, views)
+    first, second = _ends(samples, eye)
     points = _between(samples, first, second)
     points = points[_opacity_at(points, partial, samples.tree) < _COVERED]
     points = _thinned(points, _APART * samples.spacing)
@@ -111,11 +110,12 @@ def _samples_of(partial: Splats) -> _Samples | None:
 
 
 def _ends(
-    samples: _Samples, views: ViewDistribution
+    samples: _Samples,
+    eye: FloatArray,  # [3]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:  # [S], [S]
     """Return the pairs of samples that a slit is between."""
     points, spacing = samples.points, samples.spacing
-    longest = min(_MOST * spacing, _LARGEST)
+    longest = min(_MOST * spacing, _LARGEST * float(np.ptp(points, axis=0).max()))
     is_near = (samples.distance > _LEAST * spacing) & (samples.distance <= longest)
     first, place = is_near.nonzero()
     pairs = np.sort(np.stack([first, samples.index[first, place]], axis=1), axis=1)
@@ -125,7 +125,6 @@ def _ends(
     line = (end - start) / length[:, None]
     middle = (start + end) / 2
 
-    eye = np.array(views.target) + views.radius * views.direction()
     ray = middle - eye
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
     across = length * np.sqrt((1 - _dot(line, ray) ** 2).clip(0))
