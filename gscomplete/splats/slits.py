@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gscomplete.splats.record import Splats, colors_to_sh
-from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.util.nearest import query_nearest
 
 FloatArray = NDArray[np.float64]
@@ -47,7 +46,8 @@ _PARALLEL = 0.7
 _BETWEEN = 0.98
 _COVERED = 0.7
 """From this opacity on a place between samples counts as covered."""
-_COVERING = 12
+_COVERING = 8
+"""Nearest samples that are asked."""
 _APART = 0.85
 _SIGMA = 0.5
 """A sample's standard deviation: .6 closes no more and changes P's pictures by a quarter more."""
@@ -83,8 +83,7 @@ def slit_splats(
     samples = _samples_of(partial)
     if samples is None:
         return nothing
-    first, second = _ends(samples, eye)
-    points = _between(samples, first, second)
+    points = _between(samples, *_ends(samples, eye))
     points = points[_opacity_at(points, partial, samples.tree) < _COVERED]
     points = _thinned(points, _APART * samples.spacing)
     if not len(points):
@@ -117,35 +116,38 @@ def _ends(
     points, spacing = samples.points, samples.spacing
     longest = min(_MOST * spacing, _LARGEST * float(np.ptp(points, axis=0).max()))
     is_near = (samples.distance > _LEAST * spacing) & (samples.distance <= longest)
-    first, place = is_near.nonzero()
-    pairs = np.sort(np.stack([first, samples.index[first, place]], axis=1), axis=1)
-    pairs = np.unique(pairs, axis=0)
-    start, end = points[pairs[:, 0]], points[pairs[:, 1]]
-    length = np.linalg.norm(end - start, axis=1)
-    line = (end - start) / length[:, None]
-    middle = (start + end) / 2
+    start, place = is_near.nonzero()
+    end = samples.index[start, place]
+    pairs = np.sort(np.minimum(start, end) * len(points) + np.maximum(start, end))
+    first, second = np.divmod(pairs[np.diff(pairs, prepend=-1) > 0], len(points))
 
+    line = points[second] - points[first]
+    middle = (points[first] + points[second]) / 2
     ray = middle - eye
-    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-    across = length * np.sqrt((1 - _dot(line, ray) ** 2).clip(0))
-    normals = _normals(samples)[pairs]  # [S, 2, 3]
-    runs_along = np.abs(_dot(normals, line[:, None])).max(axis=1) < _ALONG
-    runs_along &= np.abs(_dot(normals[:, 0], normals[:, 1])) > _PARALLEL
-    belong = across < np.where(runs_along, _NEARLY_BESIDE, _BESIDE) * spacing
+    along = _dot(line, ray) / np.sqrt(_dot(ray, ray))
+    length = np.sqrt(_dot(line, line))
+    across = np.sqrt((length**2 - along**2).clip(0)) / spacing
+    kept = across < _NEARLY_BESIDE
+    nearest, _ = query_nearest(samples.tree, middle[kept])
+    kept[kept] = nearest >= _BETWEEN * length[kept] / 2
+    first, second, across = first[kept], second[kept], across[kept]
+    line = line[kept] / length[kept, None]
 
-    pairs, middle, length = pairs[belong], middle[belong], length[belong]
-    nearest, _ = query_nearest(samples.tree, middle)
-    free = nearest >= _BETWEEN * length / 2
-    return pairs[free, 0], pairs[free, 1]
+    ends, place = np.unique(np.concatenate([first, second]), return_inverse=True)
+    one, other = _normals(samples, ends)[place].reshape(2, -1, 3)
+    runs_along = np.maximum(np.abs(_dot(one, line)), np.abs(_dot(other, line))) < _ALONG
+    runs_along &= np.abs(_dot(one, other)) > _PARALLEL
+    belong = runs_along | (across < _BESIDE)
+    return first[belong], second[belong]
 
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.einsum("...i,...i->...", a, b)
 
 
-def _normals(samples: _Samples) -> FloatArray:  # [N, 3]
+def _normals(samples: _Samples, chosen: NDArray[np.intp]) -> FloatArray:  # [M, 3]
     """Return unit surface normals, of either sign."""
-    around = samples.points[samples.index]
+    around = samples.points[samples.index[chosen]]
     around = around - around.mean(axis=1, keepdims=True)
     return np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))[1][:, :, 0]
 
@@ -170,16 +172,11 @@ def _opacity_at(
     partial: Splats,
     tree: cKDTree,
 ) -> FloatArray:  # [M]
-    """Return the sum of opacities of P's splats at places."""
-    if not len(points):
-        return np.zeros(0)
-    _, index = query_nearest(tree, points, range(1, min(_COVERING, len(partial)) + 1))
-    axes = rotation_matrices(partial.quaternions).double().numpy()[index]
-    offsets = points[:, None] - partial.means.double().numpy()[index]
-    scales = partial.scales.double().numpy()[index].clip(1e-12)
-    sigmas = np.einsum("mkji,mkj->mki", axes, offsets) / scales
-    falloff = np.exp(-0.5 * _dot(sigmas, sigmas))
-    return (partial.opacities.double().numpy()[index] * falloff).sum(axis=1)
+    """Return the sum of opacities of P's splats, taken for balls, at places."""
+    distance, index = query_nearest(tree, points, range(1, _COVERING + 1))
+    sigmas = partial.scales.double().mean(dim=1).clamp_min(1e-12).numpy()[index]
+    falloff = np.exp(-0.5 * (distance / sigmas) ** 2)
+    return np.einsum("mk,mk->m", partial.opacities.double().numpy()[index], falloff)
 
 
 def _thinned(points: FloatArray, side: float) -> FloatArray:  # [M, 3] -> [K, 3]
