@@ -63,7 +63,9 @@ class HowToComplete:
     """At the end, shift new splats' colours near P towards P's, so that no seam shows."""
     mirror: str = "guess"
     """Upright plane that P is mirrored through: guess, none, or AZIMUTH,OFFSET (of its normal in
-    degrees as in --view; from the frame's centre in object sizes). A run prints the one it took."""
+    degrees as in --view; from the frame's centre in object sizes). A run prints the one it took.
+    cut: P is one half of a symmetric object, whose image through the plane that P ends at is all
+    that is added; cut:AZIMUTH says towards which azimuth, roughly, if another plane was taken."""
     known_shapes: bool = True
     """Let known shapes of the prompt's noun ("chair") that suit P help the guess where P leaves it
     open. A run prints which did."""

@@ -22,7 +22,7 @@ from gscomplete.errors import UserError
 from gscomplete.folders import OBJECT_FILE, ObjectFolder, object_folder_of
 from gscomplete.framing.decide import FramingRequest
 from gscomplete.priors.base import Prior, ShapePrior
-from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
+from gscomplete.shape.mirror_plane import ChosenMirror, HalfCut, MirrorPlane
 from gscomplete.util.parse import parse_numbers, parse_view
 from gscomplete.views import UpAxis, parse_up
 from gscomplete.views.distribution import AZIMUTH_RANGE_DEG, ELEVATION_RANGE_DEG
@@ -210,7 +210,7 @@ def _require_guess(
         )
 
 
-def _mirror(text: str) -> Mirror:
+def _mirror(text: str) -> ChosenMirror:
     """Parse a plane of symmetry.
 
     Raises:
@@ -218,7 +218,12 @@ def _mirror(text: str) -> Mirror:
     """
     if text == "none":
         return "none"
-    numbers = parse_numbers(text, 2, "--mirror", "guess, none or AZIMUTH,OFFSET")
+    form = "guess, none, cut, cut:AZIMUTH or AZIMUTH,OFFSET"
+    word, colon, azimuth = text.partition(":")
+    if word == "cut":
+        toward = parse_numbers(azimuth if colon else None, 1, "--mirror", form)
+        return HalfCut(*(toward or ()))
+    numbers = parse_numbers(text, 2, "--mirror", form)
     assert numbers is not None
     return MirrorPlane(*numbers)
 

@@ -19,7 +19,7 @@ from PIL import Image
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.evaluate.pictures import contact_sheet, render_images
 from gscomplete.priors.base import Conditioning, Prior, ShapePrior
-from gscomplete.shape.mirror_plane import ChosenMirror
+from gscomplete.shape.mirror_plane import ChosenMirror, MirrorPlane
 from gscomplete.splats import Splats, concatenate
 from gscomplete.util.randomness import generator_for
 from gscomplete.views import ViewDistribution
@@ -49,7 +49,7 @@ def guess_alternatives(
     settings: CompletionSettings,
     count: int,
 ) -> list[Alternative]:
-    """Guess the complete object through each of the likeliest planes of symmetry, and through none.
+    """Guess the complete object through the likeliest planes of symmetry, P's end, and none.
 
     Args:
         prior: of the run.
@@ -60,13 +60,16 @@ def guess_alternatives(
         count: most planes.
 
     Returns:
-        The likeliest first, none at last; nothing if the prior guesses no complete objects.
+        The likeliest first, then by the plane that P ends at, none at last; nothing if the prior
+        guesses no complete objects.
     """
     if settings.start != "guess" or not isinstance(prior, ShapePrior):
         return []
     mirrors = prior.likely_mirrors(partial, distribution, conditioning)
     found = []
-    for mirror in (*mirrors[:-1][:count], *mirrors[-1:]):
+    planes = [mirror for mirror in mirrors if isinstance(mirror, MirrorPlane)]
+    others = [mirror for mirror in mirrors if not isinstance(mirror, MirrorPlane)]
+    for mirror in (*planes[:count], *others):
         generator = generator_for(settings.seed, 0, "first guess")
         guess = prior.first_guess(
             partial,

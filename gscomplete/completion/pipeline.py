@@ -39,6 +39,7 @@ from gscomplete.framing.check import (
 from gscomplete.framing.decide import Framing, FramingRequest, decide_framing
 from gscomplete.framing.input_view import refine_input_view
 from gscomplete.priors.base import Conditioning, KnowsShapes, Prior, prior_identity
+from gscomplete.shape.mirror_plane import HalfCut
 from gscomplete.splats import (
     SplatFile,
     Splats,
@@ -223,6 +224,11 @@ def prepare(
         UserError: P cannot be drawn, the frame given is not P's, or the prior cannot start.
     """
     settings, framing_request = request.settings, request.framing
+    if isinstance(settings.mirror, HalfCut):
+        toward_deg = settings.mirror.toward_deg
+        framing_request = dataclasses.replace(
+            framing_request, is_half=True, half_toward_deg=toward_deg
+        )
     notes: tuple[str, ...] = ()
     if isinstance(given, SplatFile):
         splats, name = given.splats, str(given.path)

@@ -17,7 +17,7 @@ from typing import Literal
 from gscomplete.errors import UserError
 from gscomplete.fitting.settings import DensifySettings, LearningRates
 from gscomplete.priors.base import RescaleCenter
-from gscomplete.shape.mirror_plane import Mirror
+from gscomplete.shape.mirror_plane import MirrorWish
 
 Mode = Literal["distill", "reconstruct"]
 """``distill``: score distillation, one denoising per step (paper, Equation 2).
@@ -132,7 +132,7 @@ class CompletionSettings:
     ``start="guess"``: the most beside P's own mirrored ones, which are as many as P has."""
     start: Start = "sphere"
     """Where new splats start."""
-    mirror: Mirror = "guess"
+    mirror: MirrorWish = "guess"
     """``start="guess"``: the plane of symmetry that P is mirrored through."""
     known_shapes: bool = True
     """``start="guess"``: known shapes of the prompt's noun that suit P help the guess."""

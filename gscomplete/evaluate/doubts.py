@@ -68,8 +68,8 @@ def doubts_of_result(partial: Splats, new: Splats, lost: float | None) -> tuple[
     if own < _OPEN_SIDE and together - own < _LEAST_GROWTH * (1 - own):
         found.append(
             f"P seems open to one side, yet the result is hardly larger than P ({together:.2f} of "
-            f"the guessed size, P {own:.2f}): if P is complete, nothing need be added; else give "
-            "the size (--object-size)"
+            f"the guessed size, P {own:.2f}): if P is complete, nothing need be added; if it is "
+            "one half, say so (--mirror cut); else give the size (--object-size)"
         )
     return tuple(MARK + reason for reason in found)
 

@@ -55,25 +55,34 @@ that is cut beside its axis is not, though its wall leans by little."""
 
 
 @dataclass(frozen=True, slots=True)
-class CutPlane:
-    """An upright plane that P ends at."""
+class UprightPlane:
+    """The points x with ``normal . x = offset``."""
 
     azimuth_deg: float
-    """Of the side that was cut away."""
+    """Of its normal, to the side that was cut away."""
     offset: float
-    """The plane holds the points x with ``normal . x = offset``."""
+
+    @property
+    def normal(self) -> FloatArray:  # [3]
+        """Unit normal, which is horizontal."""
+        angle = math.radians(self.azimuth_deg)
+        return np.array([math.cos(angle), math.sin(angle), 0.0])
+
+    def mirrored(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
+        """Mirror points through the plane."""
+        return points + 2 * (self.offset - points @ self.normal)[:, None] * self.normal
+
+
+@dataclass(frozen=True, slots=True)
+class CutPlane(UprightPlane):
+    """An upright plane that P's rim lies in."""
+
     rim_share: float
     """Share of P's rim that lies in the plane."""
     squareness: float
     """Share of that rim where P's surface meets the plane at nearly a right angle."""
     mean_cosine: float
     """Between the plane's normal and the surface normals along that rim."""
-
-    @property
-    def normal(self) -> FloatArray:  # [3]
-        """Unit normal, to the side that was cut away."""
-        angle = math.radians(self.azimuth_deg)
-        return np.array([math.cos(angle), math.sin(angle), 0.0])
 
     @property
     def is_symmetric(self) -> bool:
@@ -88,10 +97,6 @@ class CutPlane:
     def meets_surface(self) -> bool:
         """Whether P's surface runs into the plane somewhere, as where something was cut away."""
         return self.squareness >= _LEAST_MET
-
-    def mirrored(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
-        """Mirror points through the plane."""
-        return points + 2 * (self.offset - points @ self.normal)[:, None] * self.normal
 
 
 def find_cut(points: FloatArray) -> CutPlane | None:  # [N, 3] z up

@@ -50,6 +50,10 @@ class FramingRequest:
     """Whether all of the part was seen from there: the complete object then lies behind it."""
     elevation_range_deg: float = ELEVATION_RANGE_DEG
     """V reaches this far above and below c."""
+    is_half: bool = False
+    """Whether the part is one half of a symmetric object, cut along its plane of symmetry."""
+    half_toward_deg: float | None = None
+    """Azimuth of the other half, roughly; None = found."""
 
     def __post_init__(self) -> None:
         """Check what the user gives.
@@ -110,7 +114,13 @@ def decide_framing(
         rotation = up_rotation(request.up)
         anchor = partial.means.double().median(dim=0).values
         level = transform_splats(partial, Similarity(1.0, rotation, -(rotation @ anchor)))
-        guess = guess_framing(level, seen_from_deg=_azimuth_of_camera(partial, request))
+        seen_from_deg = _azimuth_of_camera(partial, request)
+        guess = guess_framing(
+            level,
+            seen_from_deg=seen_from_deg,
+            is_half=request.is_half,
+            half_toward_deg=request.half_toward_deg,
+        )
         notes = guess.notes
         notes += () if is_viewed else (guess.view_reason,)
         notes += () if is_boxed else (guess.box_reason,)

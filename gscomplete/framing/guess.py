@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gscomplete.errors import UserError
-from gscomplete.framing.cut_plane import find_cut
+from gscomplete.framing.cut_plane import UprightPlane, find_cut
+from gscomplete.framing.end_plane import find_end
 from gscomplete.framing.extent import extended_box, is_closed
 from gscomplete.render import render
 from gscomplete.splats import Splats, colors_to_sh
@@ -122,6 +123,8 @@ def guess_framing(
     settings: FramingSettings | None = None,
     *,
     seen_from_deg: float | None = None,
+    is_half: bool = False,
+    half_toward_deg: float | None = None,
 ) -> FramingGuess:
     """Guess centre, size and input view of the complete object.
 
@@ -135,6 +138,8 @@ def guess_framing(
         settings: knobs; None = defaults.
         seen_from_deg: azimuth that all of P was seen from, where one scanner made it: what is
             missing lies behind P, whatever the scores say. None = unknown.
+        is_half: whether what is missing is P's mirror image through the plane that P ends at.
+        half_toward_deg: azimuth of what is missing then, roughly; None = found.
 
     Raises:
         UserError: P has no finite splat, or all are at one place.
@@ -159,11 +164,14 @@ def guess_framing(
     cut = find_cut(points)
     if seen_from_deg is not None:
         toward = (seen_from_deg + 180.0) % 360.0
-    if is_closed(points, cut):
+    end = find_end(points, cut, half_toward_deg) if is_half else None
+    if end is not None:
+        center, size = _box_of_both(points, end)
+        reason = "P is one half: centre and size are of P and its mirror image"
+    elif is_closed(points, cut):
         center, reason = (low + high) / 2, "P's surface is closed: centre and size are the box's"
     elif cut is not None and cut.is_symmetric and seen_from_deg is None:
-        both = np.concatenate([points, cut.mirrored(points)])
-        center, size = (both.min(axis=0) + both.max(axis=0)) / 2, float(np.ptp(both, axis=0).max())
+        center, size = _box_of_both(points, cut)
         reason = "P ends squarely at a plane: centre and size are of P and its mirror image"
     elif strength < _MIN_OPENNESS:
         center, reason = (low + high) / 2, "no side is clearly open: centre and size are the box's"
@@ -173,6 +181,16 @@ def guess_framing(
     box_reason = f"{reason} (openness {strength:.2f} towards azimuth {toward:.0f})"
     x, y, z = center.tolist()
     return FramingGuess((x, y, z), size, azimuth, elevation, tuple(notes), view_reason, box_reason)
+
+
+def _box_of_both(
+    points: FloatArray,  # [N, 3]
+    plane: UprightPlane,
+) -> tuple[FloatArray, float]:  # [3]
+    """Return the centre and the largest side of the box of points and their mirror image."""
+    both = np.concatenate([points, plane.mirrored(points)])
+    low, high = both.min(axis=0), both.max(axis=0)
+    return (low + high) / 2, float((high - low).max())
 
 
 def score_partial(partial: Splats, settings: FramingSettings | None = None) -> ViewScores:

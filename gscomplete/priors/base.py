@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from gscomplete.render.record import Render
-from gscomplete.shape.mirror_plane import ChosenMirror, Mirror
+from gscomplete.shape.mirror_plane import ChosenMirror, MirrorWish
 from gscomplete.splats.record import Splats
 from gscomplete.util.jsonio import to_json
 from gscomplete.views.cameras import Cameras, radius_to_fit
@@ -225,7 +225,7 @@ class ShapePrior(Protocol):
         conditioning: Conditioning,
         generator: torch.Generator,
         count: int,
-        mirror: Mirror = "guess",
+        mirror: MirrorWish = "guess",
         *,
         known_shapes: bool = True,
         prompt_decides: bool = False,
@@ -250,7 +250,7 @@ class ShapePrior(Protocol):
     def likely_mirrors(
         self, partial: Splats, distribution: ViewDistribution, conditioning: Conditioning
     ) -> tuple[ChosenMirror, ...]:
-        """Return planes of symmetry that differ, the likeliest first, and none at last.
+        """Return planes of symmetry that differ, the likeliest first, then the cut, none at last.
 
         Args:
             partial: P in the object frame.

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from gscomplete.shape.bank.fit import FittedShape
-from gscomplete.shape.evidence import Evidence
+from gscomplete.shape.evidence import Evidence, gather_evidence
 from gscomplete.shape.mirror_plane import MirrorPlane
 from gscomplete.shape.predict import Prediction
 from gscomplete.shape.surface import (
@@ -26,11 +26,12 @@ from gscomplete.shape.surface import (
     median_spacing,
     surface_splats,
 )
-from gscomplete.shape.symmetry import SymmetryMap, mirror_image, plane_of
+from gscomplete.shape.symmetry import SymmetryMap, mirror, mirror_image, plane_of
 from gscomplete.shape.voxels import CELL_SIDE, grown, sample_volume, surface_cells
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.splats.thinning import thinned
+from gscomplete.views import ViewDistribution
 
 _LEAST_SPACING = 0.002
 _MOST_SPACING = 0.03
@@ -250,8 +251,33 @@ def _new_copies(
     if float(doubted.sum()) > _FEW_DOUBTED * len(copies):
         against = contradicted_by(known(), copies, doubted)
     contradicted, copies = copies.select(against), copies.select(~against)
+    return _beyond(copies, partial, generator), contradicted
+
+
+def image_of_half(
+    partial: Splats,
+    plane: MirrorPlane,
+    views: ViewDistribution,
+    generator: torch.Generator,
+) -> Splats:
+    """Return P's image through a plane, without what V's views do not allow or P has.
+
+    Args:
+        partial: one half of an object, in the object frame.
+        plane: that it was cut along.
+        views: V.
+        generator: chooses the splats of P that tell where P is.
+    """
+    symmetry = mirror(math.radians(plane.azimuth_deg), plane.offset, 1.0)
+    copies = mirror_image(partial, symmetry)
+    copies = copies.select(hides_nothing(copies, gather_evidence(partial, views)))
+    return _beyond(copies, partial, generator)
+
+
+def _beyond(copies: Splats, partial: Splats, generator: torch.Generator) -> Splats:
+    """Return the mirrored splats that lie where P has none, up to its rim."""
     if not len(copies):
-        return copies, contradicted
+        return copies
     axes = rotation_matrices(copies.quaternions)
     thinnest = copies.scales.argmin(dim=1)[:, None, None].expand(-1, 3, 1)
     normals = axes.gather(2, thinnest)[:, :, 0]
@@ -260,8 +286,7 @@ def _new_copies(
     beyond = SurfaceSettings(
         near_rim=min(SurfaceSettings().near_rim, seam), one_sided=_ONE_SIDED_COPY
     )
-    is_new = is_missing(copies.means, normals, anchor.means, beyond)
-    return copies.select(is_new), contradicted
+    return copies.select(is_missing(copies.means, normals, anchor.means, beyond))
 
 
 def select_consistent(

@@ -1,4 +1,4 @@
-"""The plane of symmetry that P is mirrored through, as users choose it."""
+"""What P is mirrored through, as users choose it."""
 
 from __future__ import annotations
 
@@ -36,9 +36,32 @@ class MirrorPlane:
         return f"{round(self.azimuth_deg, 1) + 0.0:.1f},{round(self.offset, 3) + 0.0:.3f}"
 
 
+@dataclass(frozen=True, slots=True)
+class HalfCut:
+    """P is one half: the other is its mirror image through the plane that P ends at."""
+
+    toward_deg: float | None = None
+    """Azimuth of the other half, roughly; None = found (``framing.end_plane``)."""
+
+    def __post_init__(self) -> None:
+        """Check the azimuth.
+
+        Raises:
+            UserError: it makes no sense.
+        """
+        if self.toward_deg is not None and not math.isfinite(self.toward_deg):
+            raise UserError("mirror: cut: expected a finite azimuth")
+
+    def __str__(self) -> str:
+        """Return it as users write it."""
+        return "cut" if self.toward_deg is None else f"cut:{self.toward_deg:g}"
+
+
 Mirror = Literal["guess", "none"] | MirrorPlane
 """Which plane P is mirrored through: the prior's guess, none, or this one."""
 
-
-ChosenMirror = Literal["none"] | MirrorPlane
+ChosenMirror = Literal["none"] | HalfCut | MirrorPlane
 """What users may choose instead of the guess."""
+
+MirrorWish = Literal["guess"] | ChosenMirror
+"""What users may ask for."""

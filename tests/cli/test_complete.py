@@ -6,9 +6,11 @@ import pytest
 from gscomplete.cli.complete_options import CompleteOptions
 from gscomplete.cli.request import request_of
 from gscomplete.errors import UserError
+from gscomplete.priors import load_prior
+from gscomplete.shape.mirror_plane import HalfCut, MirrorPlane
 
 
-@pytest.mark.parametrize("mirror", ["none", "30,0.1"])
+@pytest.mark.parametrize("mirror", ["none", "30,0.1", "cut", "cut:30"])
 def test_a_plane_is_refused_where_the_prior_cannot_guess_the_complete_object(mirror):
     """``reconstruct`` starts from a guess, but only if the prior has one."""
     options = CompleteOptions(
@@ -16,6 +18,30 @@ def test_a_plane_is_refused_where_the_prior_cannot_guess_the_complete_object(mir
     )
     with pytest.raises(UserError, match="preset reconstruct with prior known starts without"):
         request_of(options, SimpleNamespace(name="known"))
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("none", "none"),
+        ("cut", HalfCut()),
+        ("cut:-30", HalfCut(-30.0)),
+        ("30,0.1", MirrorPlane(30.0, 0.1)),
+    ],
+)
+def test_what_to_mirror_through_is_read(text, expected):
+    prior = load_prior("embedded")
+    options = CompleteOptions(partial=Path("half.ply"), prompt="a mug", mirror=text)
+    settings = request_of(options, prior).completion.settings
+    assert settings.mirror == expected
+    assert text == "30,0.1" or str(settings.mirror) == text
+
+
+@pytest.mark.parametrize("text", ["cut:", "cut:a", "cut:1,2", "cut:inf", "half", "1", ""])
+def test_what_to_mirror_through_is_refused_in_another_form(text):
+    options = CompleteOptions(partial=Path("half.ply"), prompt="a mug", mirror=text)
+    with pytest.raises(UserError, match="--mirror: expected guess, none, cut"):
+        request_of(options, load_prior("embedded"))
 
 
 def request_with(**changes):

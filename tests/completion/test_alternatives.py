@@ -28,11 +28,12 @@ def found(prior):
 
 
 def test_planes_come_first_and_none_last(found):
-    assert len(found) == 3
+    assert len(found) == 4
     assert all(isinstance(alternative.mirror, MirrorPlane) for alternative in found[:2])
-    assert found[2].option == "--mirror=none"
+    assert found[2].option == "--mirror=cut"
+    assert found[3].option == "--mirror=none"
     assert all(0 < len(alternative.splats) <= len(PARTIAL) + 600 for alternative in found)
-    assert len(found[2].splats) <= 600  # P is not mirrored
+    assert len(found[3].splats) <= 600  # P is not mirrored
 
 
 def test_an_option_names_the_plane_that_was_drawn(prior, found):
@@ -65,5 +66,5 @@ def test_priors_without_guesses_have_no_alternatives(prior):
 
 def test_the_sheet_has_a_row_each(found):
     one = alternatives_sheet(found[:1], PARTIAL, PARTIAL, VIEWS, "a ball")
-    three = alternatives_sheet(found, PARTIAL, PARTIAL, VIEWS, "a ball")
-    assert three.height - one.height == 2 * (192 + 4)
+    four = alternatives_sheet(found, PARTIAL, PARTIAL, VIEWS, "a ball")
+    assert four.height - one.height == 3 * (192 + 4)

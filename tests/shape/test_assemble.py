@@ -10,6 +10,7 @@ from gscomplete.shape.assemble import (
     AssembleSettings,
     assemble_splats,
     contradicted_by,
+    image_of_half,
     is_mirrored_by_splats,
     notes_of,
     select_consistent,
@@ -18,6 +19,7 @@ from gscomplete.shape.assemble import (
 from gscomplete.shape.bank.fit import FittedShape
 from gscomplete.shape.bank.pose import Pose
 from gscomplete.shape.bank.store import ShapeName
+from gscomplete.shape.mirror_plane import MirrorPlane
 from gscomplete.shape.network import ShapeOutput
 from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.predict import Prediction
@@ -173,6 +175,26 @@ def test_beside_the_image_that_is_all_nothing_of_the_networks_surface_counts():
     not_believed = dataclasses.replace(prediction, symmetry_score=0.1)
     alone = put_together(not_believed)
     assert torch.equal(put_together(not_believed, image_is_all=True).means, alone.means)
+
+
+def test_one_half_and_its_image_are_the_whole():
+    whole = ball(4000)
+    part = whole.select(whole.means[:, 0] > 0)
+    image = image_of_half(part, MirrorPlane(180.0, 0.0), VIEWS, torch.Generator().manual_seed(0))
+    assert len(image) > 0.95 * len(part)
+    missing = whole.means[whole.means[:, 0] < 0]
+    away, _ = cKDTree(image.means.numpy()).query(missing.numpy())
+    # splats lie 0.025 apart
+    assert np.quantile(away, 0.99) < 0.03
+    assert image.means[:, 0].max() < 0.02
+
+
+def test_an_image_before_p_is_no_half_of_it():
+    """Seen from the side that the image would lie on, it hides P."""
+    part = half(ball(4000))
+    behind = ViewDistribution(180.0, 10.0)
+    image = image_of_half(part, MirrorPlane(180.0, 0.0), behind, torch.Generator().manual_seed(0))
+    assert len(image) < 0.2 * len(part)
 
 
 def test_copies_reach_to_the_seam():

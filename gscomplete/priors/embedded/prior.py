@@ -25,8 +25,7 @@ import torch
 from torch import Tensor
 
 from gscomplete.errors import UserError
-from gscomplete.framing.cut_plane import CutPlane, find_cut
-from gscomplete.framing.extent import is_closed
+from gscomplete.framing.cut_plane import find_cut
 from gscomplete.networks.precision import Precision, is_bfloat16, multiplies_bytes
 from gscomplete.priors.base import Conditioning, FirstGuess, FourViews, Guidance, PriorViews
 from gscomplete.priors.embedded.conditioning import EmbeddedConditioning, about_partial
@@ -37,6 +36,7 @@ from gscomplete.priors.embedded.diffusion import (
     guided_x0,
     x0_from_v,
 )
+from gscomplete.priors.embedded.ending import ending_of, ends_in_plane, mirror_of_half
 from gscomplete.priors.embedded.inputs import images_to_color_alpha, input_map, network_images
 from gscomplete.priors.embedded.int8 import in_bytes
 from gscomplete.priors.embedded.model import INPUT_CHANNELS, VIEWS, FourViewDenoiser
@@ -48,11 +48,11 @@ from gscomplete.priors.embedded.weights import (
     read_weights,
     weights_digest,
 )
-from gscomplete.shape.assemble import mirror_plane_of
+from gscomplete.shape.assemble import image_of_half, mirror_plane_of
 from gscomplete.shape.bank.store import BANK_FILE
 from gscomplete.shape.guess import Asked, KnownShapes, guess_complete
 from gscomplete.shape.int8 import ByteShapeCompleter
-from gscomplete.shape.mirror_plane import ChosenMirror, Mirror, MirrorPlane
+from gscomplete.shape.mirror_plane import ChosenMirror, HalfCut, MirrorWish
 from gscomplete.shape.network import ShapeCompleter, laid_out
 from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.symmetry_choice import score_planes
@@ -64,15 +64,6 @@ DEFAULT_GUIDANCE = Guidance(text_scale=1.0, input_scale=1.0, rescale=0.0)
 """With P in sight plain conditional denoising is best, and takes a single pass."""
 TEXT_ONLY_GUIDANCE = Guidance(text_scale=3.0, input_scale=1.0, rescale=0.5)
 """Without P the text must decide more."""
-
-_COMPLETE_NOTE = (
-    "P's surface is closed: it is taken for complete, and nothing is added "
-    "(--mirror none completes it all the same)"
-)
-_SQUARE_CUT_NOTE = (
-    "P ends at a plane that its surface meets squarely: it is mirrored through it "
-    "(--alternatives 4 draws other planes)"
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +187,7 @@ class EmbeddedPrior:
         conditioning: Conditioning,
         generator: torch.Generator,
         count: int,
-        mirror: Mirror = "guess",
+        mirror: MirrorWish = "guess",
         *,
         known_shapes: bool = True,
         prompt_decides: bool = False,
@@ -205,31 +196,38 @@ class EmbeddedPrior:
         if self._shape is None:
             return None
         assert isinstance(conditioning, EmbeddedConditioning)
-        notes: tuple[str, ...] = ()
         points = partial.means.double().numpy()
-        cut = find_cut(points)
+        if isinstance(mirror, HalfCut):
+            plane = mirror_of_half(points, mirror)
+            if plane is None:
+                raise UserError("--mirror cut: P ends at no plane near the frame's centre")
+            image = image_of_half(partial, plane, distribution, generator)
+            return FirstGuess(image, (f"P is one half: mirrored through its end, {plane}",))
+        ending = ending_of(points, mirror)
         bank = self._bank if known_shapes else None
         known = KnownShapes(bank, conditioning.prompt, prompt_decides)
-        is_cut = False
-        if mirror == "guess":
-            more = prompt_decides and known.fitted(partial, distribution)
-            if is_closed(points, cut) and not more:
-                nothing = partial.with_sh_degree(0).select(torch.arange(0))
-                told = known.notes(()) if prompt_decides else ()
-                return FirstGuess(nothing, (*told, _COMPLETE_NOTE))
-            if cut is not None and cut.is_symmetric and abs(cut.offset) <= 1:
-                mirror, is_cut = MirrorPlane(cut.azimuth_deg, cut.offset), True
-                notes += (_SQUARE_CUT_NOTE,)
+        if ending.is_complete and not (prompt_decides and known.fitted(partial, distribution)):
+            nothing = partial.with_sh_degree(0).select(torch.arange(0))
+            told = known.notes(()) if prompt_decides else ()
+            return FirstGuess(nothing, told + ending.notes)
         asked = Asked(
             self._shape,
             conditioning.shape_tokens,
             self._shape_tokenizer.encode(""),
             bfloat16=self._shape_bfloat16,
-            ends_in_plane=_ends_in_plane(cut),
+            ends_in_plane=ending.in_plane,
         )
         guess = guess_complete(
-            asked, partial, distribution, mirror, known, count, generator, mirror_is_cut=is_cut
+            asked,
+            partial,
+            distribution,
+            ending.mirror,
+            known,
+            count,
+            generator,
+            mirror_is_cut=ending.image_is_all,
         )
+        notes = ending.notes if ending.image_is_all else ()
         return FirstGuess(guess.splats, notes + guess.notes)
 
     def with_known_shape(
@@ -248,15 +246,18 @@ class EmbeddedPrior:
         if self._shape is None:
             return ()
         assert isinstance(conditioning, EmbeddedConditioning)
+        points = partial.means.double().numpy()
         voxels = voxelize_partial(partial, distribution)
         asked = score_planes(
             self._shape,
             voxels,
             conditioning.shape_tokens,
-            ends_in_plane=_ends_in_plane(find_cut(partial.means.double().numpy())),
+            ends_in_plane=ends_in_plane(find_cut(points)),
             bfloat16=self._shape_bfloat16,
         )
-        return (*(mirror_plane_of(plane) for plane in asked.distinct(voxels.positions)), "none")
+        planes = (mirror_plane_of(plane) for plane in asked.distinct(voxels.positions))
+        half = HalfCut()
+        return (*planes, *((half,) if mirror_of_half(points, half) else ()), "none")
 
     def distill(
         self,
@@ -383,11 +384,6 @@ class _Task:
     shape: Tensor  # [4, 2, s, s]
     conditioning: EmbeddedConditioning
     guidance: Guidance
-
-
-def _ends_in_plane(cut: CutPlane | None) -> bool:
-    """Say whether P was cut along a plane, as far as found."""
-    return cut is not None and cut.meets_surface
 
 
 def load_embedded(folder: Path | None, device: torch.device | str) -> EmbeddedPrior:

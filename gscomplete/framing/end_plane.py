@@ -1,0 +1,119 @@
+"""The upright plane that one half of an object ends at.
+
+Where an object was cut through, its surface runs up to the plane and ends: next to the outermost
+plane of that direction there is much surface that meets it squarely, and little that lies in it.
+Unlike a rim (``framing.cut_plane``) that is seen in captures as well, whose surface is fuzzy, and
+in racks and fences, which have rims everywhere. Where a rim's plane is about the same, it is the
+more exact one. Every P has such a plane; that P is one half is for its user to say.
+
+Conventions
+-----------
+* Lengths and places are those of the points given, z up; limits are in sides of their box. The
+  plane's normal is horizontal and points away from P.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from gscomplete.framing.cut_plane import CutPlane, UprightPlane
+
+FloatArray = NDArray[np.float64]
+
+_MOST_POINTS = 6000
+_FEWEST_POINTS = 100
+_NORMAL_NEIGHBOURS = 16
+_SIDES = (0.005, 0.995)
+"""Quantiles of the points between which their box is."""
+_STEP_DEG, _FINER_DEG = 3.0, (1.5, 0.75)
+_ASIDE_DEG = 30.0
+"""How far off a side that users name may be."""
+_BEYOND = 0.01
+"""Share of the points beyond which P's end is looked for: floaters."""
+_LEAST_BEYOND = 0.0005
+_SLAB = 0.02
+_SQUARE = 0.35
+"""Cosine between the plane's normal and a surface normal below which they meet squarely."""
+_LEAST_DENSITY = 1e-3
+_LIKE_DEG, _LIKE = 4.0, 0.02
+"""A rim's plane is about the same where it is this near."""
+
+
+def find_end(
+    points: FloatArray,  # [N, 3] z up
+    cut: CutPlane | None,
+    toward_deg: float | None = None,
+) -> UprightPlane | None:
+    """Return the plane that points end at; None = there is no surface.
+
+    Args:
+        points: P.
+        cut: the plane that holds P's rim (``find_cut``).
+        toward_deg: azimuth of the other half, to ``_ASIDE_DEG``; None = it may be on any side.
+    """
+    chosen = points[:: max(1, -(-len(points) // _MOST_POINTS))]
+    if len(chosen) < _FEWEST_POINTS:
+        return None
+    middle = chosen.mean(axis=0)
+    side = float(np.ptp(np.quantile(chosen, _SIDES, axis=0), axis=0).max())
+    if not side > 0:
+        return None
+    found = _outermost((chosen - middle) / side, toward_deg)
+    plane = UprightPlane(found.azimuth_deg, found.offset * side + float(middle @ found.normal))
+    if cut is not None and _are_alike(cut, plane, middle, side):
+        return UprightPlane(cut.azimuth_deg, cut.offset)
+    return plane
+
+
+def _are_alike(
+    first: UprightPlane,
+    second: UprightPlane,
+    middle: FloatArray,  # [3] of P
+    side: float,
+) -> bool:
+    """Say whether two planes are about the same as seen from P, and face the same way."""
+    turn_deg = (first.azimuth_deg - second.azimuth_deg + 180.0) % 360.0 - 180.0
+    away = [plane.offset - float(middle @ plane.normal) for plane in (first, second)]
+    return abs(turn_deg) <= _LIKE_DEG and abs(away[0] - away[1]) <= _LIKE * side
+
+
+def _outermost(
+    points: FloatArray,  # [N, 3]
+    toward_deg: float | None,
+) -> UprightPlane:
+    """Return the outermost plane that most surface runs squarely up to."""
+    normals = _normals(points)
+    azimuths_deg = np.arange(0.0, 360.0, _STEP_DEG)
+    if toward_deg is not None:
+        azimuths_deg = toward_deg + np.arange(-_ASIDE_DEG, _ASIDE_DEG + 1, _STEP_DEG)
+    ends = _Ends(points, normals, azimuths_deg)
+    for step_deg in _FINER_DEG:
+        ends = _Ends(points, normals, ends.best_deg + step_deg * np.array([-1.0, 0.0, 1.0]))
+    azimuth_deg = ends.best_deg
+    ends = _Ends(points, normals, np.array([azimuth_deg]))
+    # As dense as P is in the slab it goes on to its end.
+    density = max(float(ends.inside.mean()) / _SLAB, _LEAST_DENSITY)
+    last = float(np.quantile(ends.along, 1 - _LEAST_BEYOND))
+    return UprightPlane(azimuth_deg % 360.0, min(float(ends.last[0]) + _BEYOND / density, last))
+
+
+class _Ends:
+    """Where points end towards A azimuths."""
+
+    def __init__(self, points: FloatArray, normals: FloatArray, azimuths_deg: FloatArray) -> None:
+        angles = np.radians(azimuths_deg)
+        ways = np.stack([np.cos(angles), np.sin(angles), 0 * angles])
+        self.along = points @ ways  # [N, A]
+        self.last = np.quantile(self.along, 1 - _BEYOND, axis=0)  # [A]
+        self.inside = (self.along > self.last - _SLAB) & (self.along <= self.last)
+        square = self.inside & (np.abs(normals @ ways) < _SQUARE)
+        self.best_deg = float(azimuths_deg[int(square.mean(axis=0).argmax())])
+
+
+def _normals(points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
+    """Return unit surface normals, of either sign."""
+    _, index = cKDTree(points).query(points, k=_NORMAL_NEIGHBOURS + 1)
+    offsets = points[index] - points[index].mean(axis=1, keepdims=True)
+    return np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))[1][:, :, 0]

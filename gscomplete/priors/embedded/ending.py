@@ -1,0 +1,88 @@
+"""What the way P ends says of what it lacks: nothing, its mirror image, or what is to be guessed.
+
+Whether P was cut along a plane of symmetry is found where P's rim says so beyond doubt
+(``CutPlane.is_symmetric``), or the user says it.
+
+Conventions
+-----------
+* Object frame, z up; the frame's centre is the origin that offsets of planes count from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gscomplete.framing.cut_plane import CutPlane, UprightPlane, find_cut
+from gscomplete.framing.end_plane import find_end
+from gscomplete.framing.extent import is_closed
+from gscomplete.shape.mirror_plane import HalfCut, Mirror, MirrorPlane
+
+FloatArray = NDArray[np.float64]
+
+_COMPLETE_NOTE = (
+    "P's surface is closed: it is taken for complete, and nothing is added "
+    "(--mirror none completes it all the same)"
+)
+_SQUARE_CUT_NOTE = (
+    "P ends at a plane that its surface meets squarely: it is mirrored through it "
+    "(--alternatives 4 draws other planes)"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """How P ends, as far as found or told."""
+
+    mirror: Mirror
+    """The plane that it is to be mirrored through."""
+    in_plane: bool
+    """Whether P was cut along a plane, of symmetry or not."""
+    image_is_all: bool = False
+    """Whether all that P lacks is its image through ``mirror``."""
+    is_complete: bool = False
+    """Whether P lacks nothing."""
+    notes: tuple[str, ...] = ()
+    """The reason, for the user."""
+
+
+def ending_of(
+    points: FloatArray,  # [N, 3] of P
+    wish: Mirror,
+) -> Ending:
+    """Return how P ends, and what follows from it for what it is mirrored through.
+
+    Args:
+        points: P's splats.
+        wish: what the user says.
+    """
+    cut = find_cut(points)
+    in_plane = ends_in_plane(cut)
+    if wish != "guess":
+        return Ending(wish, in_plane)
+    if is_closed(points, cut):
+        return Ending("guess", in_plane, is_complete=True, notes=(_COMPLETE_NOTE,))
+    if cut is not None and cut.is_symmetric and abs(cut.offset) <= 1:
+        notes = (_SQUARE_CUT_NOTE,)
+        return Ending(_mirror_through(cut), in_plane, image_is_all=True, notes=notes)
+    return Ending("guess", in_plane)
+
+
+def mirror_of_half(
+    points: FloatArray,  # [N, 3] of P
+    half: HalfCut,
+) -> MirrorPlane | None:
+    """Return the plane that P ends at, as one half does; None = it ends at none."""
+    end = find_end(points, find_cut(points), half.toward_deg)
+    return None if end is None or abs(end.offset) > 1 else _mirror_through(end)
+
+
+def ends_in_plane(cut: CutPlane | None) -> bool:
+    """Say whether P was cut along a plane, as far as found."""
+    return cut is not None and cut.meets_surface
+
+
+def _mirror_through(plane: UprightPlane) -> MirrorPlane:
+    return MirrorPlane(plane.azimuth_deg, plane.offset)
