@@ -133,6 +133,8 @@ def settings_of(options: HowToComplete, prior: Prior) -> CompletionSettings:
             raise UserError("--prompt-decides: by known shapes; expected no --no-known-shapes")
         if options.alternatives:
             raise UserError("--prompt-decides: draws no planes; expected no --alternatives")
+        if isinstance(settings.mirror, HalfCut):
+            raise UserError("--prompt-decides: one half decides itself; expected no --mirror cut")
         settings = dataclasses.replace(settings, prompt_decides=True)
         _require_guess("--prompt-decides", options, settings, prior)
     if not 0 <= options.alternatives <= 8:

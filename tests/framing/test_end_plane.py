@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gscomplete.framing.cut_plane import CutPlane, find_cut
+from gscomplete.framing.cut_plane import CutPlane, UprightPlane, find_cut
 from gscomplete.framing.end_plane import find_end
 from tests.builders.objects import angle_between, ball
 
@@ -63,13 +63,12 @@ def test_the_side_that_users_name_counts() -> None:
         assert angle_between(found.azimuth_deg, expected) <= 5.0  # as exact as its thin end
 
 
-def test_a_rim_that_says_about_the_same_is_the_more_exact_one() -> None:
+def test_the_plane_of_a_rim_counts_unless_users_name_another_side() -> None:
     kept = BALL[BALL[:, 0] < 0]
-    near, far = CutPlane(2.0, 0.003, 0.9, 0.9, 0.1), CutPlane(30.0, 0.0, 0.9, 0.9, 0.1)
-    found = find_end(kept, near)
-    assert found is not None
-    assert (found.azimuth_deg, found.offset) == (2.0, 0.003)
-    assert find_end(kept, far) == find_end(kept, None)
+    rim = CutPlane(70.0, 0.003, 0.9, 0.9, 0.1)
+    for toward_deg in (None, 50.0):
+        assert find_end(kept, rim, toward_deg) == UprightPlane(70.0, 0.003)
+    assert find_end(kept, rim, 0.0) == find_end(kept, None, 0.0)
 
 
 def test_what_is_no_surface_ends_nowhere() -> None:
