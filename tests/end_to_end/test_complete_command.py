@@ -308,8 +308,9 @@ def test_the_plane_of_symmetry_can_be_chosen(tmp_path):
         return json.loads((out / "run.json").read_text())
 
     guessed = mirrored("guessed", "--alternatives", "2")
-    *planes, last = guessed["result"]["alternatives"]
+    *planes, cut, last = guessed["result"]["alternatives"]
     assert len(planes) == 2
+    assert cut == "--mirror=cut"
     assert last == "--mirror=none"
     assert (tmp_path / "guessed" / "alternatives.png").stat().st_size > 10_000
     azimuth_deg, offset = map(float, planes[1].removeprefix("--mirror=").split(","))
@@ -321,14 +322,17 @@ def test_the_plane_of_symmetry_can_be_chosen(tmp_path):
     assert any(upright in note for note in chosen["notes"])
     none = mirrored("none", "--mirror", "none")
     assert any("not mirrored" in note for note in none["notes"])
-    sizes = [content["result"]["new_splats"] for content in (guessed, chosen, none)]
+    half = mirrored("half", cut)
+    assert half["identity"]["settings"]["mirror"] == {"toward_deg": None}
+    assert any("P is one half: mirrored through its end" in note for note in half["notes"])
+    sizes = [content["result"]["new_splats"] for content in (guessed, chosen, none, half)]
     assert min(sizes) > 100
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--mirror", "left"), "--mirror: expected guess, none or AZIMUTH,OFFSET"),
+        (("--mirror", "left"), "--mirror: expected guess, none, cut, cut:AZIMUTH or"),
         (("--mirror", "0,3"), "offset: expected -1 to 1"),
         (("--mirror", "none", "--preset", "paper"), "preset paper with prior embedded starts"),
         (("--alternatives", "9"), "--alternatives: expected 0 to 8"),
