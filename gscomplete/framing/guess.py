@@ -168,7 +168,7 @@ def guess_framing(
     if end is not None:
         center, size = _box_of_both(points, end)
         reason = "P is one half: centre and size are of P and its mirror image"
-    elif is_closed(points, cut):
+    elif is_closed(points, cut, lambda: strength):
         center, reason = (low + high) / 2, "P's surface is closed: centre and size are the box's"
     elif cut is not None and cut.is_symmetric and seen_from_deg is None:
         center, size = _box_of_both(points, cut)

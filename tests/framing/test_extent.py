@@ -14,7 +14,7 @@ from tests.builders.objects import ball, half
 
 
 def closed(points):
-    return is_closed(points, find_cut(points))
+    return is_closed(points, find_cut(points), lambda: 0.0)
 
 
 def points_of_ball(count=6000):
@@ -114,8 +114,30 @@ def test_sharp_edges_that_pass_for_a_cut_leave_a_blade_closed():
 def test_of_what_is_not_thin_only_a_cut_met_at_a_slant_is_an_edge():
     fin = with_fin(0.012)
     edge = CutPlane(0.0, 0.0, 0.9, 0.1, 0.6)
-    assert is_closed(fin, edge)
-    assert not is_closed(fin, dataclasses.replace(edge, squareness=0.4, mean_cosine=0.4))
+    assert is_closed(fin, edge, lambda: 1.0)
+    assert not is_closed(
+        fin, dataclasses.replace(edge, squareness=0.4, mean_cosine=0.4), lambda: 0.0
+    )
+
+
+@pytest.mark.parametrize(
+    ("few", "openness", "expected"),
+    [(0.004, 0.5, False), (0.004, 0.2, True), (0.0001, 0.5, True)],
+)
+def test_what_shows_a_little_of_its_inside_and_is_open_to_one_side_is_not_closed(
+    monkeypatch, few, openness, expected
+):
+    monkeypatch.setattr(
+        "gscomplete.framing.extent.share_exposed_twice", lambda points, most_points=24_000: few
+    )
+    assert is_closed(points_of_ball(), None, lambda: openness) is expected
+
+
+def test_openness_is_asked_of_closed_surfaces_alone():
+    def openness():
+        raise AssertionError("asked")
+
+    assert not is_closed(points_of_ball()[points_of_ball()[:, 0] > 0], None, openness)
 
 
 @pytest.mark.parametrize(("many", "expected"), [(0.016, False), (0.004, True)])
@@ -124,11 +146,12 @@ def test_many_points_may_contradict_few_that_see_no_inside(monkeypatch, many, ex
         return 0.006 if most_points == 8000 else many
 
     monkeypatch.setattr("gscomplete.framing.extent.share_exposed_twice", share)
-    assert is_closed(points_of_ball(), None) is expected
+    assert is_closed(points_of_ball(), None, lambda: 0.0) is expected
 
 
 def test_what_is_cut_squarely_or_has_no_thickness_is_not_closed():
     square = CutPlane(0.0, 0.0, 0.9, 0.9, 0.05)
     assert square.is_symmetric
-    assert not is_closed(blade(), square)
-    assert not is_closed(blade() * [5.0, 0.05, 1.0], dataclasses.replace(square, squareness=0.1))
+    assert not is_closed(blade(), square, lambda: 0.0)
+    flat = blade() * [5.0, 0.05, 1.0]
+    assert not is_closed(flat, dataclasses.replace(square, squareness=0.1), lambda: 0.0)

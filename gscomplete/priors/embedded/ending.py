@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 from gscomplete.framing.cut_plane import CutPlane, UprightPlane, find_cut
 from gscomplete.framing.end_plane import find_end
 from gscomplete.framing.extent import is_closed
+from gscomplete.framing.guess import score_partial
 from gscomplete.shape.mirror_plane import HalfCut, Mirror, MirrorPlane
+from gscomplete.splats import Splats
 
 FloatArray = NDArray[np.float64]
 
@@ -49,20 +51,21 @@ class Ending:
 
 
 def ending_of(
-    points: FloatArray,  # [N, 3] of P
+    partial: Splats,
     wish: Mirror,
 ) -> Ending:
     """Return how P ends, and what follows from it for what it is mirrored through.
 
     Args:
-        points: P's splats.
+        partial: P.
         wish: what the user says.
     """
+    points = partial.means.double().numpy()
     cut = find_cut(points)
     in_plane = ends_in_plane(cut)
     if wish != "guess":
         return Ending(wish, in_plane)
-    if is_closed(points, cut):
+    if is_closed(points, cut, lambda: score_partial(partial).openness()[1]):
         return Ending("guess", in_plane, is_complete=True, notes=(_COMPLETE_NOTE,))
     if cut is not None and cut.is_symmetric and abs(cut.offset) <= 1:
         notes = (_SQUARE_CUT_NOTE,)

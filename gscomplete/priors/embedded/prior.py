@@ -196,14 +196,13 @@ class EmbeddedPrior:
         if self._shape is None:
             return None
         assert isinstance(conditioning, EmbeddedConditioning)
-        points = partial.means.double().numpy()
         if isinstance(mirror, HalfCut):
-            plane = mirror_of_half(points, mirror)
+            plane = mirror_of_half(partial.means.double().numpy(), mirror)
             if plane is None:
                 raise UserError("--mirror cut: P ends at no plane near the frame's centre")
             image = image_of_half(partial, plane, distribution, generator)
             return FirstGuess(image, (f"P is one half: mirrored through its end, {plane}",))
-        ending = ending_of(points, mirror)
+        ending = ending_of(partial, mirror)
         bank = self._bank if known_shapes else None
         known = KnownShapes(bank, conditioning.prompt, prompt_decides)
         if ending.is_complete and not (prompt_decides and known.fitted(partial, distribution)):

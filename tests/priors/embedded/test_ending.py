@@ -7,10 +7,12 @@ import pytest
 
 from gscomplete.priors.embedded.ending import ending_of, mirror_of_half
 from gscomplete.shape.mirror_plane import HalfCut, MirrorPlane
+from gscomplete.splats import Splats
 from tests.builders.objects import angle_between, ball
 
-BALL = ball().means.double().numpy()
-HALF = BALL[BALL[:, 0] < 0]
+BALL = ball()
+HALF = BALL.select(BALL.means[:, 0] < 0)
+POINTS = HALF.means.double().numpy()
 
 
 def test_a_closed_surface_lacks_nothing() -> None:
@@ -28,9 +30,9 @@ def test_a_square_cut_is_mirrored_and_that_is_all() -> None:
 
 
 @pytest.mark.parametrize("wish", ["none", MirrorPlane(30.0, 0.1)])
-@pytest.mark.parametrize("points", [BALL, HALF])
-def test_what_users_say_counts(wish: MirrorPlane, points: np.ndarray) -> None:
-    ending = ending_of(points, wish)
+@pytest.mark.parametrize("partial", [BALL, HALF])
+def test_what_users_say_counts(wish: MirrorPlane, partial: Splats) -> None:
+    ending = ending_of(partial, wish)
     assert ending.mirror == wish
     assert not ending.image_is_all
     assert not ending.is_complete
@@ -38,12 +40,12 @@ def test_what_users_say_counts(wish: MirrorPlane, points: np.ndarray) -> None:
 
 @pytest.mark.parametrize("toward_deg", [None, 10.0])
 def test_one_half_is_mirrored_through_its_end(toward_deg: float | None) -> None:
-    plane = mirror_of_half(HALF, HalfCut(toward_deg))
+    plane = mirror_of_half(POINTS, HalfCut(toward_deg))
     assert plane is not None
     assert angle_between(plane.azimuth_deg, 0.0) <= 3.0
     assert abs(plane.offset) < 0.02
 
 
 def test_an_end_far_from_the_frame_is_none() -> None:
-    assert mirror_of_half(HALF + np.array([2.0, 0.0, 0.0]), HalfCut()) is None
-    assert mirror_of_half(HALF[:50], HalfCut()) is None
+    assert mirror_of_half(POINTS + np.array([2.0, 0.0, 0.0]), HalfCut()) is None
+    assert mirror_of_half(POINTS[:50], HalfCut()) is None

@@ -107,7 +107,7 @@ def test_sets_go_where_the_network_is(tmp_path):
 
 
 def test_training_lowers_the_loss(tmp_path, batch):
-    task = ShapeTask(tiny_shape_run(tmp_path, steps=40, learning_rate=1e-2), stub_source, WORDS)
+    task = ShapeTask(tiny_shape_run(tmp_path, steps=20, learning_rate=1e-2), stub_source, WORDS)
     open_run(task.config, WORDS)
 
     def loss(model):
@@ -115,7 +115,7 @@ def test_training_lowers_the_loss(tmp_path, batch):
         return float(shape_losses(out, batch, np.random.default_rng(0))["occupancy"].detach())
 
     before = loss(task.make_model())
-    assert loss(train(task).model) < 0.6 * before
+    assert loss(train(task).model) < 0.7 * before
 
 
 def test_replayed_sets_are_older_and_near(tmp_path):
