@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
@@ -16,7 +17,7 @@ from gscomplete.splats import concatenate
 from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.splats.slits import slit_splats
 from gscomplete.views import ViewDistribution
-from tests.builders.objects import GREEN, PITCH, even_ball, leaning_board
+from tests.builders.objects import GREEN, PITCH, even_ball, leaning_board, round_splats
 
 EYE = ViewDistribution(0.0, 0.0).eye()
 
@@ -94,6 +95,14 @@ def test_a_few_splats_have_no_slits(count: int) -> None:
     slits = slit_splats(few, EYE)
     assert len(slits) == 0
     assert slits.sh_degree == 0
+
+
+@pytest.mark.parametrize("eye", [EYE, np.zeros(3)])
+def test_a_row_of_samples_has_no_slits(eye: np.ndarray) -> None:
+    """Seen from the side, or from where one of them is."""
+    row = torch.zeros(200, 3)
+    row[:, 1] = torch.arange(200) * PITCH
+    assert len(slit_splats(round_splats(row, scale=PITCH / 2), eye)) == 0
 
 
 def test_samples_at_one_place_have_no_slits() -> None:
