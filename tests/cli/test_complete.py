@@ -44,6 +44,14 @@ def test_what_to_mirror_through_is_refused_in_another_form(text):
         request_of(options, load_prior("embedded"))
 
 
+def test_one_half_and_a_prompt_cannot_both_decide():
+    options = CompleteOptions(
+        partial=Path("half.ply"), prompt="a mug", mirror="cut", prompt_decides=True
+    )
+    with pytest.raises(UserError, match="one half decides itself"):
+        request_of(options, load_prior("embedded"))
+
+
 def request_with(**changes):
     options = CompleteOptions(partial=Path("half.ply"), prompt="a mug", **changes)
     return request_of(options, SimpleNamespace(name="mvdream"))
