@@ -101,10 +101,11 @@ def _samples_of(partial: Splats) -> _Samples | None:
         return None
     points = partial.means.double().numpy()
     tree = cKDTree(points)
-    distance, index = query_nearest(tree, points, range(2, _NEIGHBOURS + 2))
-    low, high = np.quantile(distance[:, 0], _EVEN_QUANTILES)
+    nearest, _ = query_nearest(tree, points, [2])  # the first is each itself
+    low, high = np.quantile(nearest, _EVEN_QUANTILES)
     if not 0 < high <= _MOST_UNEVEN * low:
         return None
+    distance, index = query_nearest(tree, points, range(2, _NEIGHBOURS + 2))
     return _Samples(points, tree, distance, index)
 
 
