@@ -333,7 +333,7 @@ def finish(prepared: Prepared, given: SplatFile | Splats) -> Completed:
     slits, found = _slits(prepared)
     notes += found
     if settings.hard_preservation is not None:
-        closed = concatenate([partial, slits]) if len(slits) else partial
+        closed = concatenate([partial, slits])
         with stage("preservation"):
             bounded = preserve_hard(
                 new, closed, prepared.views, settings.hard_preservation, settings.seed
@@ -344,8 +344,7 @@ def finish(prepared: Prepared, given: SplatFile | Splats) -> Completed:
     if settings.start == "guess":
         found = doubts_of_result(partial, new, None if bounds is None else bounds.lost)
         doubts, notes = doubts + found, notes + found
-    if len(slits):
-        new = concatenate([new, slits])
+    new = concatenate([new, slits])
     seconds = time.perf_counter() - started
     return Completed(
         given, partial, new, prepared.frame, prepared.views, notes, doubts, colors, bounds, seconds

@@ -7,7 +7,8 @@ leaves behind, and those of sheets, lie along their planes instead.
 
 Conventions
 -----------
-* A point is on the rim of a surface if its neighbours lie to one side of it (``splats.rim``).
+* A point is on the rim of a surface if its neighbours lie to one side of it
+  (``splats.neighbourhood``).
 * Lengths and places are those of the points given, z up; tolerances are in sides of their box.
 * The plane's normal is horizontal, at an azimuth in degrees, and points to the side cut away.
 """
@@ -21,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gscomplete.splats.rim import ON_RIM, one_sidedness
+from gscomplete.splats.neighbourhood import ON_RIM, normals_of, one_sidedness
 
 FloatArray = NDArray[np.float64]
 
@@ -114,7 +115,7 @@ def find_cut(points: FloatArray) -> CutPlane | None:  # [N, 3] z up
     if found is None:
         return None
     normal, in_plane = found
-    cosines = np.abs(_normals(chosen, tree, in_plane) @ normal)
+    cosines = np.abs(normals_at(in_plane, chosen, tree) @ normal)
     squareness = float((cosines < _SQUARE).mean())
     share = len(in_plane) / len(rim)
     is_square = squareness >= _LEAST_SQUARENESS and len(in_plane) >= _FEWEST_SQUARE
@@ -168,15 +169,14 @@ def _refined(normal: FloatArray, in_plane: FloatArray) -> FloatArray:  # [3], [K
     return np.array([sign * x, sign * y, 0.0])
 
 
-def _normals(
+def normals_at(
+    places: FloatArray,  # [K, 3]
     points: FloatArray,  # [N, 3]
     tree: cKDTree,
-    places: FloatArray,  # [K, 3]
 ) -> FloatArray:  # [K, 3]
-    """Return unit surface normals at places, of either sign."""
+    """Return unit normals of the surface of points, of either sign; ``tree`` holds the points."""
     _, index = tree.query(places, k=_NORMAL_NEIGHBOURS + 1)
-    offsets = points[index] - points[index].mean(axis=1, keepdims=True)
-    return np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))[1][:, :, 0]
+    return normals_of(points[index])
 
 
 def _rim(points: FloatArray, tree: cKDTree) -> FloatArray:  # [N, 3] -> [R, 3]

@@ -18,13 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gscomplete.framing.cut_plane import CutPlane, UprightPlane
+from gscomplete.framing.cut_plane import CutPlane, UprightPlane, normals_at
 
 FloatArray = NDArray[np.float64]
 
 _MOST_POINTS = 6000
 _FEWEST_POINTS = 100
-_NORMAL_NEIGHBOURS = 16
 _SIDES = (0.005, 0.995)
 """Quantiles of the points between which their box is."""
 _STEP_DEG, _FINER_DEG = 3.0, (1.5, 0.75)
@@ -55,7 +54,7 @@ def find_end(
         toward_deg: azimuth of the other half, to ``_ASIDE_DEG``; None = it may be on any side.
     """
     if cut is not None and (toward_deg is None or _apart_deg(cut, toward_deg) <= _ASIDE_DEG):
-        return UprightPlane(cut.azimuth_deg, cut.offset)
+        return cut
     chosen = points[:: max(1, -(-len(points) // _MOST_POINTS))]
     if len(chosen) < _FEWEST_POINTS:
         return None
@@ -77,7 +76,7 @@ def _outermost(
     toward_deg: float | None,
 ) -> UprightPlane:
     """Return the outermost plane that most surface runs squarely up to."""
-    normals = _normals(points)
+    normals = normals_at(points, points, cKDTree(points))
     azimuths_deg = np.arange(0.0, 360.0, _STEP_DEG)
     if toward_deg is not None:
         azimuths_deg = toward_deg + np.arange(-_ASIDE_DEG, _ASIDE_DEG + 1, _STEP_DEG)
@@ -103,10 +102,3 @@ class _Ends:
         self.inside = (self.along > self.last - _SLAB) & (self.along <= self.last)
         square = self.inside & (np.abs(normals @ ways) < _SQUARE)
         self.best_deg = float(azimuths_deg[int(square.mean(axis=0).argmax())])
-
-
-def _normals(points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
-    """Return unit surface normals, of either sign."""
-    _, index = cKDTree(points).query(points, k=_NORMAL_NEIGHBOURS + 1)
-    offsets = points[index] - points[index].mean(axis=1, keepdims=True)
-    return np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))[1][:, :, 0]

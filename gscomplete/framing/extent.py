@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gscomplete.framing.cut_plane import CutPlane
+from gscomplete.splats.neighbourhood import normals_of
 
 FloatArray = NDArray[np.float64]
 
@@ -150,8 +151,7 @@ def share_exposed_twice(
     spacing = float(np.median(distance[:, -1])) * math.sqrt(math.pi / _NEIGHBOURS)
     if not spacing > 0:
         return 1.0
-    offsets = chosen[index] - chosen[index].mean(axis=1, keepdims=True)
-    normals = np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))[1][:, :, 0]
+    normals = normals_of(chosen[index])
     front = np.zeros(len(chosen), np.bool_)
     back = np.zeros(len(chosen), np.bool_)
     for direction in _directions():

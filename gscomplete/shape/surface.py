@@ -25,7 +25,7 @@ from gscomplete.shape.network import ShapeOutput
 from gscomplete.shape.partial_voxels import ShapeInputs
 from gscomplete.shape.voxels import CELL_SIDE, HALF_SIDE, grown, sample_volume
 from gscomplete.splats import Splats, colors_to_sh, concatenate
-from gscomplete.splats.rim import one_sidedness
+from gscomplete.splats.neighbourhood import one_sidedness
 from gscomplete.splats.rotations import quaternions_facing
 from gscomplete.splats.thinning import thinned
 from gscomplete.util.nearest import query_nearest

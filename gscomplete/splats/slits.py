@@ -21,6 +21,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from gscomplete.splats.neighbourhood import normals_of
 from gscomplete.splats.record import Splats, colors_to_sh
 from gscomplete.util.nearest import query_nearest
 
@@ -135,7 +136,8 @@ def _ends(
     line = line[kept] / length[kept, None]
 
     ends, place = np.unique(np.concatenate([first, second]), return_inverse=True)
-    one, other = _normals(samples, ends)[place].reshape(2, -1, 3)
+    normals = normals_of(points[samples.index[ends]])
+    one, other = normals[place].reshape(2, -1, 3)
     runs_along = np.maximum(np.abs(_dot(one, line)), np.abs(_dot(other, line))) < _ALONG
     runs_along &= np.abs(_dot(one, other)) > _PARALLEL
     belong = runs_along | (across < _BESIDE)
@@ -144,13 +146,6 @@ def _ends(
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.einsum("...i,...i->...", a, b)
-
-
-def _normals(samples: _Samples, chosen: NDArray[np.intp]) -> FloatArray:  # [M, 3]
-    """Return unit surface normals, of either sign."""
-    around = samples.points[samples.index[chosen]]
-    around = around - around.mean(axis=1, keepdims=True)
-    return np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))[1][:, :, 0]
 
 
 def _between(

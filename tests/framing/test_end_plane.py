@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gscomplete.framing.cut_plane import CutPlane, UprightPlane, find_cut
+from gscomplete.framing.cut_plane import CutPlane, find_cut
 from gscomplete.framing.end_plane import find_end
 from tests.builders.objects import angle_between, ball
 
@@ -67,7 +67,7 @@ def test_the_plane_of_a_rim_counts_unless_users_name_another_side() -> None:
     kept = BALL[BALL[:, 0] < 0]
     rim = CutPlane(70.0, 0.003, 0.9, 0.9, 0.1)
     for toward_deg in (None, 50.0):
-        assert find_end(kept, rim, toward_deg) == UprightPlane(70.0, 0.003)
+        assert find_end(kept, rim, toward_deg) is rim
     assert find_end(kept, rim, 0.0) == find_end(kept, None, 0.0)
 
 

@@ -22,7 +22,7 @@ from gscomplete.shape.voxels import (
     sample_volume,
 )
 from gscomplete.splats import concatenate
-from gscomplete.splats.rim import one_sidedness
+from gscomplete.splats.neighbourhood import one_sidedness
 from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.views import ViewDistribution
 from tests.builders.objects import ball, half

@@ -20,6 +20,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from gscomplete.evaluate.align.nearest_grid import FloatArray
+from gscomplete.splats.neighbourhood import normals_of
 
 _NORMAL_LENGTH, _COLOR_LENGTH = 0.035, 0.05
 """Lengths that normals at right angles (over the root of 2), and black and white, are apart."""
@@ -86,9 +87,8 @@ class Surface:
 def surface_of(points: FloatArray, colors: FloatArray | None = None) -> Surface:  # [n, 3] both
     """Fit a normal to every point's neighbourhood; without colours all are of one."""
     _, near = cKDTree(points).query(points, k=min(_NEIGHBOURS, len(points)))
-    offsets = points[near] - points[near].mean(axis=1, keepdims=True)
-    _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))
-    return Surface(points, axes[:, :, 0], np.ones_like(points) if colors is None else colors)
+    normals = normals_of(points[near])
+    return Surface(points, normals, np.ones_like(points) if colors is None else colors)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

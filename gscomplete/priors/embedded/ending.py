@@ -75,10 +75,17 @@ def ending_of(
 
 def mirror_of_half(
     points: FloatArray,  # [N, 3] of P
+    cut: CutPlane | None,
     half: HalfCut,
 ) -> MirrorPlane | None:
-    """Return the plane that P ends at, as one half does; None = it ends at none."""
-    end = find_end(points, find_cut(points), half.toward_deg)
+    """Return the plane that P ends at, as one half does; None = it ends at none.
+
+    Args:
+        points: P's splats.
+        cut: what ``find_cut`` finds of them.
+        half: what the user says.
+    """
+    end = find_end(points, cut, half.toward_deg)
     return None if end is None or abs(end.offset) > 1 else _mirror_through(end)
 
 

@@ -197,7 +197,8 @@ class EmbeddedPrior:
             return None
         assert isinstance(conditioning, EmbeddedConditioning)
         if isinstance(mirror, HalfCut):
-            plane = mirror_of_half(partial.means.double().numpy(), mirror)
+            points = partial.means.double().numpy()
+            plane = mirror_of_half(points, find_cut(points), mirror)
             if plane is None:
                 raise UserError("--mirror cut: P ends at no plane near the frame's centre")
             image = image_of_half(partial, plane, distribution, generator)
@@ -216,16 +217,8 @@ class EmbeddedPrior:
             bfloat16=self._shape_bfloat16,
             ends_in_plane=ending.in_plane,
         )
-        guess = guess_complete(
-            asked,
-            partial,
-            distribution,
-            ending.mirror,
-            known,
-            count,
-            generator,
-            mirror_is_cut=ending.image_is_all,
-        )
+        about = partial, distribution, ending.mirror, known, count, generator
+        guess = guess_complete(asked, *about, mirror_is_cut=ending.image_is_all)
         notes = ending.notes if ending.image_is_all else ()
         return FirstGuess(guess.splats, notes + guess.notes)
 
@@ -246,17 +239,18 @@ class EmbeddedPrior:
             return ()
         assert isinstance(conditioning, EmbeddedConditioning)
         points = partial.means.double().numpy()
+        cut = find_cut(points)
         voxels = voxelize_partial(partial, distribution)
         asked = score_planes(
             self._shape,
             voxels,
             conditioning.shape_tokens,
-            ends_in_plane=ends_in_plane(find_cut(points)),
+            ends_in_plane=ends_in_plane(cut),
             bfloat16=self._shape_bfloat16,
         )
         planes = (mirror_plane_of(plane) for plane in asked.distinct(voxels.positions))
-        half = HalfCut()
-        return (*planes, *((half,) if mirror_of_half(points, half) else ()), "none")
+        ends = mirror_of_half(points, cut, HalfCut()) is not None
+        return (*planes, *((HalfCut(),) if ends else ()), "none")
 
     def distill(
         self,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from gscomplete.framing.cut_plane import find_cut
 from gscomplete.priors.embedded.ending import ending_of, mirror_of_half
 from gscomplete.shape.mirror_plane import HalfCut, MirrorPlane
 from gscomplete.splats import Splats
@@ -13,6 +14,7 @@ from tests.builders.objects import angle_between, ball
 BALL = ball()
 HALF = BALL.select(BALL.means[:, 0] < 0)
 POINTS = HALF.means.double().numpy()
+CUT = find_cut(POINTS)
 
 
 def test_a_closed_surface_lacks_nothing() -> None:
@@ -40,12 +42,13 @@ def test_what_users_say_counts(wish: MirrorPlane, partial: Splats) -> None:
 
 @pytest.mark.parametrize("toward_deg", [None, 10.0])
 def test_one_half_is_mirrored_through_its_end(toward_deg: float | None) -> None:
-    plane = mirror_of_half(POINTS, HalfCut(toward_deg))
+    plane = mirror_of_half(POINTS, CUT, HalfCut(toward_deg))
     assert plane is not None
     assert angle_between(plane.azimuth_deg, 0.0) <= 3.0
     assert abs(plane.offset) < 0.02
 
 
 def test_an_end_far_from_the_frame_is_none() -> None:
-    assert mirror_of_half(POINTS + np.array([2.0, 0.0, 0.0]), HalfCut()) is None
-    assert mirror_of_half(POINTS[:50], HalfCut()) is None
+    away = POINTS + np.array([2.0, 0.0, 0.0])
+    assert mirror_of_half(away, find_cut(away), HalfCut()) is None
+    assert mirror_of_half(POINTS[:50], None, HalfCut()) is None

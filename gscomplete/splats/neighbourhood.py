@@ -1,4 +1,4 @@
-"""Where a surface of points ends: there the neighbours of a point lie to one side of it."""
+"""What the neighbours of a point tell of its surface: the normal, and whether it ends there."""
 
 from __future__ import annotations
 
@@ -23,3 +23,15 @@ def one_sidedness(ways: NDArray[np.floating]) -> NDArray[np.floating]:  # [N, K,
         return np.zeros(len(ways), ways.dtype)
     length = np.linalg.norm(ways, axis=2).mean(axis=1)
     return np.linalg.norm(ways.mean(axis=1), axis=1) / length.clip(1e-6)
+
+
+def normals_of(
+    neighbours: NDArray[np.float64],  # [N, K, 3]
+) -> NDArray[np.float64]:  # [N, 3]
+    """Return unit normals, of either sign: the ways that neighbours vary least along.
+
+    Args:
+        neighbours: the K nearest points of each of N places.
+    """
+    offsets = neighbours - neighbours.mean(axis=1, keepdims=True)
+    return np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))[1][:, :, 0]
