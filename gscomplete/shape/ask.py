@@ -9,6 +9,8 @@ Conventions
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -50,28 +52,27 @@ def ask(
 def mean_answer(
     model: ShapeCompleter,
     seen: ShapeInputs,
-    tokens: Tensor,  # [L]
+    prompts: Sequence[Tensor],  # [L] each
     *,
     first: ShapeOutput | None = None,
-    orientations: int = ORIENTATIONS,
     bfloat16: bool = False,
 ) -> ShapeOutput:
-    """Ask the network about one object in some orientations; arguments as of :func:`ask`.
+    """Ask the network about one object in as many orientations as there are prompts.
 
     Args:
         model: the network.
         seen: what it is given.
-        tokens: the prompt.
-        first: its answer in the first orientation, where that is known already.
-        orientations: how many of the eight are asked and averaged.
+        prompts: what it is told in each orientation, at most eight.
+        first: its answer to the first of them, where that is known already.
         bfloat16: precision of the network.
 
     Returns:
         The answer for a batch of one.
     """
-    known = [] if first is None else [first]
-    asked = range(len(known), orientations)
-    return mean_of(known + [ask(model, seen, tokens, o, bfloat16=bfloat16) for o in asked])
+    answers = [] if first is None else [first]
+    for orientation in range(len(answers), len(prompts)):
+        answers.append(ask(model, seen, prompts[orientation], orientation, bfloat16=bfloat16))
+    return mean_of(answers)
 
 
 def mean_of(answers: list[ShapeOutput]) -> ShapeOutput:

@@ -1,6 +1,12 @@
 """The shape network's answer about one object.
 
 Look at P, choose its mirror images, ask, and doubt what lies beside a scan.
+
+Conventions
+-----------
+* Half of the answers that are averaged are to the prompt and half to none: of objects that the
+  network has not met, what a word adds is as often wrong as right, and one answer's errors are not
+  the other's.
 """
 
 from __future__ import annotations
@@ -40,8 +46,8 @@ class Prediction:
     symmetry_score: float
     """Of the first mirror image; see ``symmetry_choice.Choice``."""
     prompt_share: float | None
-    """Of the cells that are filled with the prompt or without it, how many are filled in one of the
-    two alone; None = no prompt."""
+    """Of the cells that are filled by the answer or by what it is without the prompt, how many are
+    filled by one of the two alone; None = no prompt."""
 
 
 def predict(
@@ -50,8 +56,8 @@ def predict(
     distribution: ViewDistribution,
     tokens: Tensor,  # [L]
     *,
+    no_tokens: Tensor,  # [L]
     ends_in_plane: bool,
-    no_tokens: Tensor | None = None,  # [L]
     bfloat16: bool = False,
     mirror_plane: Mirror = "guess",
 ) -> Prediction:
@@ -62,8 +68,8 @@ def predict(
         partial: P in the object frame.
         distribution: V.
         tokens: the prompt.
+        no_tokens: no prompt.
         ends_in_plane: whether P was cut along a plane, as far as found (``framing.cut_plane``).
-        no_tokens: no prompt, to tell what ``tokens`` change; None = it is not asked.
         bfloat16: precision of the network.
         mirror_plane: which plane of symmetry to show first.
     """
@@ -83,13 +89,14 @@ def predict(
         first = choice.answer
         if first is None:
             first = ask(*asked, tokens, bfloat16=bfloat16)
-        answer = mean_answer(*asked, tokens, first=first, bfloat16=bfloat16)
+        answer = mean_answer(*asked, (tokens, no_tokens), first=first, bfloat16=bfloat16)
+        share = None
+        if not torch.equal(tokens, no_tokens):
+            without = ask(*asked, no_tokens, bfloat16=bfloat16)
+            change = (without.occupancy - first.occupancy) / 2
+            share = differing_share(answer.occupancy, answer.occupancy + change)
         if not (ends_in_plane or isinstance(mirror_plane, MirrorPlane)):
             answer = _doubted_beside_scan(answer, voxels.positions, distribution)
-        share = None
-        if no_tokens is not None and not torch.equal(tokens, no_tokens):
-            without = ask(*asked, no_tokens, bfloat16=bfloat16)
-            share = differing_share(first.occupancy, without.occupancy)
     return Prediction(voxels, choice.seen, answer, choice.symmetry_score, share)
 
 

@@ -85,21 +85,29 @@ def test_same_seed_same_bytes(finished, tmp_path):
     assert again == (finished / "completed.ply").read_bytes()
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_killed_and_resumed_run_gives_the_same_bytes(finished, tmp_path, number):
-    out = tmp_path / "killed"
-    child = start_alone(*arguments_of(SAMPLE, out, "--checkpoint-every", "4"))
-    deadline = time.monotonic() + PATIENCE_S
+def interrupted(out, number: int, *more: object) -> tuple[int, str]:
+    """Start the sample's run, or go on with it, and send a signal once it has a new checkpoint."""
     checkpoint = out / "checkpoints/latest.safetensors"
-    while not checkpoint.exists() and child.poll() is None and time.monotonic() < deadline:
+    before = checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
+    child = start_alone(*arguments_of(SAMPLE, out, "--checkpoint-every", "2", *more))
+    deadline = time.monotonic() + PATIENCE_S
+    while child.poll() is None and time.monotonic() < deadline:
+        if checkpoint.exists() and checkpoint.stat().st_mtime_ns > before:
+            break
         time.sleep(0.02)
     os.kill(child.pid, number)
     _, told = child.communicate()
-    if number == signal.SIGTERM:
-        assert child.returncode == 143
-        assert told.endswith("stopped by SIGTERM; --resume continues from the last checkpoint\n")
     assert not (out / "completed.ply").exists()
-    result = complete(SAMPLE, out, "--checkpoint-every", "4", "--resume")
+    return child.returncode, told
+
+
+def test_killed_and_resumed_run_gives_the_same_bytes(finished, tmp_path):
+    out = tmp_path / "killed"
+    interrupted(out, signal.SIGKILL)
+    code, told = interrupted(out, signal.SIGTERM, "--resume")
+    assert code == 143
+    assert told.endswith("stopped by SIGTERM; --resume continues from the last checkpoint\n")
+    result = complete(SAMPLE, out, "--checkpoint-every", "2", "--resume")
     assert result.returncode == 0, result.stderr
     assert "resuming at step" in result.stdout
     assert (out / "completed.ply").read_bytes() == (finished / "completed.ply").read_bytes()

@@ -63,7 +63,7 @@ def test_a_part_is_found_in_another_sampling_of_the_complete_object(seed, share)
 
 
 def test_the_order_of_points_changes_next_to_nothing():
-    part, whole = letter(1500, 10), letter(1500, 20)
+    part, whole = letter(800, 10), letter(800, 20)
     part = part[part[:, 0] < 0.7]
     rng = np.random.default_rng(0)
     one = align_points(whole, part, FEWER).target_from_result

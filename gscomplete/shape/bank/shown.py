@@ -11,13 +11,11 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from gscomplete.shape.ask import mean_answer
+from gscomplete.shape.ask import ORIENTATIONS, mean_answer
 from gscomplete.shape.bank.fit import FittedShape
 from gscomplete.shape.network import ShapeCompleter
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs
 
-_ORIENTATIONS = 2
-"""In which the network is asked with each known shape (``ask.ORIENTATIONS`` without)."""
 _LEAST_PLAIN_AGREEMENT = 0.4
 """Of the plain answer with those to known shapes (IoU of filled cells). Below it they are of
 another object ..."""
@@ -55,7 +53,7 @@ def occupancy_by_shapes(
     shown = []
     for shape in shapes:
         given = voxels.with_shape(seen, shape.points)
-        answer = mean_answer(model, given, tokens, orientations=_ORIENTATIONS, bfloat16=bfloat16)
+        answer = mean_answer(model, given, (tokens,) * ORIENTATIONS, bfloat16=bfloat16)
         shown.append(answer.occupancy)
     counting = answers_that_count(shown, plain)
     return torch.stack(counting).mean(dim=0) if counting else None
