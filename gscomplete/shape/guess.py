@@ -169,7 +169,7 @@ def guess_complete(
         notes = known.notes(())
 
     def fitted() -> tuple[FittedShape, ...]:
-        may = not isinstance(mirror, MirrorPlane) and known.may_agree()
+        may = (mirror_is_cut or not isinstance(mirror, MirrorPlane)) and known.may_agree()
         return known.fitted(partial, views) if may else ()
 
     with stage("surface"):

@@ -1,3 +1,5 @@
+import dataclasses
+
 import pytest
 import torch
 
@@ -90,6 +92,27 @@ def test_a_part_that_is_mirrored_through_a_plane_asks_for_no_known_shape(asked, 
     assert one.notes == two.notes
     assert len(one.splats.means) == len(two.splats.means)
     assert torch.equal(one.splats.means, two.splats.means)
+
+
+class Doubting(Believing):
+    """Fills what P fills and all that is low, and so no second back of a chair."""
+
+    def forward(self, volumes, evidence, scores, tokens):
+        out = super().forward(volumes, evidence, scores, tokens)
+        filled = volumes[:, 0, 0] > 0.5
+        filled[..., : filled.shape[-1] // 4] = True
+        return dataclasses.replace(out, occupancy=torch.where(filled, 4.0, -4.0))
+
+
+@pytest.mark.parametrize("is_cut", [True, False])
+def test_known_shapes_contradict_the_image_through_a_cut_but_not_users(asked, bank, is_cut):
+    doubting = dataclasses.replace(asked, model=Doubting(TINY, COARSE_CELLS).eval())
+    generator, known = torch.Generator().manual_seed(0), KnownShapes(bank, "a wooden chair")
+    about = doubting, seat_and_back(), VIEWS, MirrorPlane(0.0, 0.0), known, 4000, generator
+    found = guess_complete(*about, mirror_is_cut=is_cut)
+    second_back = (found.splats.means[:, 0] > 0.25) & (found.splats.means[:, 2] > 0.1)
+    assert (int(second_back.sum()) == 0) == is_cut
+    assert ("left out that no known shape has" in found.notes[0]) == is_cut
 
 
 def decided(asked, prompt, bank, mirror="none"):
