@@ -26,6 +26,8 @@ from scipy.ndimage import maximum_filter
 from gscomplete.shape.voxels import FloatArray
 from gscomplete.views import ViewDistribution
 
+ONE_VIEW_SHARE = 0.97
+"""A part of which one view shows this much is a scan from there, if it does not end in a plane."""
 _SHARE_POINTS = 6000
 _SHARE_STEP_DEG, _SHARE_ELEVATIONS_DEG = 20.0, (0.0, 15.0, 30.0, 45.0)
 _SHARE_PX, _SHARE_DEPTH = 48, 0.06

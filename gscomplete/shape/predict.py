@@ -45,6 +45,8 @@ class Prediction:
     """Its answer, for a batch of one."""
     symmetry_score: float
     """Of the first mirror image; see ``symmetry_choice.Choice``."""
+    ends_in_plane: bool
+    """Whether P was cut along a plane, as far as found."""
     prompt_share: float | None
     """Of the cells that are filled by the answer or by what it is without the prompt, how many are
     filled by one of the two alone; None = no prompt."""
@@ -97,7 +99,7 @@ def predict(
             share = differing_share(answer.occupancy, answer.occupancy + change)
         if not (ends_in_plane or isinstance(mirror_plane, MirrorPlane)):
             answer = _doubted_beside_scan(answer, voxels.positions, distribution)
-    return Prediction(voxels, choice.seen, answer, choice.symmetry_score, share)
+    return Prediction(voxels, choice.seen, answer, choice.symmetry_score, ends_in_plane, share)
 
 
 def _doubted_beside_scan(

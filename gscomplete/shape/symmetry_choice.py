@@ -31,7 +31,7 @@ from torch import Tensor
 from gscomplete.shape.ask import ask
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter, ShapeOutput
-from gscomplete.shape.one_view import best_view_share
+from gscomplete.shape.one_view import ONE_VIEW_SHARE, best_view_share
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs
 from gscomplete.shape.planes.proposals import candidate_planes
 from gscomplete.shape.symmetry import SymmetryMap, mirror, no_symmetries
@@ -53,9 +53,9 @@ _MUCH_MISSING = 0.25
 _LITTLE_MISSING, _SURENESS_WEIGHT = 0.43, 6.0
 """Of parts that end in a plane and lack a smaller share of the surface, sureness counts so much
 beside the score."""
-_ONE_VIEW, _FILLED_WEIGHT = 0.97, 0.4
-"""Of other parts, where the best view shows a smaller share, the logarithm of the number of cells
-that an answer fills counts against its sureness by this much."""
+_FILLED_WEIGHT = 0.4
+"""Of other parts, where the best view shows less than a scan's, the logarithm of the number of
+cells that an answer fills counts against its sureness by this much."""
 WRONG_WEIGHT = 0.5
 """Of the share of a copy that is new and wrong, beside the share of the missing that it shows."""
 
@@ -161,7 +161,7 @@ def score_planes(
         belief = torch.tensor([plane.score for plane in planes])
         sure_weight = _SURENESS_WEIGHT if missing < _LITTLE_MISSING else 0.0
         rank = sure_weight * rank[:count] + scores + _BELIEF_WEIGHT * (belief + 1e-4).log()
-    elif shown_at_once < _ONE_VIEW:
+    elif shown_at_once < ONE_VIEW_SHARE:
         cells = (filled > _FILLED).sum(dim=(1, 2, 3))
         rank = rank - _FILLED_WEIGHT * (cells + 1.0).log()
     order = rank[:count].argsort(descending=True, stable=True).tolist()

@@ -42,7 +42,7 @@ def predicted(symmetry_score: float, *, confidence: float = 200.0) -> Prediction
     distance = torch.from_numpy(np.linalg.norm(cell_centers(CELLS), axis=-1))
     nothing = torch.zeros(1, SOURCES + 1, *(COARSE_CELLS,) * 3)
     output = ShapeOutput((confidence * (0.42 - distance))[None], nothing[:, :3], nothing)
-    return Prediction(voxels, voxels.with_copies(mirrors()), output, symmetry_score, None)
+    return Prediction(voxels, voxels.with_copies(mirrors()), output, symmetry_score, True, None)
 
 
 def put_together(prediction: Prediction, **changes: object):
@@ -110,6 +110,24 @@ def test_where_little_is_missing_the_network_has_to_be_surer(symmetry_score, sha
     )
     farthest = found.means.norm(dim=1).max()
     assert bool(other.means.norm(dim=1).max() > farthest) is is_sure
+
+
+def test_what_one_view_shows_lacks_a_side_however_little_it_seems():
+    whole = ball()
+    partial = whole.select(whole.means[:, 0] > 0.1)  # all that a view along x shows
+    voxels = voxelize_partial(partial, VIEWS)
+    seen = voxels.with_copies(mirrors())
+    scan = dataclasses.replace(predicted(0.0, confidence=40.0), voxels=voxels, seen=seen)
+    settings = AssembleSettings(
+        count=4000, occupancy_threshold_high=2.0, occupancy_threshold_low=-2.0
+    )
+
+    def farthest(*, ends_in_plane: bool) -> float:
+        given = dataclasses.replace(scan, ends_in_plane=ends_in_plane)
+        found = assemble_splats(given, partial, settings, torch.Generator().manual_seed(0))
+        return float(found.splats.means.norm(dim=1).max())
+
+    assert farthest(ends_in_plane=False) > farthest(ends_in_plane=True) + 0.05
 
 
 @pytest.mark.parametrize(("count", "is_sure"), [(60, False), (4000, True)])
