@@ -8,6 +8,7 @@ copies of one run folder made on the way the same over hours.
 Conventions
 -----------
 * A network is a folder of exported weights, or a run folder, whose averaged weights are asked.
+* Every other answer is to no prompt, as in a run (``shape.predict``).
 * IoU is of filled cells (logit above 0), per part; intervals are 95 % bootstrap intervals over
   parts, of differences over the same parts.
 """
@@ -23,6 +24,7 @@ import torch
 
 from gscomplete.errors import UserError
 from gscomplete.evaluate.bootstrap import bootstrap_interval
+from gscomplete.priors.embedded.text import NO_TEXT_TOKEN
 from gscomplete.priors.embedded.weights import load_weights
 from gscomplete.shape.ask import ORIENTATIONS, answer_in, mean_of
 from gscomplete.shape.network import ShapeCompleter
@@ -114,11 +116,17 @@ def held_out_parts(options: Options, words: tuple[str, ...]) -> ShapeBatch:
 @torch.no_grad()
 def part_ious(model: ShapeCompleter, batch: ShapeBatch, orientations: int) -> list[float]:
     """Return the IoU of filled cells of every part."""
-    given = batch.volumes, batch.evidence, batch.scores, batch.tokens
+    given = batch.volumes, batch.evidence, batch.scores
+    no_text = torch.zeros_like(batch.tokens)
+    no_text[:, 0] = NO_TEXT_TOKEN
+    prompts = batch.tokens, no_text
     found = []
     for k in range(len(batch.solid)):
         asked = [part[k : k + 1] for part in given]
-        answers = [answer_in(model, *asked, o, bfloat16=True) for o in range(orientations)]
+        answers = [
+            answer_in(model, *asked, prompts[o % 2][k : k + 1], o, bfloat16=True)
+            for o in range(orientations)
+        ]
         filled = mean_of(answers).occupancy > 0
         found.append(float(cell_ious(filled, batch.solid[k : k + 1] > 0)))
     return found

@@ -1,9 +1,11 @@
 import shutil
+from typing import ClassVar
 
 import pytest
 import torch
 
 from gscomplete.errors import UserError
+from gscomplete.priors.embedded.text import NO_TEXT_TOKEN
 from gscomplete.shape.network import ShapeOutput
 from gscomplete.util.jsonio import read_json
 from recipes.train_embedded_prior import compare_shapes
@@ -41,7 +43,10 @@ def test_overlaps_are_those_of_filled_cells():
     class Half(torch.nn.Module):
         """Fills the lower half, whichever way the object is turned about z."""
 
+        told: ClassVar[list[int]] = []
+
         def forward(self, volumes, evidence, scores, tokens):
+            self.told.append(int(tokens[0, 0]))
             filled = torch.full((1, 4, 4, 4), -1.0)
             filled[..., :2] = 1.0
             zeros = torch.zeros(1, 3, 2, 2, 2)
@@ -52,6 +57,7 @@ def test_overlaps_are_those_of_filled_cells():
     nothing = torch.zeros(2, 1, 4, 4, 4)
     batch = ShapeBatch(nothing, nothing, torch.zeros(2, 1), torch.zeros(2, 1), solid, nothing)
     assert part_ious(Half(), batch, 8) == pytest.approx([1.0, 0.25])
+    assert Half.told == [0, NO_TEXT_TOKEN] * 8
 
 
 def test_a_run_of_the_denoiser_is_refused(tmp_path):
