@@ -19,7 +19,7 @@ from torch import Tensor
 from gscomplete.shape.bank.fit import FittedShape
 from gscomplete.shape.evidence import Evidence, gather_evidence
 from gscomplete.shape.mirror_plane import MirrorPlane
-from gscomplete.shape.one_view import ONE_VIEW_SHARE, best_view_share
+from gscomplete.shape.one_view import ONE_VIEW_SHARE
 from gscomplete.shape.predict import Prediction
 from gscomplete.shape.surface import (
     SurfaceSettings,
@@ -198,8 +198,7 @@ def _surface_logit(prediction: Prediction, settings: AssembleSettings) -> float:
 
 def _is_scan(prediction: Prediction) -> bool:
     """Say whether P is what one view shows: a whole side is missing, however little it seems."""
-    share = best_view_share(prediction.voxels.positions)
-    return not prediction.ends_in_plane and share >= ONE_VIEW_SHARE
+    return not prediction.ends_in_plane and prediction.voxels.shown_at_once >= ONE_VIEW_SHARE
 
 
 def _is_mirrored(prediction: Prediction) -> bool:

@@ -9,6 +9,7 @@ Conventions
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gscomplete.shape.evidence import Evidence, gather_evidence
+from gscomplete.shape.one_view import best_view_share
 from gscomplete.shape.planes.features import PartSamples, part_samples
 from gscomplete.shape.symmetry import (
     SymmetryMap,
@@ -50,7 +52,7 @@ class ShapeInputs:
     symmetries: tuple[SymmetryMap, ...]  # COPIES
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class PartialVoxels:
     """P as the network sees it, whatever mirror images are given beside it."""
 
@@ -61,6 +63,11 @@ class PartialVoxels:
     volume: FloatArray  # [4, C, C, C]
     evidence: Evidence
     shares: FloatArray  # [3, C/2, C/2, C/2]
+
+    @functools.cached_property
+    def shown_at_once(self) -> float:
+        """How much of P its best view shows."""
+        return best_view_share(self.positions)
 
     def samples(self) -> PartSamples:
         """Return P as planes are scored on it."""

@@ -31,7 +31,7 @@ from torch import Tensor
 from gscomplete.shape.ask import ask
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter, ShapeOutput
-from gscomplete.shape.one_view import ONE_VIEW_SHARE, best_view_share
+from gscomplete.shape.one_view import ONE_VIEW_SHARE
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs
 from gscomplete.shape.planes.proposals import candidate_planes
 from gscomplete.shape.symmetry import SymmetryMap, mirror, no_symmetries
@@ -152,7 +152,7 @@ def score_planes(
     filled = torch.cat([answer.occupancy for answer in answers]).sigmoid_()
     partial = torch.from_numpy(voxels.volume[0])
     missing = missing_share(filled[:count], partial)
-    shown_at_once = 1.0 if ends_in_plane else best_view_share(voxels.positions)
+    shown_at_once = 1.0 if ends_in_plane else voxels.shown_at_once
     if missing > _MUCH_MISSING and shown_at_once < _LEAST_SHOWN:
         ends_in_plane = True
     scores = symmetry_scores_of_answers(filled[:count], copies, partial)

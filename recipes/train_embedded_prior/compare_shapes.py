@@ -24,7 +24,7 @@ import torch
 
 from gscomplete.errors import UserError
 from gscomplete.evaluate.bootstrap import bootstrap_interval
-from gscomplete.priors.embedded.text import NO_TEXT_TOKEN
+from gscomplete.priors.embedded.text import no_text_like
 from gscomplete.priors.embedded.weights import load_weights
 from gscomplete.shape.ask import ORIENTATIONS, answer_in, mean_of
 from gscomplete.shape.network import ShapeCompleter
@@ -117,9 +117,7 @@ def held_out_parts(options: Options, words: tuple[str, ...]) -> ShapeBatch:
 def part_ious(model: ShapeCompleter, batch: ShapeBatch, orientations: int) -> list[float]:
     """Return the IoU of filled cells of every part."""
     given = batch.volumes, batch.evidence, batch.scores
-    no_text = torch.zeros_like(batch.tokens)
-    no_text[:, 0] = NO_TEXT_TOKEN
-    prompts = batch.tokens, no_text
+    prompts = batch.tokens, no_text_like(batch.tokens)
     found = []
     for k in range(len(batch.solid)):
         asked = [part[k : k + 1] for part in given]

@@ -38,7 +38,7 @@ from gscomplete.priors.embedded.diffusion import (
 )
 from gscomplete.priors.embedded.inputs import images_to_color_alpha
 from gscomplete.priors.embedded.model import FourViewDenoiser
-from gscomplete.priors.embedded.text import NO_TEXT_TOKEN
+from gscomplete.priors.embedded.text import no_text_like
 from gscomplete.priors.embedded.weights import load_weights, packaged_weights
 from gscomplete.util.atomic import atomic_path
 from recipes.train_embedded_prior.config import DataConfig
@@ -113,8 +113,7 @@ def sample_sets(
     device = batch.images.device
     generator = torch.Generator().manual_seed(1)
     noise = torch.randn(batch.images.shape, generator=generator).to(device)
-    no_text = torch.zeros_like(batch.tokens)
-    no_text[:, 0] = NO_TEXT_TOKEN
+    no_text = no_text_like(batch.tokens)
 
     def x0_at(x_t: Tensor, timestep: float) -> Tensor:
         at = torch.full((len(x_t),), timestep, device=device)

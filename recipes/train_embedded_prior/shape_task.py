@@ -22,7 +22,7 @@ import torch.nn.functional as F
 from PIL import Image
 from torch import Tensor, nn
 
-from gscomplete.priors.embedded.text import NO_TEXT_TOKEN
+from gscomplete.priors.embedded.text import no_text_like
 from gscomplete.shape.network import ShapeCompleter, ShapeOutput, laid_out
 from gscomplete.shape.symmetry import SOURCES
 from gscomplete.shape.voxels import COARSE_CELLS, grown
@@ -96,8 +96,7 @@ class ShapeTask:
     def batch_loss(self, model: nn.Module, batch: ShapeBatch, rng: np.random.Generator) -> Tensor:
         """Return the loss [] of sets that are on the device."""
         dropped = torch.from_numpy(rng.random(len(batch.tokens)) < self.config.drop_text)
-        no_text = torch.zeros_like(batch.tokens)
-        no_text[:, 0] = NO_TEXT_TOKEN
+        no_text = no_text_like(batch.tokens)
         tokens = torch.where(dropped.to(no_text.device)[:, None], no_text, batch.tokens)
         out = model(batch.volumes, batch.evidence, batch.scores, tokens)
         losses = shape_losses(out, batch, rng)

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from gscomplete.priors.embedded.diffusion import NUM_TIMESTEPS, add_noise, loss_weight, velocity
 from gscomplete.priors.embedded.model import IMAGE_CHANNELS, VIEWS, FourViewDenoiser
-from gscomplete.priors.embedded.text import NO_TEXT_TOKEN
+from gscomplete.priors.embedded.text import no_text_like
 from recipes.train_embedded_prior.config import TrainConfig
 from recipes.train_embedded_prior.data.dataset import Batch, Source, decode_sets
 from recipes.train_embedded_prior.data.shards import ShardSpec
@@ -111,8 +111,7 @@ def training_loss(model: nn.Module, batch: Batch, drawn: StepNoise) -> Tensor:  
     target = velocity(batch.images, drawn.noise, drawn.timestep)
     mapped = batch.input_map * drawn.keep_input[:, None, None, None, None]
     shape = batch.shape_map * drawn.keep_shape[:, None, None, None, None]
-    no_text = torch.zeros_like(batch.tokens)
-    no_text[:, 0] = NO_TEXT_TOKEN
+    no_text = no_text_like(batch.tokens)
     tokens = torch.where(drawn.keep_text[:, None], batch.tokens, no_text)
     predicted = model(noisy, mapped, shape, drawn.timestep, batch.ring, tokens)
     error = (predicted - target).square().mean(dim=(1, 2, 3, 4))

@@ -4,7 +4,7 @@ import math
 import pytest
 import torch
 
-from gscomplete.shape import symmetry_choice
+from gscomplete.shape import partial_voxels, symmetry_choice
 from gscomplete.shape.ask import ask
 from gscomplete.shape.mirror_plane import MirrorPlane
 from gscomplete.shape.network import ShapeOutput
@@ -162,7 +162,8 @@ def test_no_copy_is_shown_where_every_copy_leaves_the_network_in_doubt():
 def test_of_parts_that_one_view_shows_the_surest_answer_wins_of_others_a_small_one(
     monkeypatch, share
 ):
-    monkeypatch.setattr(symmetry_choice, "best_view_share", lambda points: share)
+    monkeypatch.setattr(partial_voxels, "best_view_share", lambda points: share)
+    look = dataclasses.replace(LOOK)  # nothing is counted yet
 
     class Surest(Doubter):
         def forward(self, volumes, evidence, scores, tokens):
@@ -174,7 +175,7 @@ def test_of_parts_that_one_view_shows_the_surest_answer_wins_of_others_a_small_o
             return ShapeOutput(sure, out.colors, out.sources)
 
     tokens = torch.zeros(4, dtype=torch.long)
-    asked = score_planes(Surest(), LOOK, tokens, ends_in_plane=False)
+    asked = score_planes(Surest(), look, tokens, ends_in_plane=False)
     assert asked.none_is_best == (share < 1.0)
     if share == 1.0:
         assert asked.planes[0].apply(LOOK.positions)[:, 0].min() < -0.36
@@ -191,10 +192,11 @@ class Filler(Believer):
 
 @pytest.mark.parametrize("share", [0.6, 0.8])
 def test_a_part_that_no_view_shows_much_of_counts_as_cut_if_much_is_missing(monkeypatch, share):
-    monkeypatch.setattr(symmetry_choice, "best_view_share", lambda points: share)
+    monkeypatch.setattr(partial_voxels, "best_view_share", lambda points: share)
+    look = dataclasses.replace(LOOK)  # nothing is counted yet
     tokens = torch.zeros(4, dtype=torch.long)
     found, cut = (
-        score_planes(Filler(), LOOK, tokens, ends_in_plane=ends) for ends in (False, True)
+        score_planes(Filler(), look, tokens, ends_in_plane=ends) for ends in (False, True)
     )
     assert (found.symmetry_scores == cut.symmetry_scores) == (share < 0.7)
 

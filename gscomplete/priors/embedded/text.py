@@ -154,6 +154,13 @@ class Tokenizer:
         return tokens
 
 
+def no_text_like(tokens: Tensor) -> Tensor:  # [B, L]
+    """Return tokens of the same shape that stand for no text."""
+    nothing = torch.full_like(tokens, PAD_TOKEN)
+    nothing[:, 0] = NO_TEXT_TOKEN
+    return nothing
+
+
 def understood_by(tokenizers: Sequence[Tokenizer], prompt: str) -> PromptReport:
     """Sort the words of a prompt by what any of some vocabularies knows, the first one's first."""
     reports = [tokenizer.understood(prompt) for tokenizer in tokenizers]

@@ -9,6 +9,7 @@ from gscomplete.priors.embedded.text import (
     PAD_TOKEN,
     Tokenizer,
     build_words,
+    no_text_like,
     understood_by,
 )
 
@@ -54,6 +55,8 @@ def test_short_words_are_not_stemmed_to_others():
 def test_nothing_understood_is_no_text(prompt):
     assert TOKENIZER.encode(prompt).tolist() == [NO_TEXT_TOKEN, 0, 0, 0]
     assert "no word understood" in TOKENIZER.understood(prompt).lines()[0]
+    told = TOKENIZER.encode("a red mug")[None]
+    assert torch.equal(no_text_like(told), TOKENIZER.encode(prompt)[None])
 
 
 def test_long_prompts_report_what_is_dropped():
