@@ -11,8 +11,9 @@ Conventions
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -49,6 +50,9 @@ _SHADOW_WEIGHT = 2.0
 _COLOR_WEIGHT = 0.5
 _SEEN_WEIGHT = 0.1
 _SHEET_SETS = 8
+
+LossOf = Callable[[nn.Module, ShapeBatch, Tensor, Tensor], Tensor]
+"""(network, sets, weights of cells, turn of oblique shadows) -> loss []."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,19 +97,28 @@ class ShapeTask:
         batch = turn_batch(batch, int(rng.integers(4)), bool(rng.random() < 0.5))
         return self.batch_loss(model, batch.to(self.config.device), rng)
 
-    def batch_loss(self, model: nn.Module, batch: ShapeBatch, rng: np.random.Generator) -> Tensor:
-        """Return the loss [] of sets that are on the device."""
+    def batch_loss(
+        self,
+        model: nn.Module,
+        batch: ShapeBatch,
+        rng: np.random.Generator,
+        loss_of: LossOf | None = None,
+    ) -> Tensor:  # []
+        """Return the loss of sets that are on the device.
+
+        Args:
+            model: the network.
+            batch: the sets.
+            rng: draws which sets lose their text, and the directions of shadows.
+            loss_of: computes what ``total_loss`` does; None = that.
+        """
+        loss_of = loss_of or total_loss
         dropped = torch.from_numpy(rng.random(len(batch.tokens)) < self.config.drop_text)
         no_text = no_text_like(batch.tokens)
         tokens = torch.where(dropped.to(no_text.device)[:, None], no_text, batch.tokens)
-        out = model(batch.volumes, batch.evidence, batch.scores, tokens)
-        losses = shape_losses(out, batch, rng)
-        return (
-            losses["occupancy"]
-            + _OVERLAP_WEIGHT * losses["overlap"]
-            + _SHADOW_WEIGHT * losses["shadow"]
-            + _COLOR_WEIGHT * losses["color"]
-        )
+        oblique = oblique_turn(rng).to(no_text.device)
+        batch = dataclasses.replace(batch, tokens=tokens)
+        return loss_of(model, batch, cell_weights(batch.solid), oblique)
 
     def evaluate(self, model: nn.Module, sheet: Path) -> dict[str, float]:
         """Measure on held-out sets and draw a sheet."""
@@ -133,23 +146,48 @@ class ShapeTask:
 
 def _measured(out: ShapeOutput, batch: ShapeBatch) -> dict[str, float]:
     rng = np.random.default_rng(0)
-    losses = {name: float(value) for name, value in shape_losses(out, batch, rng).items()}
+    parts = shape_losses(out, batch, cell_weights(batch.solid), oblique_turn(rng))
+    losses = {name: float(value) for name, value in parts.items()}
     return losses | filled_iou(out, batch)
 
 
+def total_loss(model: nn.Module, batch: ShapeBatch, weights: Tensor, oblique: Tensor) -> Tensor:
+    """Return the loss [] of a network, its parts weighted.
+
+    Args:
+        model: the network.
+        batch: the sets, on its device.
+        weights: as ``shape_losses`` takes them.
+        oblique: likewise.
+    """
+    out = model(batch.volumes, batch.evidence, batch.scores, batch.tokens)
+    losses = shape_losses(out, batch, weights, oblique)
+    return (
+        losses["occupancy"]
+        + _OVERLAP_WEIGHT * losses["overlap"]
+        + _SHADOW_WEIGHT * losses["shadow"]
+        + _COLOR_WEIGHT * losses["color"]
+    )
+
+
+def cell_weights(solid: Tensor) -> Tensor:  # [B, C, C, C] -> [B, C, C, C]
+    """Return what cells weigh in the cross entropy: more near the surface and at thin parts."""
+    around = grown(solid) + grown(1 - solid)
+    return 1 + _SURFACE_WEIGHT * (around - 1) + _THIN_WEIGHT * grown(thin_cells(solid))
+
+
 def shape_losses(
-    out: ShapeOutput, batch: ShapeBatch, rng: np.random.Generator
+    out: ShapeOutput, batch: ShapeBatch, weights: Tensor, oblique: Tensor
 ) -> dict[str, Tensor]:
     """Return the parts of the loss.
 
     Args:
         out: the network's answer.
         batch: the sets.
-        rng: draws the oblique directions of shadows.
+        weights: [B, C, C, C] of the cells (``cell_weights``).
+        oblique: [3, 3] turn to the oblique directions of shadows (``oblique_turn``).
     """
     solid = batch.solid
-    around = grown(solid) + grown(1 - solid)
-    weight = 1 + _SURFACE_WEIGHT * (around - 1) + _THIN_WEIGHT * grown(thin_cells(solid))
     occupancy = F.binary_cross_entropy_with_logits(out.occupancy, solid, reduction="none")
     true_colors, there = coarse_colors(batch.surface)
     error = (blended_colors(out, batch.volumes) - true_colors).abs().mean(dim=1)
@@ -159,11 +197,11 @@ def shape_losses(
     shadow = torch.stack(
         [
             shadow_overlap(filled, solid, (1, 2, 3)),
-            shadow_overlap(*_turned(filled, solid, rng), (1, 2)),
+            shadow_overlap(*_turned(filled, solid, oblique), (1, 2)),
         ]
     )
     return {
-        "occupancy": (weight * occupancy).mean() * 10,
+        "occupancy": (weights * occupancy).mean() * 10,
         "overlap": 1 - soft_overlap(out.occupancy.sigmoid(), solid).mean(),
         "shadow": 1 - shadow.mean(),
         "color": (where * error).sum() / where.sum().clamp_min(1.0),
@@ -200,18 +238,23 @@ def shadow_overlap(
     return torch.stack(shares).mean(dim=0)
 
 
-def _turned(
-    filled: Tensor,  # [B, C, C, C]
-    solid: Tensor,  # [B, C, C, C]
-    rng: np.random.Generator,
-) -> tuple[Tensor, Tensor]:
-    """Turn both by any azimuth and an elevation of -10 to 45 degrees; outside is empty."""
+def oblique_turn(rng: np.random.Generator) -> Tensor:  # [3, 3]
+    """Draw a turn by any azimuth and an elevation of -10 to 45 degrees."""
     azimuth, elevation = rng.uniform(0, 2 * math.pi), math.radians(rng.uniform(-10, 45))
     cos, sin = math.cos(azimuth), math.sin(azimuth)
     up, flat = math.sin(elevation), math.cos(elevation)
     about_z = torch.tensor([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     lean = torch.tensor([[flat, 0.0, -up], [0.0, 1.0, 0.0], [up, 0.0, flat]])
-    matrix = torch.cat([about_z @ lean, torch.zeros(3, 1)], dim=1).to(filled)
+    return about_z @ lean
+
+
+def _turned(
+    filled: Tensor,  # [B, C, C, C]
+    solid: Tensor,  # [B, C, C, C]
+    oblique: Tensor,  # [3, 3]
+) -> tuple[Tensor, Tensor]:
+    """Turn both; outside is empty."""
+    matrix = torch.cat([oblique, oblique.new_zeros(3, 1)], dim=1).to(filled)
     count, size = len(filled), tuple(filled.shape[1:])
     # grid_sample names the last axis x: the volume's axes are handed over in reverse.
     grid = F.affine_grid(matrix.expand(count, -1, -1), [count, 1, *size], align_corners=False)

@@ -16,6 +16,7 @@ from recipes.train_embedded_prior.data.shape_dataset import (
 )
 from recipes.train_embedded_prior.shape_task import (
     ShapeTask,
+    cell_weights,
     filled_iou,
     shadow_overlap,
     shape_losses,
@@ -116,7 +117,9 @@ def test_training_lowers_the_loss(tmp_path, batch):
 
     def loss(model):
         out = model(batch.volumes, batch.evidence, batch.scores, batch.tokens)
-        return float(shape_losses(out, batch, np.random.default_rng(0))["occupancy"].detach())
+        return float(
+            shape_losses(out, batch, cell_weights(batch.solid), torch.eye(3))["occupancy"].detach()
+        )
 
     before = loss(task.make_model())
     assert loss(train(task).model) < 0.6 * before
@@ -163,7 +166,7 @@ def test_the_truth_scores_full_marks(batch):
     sources = torch.zeros(count, SOURCES + 1, half, half, half)
     out = ShapeOutput(40 * batch.solid - 20, torch.zeros(count, 3, half, half, half), sources)
     assert filled_iou(out, batch)["iou"] == 1.0
-    losses = shape_losses(out, batch, np.random.default_rng(0))
+    losses = shape_losses(out, batch, cell_weights(batch.solid), torch.eye(3))
     assert float(losses["occupancy"]) < 1e-3
     # Thousands of cells at a probability of 2e-9 of being wrong.
     assert float(losses["overlap"]) < 1e-4

@@ -48,7 +48,13 @@ def test_a_run_begins_with_the_parts_of_which_something_is_known(tmp_path):
     maker = ShapeSetMaker(MixedSource(pack, 1.0), data, Tokenizer((), TEXT_LENGTH), 3)
     np.save(tmp_path / "held_out.npy", np.stack([maker(0)]))
     options = Options(
-        run, (known,), variants=2, first_sets=4, pool_sets=8, held_out=tmp_path / "held_out.npy"
+        run,
+        (known,),
+        variants=2,
+        first_sets=4,
+        pool_sets=8,
+        held_out=tmp_path / "held_out.npy",
+        compiled=False,
     )
     train.main(options)
     trained = TrainedRun.load(tmp_path / "run")
