@@ -3,7 +3,8 @@
 Conventions
 -----------
 * The averaged (EMA) weights are exported. Words that no caption of the run's objects holds are left
-  out, with their embeddings, so that the prior never claims to understand them.
+  out, with their embeddings, so that the prior never claims to understand them; those that the
+  weights before it knew stay.
 * A network that no run is given for is kept as ``out`` holds it, with its words.
 * ``CARD.md`` states what the weights are, how they were made, and what they cost in quality to
   store in eight bits.
@@ -287,7 +288,7 @@ def export_runs(options: ExportConfig) -> tuple[TrainedRun | None, set[str]]:
     left_out: set[str] = set()
     if run is not None:
         assert isinstance(run.config, TrainConfig)
-        denoiser = _of_seen_words(run, options.words_from, run.exportable())
+        denoiser = _of_seen_words(run, options.words_from, run.exportable(), denoiser)
         views = run.config.data.views(run.config.model.resolution_px)
         left_out |= set(run.words) - set(denoiser.words)
     if shape_run is not None:
@@ -298,7 +299,7 @@ def export_runs(options: ExportConfig) -> tuple[TrainedRun | None, set[str]]:
                     f"{options.out}: --shape-share: expected a shape network, found none"
                 )
             trained = blended(trained, shape, options.shape_share)
-        shape = _of_seen_words(shape_run, options.words_from, trained)
+        shape = _of_seen_words(shape_run, options.words_from, trained, shape)
         left_out |= set(shape_run.words) - set(shape.words)
     assert denoiser is not None
     assert views is not None
@@ -328,12 +329,19 @@ def _held(
     )
 
 
-def _of_seen_words(run: TrainedRun, count: int, made: Exportable) -> Exportable:
-    """Return what a run has made, with the words that a caption of its objects holds."""
+def _of_seen_words(
+    run: TrainedRun, count: int, made: Exportable, before: Exportable | None
+) -> Exportable:
+    """Return what a run has made, with the words that a caption of its objects holds.
+
+    Words of the weights before are kept where the run was started from those.
+    """
+    known = () if before is None else before.words
+    known = known if run.words[: len(known)] == known else ()
     captions = [make_object(run.config.seed, index).caption for index in range(count)]
     if run.config.meshes is not None:
         captions += MixedSource(run.config.meshes).captions()
-    return made.with_words(words_seen(run.words, captions))
+    return made.with_words(words_seen(run.words, (*captions, *known)))
 
 
 def main() -> int:

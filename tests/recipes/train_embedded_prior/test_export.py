@@ -120,7 +120,8 @@ def test_weights_without_a_shape_network_make_a_prior_that_does_not_guess(tmp_pa
 
 
 def test_the_denoiser_can_be_kept_while_the_shape_network_is_trained_on(tmp_path, monkeypatch):
-    """Nothing of the denoiser changes; the record counts the steps before and after."""
+    """Nothing of the denoiser changes; the record counts the steps before and after; words that
+    were known stay, whatever the captions hold."""
     views = trained(ViewsTask(tiny_run(tmp_path / "a"), stub_source, WORDS), steps=7)
     shape = trained(ShapeTask(tiny_shape_run(tmp_path / "b"), stub_source, WORDS), steps=5)
     out = tmp_path / "out"
@@ -130,16 +131,17 @@ def test_the_denoiser_can_be_kept_while_the_shape_network_is_trained_on(tmp_path
     trained(ShapeTask(going_on, stub_source, WORDS), steps=3)
     monkeypatch.setattr(
         "recipes.train_embedded_prior.export.make_object",
-        lambda seed, index: SimpleNamespace(caption=" ".join(WORDS)),
+        lambda seed, index: SimpleNamespace(caption=WORDS[0]),
     )
     options = ExportConfig(shape_run=tmp_path / "c", out=out, words_from=1)
     run, left_out = export_runs(options)
     model, _, config = load_weights(out)
     assert run is None
     assert not left_out
+    assert config.shape is not None
+    assert config.shape.words == WORDS
     assert all(torch.equal(value, before[name]) for name, value in model.state_dict().items())
     assert config.training.steps == 7
-    assert config.shape is not None
     assert config.shape.training.steps == 8
     assert config.shape.training.sets == 16
 
