@@ -67,12 +67,21 @@ def test_what_cannot_be_compiled_runs_as_it_is(task, model, monkeypatch, caplog)
     assert loss.args == (model,)
     assert "not compiled: RuntimeError: no compiler" in caplog.text
     assert all(parameter.grad is None for parameter in model.parameters())
+    assert all(parameter.is_contiguous() for parameter in model.parameters())
 
 
 @pytest.mark.parametrize("times", [(1.0, 2.0), (2.0, 1.0)])
 def test_the_faster_of_both_is_taken(task, model, monkeypatch, times):
-    asked = iter(times)
+    asked = iter(times)  # as it is, compiled
     monkeypatch.setattr(compiled, "_seconds", lambda *_: next(asked))
     loss = compiled.fastest_loss(task, model, compiled=True)
     assert isinstance(loss, functools.partial)
-    assert (loss.args[0] is model) == (times[0] > times[1])
+    is_plain = loss.args[0] is model
+    assert is_plain == (times[0] < times[1])
+    assert all(parameter.is_contiguous() for parameter in model.parameters()) == is_plain
+    average = task.make_model()
+    before = [parameter.clone() for parameter in average.parameters()]
+    compiled.lay_out_like(average, model)
+    for kept, own, value in zip(average.parameters(), model.parameters(), before, strict=True):
+        assert kept.stride() == own.stride()
+        assert torch.equal(kept, value)
