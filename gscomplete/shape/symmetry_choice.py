@@ -1,22 +1,9 @@
 """Which mirror images of P the shape network is given: those consistent with its own answers.
 
 Planes are proposed by P's appearance through them. The network knows more of objects, so it is
-asked once per likely plane and once without any. Then:
-
-* A part that ends in a plane lacks what lies beyond: a plane is scored by the share of new surface
-  that its copy covers, less half the share of the copy that is new and left empty. Where less than
-  half is missing, the network's sureness counts more: there is more that a wrong copy contradicts.
-* Of other parts the answer that the network is surest of is taken, with a copy or without: a copy
-  in the wrong place, such as a second head, leaves it in doubt. What several views show lacks
-  little, so that the answer counts that fills less.
-* The insides of fences, racks and crates have rims of their own, among which the plane of a cut is
-  not found. A part that no view shows much of, and much of which is missing, counts as cut.
-
-Conventions
------------
-* Cells of P and those beside them are P's; only what lies elsewhere counts as new.
-* New surface is counted against the mean over the answers where an answer has less of it: one that
-  adds next to nothing covers it easily.
+asked once per likely plane and once without any, and the answer that ``planes.answer_scorer`` puts
+first is taken. A part that ends in a plane lacks what lies beyond: there, no mirror image is no
+choice.
 """
 
 from __future__ import annotations
@@ -31,33 +18,19 @@ from torch import Tensor
 from gscomplete.shape.ask import ask
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter, ShapeOutput
-from gscomplete.shape.one_view import ONE_VIEW_SHARE
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs
+from gscomplete.shape.planes.answer_scorer import (
+    Answers,
+    answer_features,
+    packaged_answer_scorer,
+    symmetry_scores_of_answers,
+)
 from gscomplete.shape.planes.proposals import candidate_planes
 from gscomplete.shape.symmetry import SymmetryMap, mirror, no_symmetries
-from gscomplete.shape.voxels import CELLS, FloatArray, grown, surface_cells
+from gscomplete.shape.voxels import CELLS, FloatArray
 from gscomplete.util.stages import stage
 
 CANDIDATES = 8
-_POSSIBLE = 0.1
-"""Cells with at least this probability count for how sure an answer is."""
-_BELIEF_WEIGHT = 0.15
-"""Of the logarithm of the belief in a plane, beside the score by the network's answer."""
-_FILLED = 0.35
-"""Cells with at least this probability count as filled."""
-_LEAST_SHOWN = 0.7
-"""Share of P that its best view shows. Of parts of unseen objects without a cut that is found, 17
-of 33 halves and 35 of 67 that lack a box show less, no arc of 65 and no scan of 59 ..."""
-_MUCH_MISSING = 0.25
-"""... and share of the surface that is missing then: complete objects lack less."""
-_LITTLE_MISSING, _SURENESS_WEIGHT = 0.43, 6.0
-"""Of parts that end in a plane and lack a smaller share of the surface, sureness counts so much
-beside the score."""
-_FILLED_WEIGHT = 0.4
-"""Of other parts, where the best view shows less than a scan's, the logarithm of the number of
-cells that an answer fills counts against its sureness by this much."""
-WRONG_WEIGHT = 0.5
-"""Of the share of a copy that is new and wrong, beside the share of the missing that it shows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +43,17 @@ class Choice:
     it."""
     answer: ShapeOutput | None = None
     """The network's, for a batch of one; None = it was not asked."""
+
+
+@dataclass(frozen=True, slots=True)
+class AskedPlanes:
+    """Questions about likely planes, in the order in which those were proposed."""
+
+    answers: Answers
+    shown: tuple[tuple[SymmetryMap, ...], ...]
+    """What the network was given at each question."""
+    outputs: tuple[ShapeOutput, ...]
+    """All that it answered, for batches of one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +110,6 @@ def choose_symmetries(
     return Choice(asked.seen, score, asked.answer)
 
 
-@torch.no_grad()
 def score_planes(
     model: ShapeCompleter,
     voxels: PartialVoxels,
@@ -136,6 +119,31 @@ def score_planes(
     bfloat16: bool = False,
 ) -> ScoredPlanes:
     """Ask the network about every likely plane; arguments as of :func:`choose_symmetries`."""
+    asked = ask_about_planes(model, voxels, tokens, ends_in_plane=ends_in_plane, bfloat16=bfloat16)
+    answers, count = asked.answers, len(asked.answers.planes)
+    scores = symmetry_scores_of_answers(answers.to_copies(), answers.copies, answers.partial)
+    rank = torch.from_numpy(packaged_answer_scorer()(answer_features(answers, scores)))
+    ranked = rank.argsort(descending=True, stable=True).tolist()
+    order = [k for k in ranked if k < count]
+    return ScoredPlanes(
+        tuple(answers.planes[k] for k in order),
+        tuple(float(scores[k]) for k in order),
+        ranked[0] == count,
+        voxels.with_copies(asked.shown[ranked[0]]),
+        asked.outputs[ranked[0]],
+    )
+
+
+@torch.no_grad()
+def ask_about_planes(
+    model: ShapeCompleter,
+    voxels: PartialVoxels,
+    tokens: Tensor,  # [L]
+    *,
+    ends_in_plane: bool,
+    bfloat16: bool = False,
+) -> AskedPlanes:
+    """Ask the network; arguments as of :func:`choose_symmetries`."""
     with stage("planes"):
         planes = candidate_planes(voxels, CANDIDATES, bfloat16=bfloat16)
     count = len(planes)
@@ -143,72 +151,21 @@ def score_planes(
     if not ends_in_plane:
         shown.append(no_symmetries())
     copies = torch.empty(count, *(CELLS,) * 3)
-    answers = []
+    outputs = []
     for k, symmetries in enumerate(shown):  # one by one: what a question needs stays in the caches
         seen = voxels.with_copies(symmetries)
-        answers.append(ask(model, seen, tokens, bfloat16=bfloat16))
+        outputs.append(ask(model, seen, tokens, bfloat16=bfloat16))
         if k < count:
             copies[k] = torch.from_numpy(seen.volumes[1, 0])
-    filled = torch.cat([answer.occupancy for answer in answers]).sigmoid_()
-    partial = torch.from_numpy(voxels.volume[0])
-    missing = missing_share(filled[:count], partial)
-    shown_at_once = 1.0 if ends_in_plane else voxels.shown_at_once
-    if missing > _MUCH_MISSING and shown_at_once < _LEAST_SHOWN:
-        ends_in_plane = True
-    scores = symmetry_scores_of_answers(filled[:count], copies, partial)
-    rank = sureness(filled)
-    if ends_in_plane:
-        belief = torch.tensor([plane.score for plane in planes])
-        sure_weight = _SURENESS_WEIGHT if missing < _LITTLE_MISSING else 0.0
-        rank = sure_weight * rank[:count] + scores + _BELIEF_WEIGHT * (belief + 1e-4).log()
-    elif shown_at_once < ONE_VIEW_SHARE:
-        cells = (filled > _FILLED).sum(dim=(1, 2, 3))
-        rank = rank - _FILLED_WEIGHT * (cells + 1.0).log()
-    order = rank[:count].argsort(descending=True, stable=True).tolist()
-    none_is_best = not ends_in_plane and bool(rank[count] > rank[:count].max())
-    best = count if none_is_best else order[0]
-    return ScoredPlanes(
-        tuple(planes[k] for k in order),
-        tuple(float(scores[k]) for k in order),
-        none_is_best,
-        voxels.with_copies(shown[best]),
-        answers[best],
+    answers = Answers(
+        tuple(planes),
+        copies,
+        torch.cat([output.occupancy for output in outputs]).sigmoid_(),
+        torch.from_numpy(voxels.volume[0]),
+        voxels.shown_at_once,
+        ends_in_plane,
     )
-
-
-def sureness(
-    filled: Tensor,  # [K, C, C, C] probabilities of the network's answers
-) -> Tensor:  # [K] in [0, 1]
-    """Return how far answers are from one half, on average over the cells that may be filled."""
-    possible = filled > _POSSIBLE
-    far = (2 * filled - 1).abs() * possible
-    return far.sum(dim=(1, 2, 3)) / possible.sum(dim=(1, 2, 3)).clamp_min(1)
-
-
-def missing_share(
-    filled: Tensor,  # [K, C, C, C] probabilities of the network's answers
-    partial: Tensor,  # [C, C, C] occupancy of P
-) -> float:  # in [0, 1]
-    """Return how much of the surface that the answers have on average is not P's."""
-    surface = surface_cells(filled.mean(dim=0, keepdim=True) > _FILLED)
-    away = surface & (grown(partial[None]) <= 0)
-    return float(away.sum()) / max(float(surface.sum()), 1.0)
-
-
-def symmetry_scores_of_answers(
-    filled: Tensor,  # [K, C, C, C] probabilities of the network's answers
-    copies: Tensor,  # [K, C, C, C] occupancies of the mirror images it was given first
-    partial: Tensor,  # [C, C, C] occupancy of P
-) -> Tensor:  # [K]
-    """Return the scores of copies by the answers to them; see the module's description."""
-    cells = (1, 2, 3)
-    elsewhere = grown(partial[None]) <= 0
-    new = (copies > 0) & elsewhere
-    surface = surface_cells(filled > _FILLED) & elsewhere
-    covered = (filled * (surface & (grown(copies) > 0))).sum(dim=cells)
-    wanted = (filled * surface).sum(dim=cells)
-    left_empty = ((1 - filled) * new).sum(dim=cells) / (copies > 0).sum(dim=cells).clamp_min(1)
-    return covered / wanted.clamp_min(float(wanted.mean()) + 1e-3) - WRONG_WEIGHT * left_empty
+    return AskedPlanes(answers, tuple(shown), tuple(outputs))
 
 
 def _symmetries_with_first(

@@ -14,6 +14,7 @@ from gscomplete.priors.embedded.model import FourViewDenoiser, count_parameters
 from gscomplete.priors.embedded.weights import PriorConfig
 from gscomplete.shape.bank.store import BANK_CELLS, BANK_FILE, ShapeBank
 from gscomplete.shape.network import ShapeCompleter
+from gscomplete.shape.planes.answer_scorer import ANSWER_SCORER_FILE
 from gscomplete.shape.planes.coarse_scorer import COARSE_SCORER_FILE
 from gscomplete.shape.planes.fine_scorer import FINE_SCORER_FILE
 from gscomplete.shape.voxels import CELL_SIDE, CELLS
@@ -79,7 +80,8 @@ def card(
             f"seed {made.seed}.",
             f"* Planes that P is mirrored through are scored by `{COARSE_SCORER_FILE}` and then "
             f"by `{FINE_SCORER_FILE}`, trained before it by `train_coarse_scorer.py` and "
-            "`train_fine_scorer.py` of `recipes/train_embedded_prior`.",
+            f"`train_fine_scorer.py` of `recipes/train_embedded_prior/planes`; the answers to "
+            f"them by `{ANSWER_SCORER_FILE}`, trained after it by `train_answer_scorer.py`.",
             *([f"* History: {history}"] if history else []),
             *(f"* Held-out {name}: {value:.4f}" for name, value in shape_losses.items()),
             "",

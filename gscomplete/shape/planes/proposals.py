@@ -20,10 +20,11 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from gscomplete.networks.perceptron import Perceptron
 from gscomplete.networks.precision import cpu_precision
 from gscomplete.shape.evidence import Evidence
 from gscomplete.shape.partial_voxels import PartialVoxels
-from gscomplete.shape.planes.coarse_scorer import CoarseSymmetryScorer, packaged_coarse_scorer
+from gscomplete.shape.planes.coarse_scorer import packaged_coarse_scorer
 from gscomplete.shape.planes.features import (
     ANGLES,
     OFFSETS,
@@ -64,7 +65,7 @@ class RankedPlanes:
 
 
 def ranked_planes(
-    part: PartSamples, evidence: Evidence, scorer: CoarseSymmetryScorer, count: int
+    part: PartSamples, evidence: Evidence, scorer: Perceptron, count: int
 ) -> RankedPlanes:
     """Return the planes unlike each other that the scorer puts first."""
     features = plane_features(part, evidence)

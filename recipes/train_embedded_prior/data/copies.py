@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from gscomplete.shape.planes.answer_scorer import WRONG_WEIGHT
 from gscomplete.shape.planes.features import OFFSETS, plane_normals
 from gscomplete.shape.symmetry import SymmetryMap
-from gscomplete.shape.symmetry_choice import WRONG_WEIGHT
 from gscomplete.shape.voxels import (
     CELL_SIDE,
     CELLS,

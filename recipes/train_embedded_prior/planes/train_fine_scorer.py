@@ -1,8 +1,9 @@
-"""Train the fine symmetry scorer: ``python -m recipes.train_embedded_prior.train_fine_scorer``.
+"""Train the fine symmetry scorer.
 
-It comes after the coarse scorer, whose likely planes it scores, and before the shape network, whose
-training sets hold the copies that it prefers. Objects are made once and kept in the run's folder;
-training goes on from the last checkpoint there.
+``python -m recipes.train_embedded_prior.planes.train_fine_scorer`` comes after the coarse scorer,
+whose likely planes it scores, and before the shape network, whose training sets hold the copies
+that it prefers. Objects are made once and kept in the run's folder; training goes on from the last
+checkpoint there.
 
 Conventions
 -----------
@@ -48,7 +49,7 @@ from gscomplete.shape.planes.proposals import FINELY_SCORED
 from gscomplete.util.atomic import atomic_path
 from gscomplete.util.jsonio import to_json, write_json
 from recipes.train_embedded_prior.data.shape_dataset import unpack_cells
-from recipes.train_embedded_prior.plane_sets import (
+from recipes.train_embedded_prior.planes.plane_sets import (
     BEST_PLANES,
     FILE_OBJECTS,
     PlaneSets,

@@ -1,7 +1,7 @@
 """Train the coarse symmetry scorer.
 
-``python -m recipes.train_embedded_prior.train_coarse_scorer`` comes before the shape network, whose
-training sets hold the copies that it chooses.
+``python -m recipes.train_embedded_prior.planes.train_coarse_scorer`` comes before the shape
+network, whose training sets hold the copies that it chooses.
 
 Conventions
 -----------
@@ -25,14 +25,15 @@ from rich.console import Console
 from rich.progress import track
 from torch import Tensor, nn
 
+from gscomplete.networks.perceptron import LAYERS, Perceptron
 from gscomplete.priors.embedded.weights import packaged_weights
 from gscomplete.shape.partial_voxels import voxelize_partial
-from gscomplete.shape.planes.coarse_scorer import COARSE_SCORER_FILE, LAYERS, CoarseSymmetryScorer
+from gscomplete.shape.planes.coarse_scorer import COARSE_SCORER_FILE
 from gscomplete.shape.planes.features import FEATURES, plane_features
 from gscomplete.shape.voxels import FloatArray
 from recipes.entry_point import start
 from recipes.train_embedded_prior.data.copies import Truth
-from recipes.train_embedded_prior.plane_sets import Task, posed_object
+from recipes.train_embedded_prior.planes.plane_sets import Task, posed_object
 
 _LOG = logging.getLogger(__name__)
 _HELD_OUT_EVERY = 5
@@ -81,7 +82,7 @@ def measured_planes(config: CoarseScorerConfig) -> tuple[Tensor, Tensor]:  # [N,
     return torch.from_numpy(np.stack(features)), torch.from_numpy(np.stack(true_scores))
 
 
-def fit(config: CoarseScorerConfig, features: Tensor, true_scores: Tensor) -> CoarseSymmetryScorer:
+def fit(config: CoarseScorerConfig, features: Tensor, true_scores: Tensor) -> Perceptron:
     """Train the scorer.
 
     Args:
@@ -117,11 +118,11 @@ def fit(config: CoarseScorerConfig, features: Tensor, true_scores: Tensor) -> Co
     tensors = {"center": center, "spread": spread}
     for n, layer in enumerate(layers):
         tensors |= {f"weight{n}": layer.weight.detach(), f"bias{n}": layer.bias.detach()}
-    return CoarseSymmetryScorer({name: value.float().numpy() for name, value in tensors.items()})
+    return Perceptron({name: value.float().numpy() for name, value in tensors.items()})
 
 
 def score_of_choice(
-    scorer: CoarseSymmetryScorer, features: Tensor, true_scores: Tensor
+    scorer: Perceptron, features: Tensor, true_scores: Tensor
 ) -> tuple[float, float]:
     """Return the mean score of the planes that the scorer puts first, and of the best ones."""
     first = torch.from_numpy(scorer(features.numpy())).flatten(1).argmax(dim=1)

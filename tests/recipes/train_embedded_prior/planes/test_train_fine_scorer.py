@@ -8,7 +8,7 @@ from gscomplete.errors import UserError
 from gscomplete.shape.planes.features import ANGLES, FEATURES, OFFSETS
 from gscomplete.shape.planes.proposals import FINELY_SCORED
 from gscomplete.shape.voxels import COARSE_CELLS
-from recipes.train_embedded_prior.plane_sets import (
+from recipes.train_embedded_prior.planes.plane_sets import (
     BEST_PLANES,
     FILE_OBJECTS,
     PlaneSets,
@@ -16,7 +16,7 @@ from recipes.train_embedded_prior.plane_sets import (
     planes_of,
     posed_object,
 )
-from recipes.train_embedded_prior.train_fine_scorer import (
+from recipes.train_embedded_prior.planes.train_fine_scorer import (
     FineScorerConfig,
     FineScorerTraining,
     batch_of,

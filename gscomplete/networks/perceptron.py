@@ -1,0 +1,71 @@
+"""Small perceptrons in numpy: a few numbers in, one score out.
+
+Conventions
+-----------
+* Inputs are centred and scaled first; SiLU follows every layer but the last.
+* A file holds float32 tensors: ``center`` and ``spread`` [F], then ``weight0`` [H, F], ``bias0``
+  [H], and so on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save
+
+from gscomplete.errors import UserError
+from gscomplete.util.atomic import atomic_path
+
+LAYERS = 3
+_FARTHEST = 60.0
+"""Beyond it a logistic function is 0 or 1 in float32."""
+
+
+@dataclass(frozen=True, slots=True)
+class Perceptron:
+    """Features in, score out."""
+
+    tensors: dict[str, NDArray[np.float32]]
+
+    def __call__(
+        self,
+        features: NDArray[np.float32],  # [..., F]
+    ) -> NDArray[np.float32]:  # [...]
+        """Return the scores."""
+        t = self.tensors
+        x = (features - t["center"]) / t["spread"]
+        for layer in range(LAYERS):
+            x = x @ t[f"weight{layer}"].T + t[f"bias{layer}"]
+            if layer < LAYERS - 1:
+                x = x / (1 + np.exp(-x.clip(-_FARTHEST, _FARTHEST)))
+        return np.ascontiguousarray(x[..., 0], dtype=np.float32)
+
+    def digest(self) -> str:
+        """Name the weights: data made with other ones is other data."""
+        return hashlib.sha256(save(self.tensors)).hexdigest()[:12]
+
+    def save(self, path: Path) -> None:
+        """Write the weights to a file."""
+        with atomic_path(path) as temporary:
+            temporary.write_bytes(save(self.tensors))
+
+    @classmethod
+    def load(cls, path: Path, features: int) -> Perceptron:
+        """Read the weights of a perceptron of so many features.
+
+        Raises:
+            UserError: the file is missing, damaged, or does not fit the features.
+        """
+        try:
+            tensors = load_file(path)
+        except (SafetensorError, OSError) as error:
+            raise UserError(f"{path}: expected a safetensors file ({error})") from error
+        wide = tensors["weight0"].shape[1] if "weight0" in tensors else 0
+        if wide != features:
+            raise UserError(f"{path}: weight0: expected {features} columns, found {wide}")
+        return cls(tensors)

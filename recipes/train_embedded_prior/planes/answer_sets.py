@@ -1,0 +1,222 @@
+"""What the answer scorer learns from: parts, what the network answers about them, how true that is.
+
+Conventions
+-----------
+* Parts are cut as in ``real_objects.unseen``, two of each object of the pack's train split, which
+  is turned about the up axis: a pure function of (seed, the object's id).
+* An answer's true score is the intersection over union of shadows of cells, its own and those of
+  the complete object, both with P's: along the axes and two level diagonals, on average.
+* Parts are kept in files of ``FILE_OBJECTS`` objects, made once.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import multiprocessing
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from rich.console import Console
+from rich.progress import track
+from torch import Tensor
+
+from gscomplete.errors import UserError
+from gscomplete.networks.precision import is_bfloat16, multiplies_bytes
+from gscomplete.priors.embedded.ending import ending_of
+from gscomplete.priors.embedded.prior import EmbeddedPrior
+from gscomplete.priors.embedded.weights import SHAPE_FILE, load_weights, packaged_weights
+from gscomplete.shape.int8 import ByteShapeCompleter
+from gscomplete.shape.network import ShapeCompleter
+from gscomplete.shape.one_view import ONE_VIEW_SHARE
+from gscomplete.shape.partial_voxels import voxelize_partial
+from gscomplete.shape.planes.answer_scorer import (
+    FEATURES,
+    Answers,
+    answer_features,
+    symmetry_scores_of_answers,
+)
+from gscomplete.shape.planes.coarse_scorer import COARSE_SCORER_FILE
+from gscomplete.shape.planes.fine_scorer import FINE_SCORER_FILE
+from gscomplete.shape.symmetry_choice import CANDIDATES, ask_about_planes
+from gscomplete.shape.voxels import FloatArray, splat_arrays
+from gscomplete.util.atomic import atomic_path
+from gscomplete.util.digests import sha256_of
+from recipes.real_objects.compare import frame_object
+from recipes.real_objects.load import RealObject
+from recipes.real_objects.unseen import PartKind, complete_object, part_of
+from recipes.train_embedded_prior.data.mesh_pack import PackEntry, read_manifest, read_mesh
+from recipes.train_embedded_prior.data.solids import solid_cells
+
+FILE_OBJECTS = 50
+ANSWERS = CANDIDATES + 1
+_KINDS: tuple[PartKind, ...] = (
+    "scan", "half", "arc", "box", "scan", "half", "middle", "scan",
+)  # fmt: skip
+"""As often as they are drawn."""
+_LEVEL, _LEVEL_ONE_VIEW = -0.25, -1.0
+"""Logits from which on cells count as filled, as surfaces are made of answers; the second of parts
+that one view shows."""
+
+
+@dataclass(frozen=True, slots=True)
+class AnswerSets:
+    """N parts with up to ``ANSWERS`` answers each."""
+
+    features: FloatArray  # [N, ANSWERS, F] 0 where nothing was asked
+    true_scores: FloatArray  # [N, ANSWERS] NaN where nothing was asked
+
+    def __len__(self) -> int:
+        return len(self.true_scores)
+
+
+@dataclass(frozen=True, slots=True)
+class AnswerTask:
+    """One object to make sets of."""
+
+    meshes: Path
+    entry: PackEntry
+    seed: int
+
+
+def train_entries(meshes: Path, seed: int, count: int) -> list[PackEntry]:
+    """Return the first objects of the shuffled train split."""
+    entries = [entry for entry in read_manifest(meshes) if entry.split == "train"]
+    order = np.random.default_rng(seed).permutation(len(entries))
+    return [entries[k] for k in order[:count]]
+
+
+def shadow_ious(
+    answers: Answers,
+    complete: Tensor,  # bool [C, C, C]
+    level: float,  # logit
+) -> Tensor:  # [K] or [K + 1]
+    """Return the true scores of answers."""
+    own = answers.partial > 0
+    filled = (answers.filled > 1 / (1 + np.exp(-level))) | own
+    scores = []
+    for found, true in zip(_shadows(filled), _shadows((complete | own)[None]), strict=True):
+        both = (found & true).flatten(1).sum(dim=1)
+        scores.append(both / (found | true).flatten(1).sum(dim=1).clamp_min(1))
+    return torch.stack(scores).mean(dim=0)
+
+
+def _shadows(filled: Tensor) -> list[Tensor]:  # bool [K, C, C, C] -> bool [K, C or 2 C, C] each
+    """Return shadows along x, y, z and the two level diagonals."""
+    count, cells = filled.shape[:2]
+    found = [filled.any(dim=axis) for axis in (1, 2, 3)]
+    for sign in (1, -1):
+        shadow = torch.zeros(count, 2 * cells, cells, dtype=torch.bool)
+        for i in range(cells):
+            shadow[:, (sign * i + torch.arange(cells)) % (2 * cells)] |= filled[:, i]
+        found.append(shadow)
+    return found
+
+
+def answer_sets_of(task: AnswerTask) -> AnswerSets:
+    """Ask about two parts of one object."""
+    prior, model, bfloat16 = _network()
+    number = int.from_bytes(task.entry.id.encode()[-6:], "little")
+    rng = np.random.default_rng((number, task.seed))
+    turn_deg = float(rng.uniform(0, 360))
+    first, second = (_KINDS[k] for k in rng.permutation(len(_KINDS))[:2])
+    if first == second:
+        second = "arc" if first == "half" else "half"
+    complete = complete_object(read_mesh(task.meshes, task.entry), task.entry, turn_deg)
+    tokens = prior.condition(task.entry.caption).shape_tokens
+    rows = []
+    for kind in (first, second):
+        part = part_of(complete, kind, rng, turn_deg)
+        item = RealObject(task.entry.id, task.entry.caption, "Z", part, complete, kind)
+        try:
+            framed = frame_object(item, prior)
+        except UserError:  # a part of next to nothing
+            continue
+        assert framed.truth is not None
+        ending = ending_of(framed.partial, "guess")
+        if ending.is_complete or ending.mirror != "guess":  # a run asks nothing
+            continue
+        positions, tangents, *_ = splat_arrays(framed.truth)
+        voxels = voxelize_partial(framed.partial, framed.views)
+        cut = ending.in_plane
+        asked = ask_about_planes(model, voxels, tokens, ends_in_plane=cut, bfloat16=bfloat16)
+        answers = asked.answers
+        one_view = not cut and answers.shown_at_once >= ONE_VIEW_SHARE
+        scores = symmetry_scores_of_answers(answers.to_copies(), answers.copies, answers.partial)
+        solid = torch.from_numpy(solid_cells(positions, tangents) > 0)
+        true = shadow_ious(answers, solid, _LEVEL_ONE_VIEW if one_view else _LEVEL)
+        rows.append(_padded(answer_features(answers, scores), true.numpy()))
+    return joined(rows)
+
+
+def _padded(features: FloatArray, true_scores: FloatArray) -> AnswerSets:
+    """Fill up to ``ANSWERS``."""
+    missing = ANSWERS - len(true_scores)
+    return AnswerSets(
+        np.pad(features, ((0, missing), (0, 0)))[None],
+        np.pad(true_scores, (0, missing), constant_values=np.nan)[None],
+    )
+
+
+@functools.cache
+def _network() -> tuple[EmbeddedPrior, ShapeCompleter, bool]:
+    """Load what a process asks, as a run would: prior, shape network, whether in bfloat16."""
+    torch.set_num_threads(1)
+    _, shape, _ = load_weights(packaged_weights())
+    assert shape is not None
+    bfloat16 = is_bfloat16("auto", torch.device("cpu"))
+    model = ByteShapeCompleter(shape) if bfloat16 and multiplies_bytes() else shape
+    return EmbeddedPrior.from_folder(packaged_weights()), model, bfloat16
+
+
+def joined(parts: list[AnswerSets]) -> AnswerSets:
+    """Put sets one after the other."""
+    nothing = AnswerSets(
+        np.empty((0, ANSWERS, len(FEATURES)), np.float32), np.empty((0, ANSWERS), np.float32)
+    )
+    names = [field.name for field in dataclasses.fields(AnswerSets)]
+    every = (nothing, *parts)
+    return AnswerSets(*(np.concatenate([getattr(p, name) for p in every]) for name in names))
+
+
+def answer_sets(
+    folder: Path, meshes: Path, seed: int, objects: int, workers: int
+) -> list[AnswerSets]:
+    """Return sets, one entry a file of ``FILE_OBJECTS`` objects; make those not yet made.
+
+    Args:
+        folder: for the files.
+        meshes: pack of meshes.
+        seed: of the list and the parts.
+        objects: how many of the train split.
+        workers: processes that make them.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    entries = train_entries(meshes, seed, objects)
+    files = (SHAPE_FILE, COARSE_SCORER_FILE, FINE_SCORER_FILE)
+    asked = " ".join(sha256_of(packaged_weights() / file) for file in files)
+    name = f"{seed} {asked} {' '.join(FEATURES)}"
+    key = hashlib.sha256(name.encode()).hexdigest()[:8]
+    starts = range(0, len(entries), FILE_OBJECTS)
+    paths = {start: folder / f"answers-{key}-{start:06d}.npz" for start in starts}
+    missing = [start for start in starts if not paths[start].is_file()]
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=context) as pool:
+        console = Console(file=sys.stderr)
+        for start in track(missing, f"objects, {FILE_OBJECTS} at a time", console=console):
+            some = entries[start : start + FILE_OBJECTS]
+            tasks = [AnswerTask(meshes, entry, seed) for entry in some]
+            made = joined(list(pool.map(answer_sets_of, tasks)))
+            with atomic_path(paths[start]) as temporary, temporary.open("wb") as file:
+                np.savez(file, features=made.features, true_scores=made.true_scores)
+    return [_stored(path) for path in paths.values()]
+
+
+def _stored(path: Path) -> AnswerSets:
+    with np.load(path) as arrays:
+        return AnswerSets(arrays["features"], arrays["true_scores"])

@@ -1,0 +1,164 @@
+"""Train the answer scorer: ``python -m recipes.train_embedded_prior.planes.train_answer_scorer``.
+
+It comes after the shape network, whose answers it scores. Parts are made once and kept in the run's
+folder, so that the same command goes on; learning takes seconds.
+
+Conventions
+-----------
+* True scores are defined in ``answer_sets``. Answers of one part are compared with each other only:
+  the scorer learns how much better each is than their mean, and that the best is put first.
+* Every eighth file of objects is held out.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from gscomplete.evaluate.bootstrap import bootstrap_interval
+from gscomplete.networks.perceptron import LAYERS, Perceptron
+from gscomplete.priors.embedded.weights import packaged_weights
+from gscomplete.shape.planes.answer_scorer import ANSWER_SCORER_FILE, OF_ANSWER
+from gscomplete.shape.voxels import FloatArray
+from recipes.entry_point import start
+from recipes.train_embedded_prior.planes.answer_sets import AnswerSets, answer_sets, joined
+
+_LOG = logging.getLogger(__name__)
+_HELD_OUT_EVERY = 8
+_SCALE = 20.0
+"""Of differences between true scores."""
+_MOST_ABOVE, _MOST_LOST = 0.15, 0.25
+"""Larger differences from the mean, and from the best, count as these."""
+_SHARPNESS = 1.5
+"""Factor on scores where one answer is drawn by them."""
+_ABOVE_WEIGHT = 0.5
+_NEVER = -99.0
+
+
+@dataclass(frozen=True)
+class AnswerScorerConfig:
+    """Train the answer scorer."""
+
+    meshes: Path
+    """Pack of meshes; its train split is used."""
+    run: Path = Path("runs/answer_scorer")
+    """Folder for the parts."""
+    out: Path = field(default_factory=lambda: packaged_weights() / ANSWER_SCORER_FILE)
+    """File to write; the default is the package's own."""
+    objects: int = 2784
+    """Objects to learn from, the held-out ones included; two parts of each."""
+    seed: int = 34
+    width: int = 96
+    """Units of the first hidden layer; the second has half as many."""
+    epochs: int = 60
+    batch_parts: int = 128
+    learning_rate: float = 3e-3
+    weight_decay: float = 0.05
+    dropout: float = 0.1
+    workers: int = 2
+    """Processes that make parts."""
+
+
+def fit(config: AnswerScorerConfig, sets: AnswerSets) -> Perceptron:
+    """Train the scorer."""
+    generator = torch.Generator().manual_seed(config.seed)
+    torch.manual_seed(config.seed)
+    features = torch.from_numpy(sets.features)
+    asked = torch.from_numpy(~np.isnan(sets.true_scores))
+    true_scores = torch.from_numpy(np.nan_to_num(sets.true_scores))
+    center = features[asked].mean(dim=0)
+    spread = features[asked].std(dim=0).clamp_min(1e-3)
+    inputs = (features - center) / spread
+    width = config.width
+    network = nn.Sequential(
+        nn.Linear(features.shape[-1], width), nn.SiLU(), nn.Dropout(config.dropout),
+        nn.Linear(width, width // 2), nn.SiLU(), nn.Dropout(config.dropout),
+        nn.Linear(width // 2, 1),
+    )  # fmt: skip
+    optimizer = torch.optim.AdamW(
+        network.parameters(), config.learning_rate, weight_decay=config.weight_decay
+    )
+    steps = max(config.epochs * len(sets) // config.batch_parts, 1)
+    for step in range(steps):
+        for group in optimizer.param_groups:
+            group["lr"] = config.learning_rate * 0.5 * (1 + math.cos(math.pi * step / steps))
+        chosen = torch.randint(len(sets), (config.batch_parts,), generator=generator)
+        found = network(inputs[chosen])[..., 0]
+        loss = loss_of(found, true_scores[chosen], asked[chosen])
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    layers = [module for module in network if isinstance(module, nn.Linear)]
+    assert len(layers) == LAYERS
+    tensors = {"center": center, "spread": spread}
+    for n, layer in enumerate(layers):
+        tensors |= {f"weight{n}": layer.weight.detach(), f"bias{n}": layer.bias.detach()}
+    return Perceptron({name: value.float().numpy().copy() for name, value in tensors.items()})
+
+
+def loss_of(
+    scores: Tensor,  # [B, K]
+    true_scores: Tensor,  # [B, K]
+    asked: Tensor,  # bool [B, K]
+) -> Tensor:  # []
+    """Return what is lost by drawing answers by their scores, and the error of differences."""
+    count = asked.sum(dim=1, keepdim=True)
+    above = scores - (scores * asked).sum(dim=1, keepdim=True) / count
+    mean = (true_scores * asked).sum(dim=1, keepdim=True) / count
+    truly_above = _SCALE * (true_scores - mean).clamp(-_MOST_ABOVE, _MOST_ABOVE)
+    error = F.smooth_l1_loss(above, truly_above, reduction="none")
+    best = true_scores.masked_fill(~asked, -1.0).amax(dim=1, keepdim=True)
+    lost = _SCALE * (best - true_scores).clamp(0, _MOST_LOST)
+    drawn = (_SHARPNESS * scores.masked_fill(~asked, _NEVER)).softmax(dim=1)
+    return (drawn * lost).sum(dim=1).mean() + _ABOVE_WEIGHT * error[asked].mean()
+
+
+def true_scores_of_choice(
+    scorer: Perceptron, sets: AnswerSets
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # [N] each
+    """Return true scores of the answers put first, of those to the likeliest planes, the best."""
+    rows = np.arange(len(sets))
+    asked = ~np.isnan(sets.true_scores)
+    chosen = np.where(asked, scorer(sets.features), -np.inf).argmax(axis=1)
+    belief = sets.features[..., OF_ANSWER.index("log_belief")]
+    likeliest = np.where(asked, belief, -np.inf).argmax(axis=1)
+    best = np.nanmax(sets.true_scores, axis=1)
+    return sets.true_scores[rows, chosen], sets.true_scores[rows, likeliest], best
+
+
+def main(config: AnswerScorerConfig) -> int:
+    """Run from the command line."""
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    files = answer_sets(config.run, config.meshes, config.seed, config.objects, config.workers)
+    held_out = joined(files[::_HELD_OUT_EVERY])
+    others = [sets for k, sets in enumerate(files) if k % _HELD_OUT_EVERY]
+    if others:
+        _told("held out", true_scores_of_choice(fit(config, joined(others)), held_out))
+    every = joined(files)
+    scorer = fit(config, every)
+    _told("learned from", true_scores_of_choice(scorer, every))
+    scorer.save(config.out)
+    _LOG.info("%s", config.out)
+    return 0
+
+
+def _told(name: str, found: tuple[FloatArray, FloatArray, FloatArray]) -> None:
+    first, likeliest, best = found
+    low, high = bootstrap_interval((first - likeliest).tolist())
+    _LOG.info(
+        "%s, %d parts: score of the answer %.4f, of that to the likeliest plane %.4f "
+        "(%+.4f, %+.4f to %+.4f), of the best %.4f",
+        *(name, len(first), first.mean(), likeliest.mean()),
+        *((first - likeliest).mean(), low, high, best.mean()),
+    )
+
+
+if __name__ == "__main__":
+    start(main, AnswerScorerConfig, __doc__)

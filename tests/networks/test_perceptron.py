@@ -1,0 +1,56 @@
+import numpy as np
+import pytest
+
+from gscomplete.errors import UserError
+from gscomplete.networks.perceptron import Perceptron
+
+
+def perceptron(features: int = 5, width: int = 7) -> Perceptron:
+    rng = np.random.default_rng(0)
+    shapes = {
+        "center": (features,),
+        "spread": (features,),
+        "weight0": (width, features),
+        "bias0": (width,),
+        "weight1": (width, width),
+        "bias1": (width,),
+        "weight2": (1, width),
+        "bias2": (1,),
+    }
+    tensors = {name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
+    tensors["spread"] = np.abs(tensors["spread"]) + 0.1
+    return Perceptron(tensors)
+
+
+def test_it_is_three_layers_with_silu_between():
+    net = perceptron()
+    t = {name: value.astype(np.float64) for name, value in net.tensors.items()}
+    features = np.random.default_rng(1).normal(size=(3, 4, 5)).astype(np.float32)
+    x = (features - t["center"]) / t["spread"]
+    for layer in (0, 1):
+        x = np.einsum("aof,hf->aoh", x, t[f"weight{layer}"]) + t[f"bias{layer}"]
+        x = x * (0.5 + 0.5 * np.tanh(x / 2))
+    expected = (np.einsum("aoh,ih->aoi", x, t["weight2"]) + t["bias2"])[..., 0]
+    found = net(features)
+    assert found.shape == (3, 4)
+    # float32 over 7-term sums of values up to the scores' size
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-4 * np.abs(expected).max())
+
+
+def test_extreme_features_give_finite_scores():
+    features = np.full((1, 1, 5), 1e6, np.float32)
+    assert np.isfinite(perceptron()(features)).all()
+    assert np.isfinite(perceptron()(-features)).all()
+
+
+def test_files_are_checked(tmp_path):
+    path = tmp_path / "planes.safetensors"
+    with pytest.raises(UserError, match=r"planes\.safetensors"):
+        Perceptron.load(path, 5)
+    path.write_bytes(b"junk")
+    with pytest.raises(UserError, match="expected a safetensors file"):
+        Perceptron.load(path, 5)
+    perceptron().save(path)
+    assert Perceptron.load(path, 5).digest() == perceptron().digest()
+    with pytest.raises(UserError, match="weight0: expected 6 columns, found 5"):
+        Perceptron.load(path, 6)
