@@ -59,6 +59,8 @@ _KINDS: tuple[PartKind, ...] = (
     "scan", "half", "arc", "box", "scan", "half", "middle", "scan",
 )  # fmt: skip
 """As often as they are drawn."""
+_WEIGHTS: dict[PartKind, float] = {"arc": 2.0}
+"""Of parts in training; of kinds that are not here 1. Without it arcs lose what scans gain."""
 _LEVEL, _LEVEL_ONE_VIEW = -0.25, -1.0
 """Logits from which on cells count as filled, as surfaces are made of answers; the second of parts
 that one view shows."""
@@ -70,9 +72,13 @@ class AnswerSets:
 
     features: FloatArray  # [N, ANSWERS, F] 0 where nothing was asked
     true_scores: FloatArray  # [N, ANSWERS] NaN where nothing was asked
+    weights: FloatArray  # [N]
 
     def __len__(self) -> int:
         return len(self.true_scores)
+
+
+_FIELDS = tuple(field.name for field in dataclasses.fields(AnswerSets))
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,16 +156,18 @@ def answer_sets_of(task: AnswerTask) -> AnswerSets:
         scores = symmetry_scores_of_answers(answers.to_copies(), answers.copies, answers.partial)
         solid = torch.from_numpy(solid_cells(positions, tangents) > 0)
         true = shadow_ious(answers, solid, _LEVEL_ONE_VIEW if one_view else _LEVEL)
-        rows.append(_padded(answer_features(answers, scores), true.numpy()))
+        weight = _WEIGHTS.get(kind, 1.0)
+        rows.append(_padded(answer_features(answers, scores), true.numpy(), weight))
     return joined(rows)
 
 
-def _padded(features: FloatArray, true_scores: FloatArray) -> AnswerSets:
+def _padded(features: FloatArray, true_scores: FloatArray, weight: float) -> AnswerSets:
     """Fill up to ``ANSWERS``."""
     missing = ANSWERS - len(true_scores)
     return AnswerSets(
         np.pad(features, ((0, missing), (0, 0)))[None],
         np.pad(true_scores, (0, missing), constant_values=np.nan)[None],
+        np.array([weight], np.float32),
     )
 
 
@@ -176,12 +184,10 @@ def _network() -> tuple[EmbeddedPrior, ShapeCompleter, bool]:
 
 def joined(parts: list[AnswerSets]) -> AnswerSets:
     """Put sets one after the other."""
-    nothing = AnswerSets(
-        np.empty((0, ANSWERS, len(FEATURES)), np.float32), np.empty((0, ANSWERS), np.float32)
-    )
-    names = [field.name for field in dataclasses.fields(AnswerSets)]
+    shapes = ((0, ANSWERS, len(FEATURES)), (0, ANSWERS), (0,))
+    nothing = AnswerSets(*(np.empty(shape, np.float32) for shape in shapes))
     every = (nothing, *parts)
-    return AnswerSets(*(np.concatenate([getattr(p, name) for p in every]) for name in names))
+    return AnswerSets(*(np.concatenate([getattr(p, name) for p in every]) for name in _FIELDS))
 
 
 def answer_sets(
@@ -213,10 +219,10 @@ def answer_sets(
             tasks = [AnswerTask(meshes, entry, seed) for entry in some]
             made = joined(list(pool.map(answer_sets_of, tasks)))
             with atomic_path(paths[start]) as temporary, temporary.open("wb") as file:
-                np.savez(file, features=made.features, true_scores=made.true_scores)
+                np.savez(file, **{name: getattr(made, name) for name in _FIELDS})
     return [_stored(path) for path in paths.values()]
 
 
 def _stored(path: Path) -> AnswerSets:
     with np.load(path) as arrays:
-        return AnswerSets(arrays["features"], arrays["true_scores"])
+        return AnswerSets(*(arrays[name] for name in _FIELDS))

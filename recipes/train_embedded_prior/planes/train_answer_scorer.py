@@ -73,6 +73,7 @@ def fit(config: AnswerScorerConfig, sets: AnswerSets) -> Perceptron:
     features = torch.from_numpy(sets.features)
     asked = torch.from_numpy(~np.isnan(sets.true_scores))
     true_scores = torch.from_numpy(np.nan_to_num(sets.true_scores))
+    weights = torch.from_numpy(sets.weights)
     center = features[asked].mean(dim=0)
     spread = features[asked].std(dim=0).clamp_min(1e-3)
     inputs = (features - center) / spread
@@ -89,7 +90,7 @@ def fit(config: AnswerScorerConfig, sets: AnswerSets) -> Perceptron:
     for step in range(steps):
         for group in optimizer.param_groups:
             group["lr"] = config.learning_rate * 0.5 * (1 + math.cos(math.pi * step / steps))
-        chosen = torch.randint(len(sets), (config.batch_parts,), generator=generator)
+        chosen = torch.multinomial(weights, config.batch_parts, True, generator=generator)
         found = network(inputs[chosen])[..., 0]
         loss = loss_of(found, true_scores[chosen], asked[chosen])
         optimizer.zero_grad()

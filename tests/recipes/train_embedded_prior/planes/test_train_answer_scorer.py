@@ -21,11 +21,11 @@ def simple_sets(parts: int = 400) -> AnswerSets:
     features = rng.normal(size=(parts, ANSWERS, len(FEATURES))).astype(np.float32)
     true_scores = (0.8 + 0.05 * np.tanh(features[..., 3])).astype(np.float32)
     true_scores[::3, -1], features[::3, -1] = np.nan, 0.0
-    return AnswerSets(features, true_scores)
+    return AnswerSets(features, true_scores, np.ones(parts, np.float32))
 
 
 def first(sets: AnswerSets, rows: slice) -> AnswerSets:
-    return AnswerSets(sets.features[rows], sets.true_scores[rows])
+    return AnswerSets(sets.features[rows], sets.true_scores[rows], sets.weights[rows])
 
 
 def test_a_scorer_learns_what_makes_answers_good():
@@ -40,6 +40,18 @@ def test_a_scorer_learns_what_makes_answers_good():
     assert again.digest() == scorer.digest()
     other = fit(dataclasses.replace(config, seed=1), first(sets, slice(300)))
     assert other.digest() != scorer.digest()
+
+
+def test_parts_count_by_their_weights():
+    """Half of the parts say the contrary of the others, and count for nothing."""
+    sets = simple_sets()
+    contrary = np.arange(len(sets)) % 2 == 0
+    true_scores = np.where(contrary[:, None], 1.6 - sets.true_scores, sets.true_scores)
+    weights = np.where(contrary, 0.0, 1.0).astype(np.float32)
+    config = AnswerScorerConfig(Path("unused"), width=16, epochs=40, batch_parts=32)
+    scorer = fit(config, AnswerSets(sets.features, true_scores, weights))
+    chosen, likeliest, best = true_scores_of_choice(scorer, sets)
+    assert chosen.mean() > likeliest.mean() + 0.8 * (best - likeliest).mean()
 
 
 def test_the_likeliest_plane_is_that_of_the_highest_belief():
