@@ -27,6 +27,7 @@ from gscomplete.networks.perceptron import Perceptron
 from gscomplete.shape.network import PACKAGED_WEIGHTS
 from gscomplete.shape.symmetry import SymmetryMap, plane_of
 from gscomplete.shape.voxels import CELLS, HALF_SIDE, FloatArray, cell_centers, grown, surface_cells
+from gscomplete.util.same_bits import fixed_sum
 
 ANSWER_SCORER_FILE = "answers.safetensors"
 OF_ANSWER = (
@@ -105,8 +106,9 @@ def answer_features(answers: Answers, symmetry_scores: Tensor) -> FloatArray:
     filled, count = answers.filled, len(answers.planes)
     of_partial = float((answers.partial > 0).sum()) + 1.0
     mean = answers.to_copies().mean(dim=0)
+    of_mean = fixed_sum(mean)
     both = (filled * mean).sum(dim=_GRID)
-    either = filled.sum(dim=_GRID) + mean.sum() - both
+    either = filled.sum(dim=_GRID) + of_mean - both
     beliefs = torch.tensor([plane.score for plane in answers.planes])
     no_copy = torch.zeros(len(filled))
     no_copy[count:] = 1.0
@@ -117,7 +119,7 @@ def answer_features(answers: Answers, symmetry_scores: Tensor) -> FloatArray:
             (_with_none(beliefs, no_copy) + _LEAST_BELIEF).log(),
             ((filled > _FILLED).sum(dim=_GRID) + 1.0).log() - math.log(of_partial),
             both / either.clamp_min(1e-6),
-            (filled - mean).abs().sum(dim=_GRID) / (mean.sum() + 1.0),
+            (filled - mean).abs().sum(dim=_GRID) / (of_mean + 1.0),
             no_copy,
             *(_with_none(column, no_copy) for column in _of_copies(answers).T),
         ],

@@ -21,6 +21,7 @@ from gscomplete.shape.voxels import CELLS, HALF_SIDE, cell_centers
 from gscomplete.views import ViewDistribution
 from tests.builders.objects import ball, half
 from tests.builders.shape_network import mirrors
+from tests.builders.threads import each_thread_count
 
 LOOK = voxelize_partial(half(ball()), ViewDistribution(0.0, 10.0))
 PLANES = (mirror(0.0, 0.0, 0.7), mirror(1.2, 0.05, 0.2), mirror(0.4, 0.6, 0.0))
@@ -114,6 +115,12 @@ def test_the_answer_to_no_copy_may_be_missing():
     assert found.shape == (3, len(FEATURES))
     assert (found[:, OF_ANSWER.index("no_copy")] == 0).all()
     assert (found[:, FEATURES.index("ends_in_plane")] == 1).all()
+
+
+def test_scores_do_not_depend_on_the_number_of_threads():
+    answers = answers_about_half_a_ball(noise=0.2)
+    one, two = [features_of(answers) for _ in each_thread_count()]
+    np.testing.assert_array_equal(one, two)
 
 
 @pytest.mark.parametrize("content", [0.0, 1.0])
