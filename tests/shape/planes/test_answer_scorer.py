@@ -118,7 +118,14 @@ def test_the_answer_to_no_copy_may_be_missing():
 
 
 def test_scores_do_not_depend_on_the_number_of_threads():
-    answers = answers_about_half_a_ball(noise=0.2)
+    few = answers_about_half_a_ball(noise=0.2)
+    to_copies = few.to_copies()
+    answers = dataclasses.replace(  # as many as a run asks for
+        few,
+        planes=few.planes * 2 + few.planes[:2],
+        copies=few.copies[[0, 1, 2, 0, 1, 2, 0, 1]],
+        filled=torch.cat([to_copies, 0.99 * to_copies, 0.97 * to_copies[:2], few.filled[3:]]),
+    )
     one, two = [features_of(answers) for _ in each_thread_count()]
     np.testing.assert_array_equal(one, two)
 
