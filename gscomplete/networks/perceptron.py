@@ -14,9 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save
+from torch import Tensor, nn
 
 from gscomplete.errors import UserError
 from gscomplete.util.atomic import atomic_path
@@ -53,6 +55,22 @@ class Perceptron:
         """Write the weights to a file."""
         with atomic_path(path) as temporary:
             temporary.write_bytes(save(self.tensors))
+
+    @classmethod
+    @torch.no_grad()
+    def of(
+        cls,
+        network: nn.Sequential,
+        center: Tensor,  # [F]
+        spread: Tensor,  # [F]
+    ) -> Perceptron:
+        """Return a trained network of ``LAYERS`` linear layers, SiLU between, without dropout."""
+        layers = [module for module in network if isinstance(module, nn.Linear)]
+        assert len(layers) == LAYERS
+        tensors = {"center": center, "spread": spread}
+        for n, layer in enumerate(layers):
+            tensors |= {f"weight{n}": layer.weight, f"bias{n}": layer.bias}
+        return cls({name: value.float().numpy().copy() for name, value in tensors.items()})
 
     @classmethod
     def load(cls, path: Path, features: int) -> Perceptron:

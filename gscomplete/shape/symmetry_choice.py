@@ -20,10 +20,10 @@ from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter, ShapeOutput
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs
 from gscomplete.shape.planes.answer_scorer import (
+    OF_ANSWER,
     Answers,
     answer_features,
     packaged_answer_scorer,
-    symmetry_scores_of_answers,
 )
 from gscomplete.shape.planes.proposals import candidate_planes
 from gscomplete.shape.symmetry import SymmetryMap, mirror, no_symmetries
@@ -121,8 +121,9 @@ def score_planes(
     """Ask the network about every likely plane; arguments as of :func:`choose_symmetries`."""
     asked = ask_about_planes(model, voxels, tokens, ends_in_plane=ends_in_plane, bfloat16=bfloat16)
     answers, count = asked.answers, len(asked.answers.planes)
-    scores = symmetry_scores_of_answers(answers.to_copies(), answers.copies, answers.partial)
-    rank = torch.from_numpy(packaged_answer_scorer()(answer_features(answers, scores)))
+    features = answer_features(answers)
+    scores = features[:, OF_ANSWER.index("symmetry_score")]
+    rank = torch.from_numpy(packaged_answer_scorer()(features))
     ranked = rank.argsort(descending=True, stable=True).tolist()
     order = [k for k in ranked if k < count]
     return ScoredPlanes(

@@ -1,5 +1,7 @@
 import numpy as np
 import pytest
+import torch
+from torch import nn
 
 from gscomplete.errors import UserError
 from gscomplete.networks.perceptron import Perceptron
@@ -35,6 +37,20 @@ def test_it_is_three_layers_with_silu_between():
     assert found.shape == (3, 4)
     # float32 over 7-term sums of values up to the scores' size
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-4 * np.abs(expected).max())
+
+
+def test_a_trained_network_gives_the_same_scores():
+    torch.manual_seed(0)
+    network = nn.Sequential(
+        nn.Linear(5, 7), nn.SiLU(), nn.Dropout(0.5), nn.Linear(7, 4), nn.SiLU(), nn.Linear(4, 1)
+    )
+    center, spread = torch.randn(5), torch.rand(5) + 0.1
+    features = torch.randn(9, 5)
+    with torch.no_grad():
+        expected = network.eval()((features - center) / spread)[:, 0]
+    found = Perceptron.of(network, center, spread)(features.numpy())
+    # float32 on both sides, in other orders of sums
+    np.testing.assert_allclose(found, expected.numpy(), rtol=1e-5, atol=1e-5)
 
 
 def test_extreme_features_give_finite_scores():

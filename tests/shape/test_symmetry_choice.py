@@ -109,8 +109,10 @@ class Doubter(torch.nn.Module):
 
 def prefer(monkeypatch, name, sign=1.0):
     """Let answers be ranked by one of the features."""
-    column = FEATURES.index(name)
-    scorer = lambda features: sign * features[:, column]  # noqa: E731
+
+    def scorer(features):
+        return sign * features[:, FEATURES.index(name)]
+
     monkeypatch.setattr(symmetry_choice, "packaged_answer_scorer", lambda: scorer)
 
 

@@ -210,17 +210,30 @@ class EmbeddedPrior:
             nothing = partial.with_sh_degree(0).select(torch.arange(0))
             told = known.notes(()) if prompt_decides else ()
             return FirstGuess(nothing, told + ending.notes)
-        asked = Asked(
-            self._shape,
-            conditioning.shape_tokens,
-            self._shape_tokenizer.encode(""),
-            bfloat16=self._shape_bfloat16,
-            ends_in_plane=ending.in_plane,
-        )
+        asked = self.asked(conditioning, ends_in_plane=ending.in_plane)
+        assert asked is not None
         about = partial, distribution, ending.mirror, known, count, generator
         guess = guess_complete(asked, *about, mirror_is_cut=ending.image_is_all)
         notes = ending.notes if ending.image_is_all else ()
         return FirstGuess(guess.splats, notes + guess.notes)
+
+    def asked(self, conditioning: Conditioning, *, ends_in_plane: bool) -> Asked | None:
+        """Return the shape network and how it is asked about a part; None = there is none.
+
+        Args:
+            conditioning: of the prompt.
+            ends_in_plane: whether P was cut along a plane, as far as found.
+        """
+        if self._shape is None:
+            return None
+        assert isinstance(conditioning, EmbeddedConditioning)
+        return Asked(
+            self._shape,
+            conditioning.shape_tokens,
+            self._shape_tokenizer.encode(""),
+            bfloat16=self._shape_bfloat16,
+            ends_in_plane=ends_in_plane,
+        )
 
     def with_known_shape(
         self, conditioning: Conditioning, partial: Splats, distribution: ViewDistribution
@@ -235,20 +248,20 @@ class EmbeddedPrior:
         self, partial: Splats, distribution: ViewDistribution, conditioning: Conditioning
     ) -> tuple[ChosenMirror, ...]:
         """Return what P may be mirrored through; see :class:`base.ShapePrior`."""
-        if self._shape is None:
-            return ()
-        assert isinstance(conditioning, EmbeddedConditioning)
         points = partial.means.double().numpy()
         cut = find_cut(points)
+        asked = self.asked(conditioning, ends_in_plane=ends_in_plane(cut))
+        if asked is None:
+            return ()
         voxels = voxelize_partial(partial, distribution)
-        asked = score_planes(
-            self._shape,
+        scored = score_planes(
+            asked.model,
             voxels,
-            conditioning.shape_tokens,
-            ends_in_plane=ends_in_plane(cut),
-            bfloat16=self._shape_bfloat16,
+            asked.tokens,
+            ends_in_plane=asked.ends_in_plane,
+            bfloat16=asked.bfloat16,
         )
-        planes = (mirror_plane_of(plane) for plane in asked.distinct(voxels.positions))
+        planes = (mirror_plane_of(plane) for plane in scored.distinct(voxels.positions))
         ends = mirror_of_half(points, cut, HalfCut()) is not None
         return (*planes, *((HalfCut(),) if ends else ()), "none")
 

@@ -1,1 +1,1 @@
-"""Planes of symmetry that P suggests: all of them ranked, the likely ones scored."""
+"""Planes of symmetry: all ranked, the likely ones scored, and the network's answers to them."""

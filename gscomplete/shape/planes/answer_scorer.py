@@ -93,29 +93,22 @@ class Answers:
         return self.filled[: len(self.planes)]
 
 
-def answer_features(answers: Answers, symmetry_scores: Tensor) -> FloatArray:
-    """Return what the scorer reads.
-
-    Args:
-        answers: the network's.
-        symmetry_scores: [K], of :func:`symmetry_scores_of_answers`.
-
-    Returns:
-        [K, F] or [K + 1, F], as there are answers; columns as ``FEATURES``.
-    """
+def answer_features(answers: Answers) -> FloatArray:  # [K, F] or [K + 1, F]
+    """Return what the scorer reads of each answer; columns as ``FEATURES``."""
     filled, count = answers.filled, len(answers.planes)
     of_partial = float((answers.partial > 0).sum()) + 1.0
     mean = answers.to_copies().mean(dim=0)
     of_mean = fixed_sum(mean)
     both = (filled * mean).sum(dim=_GRID)
     either = filled.sum(dim=_GRID) + of_mean - both
+    scores = symmetry_scores_of_answers(answers.to_copies(), answers.copies, answers.partial)
     beliefs = torch.tensor([plane.score for plane in answers.planes])
     no_copy = torch.zeros(len(filled))
     no_copy[count:] = 1.0
     of_answer = torch.stack(
         [
             sureness(filled),
-            _with_none(symmetry_scores, no_copy),
+            _with_none(scores, no_copy),
             (_with_none(beliefs, no_copy) + _LEAST_BELIEF).log(),
             ((filled > _FILLED).sum(dim=_GRID) + 1.0).log() - math.log(of_partial),
             both / either.clamp_min(1e-6),

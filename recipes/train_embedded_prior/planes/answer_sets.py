@@ -11,47 +11,38 @@ Conventions
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import hashlib
-import multiprocessing
-import sys
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
-from rich.console import Console
-from rich.progress import track
 from torch import Tensor
 
 from gscomplete.errors import UserError
-from gscomplete.networks.precision import is_bfloat16, multiplies_bytes
 from gscomplete.priors.embedded.ending import ending_of
 from gscomplete.priors.embedded.prior import EmbeddedPrior
-from gscomplete.priors.embedded.weights import SHAPE_FILE, load_weights, packaged_weights
-from gscomplete.shape.int8 import ByteShapeCompleter
-from gscomplete.shape.network import ShapeCompleter
+from gscomplete.priors.embedded.weights import SHAPE_FILE, packaged_weights
 from gscomplete.shape.one_view import ONE_VIEW_SHARE
 from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.planes.answer_scorer import (
     FEATURES,
     Answers,
     answer_features,
-    symmetry_scores_of_answers,
 )
 from gscomplete.shape.planes.coarse_scorer import COARSE_SCORER_FILE
 from gscomplete.shape.planes.fine_scorer import FINE_SCORER_FILE
 from gscomplete.shape.symmetry_choice import CANDIDATES, ask_about_planes
 from gscomplete.shape.voxels import FloatArray, splat_arrays
-from gscomplete.util.atomic import atomic_path
 from gscomplete.util.digests import sha256_of
 from recipes.real_objects.compare import frame_object
 from recipes.real_objects.load import RealObject
 from recipes.real_objects.unseen import PartKind, complete_object, part_of
 from recipes.train_embedded_prior.data.mesh_pack import PackEntry, read_manifest, read_mesh
 from recipes.train_embedded_prior.data.solids import solid_cells
+from recipes.train_embedded_prior.planes.array_sets import joined, made_once
 
 FILE_OBJECTS = 50
 ANSWERS = CANDIDATES + 1
@@ -62,8 +53,8 @@ _KINDS: tuple[PartKind, ...] = (
 _WEIGHTS: dict[PartKind, float] = {"arc": 2.0}
 """Of parts in training; of kinds that are not here 1. Without it arcs lose what scans gain."""
 _LEVEL, _LEVEL_ONE_VIEW = -0.25, -1.0
-"""Logits from which on cells count as filled, as surfaces are made of answers; the second of parts
-that one view shows."""
+"""Logits from which on cells count as filled; the second of parts that one view shows, whose
+surfaces are made from there on, too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,9 +67,6 @@ class AnswerSets:
 
     def __len__(self) -> int:
         return len(self.true_scores)
-
-
-_FIELDS = tuple(field.name for field in dataclasses.fields(AnswerSets))
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +114,7 @@ def _shadows(filled: Tensor) -> list[Tensor]:  # bool [K, C, C, C] -> bool [K, C
 
 def answer_sets_of(task: AnswerTask) -> AnswerSets:
     """Ask about two parts of one object."""
-    prior, model, bfloat16 = _network()
+    prior = _prior()
     number = int.from_bytes(task.entry.id.encode()[-6:], "little")
     rng = np.random.default_rng((number, task.seed))
     turn_deg = float(rng.uniform(0, 360))
@@ -134,8 +122,8 @@ def answer_sets_of(task: AnswerTask) -> AnswerSets:
     if first == second:
         second = "arc" if first == "half" else "half"
     complete = complete_object(read_mesh(task.meshes, task.entry), task.entry, turn_deg)
-    tokens = prior.condition(task.entry.caption).shape_tokens
-    rows = []
+    conditioning = prior.condition(task.entry.caption)
+    rows = [_no_sets()]
     for kind in (first, second):
         part = part_of(complete, kind, rng, turn_deg)
         item = RealObject(task.entry.id, task.entry.caption, "Z", part, complete, kind)
@@ -150,15 +138,23 @@ def answer_sets_of(task: AnswerTask) -> AnswerSets:
         positions, tangents, *_ = splat_arrays(framed.truth)
         voxels = voxelize_partial(framed.partial, framed.views)
         cut = ending.in_plane
-        asked = ask_about_planes(model, voxels, tokens, ends_in_plane=cut, bfloat16=bfloat16)
-        answers = asked.answers
+        asked = prior.asked(conditioning, ends_in_plane=cut)
+        assert asked is not None
+        answers = ask_about_planes(
+            asked.model, voxels, asked.tokens, ends_in_plane=cut, bfloat16=asked.bfloat16
+        ).answers
         one_view = not cut and answers.shown_at_once >= ONE_VIEW_SHARE
-        scores = symmetry_scores_of_answers(answers.to_copies(), answers.copies, answers.partial)
         solid = torch.from_numpy(solid_cells(positions, tangents) > 0)
         true = shadow_ious(answers, solid, _LEVEL_ONE_VIEW if one_view else _LEVEL)
         weight = _WEIGHTS.get(kind, 1.0)
-        rows.append(_padded(answer_features(answers, scores), true.numpy(), weight))
+        rows.append(_padded(answer_features(answers), true.numpy(), weight))
     return joined(rows)
+
+
+def _no_sets() -> AnswerSets:
+    """Return sets of no part: of some objects a run asks nothing."""
+    shapes = ((0, ANSWERS, len(FEATURES)), (0, ANSWERS), (0,))
+    return AnswerSets(*(np.empty(shape, np.float32) for shape in shapes))
 
 
 def _padded(features: FloatArray, true_scores: FloatArray, weight: float) -> AnswerSets:
@@ -172,22 +168,9 @@ def _padded(features: FloatArray, true_scores: FloatArray, weight: float) -> Ans
 
 
 @functools.cache
-def _network() -> tuple[EmbeddedPrior, ShapeCompleter, bool]:
-    """Load what a process asks, as a run would: prior, shape network, whether in bfloat16."""
+def _prior() -> EmbeddedPrior:
     torch.set_num_threads(1)
-    _, shape, _ = load_weights(packaged_weights())
-    assert shape is not None
-    bfloat16 = is_bfloat16("auto", torch.device("cpu"))
-    model = ByteShapeCompleter(shape) if bfloat16 and multiplies_bytes() else shape
-    return EmbeddedPrior.from_folder(packaged_weights()), model, bfloat16
-
-
-def joined(parts: list[AnswerSets]) -> AnswerSets:
-    """Put sets one after the other."""
-    shapes = ((0, ANSWERS, len(FEATURES)), (0, ANSWERS), (0,))
-    nothing = AnswerSets(*(np.empty(shape, np.float32) for shape in shapes))
-    every = (nothing, *parts)
-    return AnswerSets(*(np.concatenate([getattr(p, name) for p in every]) for name in _FIELDS))
+    return EmbeddedPrior.from_folder(packaged_weights())
 
 
 def answer_sets(
@@ -210,19 +193,10 @@ def answer_sets(
     key = hashlib.sha256(name.encode()).hexdigest()[:8]
     starts = range(0, len(entries), FILE_OBJECTS)
     paths = {start: folder / f"answers-{key}-{start:06d}.npz" for start in starts}
-    missing = [start for start in starts if not paths[start].is_file()]
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context) as pool:
-        console = Console(file=sys.stderr)
-        for start in track(missing, f"objects, {FILE_OBJECTS} at a time", console=console):
-            some = entries[start : start + FILE_OBJECTS]
-            tasks = [AnswerTask(meshes, entry, seed) for entry in some]
-            made = joined(list(pool.map(answer_sets_of, tasks)))
-            with atomic_path(paths[start]) as temporary, temporary.open("wb") as file:
-                np.savez(file, **{name: getattr(made, name) for name in _FIELDS})
-    return [_stored(path) for path in paths.values()]
 
+    def make(pool: Executor, start: int) -> AnswerSets:
+        some = entries[start : start + FILE_OBJECTS]
+        tasks = [AnswerTask(meshes, entry, seed) for entry in some]
+        return joined(list(pool.map(answer_sets_of, tasks)))
 
-def _stored(path: Path) -> AnswerSets:
-    with np.load(path) as arrays:
-        return AnswerSets(*(arrays[name] for name in _FIELDS))
+    return made_once(AnswerSets, paths, make, workers, f"objects, {FILE_OBJECTS} at a time")

@@ -12,17 +12,13 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import multiprocessing
-import sys
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.progress import track
 
 from gscomplete.priors.embedded.text import Tokenizer
 from gscomplete.shape.partial_voxels import voxelize_partial
@@ -30,13 +26,13 @@ from gscomplete.shape.planes.coarse_scorer import packaged_coarse_scorer
 from gscomplete.shape.planes.features import plane_features
 from gscomplete.shape.planes.proposals import FINELY_SCORED, distinct_planes
 from gscomplete.shape.voxels import FloatArray
-from gscomplete.util.atomic import atomic_path
 from recipes.train_embedded_prior.config import ShapeDataConfig
 from recipes.train_embedded_prior.data.copies import Truth
 from recipes.train_embedded_prior.data.dataset import HELD_OUT_SEED_OFFSET, Source
 from recipes.train_embedded_prior.data.mesh_source import MixedSource
 from recipes.train_embedded_prior.data.shape_dataset import PosedObject, ShapeSetMaker, pack_cells
 from recipes.train_embedded_prior.data.source import procedural_source
+from recipes.train_embedded_prior.planes.array_sets import joined, made_once
 
 FILE_OBJECTS = 200
 BEST_PLANES = 4
@@ -83,12 +79,6 @@ def planes_of(posed: PosedObject, rng: np.random.Generator) -> PlaneSets:
     )
 
 
-def joined(parts: list[PlaneSets]) -> PlaneSets:
-    """Put sets one after the other."""
-    names = [field.name for field in dataclasses.fields(PlaneSets)]
-    return PlaneSets(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
-
-
 def plane_sets(
     folder: Path, seed: int, objects: int, workers: int, meshes: Path | None
 ) -> PlaneSets:
@@ -106,15 +96,14 @@ def plane_sets(
     name = f"{seed} {packaged_coarse_scorer().digest()} {meshes is not None}"
     key = hashlib.sha256(name.encode()).hexdigest()[:8]
     paths = {start: folder / f"planes-{key}-{start:06d}.npz" for start in starts}
-    missing = [start for start in starts if not paths[start].is_file()]
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context) as pool:
-        console = Console(file=sys.stderr)
-        for start in track(missing, f"objects, {FILE_OBJECTS} at a time", console=console):
-            of_seed = seed + HELD_OUT_SEED_OFFSET if start == 0 else seed
-            tasks = [(of_seed, index, meshes) for index in range(start, start + FILE_OBJECTS)]
-            _store(joined(list(pool.map(_made, tasks, chunksize=4))), paths[start])
-    return joined([_stored(path) for path in paths.values()])
+
+    def make(pool: Executor, start: int) -> PlaneSets:
+        of_seed = seed + HELD_OUT_SEED_OFFSET if start == 0 else seed
+        tasks = [(of_seed, index, meshes) for index in range(start, start + FILE_OBJECTS)]
+        return joined(list(pool.map(_made, tasks, chunksize=4)))
+
+    description = f"objects, {FILE_OBJECTS} at a time"
+    return joined(made_once(PlaneSets, paths, make, workers, description))
 
 
 Task = tuple[int, int, Path | None]
@@ -134,14 +123,3 @@ def posed_object(task: Task) -> tuple[PosedObject, np.random.Generator]:
 def _made(task: Task) -> PlaneSets:
     torch.set_num_threads(1)
     return planes_of(*posed_object(task))
-
-
-def _store(sets: PlaneSets, path: Path) -> None:
-    arrays = {field.name: getattr(sets, field.name) for field in dataclasses.fields(sets)}
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, **arrays)
-
-
-def _stored(path: Path) -> PlaneSets:
-    with np.load(path) as arrays:
-        return PlaneSets(*(arrays[field.name] for field in dataclasses.fields(PlaneSets)))

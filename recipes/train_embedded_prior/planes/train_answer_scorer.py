@@ -23,12 +23,13 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from gscomplete.evaluate.bootstrap import bootstrap_interval
-from gscomplete.networks.perceptron import LAYERS, Perceptron
+from gscomplete.networks.perceptron import Perceptron
 from gscomplete.priors.embedded.weights import packaged_weights
 from gscomplete.shape.planes.answer_scorer import ANSWER_SCORER_FILE, OF_ANSWER
 from gscomplete.shape.voxels import FloatArray
 from recipes.entry_point import start
-from recipes.train_embedded_prior.planes.answer_sets import AnswerSets, answer_sets, joined
+from recipes.train_embedded_prior.planes.answer_sets import AnswerSets, answer_sets
+from recipes.train_embedded_prior.planes.array_sets import joined
 
 _LOG = logging.getLogger(__name__)
 _HELD_OUT_EVERY = 8
@@ -96,12 +97,7 @@ def fit(config: AnswerScorerConfig, sets: AnswerSets) -> Perceptron:
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
-    layers = [module for module in network if isinstance(module, nn.Linear)]
-    assert len(layers) == LAYERS
-    tensors = {"center": center, "spread": spread}
-    for n, layer in enumerate(layers):
-        tensors |= {f"weight{n}": layer.weight.detach(), f"bias{n}": layer.bias.detach()}
-    return Perceptron({name: value.float().numpy().copy() for name, value in tensors.items()})
+    return Perceptron.of(network, center, spread)
 
 
 def loss_of(

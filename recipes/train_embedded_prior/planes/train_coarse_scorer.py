@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.progress import track
 from torch import Tensor, nn
 
-from gscomplete.networks.perceptron import LAYERS, Perceptron
+from gscomplete.networks.perceptron import Perceptron
 from gscomplete.priors.embedded.weights import packaged_weights
 from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.planes.coarse_scorer import COARSE_SCORER_FILE
@@ -113,12 +113,7 @@ def fit(config: CoarseScorerConfig, features: Tensor, true_scores: Tensor) -> Pe
         loss.backward()
         optimizer.step()
         schedule.step()
-    layers = [module for module in network if isinstance(module, nn.Linear)]
-    assert len(layers) == LAYERS
-    tensors = {"center": center, "spread": spread}
-    for n, layer in enumerate(layers):
-        tensors |= {f"weight{n}": layer.weight.detach(), f"bias{n}": layer.bias.detach()}
-    return Perceptron({name: value.float().numpy() for name, value in tensors.items()})
+    return Perceptron.of(network, center, spread)
 
 
 def score_of_choice(

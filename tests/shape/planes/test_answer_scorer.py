@@ -38,13 +38,6 @@ def answers_about_half_a_ball(noise: float = 0.0) -> Answers:
     return Answers(PLANES, torch.stack(copies), filled, partial, 0.8, False)
 
 
-def features_of(answers: Answers) -> np.ndarray:
-    return answer_features(
-        answers,
-        symmetry_scores_of_answers(answers.to_copies(), answers.copies, answers.partial),
-    )
-
-
 def slow_features(answers: Answers, index: int) -> list[float]:
     """What is known of one answer in float64, cell by cell where it is short."""
     filled = answers.filled.double().numpy()
@@ -90,7 +83,7 @@ def slow_features(answers: Answers, index: int) -> list[float]:
 
 def test_features_are_those_of_their_definitions():
     answers = answers_about_half_a_ball(noise=0.2)
-    found = features_of(answers)
+    found = answer_features(answers)
     assert found.shape == (4, len(FEATURES))
     of_answer = np.array([slow_features(answers, k) for k in range(4)])
     part = [missing_share(answers.to_copies(), answers.partial), 0.8, 0.0]
@@ -111,7 +104,7 @@ def test_features_are_those_of_their_definitions():
 def test_the_answer_to_no_copy_may_be_missing():
     every = answers_about_half_a_ball()
     cut = Answers(PLANES, every.copies, every.filled[:3], every.partial, 0.8, True)
-    found = features_of(cut)
+    found = answer_features(cut)
     assert found.shape == (3, len(FEATURES))
     assert (found[:, OF_ANSWER.index("no_copy")] == 0).all()
     assert (found[:, FEATURES.index("ends_in_plane")] == 1).all()
@@ -126,7 +119,7 @@ def test_scores_do_not_depend_on_the_number_of_threads():
         copies=few.copies[[0, 1, 2, 0, 1, 2, 0, 1]],
         filled=torch.cat([to_copies, 0.99 * to_copies, 0.97 * to_copies[:2], few.filled[3:]]),
     )
-    one, two = [features_of(answers) for _ in each_thread_count()]
+    one, two = [answer_features(answers) for _ in each_thread_count()]
     np.testing.assert_array_equal(one, two)
 
 
@@ -138,7 +131,7 @@ def test_extremes_give_finite_scores(content):
         answers = Answers(
             PLANES, full.expand(3, -1, -1, -1), full.expand(4, -1, -1, -1), partial, 1.0, False
         )
-        found = features_of(answers)
+        found = answer_features(answers)
         assert np.isfinite(found).all()
         assert np.isfinite(packaged_answer_scorer()(found)).all()
 
@@ -148,7 +141,7 @@ def test_a_sure_answer_to_the_right_copy_is_preferred_to_doubtful_ones_to_others
     filled = answers.filled.clone()
     doubted = filled[1:3] > answers.partial
     filled[1:3] = torch.where(doubted, 0.45, filled[1:3])
-    scores = packaged_answer_scorer()(features_of(dataclasses.replace(answers, filled=filled)))
+    scores = packaged_answer_scorer()(answer_features(dataclasses.replace(answers, filled=filled)))
     assert scores[0] > scores[1:3].max()
 
 

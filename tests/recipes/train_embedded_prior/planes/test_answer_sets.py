@@ -6,7 +6,6 @@ from recipes.train_embedded_prior.planes.answer_sets import (
     ANSWERS,
     AnswerTask,
     answer_sets_of,
-    joined,
     shadow_ious,
     train_entries,
 )
@@ -51,5 +50,3 @@ def test_sets_are_a_function_of_seed_and_object(tmp_path):
     assert (made.features[~asked] == 0).all()
     none = made.features[..., OF_ANSWER.index("no_copy")] == 1
     assert (none.sum(axis=1) == (asked.sum(axis=1) == ANSWERS)).all()
-    assert len(joined([made, again])) == 2 * len(made)
-    assert len(joined([])) == 0

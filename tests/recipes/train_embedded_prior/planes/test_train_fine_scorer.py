@@ -8,11 +8,11 @@ from gscomplete.errors import UserError
 from gscomplete.shape.planes.features import ANGLES, FEATURES, OFFSETS
 from gscomplete.shape.planes.proposals import FINELY_SCORED
 from gscomplete.shape.voxels import COARSE_CELLS
+from recipes.train_embedded_prior.planes.array_sets import joined
 from recipes.train_embedded_prior.planes.plane_sets import (
     BEST_PLANES,
     FILE_OBJECTS,
     PlaneSets,
-    joined,
     planes_of,
     posed_object,
 )

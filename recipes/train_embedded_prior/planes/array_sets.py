@@ -1,0 +1,66 @@
+"""Records of arrays with one row a part, in files that are made once.
+
+What is trained on them is trained often, and making a part takes a second: an interrupted run goes
+on with the files that are there.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import multiprocessing
+import sys
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+
+from gscomplete.util.atomic import atomic_path
+
+Sets = TypeVar("Sets")
+"""A dataclass of arrays of as many rows."""
+
+
+def joined(parts: Sequence[Sets]) -> Sets:
+    """Put sets, at least one, one after the other."""
+    kind = type(parts[0])
+    return kind(*(np.concatenate([getattr(p, name) for p in parts]) for name in _names(kind)))
+
+
+def made_once(
+    kind: type[Sets],
+    paths: dict[int, Path],
+    make: Callable[[Executor, int], Sets],
+    workers: int,
+    description: str,
+) -> list[Sets]:
+    """Return the sets of all files; make those not yet made.
+
+    Args:
+        kind: the dataclass.
+        paths: of the files, by the first object of each.
+        make: makes the file of that first object, by an executor.
+        workers: processes of the executor.
+        description: of the progress.
+    """
+    missing = [start for start, path in paths.items() if not path.is_file()]
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=context) as pool:
+        console = Console(file=sys.stderr)
+        for start in track(missing, description, console=console):
+            made = make(pool, start)
+            with atomic_path(paths[start]) as temporary, temporary.open("wb") as file:
+                np.savez(file, **{name: getattr(made, name) for name in _names(kind)})
+    return [_read(kind, path) for path in paths.values()]
+
+
+def _read(kind: type[Sets], path: Path) -> Sets:
+    with np.load(path) as arrays:
+        return kind(*(arrays[name] for name in _names(kind)))
+
+
+def _names(kind: type[Any]) -> list[str]:
+    return [field.name for field in dataclasses.fields(kind)]
