@@ -11,10 +11,13 @@ Precision = Literal["auto", "int8", "bfloat16", "float32"]
 
 
 def is_bfloat16(precision: Precision, device: torch.device) -> bool:
-    """Whether a network runs in bfloat16 on a device."""
-    return precision in ("int8", "bfloat16") or (
-        precision == "auto" and multiplies_bfloat16(device)
-    )
+    """Whether a network, or what of it is not of bytes, runs in bfloat16 on a device."""
+    return precision == "bfloat16" or (precision != "float32" and multiplies_bfloat16(device))
+
+
+def is_in_bytes(precision: Precision) -> bool:
+    """Whether a network on the CPU runs in 8 bits where it can."""
+    return precision == "int8" or (precision == "auto" and multiplies_bytes())
 
 
 def multiplies_bfloat16(device: torch.device) -> bool:

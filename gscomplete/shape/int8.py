@@ -1,7 +1,7 @@
 """The shape network for processors that multiply bytes in hardware: blocks in 8 bits.
 
 Convolutions of residual blocks are of bytes (``networks.byte_convolution``), everything else is in
-bfloat16, as autocast has it.
+bfloat16 under autocast, else in float32.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class ByteBlock(nn.Module):
 
 
 class ByteShapeCompleter(ShapeCompleter):
-    """A shape network in 8 bits; autocast has to be on, and gradients off, when it is asked."""
+    """A shape network in 8 bits; gradients have to be off when it is asked."""
 
     def __init__(self, given: ShapeCompleter) -> None:
         """Share all but the residual blocks with one in floats, which stays as it is."""

@@ -3,8 +3,9 @@
 Conventions
 -----------
 * Convolutions of residual blocks and of P's symmetric copies are of bytes
-  (``networks.byte_convolution``), everything else is in bfloat16, as autocast has it; answers are
-  about twice as far from float32's as bfloat16's are.
+  (``networks.byte_convolution``), everything else is in bfloat16, as autocast has it, or in float32
+  where the processor does not multiply bfloat16; answers are about twice as far from float32's as
+  bfloat16's are.
 """
 
 from __future__ import annotations
@@ -140,8 +141,14 @@ def attention(query: Tensor, key: Tensor, value: Tensor, mask: Tensor | None) ->
     return scores @ value
 
 
-def in_bytes(model: FourViewDenoiser) -> FourViewDenoiser:
-    """Put a denoiser into 8 bits and bfloat16, in place; autocast has to be on when it is asked."""
+def in_bytes(model: FourViewDenoiser, *, bfloat16: bool) -> FourViewDenoiser:
+    """Put a denoiser into 8 bits, in place.
+
+    Args:
+        model: the denoiser.
+        bfloat16: put the rest into bfloat16; autocast has to be on when it is asked. Else the rest
+            stays in float32.
+    """
     model.requires_grad_(False)
     model.add_module("text", RememberedText(model.text))
     model.add_module("symmetries", ByteCopies(model.symmetries))
@@ -149,8 +156,10 @@ def in_bytes(model: FourViewDenoiser) -> FourViewDenoiser:
         if isinstance(module, Level):
             blocks = [block for block in module.blocks if isinstance(block, ResidualBlock)]
             module.blocks = nn.ModuleList(ByteBlock(block) for block in blocks)
-        elif isinstance(module, JointTransformer):
+        elif isinstance(module, JointTransformer) and bfloat16:
             module.mix = attention
+    if not bfloat16:
+        return model
     for name, module in model.named_modules():
         if isinstance(module, nn.Linear | nn.Conv2d) and not name.startswith("text"):
             module.to(torch.bfloat16)

@@ -7,8 +7,8 @@ Conventions
 * P may be withheld (text-only mode), and a known shape of the noun shown instead
   (``conditioning``); guidance pulls towards P and towards the text with separate scales
   (``diffusion.guided_x0``).
-* Networks run in 8 bits and bfloat16 (``int8``) or in bfloat16 where the processor multiplies them
-  in hardware, else in float32; schedules and losses are always float32.
+* Networks run in 8 bits (``int8``), the rest of them in bfloat16, where the processor multiplies
+  these in hardware, else in float32; schedules and losses are always float32.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from torch import Tensor
 
 from gscomplete.errors import UserError
 from gscomplete.framing.cut_plane import find_cut
-from gscomplete.networks.precision import Precision, is_bfloat16, multiplies_bytes
+from gscomplete.networks.precision import Precision, is_bfloat16, is_in_bytes
 from gscomplete.priors.base import Conditioning, FirstGuess, FourViews, Guidance, PriorViews
 from gscomplete.priors.embedded.conditioning import EmbeddedConditioning, about_partial
 from gscomplete.priors.embedded.diffusion import (
@@ -106,8 +106,8 @@ class EmbeddedPrior:
             model: in evaluation mode, or what makes it when it is first asked.
             config: what goes with it.
             device: where it runs.
-            precision: of the networks; ``int8`` = residual blocks in 8 bits and the rest in
-                bfloat16, on the CPU; ``auto`` = the fastest that the hardware has.
+            precision: of the networks; ``int8`` = residual blocks in 8 bits on the CPU, the rest in
+                bfloat16 if it multiplies those, too; ``auto`` = the fastest that the hardware has.
             shape: in evaluation mode; None = no first guess of the complete object.
             bank: file of known shapes; None = none is known.
         """
@@ -121,9 +121,7 @@ class EmbeddedPrior:
         self._bfloat16 = is_bfloat16(precision, self._device)
         on_cpu = torch.device("cpu")  # where the shape network is always: one pass of a second
         self._shape_bfloat16 = is_bfloat16(precision, on_cpu)
-        in_8_bits = precision == "int8" or (
-            precision == "auto" and self._shape_bfloat16 and multiplies_bytes()
-        )
+        in_8_bits = is_in_bytes(precision)
         self._int8 = in_8_bits and self._device.type == "cpu"
         self._shape = shape
         if shape is not None and in_8_bits:
@@ -158,7 +156,7 @@ class EmbeddedPrior:
         given = self._given_model
         model = given if isinstance(given, FourViewDenoiser) else given()
         if self._int8:
-            return in_bytes(copy.deepcopy(model))
+            return in_bytes(copy.deepcopy(model), bfloat16=self._bfloat16)
         return model.to(self._device)
 
     def default_guidance(self, *, sees_input: bool) -> Guidance:
