@@ -58,10 +58,29 @@ _REACH_SPACINGS = 1.6
 _PX_PER_SPACING = 2.0
 
 
+class Exposure:
+    """Shares of P's surface that can be seen from both sides, found out when asked for."""
+
+    def __init__(self, points: FloatArray) -> None:  # [N, 3] z up
+        """Take P's points."""
+        self._points = points
+
+    @functools.cached_property
+    def with_few(self) -> float:
+        """The share, looked at with few points."""
+        return share_exposed_twice(self._points, _FEW_POINTS)
+
+    @functools.cached_property
+    def with_many(self) -> float:
+        """The share, looked at with many points."""
+        return share_exposed_twice(self._points)
+
+
 def is_closed(
     points: FloatArray,  # [N, 3] z up
     cut: CutPlane | None,
     openness: Callable[[], float],
+    exposure: Exposure | None = None,
 ) -> bool:
     """Say whether P's surface is closed as far as it can be seen from the sides and from above.
 
@@ -75,36 +94,42 @@ def is_closed(
         points: P.
         cut: what ``find_cut`` finds of them.
         openness: how one-sided P is (``guess.ViewScores.openness``), asked where it counts.
+        exposure: of P; None = it is found out here.
     """
     little, much = _LITTLE_EXPOSED
-    few = functools.cache(lambda: share_exposed_twice(points, _FEW_POINTS))
-    if not _hides_its_inside(points, cut, few):
+    exposure = exposure or Exposure(points)
+    if not _hides_its_inside(points, cut, exposure):
         return False
-    return not (little <= few() < much and openness() > _MOST_OPENNESS)
+    return not (little <= exposure.with_few < much and openness() > _MOST_OPENNESS)
+
+
+def thickness_of(points: FloatArray) -> float:  # [N, 3]
+    """Return the smallest side of P's box over its largest."""
+    sides = np.ptp(points, axis=0)
+    return float(sides.min() / max(sides.max(), 1e-12))
 
 
 def _hides_its_inside(
     points: FloatArray,  # [N, 3]
     cut: CutPlane | None,
-    few: Callable[[], float],
+    exposure: Exposure,
 ) -> bool:
-    """Say whether next to nothing of P is exposed on both sides; ``few``: with few points."""
-    sides = np.ptp(points, axis=0)
-    thickness = float(sides.min() / max(sides.max(), 1e-12))
+    """Say whether next to nothing of P is exposed on both sides."""
+    thickness = thickness_of(points)
     is_thin = thickness < _THIN
     if cut is not None:
         may_be_edge = is_thin or cut.squareness < _EDGE_SQUARENESS
         if cut.is_symmetric or thickness < _FLAT or not may_be_edge:
             return False
-        if few() >= _CUT_OPEN_FROM:
+        if exposure.with_few >= _CUT_OPEN_FROM:
             return False
-        return share_exposed_twice(points) < CLOSED_BELOW_FINELY
-    share = few()
+        return exposure.with_many < CLOSED_BELOW_FINELY
+    share = exposure.with_few
     if share < CLOSED_BELOW:
-        return share_exposed_twice(points) < _CONTRADICTED_FROM
+        return exposure.with_many < _CONTRADICTED_FROM
     if share >= _OPEN_FROM or is_thin:
         return False
-    return share_exposed_twice(points) < CLOSED_BELOW_FINELY
+    return exposure.with_many < CLOSED_BELOW_FINELY
 
 
 def extended_box(

@@ -36,10 +36,12 @@ from gscomplete.shape.bank.wider import (
     views_in,
     wider_from_object,
 )
+from gscomplete.shape.benefit import is_better_left
 from gscomplete.shape.colors.prompt import with_prompt_color
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter
 from gscomplete.shape.predict import Prediction, predict
+from gscomplete.shape.voxels import FloatArray
 from gscomplete.splats import Splats
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.util.stages import stage
@@ -47,6 +49,10 @@ from gscomplete.views import ViewDistribution
 
 _MOST_SHOWN = 3
 """Known shapes that the network is shown."""
+_LEFT_NOTE = (
+    "P's surface and what the network would add say that P lacks little or nothing: nothing is "
+    "added (--mirror none completes it all the same)"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +79,8 @@ class Asked:
     """Precision of the network."""
     ends_in_plane: bool
     """Whether P was cut along a plane, as far as found (``framing.cut_plane``)."""
+    of_ending: FloatArray | None = None  # [len(benefit.OF_ENDING)]
+    """What P itself tells of whether it lacks anything; None = it is completed in any case."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,6 +168,9 @@ def guess_complete(
     """
     settings = AssembleSettings(count=count, image_is_all=mirror_is_cut)
     plain = _predict(asked, partial, views, mirror)
+    if not known.decide and _is_better_left(asked, plain):
+        nothing = partial.with_sh_degree(0).select(torch.arange(0))
+        return Guess(nothing, (), (_LEFT_NOTE,))
     notes: tuple[str, ...] = ()
     is_mirrored = isinstance(mirror, MirrorPlane) or is_mirrored_by_splats(plain)
     if known.decide or not is_mirrored:  # else little is left to guess from a noun
@@ -177,6 +188,13 @@ def guess_complete(
     if assembled.contradicted:
         notes += (known.contradiction(fitted(), assembled.contradicted),)
     return Guess(assembled.splats, (), notes + notes_of(plain, assembled.mirrored))
+
+
+def _is_better_left(asked: Asked, plain: Prediction) -> bool:
+    """Say whether P is better left as it is, where neither it nor the user has decided that."""
+    if asked.of_ending is None or plain.added is None:
+        return False
+    return is_better_left(asked.of_ending, plain.added)
 
 
 def _by_known_shapes(

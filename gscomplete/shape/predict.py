@@ -50,6 +50,8 @@ class Prediction:
     prompt_share: float | None
     """Of the cells that are filled by the answer or by what it is without the prompt, how many are
     filled by one of the two alone; None = no prompt."""
+    added: FloatArray | None = None  # [len(benefit.OF_ANSWERS)]
+    """What all answers add to P; None = the mirror image was given."""
 
 
 def predict(
@@ -99,7 +101,8 @@ def predict(
             share = differing_share(answer.occupancy, answer.occupancy + change)
         if not (ends_in_plane or isinstance(mirror_plane, MirrorPlane)):
             answer = _doubted_beside_scan(answer, voxels.positions, distribution)
-    return Prediction(voxels, choice.seen, answer, choice.symmetry_score, ends_in_plane, share)
+    seen, score = choice.seen, choice.symmetry_score
+    return Prediction(voxels, seen, answer, score, ends_in_plane, share, choice.added)
 
 
 def _doubted_beside_scan(

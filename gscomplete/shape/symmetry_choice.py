@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from gscomplete.shape.ask import ask
+from gscomplete.shape.benefit import features_of_answers
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter, ShapeOutput
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs
@@ -43,6 +44,8 @@ class Choice:
     it."""
     answer: ShapeOutput | None = None
     """The network's, for a batch of one; None = it was not asked."""
+    added: FloatArray | None = None  # [len(benefit.OF_ANSWERS)]
+    """What all its answers add to P; None = it was not asked."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +72,8 @@ class ScoredPlanes:
     """What the network is given: the best plane, or no mirror image."""
     answer: ShapeOutput
     """Its answer to that."""
+    added: FloatArray  # [len(benefit.OF_ANSWERS)]
+    """What all its answers add to P."""
 
     def distinct(self, points: FloatArray) -> tuple[SymmetryMap, ...]:  # points [N, 3] of P
         """Return the planes that show something else than those before them."""
@@ -107,7 +112,7 @@ def choose_symmetries(
         return Choice(voxels.with_copies(voxels.input_symmetries([given, *planes], 0)), 1.0)
     asked = score_planes(model, voxels, tokens, ends_in_plane=ends_in_plane, bfloat16=bfloat16)
     score = 0.0 if asked.none_is_best else asked.symmetry_scores[0]
-    return Choice(asked.seen, score, asked.answer)
+    return Choice(asked.seen, score, asked.answer, asked.added)
 
 
 def score_planes(
@@ -132,6 +137,7 @@ def score_planes(
         ranked[0] == count,
         voxels.with_copies(asked.shown[ranked[0]]),
         asked.outputs[ranked[0]],
+        features_of_answers(answers, ranked[0]),
     )
 
 

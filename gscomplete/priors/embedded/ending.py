@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 
 from gscomplete.framing.cut_plane import CutPlane, UprightPlane, find_cut
 from gscomplete.framing.end_plane import find_end
-from gscomplete.framing.extent import is_closed
+from gscomplete.framing.extent import Exposure, is_closed
 from gscomplete.framing.guess import score_partial
+from gscomplete.shape.benefit import features_of_ending
 from gscomplete.shape.mirror_plane import HalfCut, Mirror, MirrorPlane
+from gscomplete.shape.voxels import FloatArray as Features
 from gscomplete.splats import Splats
 
 FloatArray = NDArray[np.float64]
@@ -48,6 +50,8 @@ class Ending:
     """Whether P lacks nothing."""
     notes: tuple[str, ...] = ()
     """The reason, for the user."""
+    features: Features | None = None  # [len(benefit.OF_ENDING)]
+    """What else tells whether P lacks anything; None = that is known, or the user decides."""
 
 
 def ending_of(
@@ -65,12 +69,13 @@ def ending_of(
     in_plane = ends_in_plane(cut)
     if wish != "guess":
         return Ending(wish, in_plane)
-    if is_closed(points, cut, lambda: score_partial(partial).openness()[1]):
+    exposure = Exposure(points)
+    if is_closed(points, cut, lambda: score_partial(partial).openness()[1], exposure):
         return Ending("guess", in_plane, is_complete=True, notes=(_COMPLETE_NOTE,))
     if cut is not None and cut.is_symmetric and abs(cut.offset) <= 1:
         notes = (_SQUARE_CUT_NOTE,)
         return Ending(_mirror_through(cut), in_plane, image_is_all=True, notes=notes)
-    return Ending("guess", in_plane)
+    return Ending("guess", in_plane, features=features_of_ending(points, cut, exposure))
 
 
 def mirror_of_half(

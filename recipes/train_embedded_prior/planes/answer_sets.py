@@ -22,9 +22,10 @@ import torch
 from torch import Tensor
 
 from gscomplete.errors import UserError
-from gscomplete.priors.embedded.ending import ending_of
+from gscomplete.priors.embedded.ending import Ending, ending_of
 from gscomplete.priors.embedded.prior import EmbeddedPrior
 from gscomplete.priors.embedded.weights import SHAPE_FILE, packaged_weights
+from gscomplete.shape.benefit import shadows
 from gscomplete.shape.one_view import ONE_VIEW_SHARE
 from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.planes.answer_scorer import (
@@ -52,7 +53,7 @@ _KINDS: tuple[PartKind, ...] = (
 """As often as they are drawn."""
 _WEIGHTS: dict[PartKind, float] = {"arc": 2.0}
 """Of parts in training; of kinds that are not here 1. Without it arcs lose what scans gain."""
-_LEVEL, _LEVEL_ONE_VIEW = -0.25, -1.0
+LEVEL, _LEVEL_ONE_VIEW = -0.25, -1.0
 """Logits from which on cells count as filled; the second of parts that one view shows, whose
 surfaces are made from there on, too."""
 
@@ -94,27 +95,47 @@ def shadow_ious(
     own = answers.partial > 0
     filled = (answers.filled > 1 / (1 + np.exp(-level))) | own
     scores = []
-    for found, true in zip(_shadows(filled), _shadows((complete | own)[None]), strict=True):
+    for found, true in zip(shadows(filled), shadows((complete | own)[None]), strict=True):
         both = (found & true).flatten(1).sum(dim=1)
         scores.append(both / (found | true).flatten(1).sum(dim=1).clamp_min(1))
     return torch.stack(scores).mean(dim=0)
 
 
-def _shadows(filled: Tensor) -> list[Tensor]:  # bool [K, C, C, C] -> bool [K, C or 2 C, C] each
-    """Return shadows along x, y, z and the two level diagonals."""
-    count, cells = filled.shape[:2]
-    found = [filled.any(dim=axis) for axis in (1, 2, 3)]
-    for sign in (1, -1):
-        shadow = torch.zeros(count, 2 * cells, cells, dtype=torch.bool)
-        for i in range(cells):
-            shadow[:, (sign * i + torch.arange(cells)) % (2 * cells)] |= filled[:, i]
-        found.append(shadow)
-    return found
+@dataclass(frozen=True, slots=True)
+class AskedPart:
+    """A part that the network was asked about."""
+
+    ending: Ending
+    answers: Answers
+    solid: Tensor  # bool [C, C, C] the complete object's cells
+
+
+def asked_part(item: RealObject) -> AskedPart | None:
+    """Ask the network about a part as a run does; None = a run asks nothing."""
+    prior = _prior()
+    try:
+        framed = frame_object(item, prior)
+    except UserError:  # a part of next to nothing
+        return None
+    assert framed.truth is not None
+    ending = ending_of(framed.partial, "guess")
+    if ending.is_complete or ending.mirror != "guess":
+        return None
+    asked = prior.asked(prior.condition(item.prompt), ends_in_plane=ending.in_plane)
+    assert asked is not None
+    answers = ask_about_planes(
+        asked.model,
+        voxelize_partial(framed.partial, framed.views),
+        asked.tokens,
+        ends_in_plane=ending.in_plane,
+        bfloat16=asked.bfloat16,
+    ).answers
+    positions, tangents, *_ = splat_arrays(framed.truth)
+    return AskedPart(ending, answers, torch.from_numpy(solid_cells(positions, tangents) > 0))
 
 
 def answer_sets_of(task: AnswerTask) -> AnswerSets:
     """Ask about two parts of one object."""
-    prior = _prior()
     number = int.from_bytes(task.entry.id.encode()[-6:], "little")
     rng = np.random.default_rng((number, task.seed))
     turn_deg = float(rng.uniform(0, 360))
@@ -122,30 +143,16 @@ def answer_sets_of(task: AnswerTask) -> AnswerSets:
     if first == second:
         second = "arc" if first == "half" else "half"
     complete = complete_object(read_mesh(task.meshes, task.entry), task.entry, turn_deg)
-    conditioning = prior.condition(task.entry.caption)
     rows = [_no_sets()]
     for kind in (first, second):
         part = part_of(complete, kind, rng, turn_deg)
         item = RealObject(task.entry.id, task.entry.caption, "Z", part, complete, kind)
-        try:
-            framed = frame_object(item, prior)
-        except UserError:  # a part of next to nothing
+        asked = asked_part(item)
+        if asked is None:
             continue
-        assert framed.truth is not None
-        ending = ending_of(framed.partial, "guess")
-        if ending.is_complete or ending.mirror != "guess":  # a run asks nothing
-            continue
-        positions, tangents, *_ = splat_arrays(framed.truth)
-        voxels = voxelize_partial(framed.partial, framed.views)
-        cut = ending.in_plane
-        asked = prior.asked(conditioning, ends_in_plane=cut)
-        assert asked is not None
-        answers = ask_about_planes(
-            asked.model, voxels, asked.tokens, ends_in_plane=cut, bfloat16=asked.bfloat16
-        ).answers
-        one_view = not cut and answers.shown_at_once >= ONE_VIEW_SHARE
-        solid = torch.from_numpy(solid_cells(positions, tangents) > 0)
-        true = shadow_ious(answers, solid, _LEVEL_ONE_VIEW if one_view else _LEVEL)
+        answers = asked.answers
+        one_view = not asked.ending.in_plane and answers.shown_at_once >= ONE_VIEW_SHARE
+        true = shadow_ious(answers, asked.solid, _LEVEL_ONE_VIEW if one_view else LEVEL)
         weight = _WEIGHTS.get(kind, 1.0)
         rows.append(_padded(answer_features(answers), true.numpy(), weight))
     return joined(rows)
@@ -173,6 +180,12 @@ def _prior() -> EmbeddedPrior:
     return EmbeddedPrior.from_folder(packaged_weights())
 
 
+def asked_with() -> str:
+    """Name the weights that answers depend on."""
+    files = (SHAPE_FILE, COARSE_SCORER_FILE, FINE_SCORER_FILE)
+    return " ".join(sha256_of(packaged_weights() / file) for file in files)
+
+
 def answer_sets(
     folder: Path, meshes: Path, seed: int, objects: int, workers: int
 ) -> list[AnswerSets]:
@@ -187,9 +200,7 @@ def answer_sets(
     """
     folder.mkdir(parents=True, exist_ok=True)
     entries = train_entries(meshes, seed, objects)
-    files = (SHAPE_FILE, COARSE_SCORER_FILE, FINE_SCORER_FILE)
-    asked = " ".join(sha256_of(packaged_weights() / file) for file in files)
-    name = f"{seed} {asked} {' '.join(FEATURES)}"
+    name = f"{seed} {asked_with()} {' '.join(FEATURES)}"
     key = hashlib.sha256(name.encode()).hexdigest()[:8]
     starts = range(0, len(entries), FILE_OBJECTS)
     paths = {start: folder / f"answers-{key}-{start:06d}.npz" for start in starts}

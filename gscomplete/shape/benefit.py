@@ -1,0 +1,145 @@
+"""Whether completing P is better than leaving it as it is: a small network over what tells.
+
+Where P is complete but thin wings or an open base show both sides of its surface, it does not pass
+for closed (``framing.extent``), and the network adds what is not there: a second pair of heads. How
+much of the surface is exposed on both sides and what the network's answers add tell such parts from
+those that lack something. The scorer has learned that from parts and complete objects whose truth
+is known (``recipes/train_embedded_prior``).
+
+Conventions
+-----------
+* The chosen answer is the one that ``planes.answer_scorer`` puts first; means and the least are
+  over all answers.
+* Cells of P and those beside them are P's; only what lies elsewhere counts as new.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from gscomplete.framing.cut_plane import CutPlane
+from gscomplete.framing.extent import Exposure, thickness_of
+from gscomplete.networks.perceptron import Perceptron
+from gscomplete.shape.network import PACKAGED_WEIGHTS
+from gscomplete.shape.planes.answer_scorer import Answers
+from gscomplete.shape.voxels import FloatArray, grown, surface_cells
+
+BENEFIT_SCORER_FILE = "benefit.safetensors"
+OF_ENDING = (
+    "log_exposed",  # share of P's surface that shows both sides, looked at with few points
+    "log_exposed_finely",  # with many
+    "thickness",
+    "is_cut",
+    "squareness",  # of the cut; 0 without one, and so the next
+    "meets_surface",
+    "cut_offset",  # object sizes
+)
+OF_ANSWERS = (
+    "surface",  # share of the chosen answer's surface that is new
+    "surface_mean",
+    "surface_least",
+    "volume",  # share of its filled cells that are new
+    "volume_mean",
+    "volume_least",
+    "shadow",  # share of its shadows that are not P's, their mean
+    "shadow_most",  # largest of them
+    "shadow_mean",
+    "shadow_least",
+    "surface_possible",  # as the first, of cells that are less sure
+    "shadow_possible",
+)
+FEATURES = (*OF_ENDING, *OF_ANSWERS)
+_FILLED, _POSSIBLE = 0.5, 0.35
+"""Cells with at least these probabilities count as filled."""
+_LEAST_SHARE = 1e-3
+LEFT_BELOW = -0.5
+"""Score below which P is left as it is. From there to 0 are complete objects and parts alike, and
+parts lose more: half a plate .35 IoU."""
+_GRID = (1, 2, 3)
+
+
+@functools.cache
+def packaged_benefit_scorer() -> Perceptron:
+    """Return the network that ships with the package."""
+    return Perceptron.load(PACKAGED_WEIGHTS / BENEFIT_SCORER_FILE, len(FEATURES))
+
+
+def is_better_left(
+    of_ending: FloatArray,  # [len(OF_ENDING)]
+    of_answers: FloatArray,  # [len(OF_ANSWERS)]
+) -> bool:
+    """Say whether what the network would add makes P worse."""
+    features = np.concatenate([of_ending, of_answers])
+    return float(packaged_benefit_scorer()(features)) < LEFT_BELOW
+
+
+def features_of_ending(
+    points: NDArray[np.float64],  # [N, 3] of P, object frame
+    cut: CutPlane | None,
+    exposure: Exposure,
+) -> FloatArray:  # [len(OF_ENDING)]
+    """Return what P itself tells."""
+    of_cut = (0.0,) * 4
+    if cut is not None:
+        of_cut = (1.0, cut.squareness, float(cut.meets_surface), cut.offset)
+    shares = exposure.with_few, exposure.with_many
+    logs = [math.log(share + _LEAST_SHARE) for share in shares]
+    return np.array([*logs, thickness_of(points), *of_cut], np.float32)
+
+
+def features_of_answers(answers: Answers, chosen: int) -> FloatArray:  # [len(OF_ANSWERS)]
+    """Return what the network's answers tell."""
+    own = answers.partial > 0
+    elsewhere = grown(answers.partial[None]) <= 0
+    filled, possible = answers.filled > _FILLED, answers.filled > _POSSIBLE
+    surface, volume = _share_new(surface_cells(filled), elsewhere), _share_new(filled, elsewhere)
+    shadow = _shadows_new(filled, own)
+    new_shadow = shadow.mean(dim=0)
+    some = possible[chosen : chosen + 1]
+    return torch.stack(
+        [
+            *_chosen_mean_least(surface, chosen),
+            *_chosen_mean_least(volume, chosen),
+            new_shadow[chosen],
+            shadow[:, chosen].amax(),
+            shadow.mean(),
+            new_shadow.amin(),
+            _share_new(surface_cells(some), elsewhere)[0],
+            _shadows_new(some, own).mean(),
+        ]
+    ).numpy()
+
+
+def _chosen_mean_least(shares: Tensor, chosen: int) -> tuple[Tensor, Tensor, Tensor]:
+    return shares[chosen], shares.mean(), shares.amin()
+
+
+def _share_new(cells: Tensor, elsewhere: Tensor) -> Tensor:  # bool [K, C, C, C], [1, ...] -> [K]
+    return (cells & elsewhere).sum(dim=_GRID) / cells.sum(dim=_GRID).clamp_min(1)
+
+
+def _shadows_new(filled: Tensor, own: Tensor) -> Tensor:  # bool [K, C, C, C], [C, ...] -> [5, K]
+    """Return the share of shadows that are not P's."""
+    shares = []
+    for all_of, of_partial in zip(shadows(filled | own), shadows(own[None]), strict=True):
+        new = (all_of & ~of_partial).flatten(1).sum(dim=1)
+        shares.append(new / all_of.flatten(1).sum(dim=1).clamp_min(1))
+    return torch.stack(shares)
+
+
+def shadows(filled: Tensor) -> list[Tensor]:  # bool [K, C, C, C] -> 5 of bool [K, C or 2 C, C]
+    """Return shadows along x, y, z and the two level diagonals."""
+    count, cells = filled.shape[:2]
+    found = [filled.any(dim=axis) for axis in (1, 2, 3)]
+    for sign in (1, -1):
+        shadow = torch.zeros(count, 2 * cells, cells, dtype=torch.bool)
+        for i in range(cells):
+            shadow[:, (sign * i + torch.arange(cells)) % (2 * cells)] |= filled[:, i]
+        found.append(shadow)
+    return found

@@ -1,0 +1,136 @@
+"""Train the benefit scorer: ``python -m recipes.train_embedded_prior.planes.train_benefit_scorer``.
+
+It comes after the answer scorer, whose choice it judges. Parts are made once and kept in the run's
+folder, so that the same command goes on; learning takes seconds.
+
+Conventions
+-----------
+* A part is left as it is with probability 1 - sigmoid(score) in training: what is gained on average
+  is made as large as it can be, beside the cross entropy of the better choice.
+* Every sixth file of objects is held out.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from gscomplete.networks.perceptron import Perceptron
+from gscomplete.priors.embedded.weights import packaged_weights
+from gscomplete.shape.benefit import BENEFIT_SCORER_FILE, LEFT_BELOW
+from recipes.entry_point import start
+from recipes.train_embedded_prior.planes.array_sets import joined
+from recipes.train_embedded_prior.planes.benefit_sets import BenefitSets, benefit_sets
+
+_LOG = logging.getLogger(__name__)
+_HELD_OUT_EVERY = 6
+_MOST_LOST, _MOST_GAINED = 0.2, 0.1
+"""Larger losses and gains count as these."""
+_SCALE = 40.0
+"""Of gains beside the cross entropy."""
+_ENTROPY_WEIGHT = 0.3
+_CLEAR = 0.05
+"""From this gain or loss on the cross entropy counts in full."""
+_WORSE = 0.005
+
+
+@dataclass(frozen=True)
+class BenefitScorerConfig:
+    """Train the benefit scorer."""
+
+    meshes: Path
+    """Pack of meshes; its train split is used."""
+    run: Path = Path("runs/benefit_scorer")
+    """Folder for the parts."""
+    out: Path = field(default_factory=lambda: packaged_weights() / BENEFIT_SCORER_FILE)
+    """File to write; the default is the package's own."""
+    objects: int = 1440
+    """Objects to learn from, the held-out ones included; each whole and a part of it."""
+    seed: int = 36
+    width: int = 24
+    """Units of the first hidden layer; the second has half as many."""
+    epochs: int = 100
+    batch_parts: int = 64
+    learning_rate: float = 3e-3
+    weight_decay: float = 0.1
+    dropout: float = 0.1
+    workers: int = 2
+    """Processes that make parts."""
+
+
+def fit(config: BenefitScorerConfig, sets: BenefitSets) -> Perceptron:
+    """Train the scorer."""
+    generator = torch.Generator().manual_seed(config.seed)
+    torch.manual_seed(config.seed)
+    features, gains = torch.from_numpy(sets.features), torch.from_numpy(sets.gains)
+    center, spread = features.mean(dim=0), features.std(dim=0).clamp_min(1e-3)
+    inputs, width = (features - center) / spread, config.width
+    network = nn.Sequential(
+        nn.Linear(features.shape[-1], width), nn.SiLU(), nn.Dropout(config.dropout),
+        nn.Linear(width, width // 2), nn.SiLU(), nn.Dropout(config.dropout),
+        nn.Linear(width // 2, 1),
+    )  # fmt: skip
+    optimizer = torch.optim.AdamW(
+        network.parameters(), config.learning_rate, weight_decay=config.weight_decay
+    )
+    steps = max(config.epochs * len(sets) // config.batch_parts, 1)
+    for step in range(steps):
+        for group in optimizer.param_groups:
+            group["lr"] = config.learning_rate * 0.5 * (1 + math.cos(math.pi * step / steps))
+        chosen = torch.randint(len(sets), (config.batch_parts,), generator=generator)
+        loss = loss_of(network(inputs[chosen])[:, 0], gains[chosen])
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    return Perceptron.of(network, center, spread)
+
+
+def loss_of(scores: Tensor, gains: Tensor) -> Tensor:  # [B] both -> []
+    """Return what is lost by completing parts by their scores, and the error of these."""
+    gains = gains.clamp(-_MOST_LOST, _MOST_GAINED)
+    entropy = F.binary_cross_entropy_with_logits(scores, (gains > 0).float(), reduction="none")
+    clear = (gains.abs() / _CLEAR).clamp(max=1)
+    lost = -(torch.sigmoid(scores) * gains).mean()
+    return _SCALE * lost + _ENTROPY_WEIGHT * (clear * entropy).mean()
+
+
+def told(name: str, scorer: Perceptron, sets: BenefitSets) -> str:
+    """Return in words what the scorer makes of complete objects and of parts."""
+    lines = []
+    for kind, of_kind in (("complete", sets.complete > 0), ("parts", sets.complete == 0)):
+        gains = sets.gains[of_kind]
+        left = scorer(sets.features[of_kind]) < LEFT_BELOW
+        after = np.where(left, 0.0, gains)
+        lines.append(
+            f"{name}, {kind}, {len(gains)}: {left.mean():.1%} left as they are; gain "
+            f"{gains.mean():+.4f} to {after.mean():+.4f}; worse than P "
+            f"{(gains < -_WORSE).mean():.1%} to {(after < -_WORSE).mean():.1%}"
+        )
+    return "\n".join(lines)
+
+
+def main(config: BenefitScorerConfig) -> int:
+    """Run from the command line."""
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    files = benefit_sets(config.run, config.meshes, config.seed, config.objects, config.workers)
+    held_out = joined(files[::_HELD_OUT_EVERY])
+    others = [sets for k, sets in enumerate(files) if k % _HELD_OUT_EVERY]
+    if others:
+        _LOG.info(told("held out", fit(config, joined(others)), held_out))
+    every = joined(files)
+    scorer = fit(config, every)
+    _LOG.info(told("learned from", scorer, every))
+    scorer.save(config.out)
+    _LOG.info("%s", config.out)
+    return 0
+
+
+if __name__ == "__main__":
+    start(main, BenefitScorerConfig, __doc__)
