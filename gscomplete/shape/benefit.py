@@ -16,15 +16,11 @@ Conventions
 from __future__ import annotations
 
 import functools
-import math
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from gscomplete.framing.cut_plane import CutPlane
-from gscomplete.framing.extent import Exposure, thickness_of
 from gscomplete.networks.perceptron import Perceptron
 from gscomplete.shape.network import PACKAGED_WEIGHTS
 from gscomplete.shape.planes.answer_scorer import Answers
@@ -57,7 +53,6 @@ OF_ANSWERS = (
 FEATURES = (*OF_ENDING, *OF_ANSWERS)
 _FILLED, _POSSIBLE = 0.5, 0.35
 """Cells with at least these probabilities count as filled."""
-_LEAST_SHARE = 1e-3
 LEFT_BELOW = -0.5
 """Score below which P is left as it is. From there to 0 are complete objects and parts alike, and
 parts lose more: half a plate .35 IoU."""
@@ -76,21 +71,7 @@ def is_better_left(
 ) -> bool:
     """Say whether what the network would add makes P worse."""
     features = np.concatenate([of_ending, of_answers])
-    return float(packaged_benefit_scorer()(features)) < LEFT_BELOW
-
-
-def features_of_ending(
-    points: NDArray[np.float64],  # [N, 3] of P, object frame
-    cut: CutPlane | None,
-    exposure: Exposure,
-) -> FloatArray:  # [len(OF_ENDING)]
-    """Return what P itself tells."""
-    of_cut = (0.0,) * 4
-    if cut is not None:
-        of_cut = (1.0, cut.squareness, float(cut.meets_surface), cut.offset)
-    shares = exposure.with_few, exposure.with_many
-    logs = [math.log(share + _LEAST_SHARE) for share in shares]
-    return np.array([*logs, thickness_of(points), *of_cut], np.float32)
+    return float(packaged_benefit_scorer()(features[None])[0]) < LEFT_BELOW
 
 
 def features_of_answers(answers: Answers, chosen: int) -> FloatArray:  # [len(OF_ANSWERS)]

@@ -1,9 +1,11 @@
 import dataclasses
 
+import numpy as np
 import pytest
 import torch
 
 from gscomplete.shape.bank.store import BANK_FILE, ShapeName, write_bank
+from gscomplete.shape.benefit import OF_ANSWERS, OF_ENDING
 from gscomplete.shape.guess import Asked, KnownShapes, guess_complete
 from gscomplete.shape.mirror_plane import MirrorPlane
 from gscomplete.shape.network import ShapeCompleter, ShapeOutput
@@ -142,3 +144,22 @@ def test_a_prompt_of_no_known_noun_decides_nothing(asked, bank):
     one, two = decided(asked, "a red unicorn", bank), guess(asked, "a red unicorn", bank)
     assert one.notes == two.notes
     assert torch.equal(one.splats.sh, two.splats.sh)
+
+
+def test_p_is_left_as_it_is_where_the_scorer_says_so_and_no_user_decides(asked, monkeypatch):
+    told = []
+
+    def judged(of_ending, of_answers):
+        told.append((of_ending, len(of_answers)))
+        return True
+
+    monkeypatch.setattr("gscomplete.shape.guess.is_better_left", judged)
+    sure = dataclasses.replace(asked, of_ending=np.zeros(len(OF_ENDING), np.float32))
+    left = guess(sure, "a unicorn", None, "guess")
+    assert len(left.splats) == 0
+    assert "nothing is added" in left.notes[0]
+    assert told[0][1] == len(OF_ANSWERS)
+    assert len(guess(sure, "a unicorn", None, "none").splats) > 0
+    assert len(guess(sure, "a unicorn", None, MirrorPlane(0.0, -0.1)).splats) > 0
+    assert len(guess(asked, "a unicorn", None, "guess").splats) > 0
+    assert len(told) == 1

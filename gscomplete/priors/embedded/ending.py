@@ -10,6 +10,7 @@ Conventions
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,14 +18,14 @@ from numpy.typing import NDArray
 
 from gscomplete.framing.cut_plane import CutPlane, UprightPlane, find_cut
 from gscomplete.framing.end_plane import find_end
-from gscomplete.framing.extent import Exposure, is_closed
+from gscomplete.framing.extent import Exposure, is_closed, thickness_of
 from gscomplete.framing.guess import score_partial
-from gscomplete.shape.benefit import features_of_ending
 from gscomplete.shape.mirror_plane import HalfCut, Mirror, MirrorPlane
 from gscomplete.shape.voxels import FloatArray as Features
 from gscomplete.splats import Splats
 
 FloatArray = NDArray[np.float64]
+_LEAST_SHARE = 1e-3
 
 _COMPLETE_NOTE = (
     "P's surface is closed: it is taken for complete, and nothing is added "
@@ -76,6 +77,20 @@ def ending_of(
         notes = (_SQUARE_CUT_NOTE,)
         return Ending(_mirror_through(cut), in_plane, image_is_all=True, notes=notes)
     return Ending("guess", in_plane, features=features_of_ending(points, cut, exposure))
+
+
+def features_of_ending(
+    points: FloatArray,  # [N, 3] of P, object frame
+    cut: CutPlane | None,
+    exposure: Exposure,
+) -> Features:  # [len(OF_ENDING)]
+    """Return what P itself tells of whether it lacks anything (``shape.benefit``)."""
+    of_cut = (0.0,) * 4
+    if cut is not None:
+        of_cut = (1.0, cut.squareness, float(cut.meets_surface), cut.offset)
+    shares = exposure.with_few, exposure.with_many
+    logs = [math.log(share + _LEAST_SHARE) for share in shares]
+    return np.array([*logs, thickness_of(points), *of_cut], np.float32)
 
 
 def mirror_of_half(

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gscomplete.framing.cut_plane import find_cut
-from gscomplete.priors.embedded.ending import ending_of, mirror_of_half
+from gscomplete.framing.cut_plane import CutPlane, find_cut
+from gscomplete.framing.extent import Exposure
+from gscomplete.priors.embedded.ending import ending_of, features_of_ending, mirror_of_half
+from gscomplete.shape.benefit import OF_ENDING
 from gscomplete.shape.mirror_plane import HalfCut, MirrorPlane
 from gscomplete.splats import Splats
 from tests.builders.objects import angle_between, ball
@@ -52,3 +54,27 @@ def test_an_end_far_from_the_frame_is_none() -> None:
     away = POINTS + np.array([2.0, 0.0, 0.0])
     assert mirror_of_half(away, find_cut(away), HalfCut()) is None
     assert mirror_of_half(POINTS[:50], None, HalfCut()) is None
+
+
+def test_what_may_lack_something_is_told_by_numbers_and_what_users_decide_is_not() -> None:
+    tilted = BALL.select(BALL.means[:, 2] < 0.15)  # open above: neither closed nor cut upright
+    features = ending_of(tilted, "guess").features
+    assert features is not None
+    assert features.shape == (len(OF_ENDING),)
+    assert np.isfinite(features).all()
+    for partial, wish in ((BALL, "guess"), (HALF, "guess"), (tilted, "none")):
+        assert ending_of(partial, wish).features is None
+
+
+def test_numbers_of_the_ending_are_logs_and_those_of_the_cut() -> None:
+    exposure = Exposure(POINTS)
+    without = dict(zip(OF_ENDING, features_of_ending(POINTS, None, exposure), strict=True))
+    assert without["log_exposed"] == pytest.approx(np.log(exposure.with_few + 1e-3))
+    assert without["log_exposed_finely"] == pytest.approx(np.log(exposure.with_many + 1e-3))
+    assert without["thickness"] == pytest.approx(0.5, abs=0.02)
+    assert without["is_cut"] == without["squareness"] == without["cut_offset"] == 0
+    cut = CutPlane(10.0, -0.2, 0.9, 0.6, 0.3)
+    found = dict(zip(OF_ENDING, features_of_ending(POINTS, cut, exposure), strict=True))
+    assert found["is_cut"] == found["meets_surface"] == 1
+    assert found["squareness"] == pytest.approx(0.6)
+    assert found["cut_offset"] == pytest.approx(-0.2)

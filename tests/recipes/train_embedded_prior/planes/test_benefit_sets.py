@@ -1,0 +1,45 @@
+import numpy as np
+import torch
+
+from gscomplete.shape.benefit import FEATURES
+from gscomplete.shape.planes.answer_scorer import answer_features, packaged_answer_scorer
+from recipes.real_objects.load import RealObject
+from recipes.train_embedded_prior.planes.answer_sets import (
+    LEVEL,
+    AnswerTask,
+    asked_part,
+    shadow_ious,
+    train_entries,
+)
+from recipes.train_embedded_prior.planes.benefit_sets import benefit_of, benefit_sets_of
+from tests.builders.mesh_pack import write_pack
+from tests.builders.objects import ball
+
+
+def test_the_gain_is_that_of_the_answer_put_first_over_p():
+    whole = ball(3000)
+    part = whole.select(whole.means[:, 2] < 0.2)  # the network is asked: it is open above
+    asked = asked_part(RealObject("ball", "a ball", "Z", part, whole, "box"))
+    assert asked is not None
+    features, gain = benefit_of(asked)
+    assert features.shape == (len(FEATURES),)
+    assert np.isfinite(features).all()
+    first = int(packaged_answer_scorer()(answer_features(asked.answers)).argmax())
+    own = asked.answers.partial > 0
+    both = torch.stack([asked.solid & own | own, asked.solid | own])
+    shares = [
+        float(both[0].any(dim=axis).sum() / both[1].any(dim=axis).sum()) for axis in (0, 1, 2)
+    ]
+    true = float(shadow_ious(asked.answers, asked.solid, LEVEL)[first])
+    assert true - max(shares) - 0.1 < gain < true - min(shares) + 0.1  # two more shadows count
+
+
+def test_sets_are_a_function_of_seed_and_object(tmp_path):
+    pack = write_pack(tmp_path)
+    entry = train_entries(pack, 3, 100)[0]
+    made, again = (benefit_sets_of(AnswerTask(pack, entry, 3)) for _ in range(2))
+    assert made.features.shape == (len(made), len(FEATURES))
+    np.testing.assert_array_equal(made.features, again.features)
+    np.testing.assert_array_equal(made.gains, again.gains)
+    assert set(made.complete.tolist()) <= {0.0, 1.0}
+    assert (np.abs(made.gains) <= 1).all()
