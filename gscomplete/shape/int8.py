@@ -1,7 +1,7 @@
 """The shape network for processors that multiply bytes in hardware: blocks in 8 bits.
 
-Convolutions of residual blocks are of bytes (``networks.byte_convolution``), everything else is in
-bfloat16 under autocast, else in float32.
+Convolutions of residual blocks and the last one are of bytes (``networks.byte_convolution``),
+everything else is in bfloat16 under autocast, else in float32.
 """
 
 from __future__ import annotations
@@ -35,13 +35,18 @@ class ByteShapeCompleter(ShapeCompleter):
     """A shape network in 8 bits; gradients have to be off when it is asked."""
 
     def __init__(self, given: ShapeCompleter) -> None:
-        """Share all but the residual blocks with one in floats, which stays as it is."""
+        """Share all that is not of bytes with one in floats, which stays as it is."""
         nn.Module.__init__(self)
         self.config = given.config
         for name, part in given.named_children():
             self.add_module(name, part)
         self.down, self.up = _in_bytes(given.down), _in_bytes(given.up)
+        self._head = ByteConvolution(given.head)
         laid_out(self.eval())
+
+    def answer_of(self, x: Tensor) -> Tensor:  # [B, C, n, n, n] -> [B, O, n, n, n]
+        """Return what the last features say, float32."""
+        return self._head(*normalised_silu(x.float(), self.norm))
 
 
 def _in_bytes(levels: nn.ModuleList) -> nn.ModuleList:

@@ -158,11 +158,16 @@ class ShapeCompleter(nn.Module):
                 x = F.interpolate(self.grow[level](x), scale_factor=2.0, mode="nearest")
                 x = x + kept[level]
             x = self.up[level](x, embedding)
-        out = self.head(F.silu(self.norm(x))).float()
+        out = self.answer_of(x).float()
         parts = (_FOLD**3, 3, SOURCES + 1, SOURCES)
         filled, colors, sources, trust = out.split(parts, dim=1)
         pointed = F.interpolate(trust, scale_factor=float(_FOLD)) * volumes[:, :, 0]
         return ShapeOutput(unfold(filled)[:, 0] + pointed.sum(1), torch.sigmoid(colors), sources)
+
+    def answer_of(self, x: Tensor) -> Tensor:  # [B, C, n, n, n] -> [B, O, n, n, n]
+        """Return what the last features say."""
+        answer: Tensor = self.head(F.silu(self.norm(x)))
+        return answer
 
 
 def laid_out(network: Network) -> Network:
