@@ -53,9 +53,9 @@ OF_ANSWERS = (
 FEATURES = (*OF_ENDING, *OF_ANSWERS)
 _FILLED, _POSSIBLE = 0.5, 0.35
 """Cells with at least these probabilities count as filled."""
-LEFT_BELOW = -0.5
-"""Score below which P is left as it is. From there to 0 are complete objects and parts alike, and
-parts lose more: half a plate .35 IoU."""
+LEFT_BELOW = -2.0
+"""Score, in log odds, below which P is left as it is: of what the scorer learned from a quarter is
+complete, of what users bring perhaps a twentieth. From there to 0 are parts of real captures."""
 _GRID = (1, 2, 3)
 
 
