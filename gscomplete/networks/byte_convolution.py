@@ -148,7 +148,7 @@ def silu_bytes(
 
 
 def normalised_silu(
-    features: Tensor,  # [N, C, ...] float32, channels last
+    features: Tensor,  # [N, C, ...] float32, channels last, or they are copied so
     norm: nn.GroupNorm,
     film: tuple[Tensor, Tensor] | None = None,
 ) -> tuple[Tensor, float, int]:
@@ -163,7 +163,7 @@ def normalised_silu(
         Bytes [N, C, ...], channels last; the value of a step; the byte of zero.
     """
     items, channels = features.shape[:2]
-    last = features.movedim(1, -1)
+    last = features.movedim(1, -1).contiguous()
     values = last.reshape(items, -1, channels).numpy()
     cells = values.shape[1]
     scale, shift = np.empty((2, items, channels), np.float32)

@@ -55,7 +55,7 @@ _FILLED, _POSSIBLE = 0.5, 0.35
 """Cells with at least these probabilities count as filled."""
 LEFT_BELOW = -2.0
 """Score, in log odds, below which P is left as it is: of what the scorer learned from a quarter is
-complete, of what users bring perhaps a twentieth. From there to 0 are parts of real captures."""
+complete, of what users bring perhaps a twentieth. Between it and 0 are parts of captures, too."""
 _GRID = (1, 2, 3)
 
 

@@ -70,3 +70,10 @@ def test_a_convolution_of_bytes_is_that_of_what_they_stand_for(zero, dimensions)
     expected = convolve(meant, weight.double(), given.bias.double(), padding=1)
     # sums of integers are exact; their scaling is in float32
     torch.testing.assert_close(answer.double(), expected, rtol=1e-5, atol=1e-5)
+
+
+def test_features_in_any_order_of_memory_give_the_same_bytes():
+    x, norm = features(2, 16, 6, 5, 4), nn.GroupNorm(4, 16).requires_grad_(False)
+    (one, *steps), (other, *again) = (normalised_silu(y, norm) for y in (x, x.contiguous()))
+    assert torch.equal(one, other)
+    assert steps == again

@@ -50,7 +50,7 @@ def test_what_is_told_counts_complete_objects_and_parts_apart():
         np.array([-0.2, 0.1, 0.3, -0.1], np.float32),
         np.array([1, 0, 0, 0], np.float32),
     )
-    text = told("here", lambda features: 1 - 2 * features[:, 0] - 2 * features[:, 3], sets)
+    text = told("here", lambda features: 1 - 9 * features[:, 0] - 9 * features[:, 3], sets)
     complete, parts = text.splitlines()
     assert "complete, 1: 100.0% left" in complete
     assert "-0.2000 to +0.0000" in complete
