@@ -24,7 +24,7 @@ from torch import Tensor
 from gscomplete.networks.perceptron import Perceptron
 from gscomplete.shape.network import PACKAGED_WEIGHTS
 from gscomplete.shape.planes.answer_scorer import Answers
-from gscomplete.shape.voxels import FloatArray, grown, surface_cells
+from gscomplete.shape.voxels import FloatArray, grown, shadows, surface_cells
 
 BENEFIT_SCORER_FILE = "benefit.safetensors"
 OF_ENDING = (
@@ -112,15 +112,3 @@ def _shadows_new(filled: Tensor, own: Tensor) -> Tensor:  # bool [K, C, C, C], [
         new = (all_of & ~of_partial).flatten(1).sum(dim=1)
         shares.append(new / all_of.flatten(1).sum(dim=1).clamp_min(1))
     return torch.stack(shares)
-
-
-def shadows(filled: Tensor) -> list[Tensor]:  # bool [K, C, C, C] -> 5 of bool [K, C or 2 C, C]
-    """Return shadows along x, y, z and the two level diagonals."""
-    count, cells = filled.shape[:2]
-    found = [filled.any(dim=axis) for axis in (1, 2, 3)]
-    for sign in (1, -1):
-        shadow = torch.zeros(count, 2 * cells, cells, dtype=torch.bool)
-        for i in range(cells):
-            shadow[:, (sign * i + torch.arange(cells)) % (2 * cells)] |= filled[:, i]
-        found.append(shadow)
-    return found

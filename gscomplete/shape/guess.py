@@ -79,8 +79,6 @@ class Asked:
     """Precision of the network."""
     ends_in_plane: bool
     """Whether P was cut along a plane, as far as found (``framing.cut_plane``)."""
-    of_ending: FloatArray | None = None  # [len(benefit.OF_ENDING)]
-    """What P itself tells of whether it lacks anything; None = it is completed in any case."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,6 +151,7 @@ def guess_complete(
     generator: torch.Generator,
     *,
     mirror_is_cut: bool = False,
+    of_ending: FloatArray | None = None,  # [len(benefit.OF_ENDING)]
 ) -> Guess:
     """Guess the complete object.
 
@@ -165,10 +164,17 @@ def guess_complete(
         count: most new splats beside P's own mirrored ones.
         generator: chooses where splats sit.
         mirror_is_cut: whether P was cut along the plane, and meets it squarely.
+        of_ending: what P itself tells of whether it lacks anything; None = it is completed in any
+            case.
     """
     settings = AssembleSettings(count=count, image_is_all=mirror_is_cut)
     plain = _predict(asked, partial, views, mirror)
-    if not known.decide and _is_better_left(asked, plain):
+    if (
+        of_ending is not None
+        and plain.added is not None
+        and not known.decide
+        and is_better_left(of_ending, plain.added)
+    ):
         nothing = partial.with_sh_degree(0).select(torch.arange(0))
         return Guess(nothing, (), (_LEFT_NOTE,))
     notes: tuple[str, ...] = ()
@@ -188,13 +194,6 @@ def guess_complete(
     if assembled.contradicted:
         notes += (known.contradiction(fitted(), assembled.contradicted),)
     return Guess(assembled.splats, (), notes + notes_of(plain, assembled.mirrored))
-
-
-def _is_better_left(asked: Asked, plain: Prediction) -> bool:
-    """Say whether P is better left as it is, where neither it nor the user has decided that."""
-    if asked.of_ending is None or plain.added is None:
-        return False
-    return is_better_left(asked.of_ending, plain.added)
 
 
 def _by_known_shapes(

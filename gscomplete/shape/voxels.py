@@ -132,6 +132,18 @@ def surface_cells(filled: Tensor) -> Tensor:  # bool [K, C, C, C] -> bool [K, C,
     return filled & (grown((~filled).float()) > 0)
 
 
+def shadows(filled: Tensor) -> list[Tensor]:  # bool [K, C, C, C] -> 5 of bool [K, C or 2 C, C]
+    """Return shadows along x, y, z and the two level diagonals."""
+    count, cells = filled.shape[:2]
+    found = [filled.any(dim=axis) for axis in (1, 2, 3)]
+    for sign in (1, -1):
+        shadow = torch.zeros(count, 2 * cells, cells, dtype=torch.bool)
+        for i in range(cells):
+            shadow[:, (sign * i + torch.arange(cells)) % (2 * cells)] |= filled[:, i]
+        found.append(shadow)
+    return found
+
+
 def sample_volume(volume: Tensor, points: Tensor) -> Tensor:  # [C, n, n, n], [N, 3] -> [N, C]
     """Interpolate a volume of cell-centred values at points of the object frame."""
     place = (points / HALF_SIDE).flip(-1)[None, None, None]  # grid_sample wants z, y, x

@@ -9,7 +9,6 @@ from gscomplete.shape.benefit import (
     features_of_answers,
     is_better_left,
     packaged_benefit_scorer,
-    shadows,
 )
 from gscomplete.shape.planes.answer_scorer import Answers
 from tests.builders.threads import each_thread_count
@@ -100,10 +99,3 @@ def test_numbers_do_not_depend_on_threads():
     answers = answers_of(rng.random((9, 48, 48, 48)), rng.random((48, 48, 48)) > 0.99)
     one, other = (features_of_answers(answers, 2) for _ in each_thread_count())
     np.testing.assert_array_equal(one, other)
-
-
-def test_shadows_are_those_of_single_cells():
-    cells = torch.zeros(1, 6, 6, 6, dtype=torch.bool)
-    cells[0, 1, 2, 3] = True
-    along = [shadow[0].nonzero().tolist() for shadow in shadows(cells)]
-    assert along == [[[2, 3]], [[1, 3]], [[1, 2]], [[3, 3]], [[1, 3]]]

@@ -57,10 +57,9 @@ def seat_and_back() -> Splats:
     return round_splats(torch.from_numpy(placed).float(), scale=0.014)
 
 
-def guess(asked, prompt, bank, mirror="none"):
-    generator = torch.Generator().manual_seed(0)
-    known = KnownShapes(bank, prompt)
-    return guess_complete(asked, seat_and_back(), VIEWS, mirror, known, 4000, generator)
+def guess(asked, prompt, bank, mirror="none", of_ending=None):
+    about = seat_and_back(), VIEWS, mirror, KnownShapes(bank, prompt), 4000
+    return guess_complete(asked, *about, torch.Generator().manual_seed(0), of_ending=of_ending)
 
 
 def test_known_chairs_give_the_legs_that_p_has_not(asked, bank):
@@ -154,12 +153,12 @@ def test_p_is_left_as_it_is_where_the_scorer_says_so_and_no_user_decides(asked, 
         return True
 
     monkeypatch.setattr("gscomplete.shape.guess.is_better_left", judged)
-    sure = dataclasses.replace(asked, of_ending=np.zeros(len(OF_ENDING), np.float32))
-    left = guess(sure, "a unicorn", None, "guess")
+    numbers = np.zeros(len(OF_ENDING), np.float32)
+    left = guess(asked, "a unicorn", None, "guess", numbers)
     assert len(left.splats) == 0
     assert "nothing is added" in left.notes[0]
     assert told[0][1] == len(OF_ANSWERS)
-    assert len(guess(sure, "a unicorn", None, "none").splats) > 0
-    assert len(guess(sure, "a unicorn", None, MirrorPlane(0.0, -0.1)).splats) > 0
+    assert len(guess(asked, "a unicorn", None, "none", numbers).splats) > 0
+    assert len(guess(asked, "a unicorn", None, MirrorPlane(0.0, -0.1), numbers).splats) > 0
     assert len(guess(asked, "a unicorn", None, "guess").splats) > 0
     assert len(told) == 1

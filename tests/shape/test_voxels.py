@@ -10,6 +10,7 @@ from gscomplete.shape.voxels import (
     cell_centers,
     fill_colored,
     grown,
+    shadows,
     splat_arrays,
 )
 from tests.builders.objects import ball
@@ -60,3 +61,10 @@ def test_growing_axis_by_axis_is_the_pooling_of_all_neighbours(shape):
     before = values.clone()
     assert torch.equal(grown(values), F.max_pool3d(values, 3, 1, 1))
     assert torch.equal(values, before)
+
+
+def test_shadows_are_those_of_single_cells():
+    cells = torch.zeros(1, 6, 6, 6, dtype=torch.bool)
+    cells[0, 1, 2, 3] = True
+    along = [shadow[0].nonzero().tolist() for shadow in shadows(cells)]
+    assert along == [[[2, 3]], [[1, 3]], [[1, 2]], [[3, 3]], [[1, 3]]]

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import contextlib
 import copy
-import dataclasses
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -211,9 +210,9 @@ class EmbeddedPrior:
             return FirstGuess(nothing, told + ending.notes)
         asked = self.asked(conditioning, ends_in_plane=ending.in_plane)
         assert asked is not None
-        asked = dataclasses.replace(asked, of_ending=ending.features)
         about = partial, distribution, ending.mirror, known, count, generator
-        guess = guess_complete(asked, *about, mirror_is_cut=ending.image_is_all)
+        cut = ending.image_is_all
+        guess = guess_complete(asked, *about, mirror_is_cut=cut, of_ending=ending.features)
         notes = ending.notes if ending.image_is_all else ()
         return FirstGuess(guess.splats, notes + guess.notes)
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import functools
 import hashlib
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,7 +24,6 @@ from gscomplete.errors import UserError
 from gscomplete.priors.embedded.ending import Ending, ending_of
 from gscomplete.priors.embedded.prior import EmbeddedPrior
 from gscomplete.priors.embedded.weights import SHAPE_FILE, packaged_weights
-from gscomplete.shape.benefit import shadows
 from gscomplete.shape.one_view import ONE_VIEW_SHARE
 from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.planes.answer_scorer import (
@@ -36,14 +34,14 @@ from gscomplete.shape.planes.answer_scorer import (
 from gscomplete.shape.planes.coarse_scorer import COARSE_SCORER_FILE
 from gscomplete.shape.planes.fine_scorer import FINE_SCORER_FILE
 from gscomplete.shape.symmetry_choice import CANDIDATES, ask_about_planes
-from gscomplete.shape.voxels import FloatArray, splat_arrays
+from gscomplete.shape.voxels import FloatArray, shadows, splat_arrays
 from gscomplete.util.digests import sha256_of
 from recipes.real_objects.compare import frame_object
 from recipes.real_objects.load import RealObject
 from recipes.real_objects.unseen import PartKind, complete_object, part_of
 from recipes.train_embedded_prior.data.mesh_pack import PackEntry, read_manifest, read_mesh
 from recipes.train_embedded_prior.data.solids import solid_cells
-from recipes.train_embedded_prior.planes.array_sets import joined, made_once
+from recipes.train_embedded_prior.planes.array_sets import joined, made_of_tasks
 
 FILE_OBJECTS = 50
 ANSWERS = CANDIDATES + 1
@@ -84,6 +82,11 @@ def train_entries(meshes: Path, seed: int, count: int) -> list[PackEntry]:
     entries = [entry for entry in read_manifest(meshes) if entry.split == "train"]
     order = np.random.default_rng(seed).permutation(len(entries))
     return [entries[k] for k in order[:count]]
+
+
+def answer_tasks(meshes: Path, seed: int, count: int) -> list[AnswerTask]:
+    """Return the tasks of the first objects of the shuffled train split."""
+    return [AnswerTask(meshes, entry, seed) for entry in train_entries(meshes, seed, count)]
 
 
 def shadow_ious(
@@ -198,16 +201,7 @@ def answer_sets(
         objects: how many of the train split.
         workers: processes that make them.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    entries = train_entries(meshes, seed, objects)
-    name = f"{seed} {asked_with()} {' '.join(FEATURES)}"
-    key = hashlib.sha256(name.encode()).hexdigest()[:8]
-    starts = range(0, len(entries), FILE_OBJECTS)
-    paths = {start: folder / f"answers-{key}-{start:06d}.npz" for start in starts}
-
-    def make(pool: Executor, start: int) -> AnswerSets:
-        some = entries[start : start + FILE_OBJECTS]
-        tasks = [AnswerTask(meshes, entry, seed) for entry in some]
-        return joined(list(pool.map(answer_sets_of, tasks)))
-
-    return made_once(AnswerSets, paths, make, workers, f"objects, {FILE_OBJECTS} at a time")
+    tasks = answer_tasks(meshes, seed, objects)
+    contents = f"{seed} {asked_with()} {' '.join(FEATURES)}"
+    stem = folder / f"answers-{hashlib.sha256(contents.encode()).hexdigest()[:8]}"
+    return made_of_tasks(AnswerSets, stem, answer_sets_of, tasks, FILE_OBJECTS, workers)

@@ -20,6 +20,7 @@ from rich.progress import track
 
 from gscomplete.util.atomic import atomic_path
 
+Task = TypeVar("Task")
 Sets = TypeVar("Sets")
 """A dataclass of arrays of as many rows."""
 
@@ -55,6 +56,34 @@ def made_once(
             with atomic_path(paths[start]) as temporary, temporary.open("wb") as file:
                 np.savez(file, **{name: getattr(made, name) for name in _names(kind)})
     return [_read(kind, path) for path in paths.values()]
+
+
+def made_of_tasks(
+    kind: type[Sets],
+    stem: Path,
+    make: Callable[[Task], Sets],
+    tasks: Sequence[Task],
+    per_file: int,
+    workers: int,
+) -> list[Sets]:
+    """Return the sets of tasks, so many to a file; make the files not yet made.
+
+    Args:
+        kind: the dataclass.
+        stem: of the files' paths; the number of their first task follows.
+        make: makes the sets of one task; picklable.
+        tasks: in their order.
+        per_file: tasks of a file.
+        workers: processes that make them.
+    """
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    starts = range(0, len(tasks), per_file)
+    paths = {start: stem.with_name(f"{stem.name}-{start:06d}.npz") for start in starts}
+
+    def of_file(pool: Executor, start: int) -> Sets:
+        return joined(list(pool.map(make, tasks[start : start + per_file])))
+
+    return made_once(kind, paths, of_file, workers, f"objects, {per_file} at a time")
 
 
 def _read(kind: type[Sets], path: Path) -> Sets:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,12 +29,12 @@ from recipes.train_embedded_prior.planes.answer_sets import (
     LEVEL,
     AnswerTask,
     AskedPart,
+    answer_tasks,
     asked_part,
     asked_with,
     shadow_ious,
-    train_entries,
 )
-from recipes.train_embedded_prior.planes.array_sets import joined, made_once
+from recipes.train_embedded_prior.planes.array_sets import joined, made_of_tasks
 
 FILE_OBJECTS = 48
 _KINDS: tuple[PartKind, ...] = (
@@ -101,16 +100,7 @@ def benefit_sets(
         objects: how many of the train split.
         workers: processes that make them.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    entries = train_entries(meshes, seed, objects)
-    name = f"{seed} {asked_with()} {packaged_answer_scorer().digest()} {' '.join(FEATURES)}"
-    key = hashlib.sha256(name.encode()).hexdigest()[:8]
-    starts = range(0, len(entries), FILE_OBJECTS)
-    paths = {start: folder / f"benefits-{key}-{start:06d}.npz" for start in starts}
-
-    def make(pool: Executor, start: int) -> BenefitSets:
-        some = entries[start : start + FILE_OBJECTS]
-        tasks = [AnswerTask(meshes, entry, seed) for entry in some]
-        return joined(list(pool.map(benefit_sets_of, tasks)))
-
-    return made_once(BenefitSets, paths, make, workers, f"objects, {FILE_OBJECTS} at a time")
+    tasks = answer_tasks(meshes, seed, objects)
+    contents = f"{seed} {asked_with()} {packaged_answer_scorer().digest()} {' '.join(FEATURES)}"
+    stem = folder / f"benefits-{hashlib.sha256(contents.encode()).hexdigest()[:8]}"
+    return made_of_tasks(BenefitSets, stem, benefit_sets_of, tasks, FILE_OBJECTS, workers)

@@ -13,7 +13,6 @@ Conventions
 from __future__ import annotations
 
 import logging
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -30,6 +29,7 @@ from gscomplete.shape.voxels import FloatArray
 from recipes.entry_point import start
 from recipes.train_embedded_prior.planes.answer_sets import AnswerSets, answer_sets
 from recipes.train_embedded_prior.planes.array_sets import joined
+from recipes.train_embedded_prior.planes.scorer_training import ScorerConfig, fit_perceptron
 
 _LOG = logging.getLogger(__name__)
 _HELD_OUT_EVERY = 8
@@ -44,60 +44,30 @@ _NEVER = -99.0
 
 
 @dataclass(frozen=True)
-class AnswerScorerConfig:
+class AnswerScorerConfig(ScorerConfig):
     """Train the answer scorer."""
 
-    meshes: Path
-    """Pack of meshes; its train split is used."""
     run: Path = Path("runs/answer_scorer")
-    """Folder for the parts."""
     out: Path = field(default_factory=lambda: packaged_weights() / ANSWER_SCORER_FILE)
-    """File to write; the default is the package's own."""
     objects: int = 2784
-    """Objects to learn from, the held-out ones included; two parts of each."""
     seed: int = 34
     width: int = 96
-    """Units of the first hidden layer; the second has half as many."""
     epochs: int = 60
     batch_parts: int = 128
-    learning_rate: float = 3e-3
     weight_decay: float = 0.05
-    dropout: float = 0.1
-    workers: int = 2
-    """Processes that make parts."""
 
 
 def fit(config: AnswerScorerConfig, sets: AnswerSets) -> Perceptron:
     """Train the scorer."""
-    generator = torch.Generator().manual_seed(config.seed)
-    torch.manual_seed(config.seed)
-    features = torch.from_numpy(sets.features)
     asked = torch.from_numpy(~np.isnan(sets.true_scores))
     true_scores = torch.from_numpy(np.nan_to_num(sets.true_scores))
     weights = torch.from_numpy(sets.weights)
-    center = features[asked].mean(dim=0)
-    spread = features[asked].std(dim=0).clamp_min(1e-3)
-    inputs = (features - center) / spread
-    width = config.width
-    network = nn.Sequential(
-        nn.Linear(features.shape[-1], width), nn.SiLU(), nn.Dropout(config.dropout),
-        nn.Linear(width, width // 2), nn.SiLU(), nn.Dropout(config.dropout),
-        nn.Linear(width // 2, 1),
-    )  # fmt: skip
-    optimizer = torch.optim.AdamW(
-        network.parameters(), config.learning_rate, weight_decay=config.weight_decay
-    )
-    steps = max(config.epochs * len(sets) // config.batch_parts, 1)
-    for step in range(steps):
-        for group in optimizer.param_groups:
-            group["lr"] = config.learning_rate * 0.5 * (1 + math.cos(math.pi * step / steps))
+
+    def batch_loss(network: nn.Sequential, inputs: Tensor, generator: torch.Generator) -> Tensor:
         chosen = torch.multinomial(weights, config.batch_parts, True, generator=generator)
-        found = network(inputs[chosen])[..., 0]
-        loss = loss_of(found, true_scores[chosen], asked[chosen])
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-    return Perceptron.of(network, center, spread)
+        return loss_of(network(inputs[chosen])[..., 0], true_scores[chosen], asked[chosen])
+
+    return fit_perceptron(config, torch.from_numpy(sets.features), asked, batch_loss)
 
 
 def loss_of(

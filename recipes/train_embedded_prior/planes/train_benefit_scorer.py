@@ -13,7 +13,6 @@ Conventions
 from __future__ import annotations
 
 import logging
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -28,6 +27,7 @@ from gscomplete.shape.benefit import BENEFIT_SCORER_FILE, LEFT_BELOW
 from recipes.entry_point import start
 from recipes.train_embedded_prior.planes.array_sets import joined
 from recipes.train_embedded_prior.planes.benefit_sets import BenefitSets, benefit_sets
+from recipes.train_embedded_prior.planes.scorer_training import ScorerConfig, fit_perceptron
 
 _LOG = logging.getLogger(__name__)
 _HELD_OUT_EVERY = 6
@@ -42,54 +42,29 @@ _WORSE = 0.005
 
 
 @dataclass(frozen=True)
-class BenefitScorerConfig:
+class BenefitScorerConfig(ScorerConfig):
     """Train the benefit scorer."""
 
-    meshes: Path
-    """Pack of meshes; its train split is used."""
     run: Path = Path("runs/benefit_scorer")
-    """Folder for the parts."""
     out: Path = field(default_factory=lambda: packaged_weights() / BENEFIT_SCORER_FILE)
-    """File to write; the default is the package's own."""
     objects: int = 1440
-    """Objects to learn from, the held-out ones included; each whole and a part of it."""
     seed: int = 36
     width: int = 24
-    """Units of the first hidden layer; the second has half as many."""
     epochs: int = 100
     batch_parts: int = 64
-    learning_rate: float = 3e-3
     weight_decay: float = 0.1
-    dropout: float = 0.1
-    workers: int = 2
-    """Processes that make parts."""
 
 
 def fit(config: BenefitScorerConfig, sets: BenefitSets) -> Perceptron:
     """Train the scorer."""
-    generator = torch.Generator().manual_seed(config.seed)
-    torch.manual_seed(config.seed)
-    features, gains = torch.from_numpy(sets.features), torch.from_numpy(sets.gains)
-    center, spread = features.mean(dim=0), features.std(dim=0).clamp_min(1e-3)
-    inputs, width = (features - center) / spread, config.width
-    network = nn.Sequential(
-        nn.Linear(features.shape[-1], width), nn.SiLU(), nn.Dropout(config.dropout),
-        nn.Linear(width, width // 2), nn.SiLU(), nn.Dropout(config.dropout),
-        nn.Linear(width // 2, 1),
-    )  # fmt: skip
-    optimizer = torch.optim.AdamW(
-        network.parameters(), config.learning_rate, weight_decay=config.weight_decay
-    )
-    steps = max(config.epochs * len(sets) // config.batch_parts, 1)
-    for step in range(steps):
-        for group in optimizer.param_groups:
-            group["lr"] = config.learning_rate * 0.5 * (1 + math.cos(math.pi * step / steps))
+    gains = torch.from_numpy(sets.gains)
+
+    def batch_loss(network: nn.Sequential, inputs: Tensor, generator: torch.Generator) -> Tensor:
         chosen = torch.randint(len(sets), (config.batch_parts,), generator=generator)
-        loss = loss_of(network(inputs[chosen])[:, 0], gains[chosen])
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-    return Perceptron.of(network, center, spread)
+        return loss_of(network(inputs[chosen])[:, 0], gains[chosen])
+
+    every = torch.ones(len(sets), dtype=torch.bool)
+    return fit_perceptron(config, torch.from_numpy(sets.features), every, batch_loss)
 
 
 def loss_of(scores: Tensor, gains: Tensor) -> Tensor:  # [B] both -> []

@@ -1,8 +1,9 @@
 import numpy as np
-import torch
+import pytest
 
 from gscomplete.shape.benefit import FEATURES
 from gscomplete.shape.planes.answer_scorer import answer_features, packaged_answer_scorer
+from gscomplete.shape.voxels import shadows
 from recipes.real_objects.load import RealObject
 from recipes.train_embedded_prior.planes.answer_sets import (
     LEVEL,
@@ -26,12 +27,10 @@ def test_the_gain_is_that_of_the_answer_put_first_over_p():
     assert np.isfinite(features).all()
     first = int(packaged_answer_scorer()(answer_features(asked.answers)).argmax())
     own = asked.answers.partial > 0
-    both = torch.stack([asked.solid & own | own, asked.solid | own])
-    shares = [
-        float(both[0].any(dim=axis).sum() / both[1].any(dim=axis).sum()) for axis in (0, 1, 2)
-    ]
+    both = zip(shadows(own[None]), shadows((asked.solid | own)[None]), strict=True)
+    of_partial = np.mean([float(part.sum() / whole.sum()) for part, whole in both])
     true = float(shadow_ious(asked.answers, asked.solid, LEVEL)[first])
-    assert true - max(shares) - 0.1 < gain < true - min(shares) + 0.1  # two more shadows count
+    assert gain == pytest.approx(true - of_partial, abs=1e-6)
 
 
 def test_sets_are_a_function_of_seed_and_object(tmp_path):

@@ -1,0 +1,71 @@
+"""Training of the perceptrons that judge what the shape network answers about a part."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from gscomplete.networks.perceptron import Perceptron
+
+BatchLoss = Callable[[nn.Sequential, Tensor, torch.Generator], Tensor]
+"""(network, scaled features, generator of draws) -> loss [] of one batch."""
+
+
+@dataclass(frozen=True)
+class ScorerConfig:
+    """How a scorer is trained, whichever it is."""
+
+    meshes: Path
+    """Pack of meshes; its train split is used."""
+    run: Path
+    """Folder for the parts."""
+    out: Path
+    """File to write; the default is the package's own."""
+    objects: int
+    """Objects to learn from, the held-out ones included; two parts of each."""
+    seed: int
+    width: int
+    """Units of the first hidden layer; the second has half as many."""
+    epochs: int
+    batch_parts: int
+    weight_decay: float
+    learning_rate: float = 3e-3
+    dropout: float = 0.1
+    workers: int = 2
+    """Processes that make parts."""
+
+
+def fit_perceptron(
+    config: ScorerConfig,
+    features: Tensor,  # [N, ..., F]
+    asked: Tensor,  # bool [N, ...] rows that count for centre and spread
+    batch_loss: BatchLoss,
+) -> Perceptron:
+    """Train a perceptron of three layers; the learning rate falls to zero along a cosine."""
+    generator = torch.Generator().manual_seed(config.seed)
+    torch.manual_seed(config.seed)
+    center = features[asked].mean(dim=0)
+    spread = features[asked].std(dim=0).clamp_min(1e-3)
+    inputs, width = (features - center) / spread, config.width
+    network = nn.Sequential(
+        nn.Linear(features.shape[-1], width), nn.SiLU(), nn.Dropout(config.dropout),
+        nn.Linear(width, width // 2), nn.SiLU(), nn.Dropout(config.dropout),
+        nn.Linear(width // 2, 1),
+    )  # fmt: skip
+    optimizer = torch.optim.AdamW(
+        network.parameters(), config.learning_rate, weight_decay=config.weight_decay
+    )
+    steps = max(config.epochs * len(features) // config.batch_parts, 1)
+    for step in range(steps):
+        for group in optimizer.param_groups:
+            group["lr"] = config.learning_rate * 0.5 * (1 + math.cos(math.pi * step / steps))
+        loss = batch_loss(network, inputs, generator)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    return Perceptron.of(network, center, spread)
