@@ -3,7 +3,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from recipes.train_embedded_prior.planes.array_sets import joined, made_once
+from recipes.train_embedded_prior.planes.array_sets import joined, made_of_tasks, made_once
 
 
 @dataclass(frozen=True)
@@ -40,3 +40,11 @@ def test_what_was_made_is_not_made_again(tmp_path):
     assert made == [0, 3, 3, 6]
     assert [sets.names.tolist() for sets in found] == [[0, 1, 2], [3, 4, 5], [6, 7, 8]]
     assert found[0].names.dtype == np.int16
+
+
+def test_tasks_are_put_into_files_in_their_order(tmp_path):
+    stem, tasks = tmp_path / "new" / "sets-key", [0, 10, 20]
+    found = made_of_tasks(Sets, stem, sets_from, tasks, 2, 1)
+    names = sorted(path.name for path in stem.parent.iterdir())
+    assert names == ["sets-key-000000.npz", "sets-key-000002.npz"]
+    assert [sets.names.tolist() for sets in found] == [[0, 1, 2, 10, 11, 12], [20, 21, 22]]
