@@ -7,6 +7,9 @@ from hypothesis import settings
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 os.environ.setdefault("GOMP_SPINCOUNT", "3000")
 """As in the command line: pools of threads that spin while waiting slow each other down."""
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+"""Processes of tests share the cores; tests of threads set their numbers themselves."""
 
 settings.register_profile("busy machine", deadline=None)
 settings.load_profile("busy machine")

@@ -122,14 +122,14 @@ def _check(options: Options) -> None:
 def _train(
     options: Options, state: TrainState, batch_loss: BatchLoss, pool: SetPool, began: float
 ) -> None:
-    """Take steps until the time is over."""
+    """Take steps until the time is over: one at least, however long the first sets took."""
     config = options.run
     assert config.minutes is not None
     log = _Log(options, state, pool, began)
-    first = time.monotonic()
-    saved = first
-    while (now := time.monotonic()) < began + 60 * config.minutes:
-        done = (now - first) / (began + 60 * config.minutes - first)
+    first = saved = time.monotonic()
+    end = began + 60 * config.minutes
+    while (now := time.monotonic()) < end or state.step == 0:
+        done = (now - first) / (end - first) if end > first else 1.0
         rng = np.random.default_rng((config.seed, state.step, 6))
         batch = pool.draw(config.batch_sets, rng)
         with autocast(config.device, config.precision):

@@ -20,12 +20,12 @@ from tests.builders.tiny_mvdream import TINY_VIEWS, write_original
 
 SETTINGS = dataclasses.replace(
     PAPER,
-    steps=200,
+    steps=120,
     new_splats=150,
     warmup_steps=10,
-    densify=DensifySettings(every=40, max_new=250),
+    densify=DensifySettings(every=25, max_new=250),
 )
-STOP = 160
+STOP = 100
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +69,7 @@ def test_the_default_settings_reach_the_prior_as_they_are(make, monkeypatch):
     assert scales == {Guidance(50.0, rescale=0.5, rescale_about="background")}
 
 
-def test_200_steps_are_finite_move_only_new_splats_and_resume_exactly(make):
+def test_steps_are_finite_move_only_new_splats_and_resume_exactly(make):
     job = make()
     before = {name: value.clone() for name, value in job.partial.fields()}
     start = job.new_splats
@@ -78,7 +78,7 @@ def test_200_steps_are_finite_move_only_new_splats_and_resume_exactly(make):
         if job.step_number == STOP:
             state = {name: value.clone() for name, value in job.state().items()}
         reports.append(job.step())
-    assert len(reports) == 200
+    assert len(reports) == SETTINGS.steps
     assert all(0 < report.guidance_loss < float("inf") for report in reports)
     assert {report.preservation_loss is None for report in reports} == {True, False}
     for name, value in job.partial.fields():

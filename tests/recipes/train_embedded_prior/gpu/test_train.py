@@ -36,7 +36,7 @@ def test_a_run_begins_with_the_parts_of_which_something_is_known(tmp_path):
     data = ShapeDataConfig(mesh_share=1.0)
     run = tiny_shape_run(
         tmp_path / "run",
-        minutes=0.4,
+        minutes=0.01,
         steps=None,
         seed=3,
         meshes=pack,

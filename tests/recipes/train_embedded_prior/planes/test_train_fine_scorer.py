@@ -83,7 +83,7 @@ def test_another_run_is_not_gone_on_with(tmp_path):
 def test_a_scorer_learns_where_planes_should_be(tmp_path):
     """Only the volumes tell the offset: the features are noise."""
     sets = simple_sets()
-    config = FineScorerConfig(run=tmp_path, steps=24, batch_objects=4, planes=4, average=0.9)
+    config = FineScorerConfig(run=tmp_path, steps=24, batch_objects=2, planes=3, average=0.9)
     training = FineScorerTraining(config, torch.from_numpy(sets.features))
     losses = [training.advance(batch_of(sets, config, step)) for step in range(config.steps)]
     assert np.mean(losses[-5:]) < 0.5 * np.mean(losses[:5])
