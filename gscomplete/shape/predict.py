@@ -1,6 +1,6 @@
 """The shape network's answer about one object.
 
-Look at P, choose its mirror images, ask, and doubt what lies beside a scan.
+Look at P, choose its mirror images, ask, and doubt what lies beside outlines that are whole.
 
 Conventions
 -----------
@@ -21,6 +21,7 @@ from gscomplete.shape.ask import ask, mean_answer
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter, ShapeOutput
 from gscomplete.shape.one_view import beside_scan
+from gscomplete.shape.outline.scorer import beside_whole_outlines
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs, voxelize_partial
 from gscomplete.shape.symmetry_choice import choose_symmetries
 from gscomplete.shape.voxels import CELLS, FloatArray, cell_centers
@@ -29,7 +30,7 @@ from gscomplete.util.stages import stage
 from gscomplete.views import ViewDistribution
 
 _BESIDE_LOGITS = 6.0
-"""What cells beside a scan's silhouette lose: only those that the network is sure of stay."""
+"""What cells beside P's outline lose: only those that the network is sure of stay."""
 _EMPTY_LOGIT = -4.0
 """Cells below count as filled at no level that is in use."""
 
@@ -99,24 +100,28 @@ def predict(
             without = ask(*asked, no_tokens, bfloat16=bfloat16)
             change = (without.occupancy - first.occupancy) / 2
             share = differing_share(answer.occupancy, answer.occupancy + change)
-        if not (ends_in_plane or isinstance(mirror_plane, MirrorPlane)):
-            answer = _doubted_beside_scan(answer, voxels.positions, distribution)
+    if not isinstance(mirror_plane, MirrorPlane):
+        with stage("outlines"):
+            answer = _doubted_beside(answer, voxels.positions, distribution, ends_in_plane)
     seen, score = choice.seen, choice.symmetry_score
     return Prediction(voxels, seen, answer, score, ends_in_plane, share, choice.added)
 
 
-def _doubted_beside_scan(
+def _doubted_beside(
     answer: ShapeOutput,
     points: FloatArray,  # [N, 3] of P
     distribution: ViewDistribution,
+    ends_in_plane: bool,
 ) -> ShapeOutput:
-    """Lower the logits of cells that lie beside P as its scanner saw it."""
+    """Lower the logits of cells that lie beside P seen from where its outline is the object's."""
     logits = answer.occupancy.flatten()
     possible = (logits > _EMPTY_LOGIT).nonzero()[:, 0]
     places = cell_centers(CELLS).reshape(-1, 3)[possible.numpy()]
-    beside = torch.from_numpy(beside_scan(points, distribution, places))
+    beside = beside_whole_outlines(points, distribution, places, ends_in_plane=ends_in_plane)
+    if not ends_in_plane:
+        beside |= beside_scan(points, distribution, places)
     lowered = logits.clone()
-    lowered[possible[beside]] -= _BESIDE_LOGITS
+    lowered[possible[torch.from_numpy(beside)]] -= _BESIDE_LOGITS
     return dataclasses.replace(answer, occupancy=lowered.reshape(answer.occupancy.shape))
 
 

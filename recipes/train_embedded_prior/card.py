@@ -14,6 +14,7 @@ from gscomplete.priors.embedded.model import FourViewDenoiser, count_parameters
 from gscomplete.priors.embedded.weights import PriorConfig
 from gscomplete.shape.bank.store import BANK_CELLS, BANK_FILE, ShapeBank
 from gscomplete.shape.benefit import BENEFIT_SCORER_FILE
+from gscomplete.shape.outline.scorer import OUTLINE_SCORER_FILE
 from gscomplete.shape.network import ShapeCompleter
 from gscomplete.shape.planes.answer_scorer import ANSWER_SCORER_FILE
 from gscomplete.shape.planes.coarse_scorer import COARSE_SCORER_FILE
@@ -84,7 +85,8 @@ def card(
             f"`train_fine_scorer.py` of `recipes/train_embedded_prior/planes`; the answers to "
             f"them by `{ANSWER_SCORER_FILE}`, trained after it by `train_answer_scorer.py`. "
             f"Whether P is better left as it is says `{BENEFIT_SCORER_FILE}` "
-            f"(`train_benefit_scorer.py`).",
+            f"(`train_benefit_scorer.py`), from which views its outline is the whole object's "
+            f"`{OUTLINE_SCORER_FILE}` (`train_outline_scorer.py`).",
             *([f"* History: {history}"] if history else []),
             *(f"* Held-out {name}: {value:.4f}" for name, value in shape_losses.items()),
             "",

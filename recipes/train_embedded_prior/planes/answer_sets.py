@@ -115,7 +115,7 @@ class AskedPart:
 
 def asked_part(item: RealObject) -> AskedPart | None:
     """Ask the network about a part as a run does; None = a run asks nothing."""
-    prior = _prior()
+    prior = packaged_prior()
     try:
         framed = frame_object(item, prior)
     except UserError:  # a part of next to nothing
@@ -178,7 +178,8 @@ def _padded(features: FloatArray, true_scores: FloatArray, weight: float) -> Ans
 
 
 @functools.cache
-def _prior() -> EmbeddedPrior:
+def packaged_prior() -> EmbeddedPrior:
+    """Return the prior that ships, on one thread of this process."""
     torch.set_num_threads(1)
     return EmbeddedPrior.from_folder(packaged_weights())
 

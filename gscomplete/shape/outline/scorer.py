@@ -1,0 +1,226 @@
+"""Which views show the whole outline of the object: a small network over P from all sides.
+
+From where P was scanned, and from between, P's outline is the object's: nothing lies beside it.
+Where something was cut away it is not. Surfaces that turn away along an outline, and rims that do
+not, tell the two apart, most of all seen together with neighbouring views. The scorer has learned
+that from parts of meshes whose truth is known (``recipes/train_embedded_prior``).
+
+Conventions
+-----------
+* Points of P are thinned and given about V's target, z up, object sizes.
+* A point is seen if nothing of P lies much nearer in its pixel; it is seen from behind if nothing
+  lies much farther.
+* Depth cameras lose dark surfaces: what lies beside an outline is unlikely, not impossible.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter
+from scipy.spatial import cKDTree
+
+from gscomplete.networks.perceptron import Perceptron
+from gscomplete.shape.network import PACKAGED_WEIGHTS
+from gscomplete.shape.outline.views import (
+    AZIMUTHS,
+    ELEVATIONS_DEG,
+    SIDE_PX,
+    Mask,
+    View,
+    outline,
+    views_at,
+)
+from gscomplete.shape.voxels import FloatArray
+from gscomplete.splats.neighbourhood import ON_RIM, normals_of, one_sidedness
+from gscomplete.views import ViewDistribution
+
+OUTLINE_SCORER_FILE = "outlines.safetensors"
+OF_VIEW = (
+    "seen",  # share of P
+    "seen_behind",
+    "seen_through",  # from both sides: nothing else of P lies there
+    "edge_cosine",  # mean of normals to the way to the viewer, along the outline
+    "edge_facing",  # share of what is seen along the outline that faces the viewer
+    "edge_rim",  # share of it that is on a rim of P's surface
+    "edge_rim_facing",
+    "edge_rim_grazing",
+    "cosine",  # of all that is seen
+    "rim",
+    "area",  # of the outline, over the largest
+)
+"""Known of a view, and of those beside it, opposite, and of the best one."""
+OF_PLACE = (
+    "sine_elevation",
+    "cosine_to_c",
+    "cosine_to_best",
+    "seen_mean",
+    "rim_of_all",
+    "thickness",
+    "seen_within_45",  # degrees of azimuth to either side, by any view
+    "seen_within_90",
+    "width",
+    "depth",
+    "ends_in_plane",
+)
+_STEPS = (1, 2, 4, 6)
+"""So many views to either side tell, too: the lesser and the greater of both."""
+_BESIDE = tuple(f"{which}_{step}" for step in _STEPS for which in ("lesser", "greater"))
+_AROUND = (*_BESIDE, "opposite", "at_best", "least", "most", "mean")
+FEATURES = (*OF_VIEW, *OF_PLACE, *(f"{name}_{where}" for where in _AROUND for name in OF_VIEW))
+WHOLE_FROM = 2.0
+"""Score, in log odds, from which on an outline counts as whole."""
+_POINTS, _NEIGHBOURS, _NORMAL_NEIGHBOURS = 4000, 24, 16
+_SEEN_DEPTH = 0.05
+_FACING = 0.6
+"""Cosine from which on a surface faces the viewer."""
+_EDGE_PX = 9
+"""Side of the square that lies within the outline of points that are not along it."""
+_UNIONS = (3, 6)
+"""Views to either side of the unions of what is seen."""
+
+
+@functools.cache
+def packaged_outline_scorer() -> Perceptron:
+    """Return the network that ships with the package."""
+    return Perceptron.load(PACKAGED_WEIGHTS / OUTLINE_SCORER_FILE, len(FEATURES))
+
+
+def beside_whole_outlines(
+    points: FloatArray,  # [N, 3] P, object frame
+    views: ViewDistribution,
+    places: FloatArray,  # [M, 3] object frame
+    *,
+    ends_in_plane: bool,
+) -> Mask:  # [M]
+    """Mark places that lie beside P seen from any view that shows the object's whole outline.
+
+    Args:
+        points: P's splats.
+        views: V, whose distance, target and c count.
+        places: which are asked about.
+        ends_in_plane: whether P was cut along a plane, as far as found.
+    """
+    beside = np.zeros(len(places), np.bool_)
+    scores = packaged_outline_scorer()(outline_features(points, views, ends_in_plane=ends_in_plane))
+    target = np.array(views.target, np.float32)
+    points, places = (np.asarray(x - target, np.float32) for x in (points, places))
+    for view, score in zip(views_at(views.radius), scores, strict=True):
+        if score > WHOLE_FROM:
+            beside |= view.beside(points, places)
+    return beside
+
+
+def outline_features(
+    points: FloatArray,  # [N, 3] P, object frame
+    views: ViewDistribution,
+    *,
+    ends_in_plane: bool,
+) -> FloatArray:  # [V, F]
+    """Return what the scorer reads of each view of the grid; columns as ``FEATURES``."""
+    chosen = points[:: max(1, -(-len(points) // _POINTS))] - np.array(views.target)
+    grid = views_at(views.radius)
+    if len(chosen) <= _NEIGHBOURS:
+        return np.zeros((len(grid), len(FEATURES)), np.float32)
+    surface = _Surface(chosen.astype(np.float32))
+    rows = [surface.seen_from(view) for view in grid]
+    local, seen = np.array([row for row, _ in rows], np.float32), np.stack([s for _, s in rows])
+    local[:, -1] /= local[:, -1].max()
+    best = int(local[:, 0].argmax())
+    place = _of_place(surface, grid, views, seen, best)
+    place[:, -1] = ends_in_plane
+    return np.concatenate([local, place, *_around(local, best)], axis=1)
+
+
+class _Surface:
+    """P's points, which way their surface faces, and which are on a rim."""
+
+    def __init__(self, points: FloatArray) -> None:  # [N, 3]
+        self.points = points
+        _, index = cKDTree(points).query(points, k=_NEIGHBOURS + 1)
+        around = points[index[:, : _NORMAL_NEIGHBOURS + 1]].astype(np.float64)
+        self.normals = normals_of(around).astype(np.float32)
+        self.on_rim: Mask = one_sidedness(points[index[:, 1:]] - points[:, None]) > ON_RIM
+
+    def seen_from(self, view: View) -> tuple[list[float], Mask]:  # [len(OF_VIEW)], [N]
+        """Return what is known of one view, the area in pixels, and which points are seen."""
+        pixel, depth = view.pixels(self.points)
+        seen = depth < _nearest(pixel, depth)[pixel] + _SEEN_DEPTH
+        behind = -depth < _nearest(pixel, -depth)[pixel] + _SEEN_DEPTH
+        covered = outline(pixel)
+        edge = seen & ~minimum_filter(covered, _EDGE_PX).ravel()[pixel]
+        cosine = np.abs(self.normals @ view.toward)
+        facing, rim = cosine > _FACING, self.on_rim
+        row = [
+            seen.mean(),
+            behind.mean(),
+            (seen & behind).mean(),
+            _share(cosine, edge),
+            _share(facing, edge),
+            _share(rim, edge),
+            _share(rim & facing, edge),
+            _share(rim & ~facing, edge),
+            _share(cosine, seen),
+            _share(rim, seen),
+            covered.sum(),
+        ]
+        return [float(value) for value in row], seen
+
+
+def _nearest(pixel: NDArray[np.int64], depth: FloatArray) -> FloatArray:  # [N], [N] -> [P]
+    """Return the least depth in and beside every pixel."""
+    nearest = np.full(SIDE_PX**2, np.inf, np.float32)
+    np.minimum.at(nearest, pixel, depth)
+    return minimum_filter(nearest.reshape(SIDE_PX, SIDE_PX), 3).ravel()
+
+
+def _share(values: NDArray[np.generic], among: Mask) -> float:  # [N], [N]
+    """Return the mean of values among some; 0 among none."""
+    return float(values[among].mean()) if among.any() else 0.0
+
+
+def _of_place(
+    surface: _Surface,
+    grid: list[View],
+    views: ViewDistribution,
+    seen: Mask,  # [V, N]
+    best: int,
+) -> FloatArray:  # [V, len(OF_PLACE)] but for the last
+    """Return where views are, and what is known of P as a whole."""
+    toward = np.stack([view.toward for view in grid])
+    c = math.radians(views.azimuth_deg)
+    place = np.zeros((len(grid), len(OF_PLACE)), np.float32)
+    place[:, 0] = toward[:, 2]
+    place[:, 1] = toward[:, 0] * math.cos(c) + toward[:, 1] * math.sin(c)
+    place[:, 2] = toward @ toward[best]
+    sides = np.ptp(surface.points, axis=0)
+    place[:, 3] = seen.mean()
+    place[:, 4] = surface.on_rim.mean()
+    place[:, 5] = sides.min() / max(float(sides.max()), 1e-12)
+    rings = seen.reshape(len(ELEVATIONS_DEG), AZIMUTHS, -1)
+    for column, reach in zip((6, 7), _UNIONS, strict=True):
+        union = rings.copy()
+        for step in range(1, reach + 1):
+            union |= np.roll(rings, step, axis=1) | np.roll(rings, -step, axis=1)
+        place[:, column] = union.mean(axis=2).ravel()
+    for row, view in enumerate(grid):
+        right, _, along = view.axes @ surface.points.T
+        place[row, 8:10] = np.ptp(right), np.ptp(along)
+    return place
+
+
+def _around(local: FloatArray, best: int) -> list[FloatArray]:  # [V, L] -> each [V, L]
+    """Return what is known of other views, in the order of ``_AROUND``."""
+    rings = local.reshape(len(ELEVATIONS_DEG), AZIMUTHS, -1)
+    found = []
+    for step in _STEPS:
+        one, other = np.roll(rings, step, axis=1), np.roll(rings, -step, axis=1)
+        found += [np.minimum(one, other), np.maximum(one, other)]
+    found.append(np.roll(rings, AZIMUTHS // 2, axis=1))
+    flat = [ring.reshape(local.shape) for ring in found]
+    for row in (local[best], local.min(axis=0), local.max(axis=0), local.mean(axis=0)):
+        flat.append(np.broadcast_to(row, local.shape))
+    return flat

@@ -1,0 +1,164 @@
+"""What the outline scorer learns from: parts from all sides, and how whole their outlines are.
+
+Conventions
+-----------
+* Of every object of the pack's train split, turned about the up axis, a scan, an arc of 100
+  degrees, another arc of any width, a cut part and, of every third, all of it: a pure function of
+  (seed, the object's id). A third of the parts is noisy and has holes.
+* An outline's share is how much of the complete object's outline P's covers.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from gscomplete.errors import UserError
+from gscomplete.framing.cut_plane import find_cut
+from gscomplete.priors.embedded.ending import ends_in_plane
+from gscomplete.shape.outline.scorer import FEATURES, outline_features
+from gscomplete.shape.outline.views import SIDE_PX, outline, views_at
+from gscomplete.shape.voxels import FloatArray
+from gscomplete.splats import Splats
+from gscomplete.views import ViewDistribution
+from recipes.real_objects.compare import frame_object
+from recipes.real_objects.load import RealObject
+from recipes.real_objects.unseen import PartKind, complete_object, part_of, seen_from
+from recipes.train_embedded_prior.data.mesh_pack import read_mesh
+from recipes.train_embedded_prior.planes.answer_sets import (
+    AnswerTask,
+    answer_tasks,
+    packaged_prior,
+)
+from recipes.train_embedded_prior.planes.array_sets import joined, made_of_tasks
+
+FILE_OBJECTS = 48
+VIEWS = len(views_at(1.0))
+_CUT: tuple[PartKind, ...] = ("half", "half", "middle", "box")
+"""As often as they are drawn."""
+_COMPLETE_SHARE = 1 / 3
+_SPANS_DEG, _MOST_SCANNERS, _MOST_ELEVATION_DEG = (40.0, 200.0), 5, 40.0
+"""Of arcs of any width."""
+_NOISY_SHARE, _MOST_NOISE, _MOST_HOLES = 0.35, 0.006, 4
+_HOLE_RADII = (0.02, 0.1)
+_FEWEST_LEFT = 0.5
+"""Share of a part that holes leave; else it keeps what they took."""
+_FEWEST_SPLATS = 500
+
+
+@dataclass(frozen=True, slots=True)
+class OutlineSets:
+    """N parts, each from V views."""
+
+    features: FloatArray  # [N, V, F]
+    shares: FloatArray  # [N, V] of the complete object's outline
+    kinds: FloatArray  # [N] index into ``KINDS``
+
+    def __len__(self) -> int:
+        return len(self.shares)
+
+
+KINDS = ("scan", "arc", "wide", "half", "middle", "box", "complete")
+
+
+def outline_sets_of(task: AnswerTask) -> OutlineSets:
+    """Look at the parts of one object."""
+    number = int.from_bytes(task.entry.id.encode()[-6:], "little")
+    rng = np.random.default_rng((number, task.seed))
+    turn_deg = float(rng.uniform(0, 360))
+    complete = complete_object(read_mesh(task.meshes, task.entry), task.entry, turn_deg)
+    shape = (0, VIEWS)
+    rows = [OutlineSets(*(np.empty(s, np.float32) for s in ((*shape, len(FEATURES)), shape, (0,))))]
+    for kind, part in _parts(complete, rng, turn_deg):
+        item = RealObject(task.entry.id, task.entry.caption, "Z", part, complete, kind)
+        try:
+            framed = frame_object(item, packaged_prior())
+        except UserError:  # a part of next to nothing
+            continue
+        assert framed.truth is not None
+        points, views = framed.partial.means.double().numpy(), framed.views
+        in_plane = ends_in_plane(find_cut(points))
+        features = outline_features(points, views, ends_in_plane=in_plane)
+        shares = outline_shares(points, framed.truth.means.numpy(), views)
+        rows.append(
+            OutlineSets(features[None], shares[None], np.array([KINDS.index(kind)], np.float32))
+        )
+    return joined(rows)
+
+
+def _parts(
+    complete: Splats, rng: np.random.Generator, turn_deg: float
+) -> Iterator[tuple[str, Splats]]:
+    cut = _CUT[int(rng.integers(len(_CUT)))]
+    kinds: list[PartKind] = ["scan", "arc", cut]
+    if rng.random() < _COMPLETE_SHARE:
+        kinds.append("complete")
+    for kind in kinds:
+        yield kind, _worn(part_of(complete, kind, rng, turn_deg), rng)
+    yield "wide", _worn(_wide_arc(complete, rng), rng)
+
+
+def _wide_arc(complete: Splats, rng: np.random.Generator) -> Splats:
+    """Return what a few scanners see from an arc of any width."""
+    half = math.radians(float(rng.uniform(*_SPANS_DEG))) / 2
+    count = int(rng.integers(2, _MOST_SCANNERS + 1))
+    azimuths = float(rng.uniform(0, 2 * math.pi)) + np.linspace(-half, half, count)
+    elevation = math.radians(float(rng.uniform(0, _MOST_ELEVATION_DEG)))
+    return complete.select(seen_from(complete, azimuths, elevation))
+
+
+def _worn(part: Splats, rng: np.random.Generator) -> Splats:
+    """Add noise and holes to some."""
+    if rng.random() >= _NOISY_SHARE or len(part) < _FEWEST_SPLATS:
+        return part
+    noise = rng.normal(0.0, float(rng.uniform(0, _MOST_NOISE)), (len(part), 3))
+    points = part.means.numpy() + noise.astype(np.float32)
+    kept = np.ones(len(part), np.bool_)
+    for _ in range(int(rng.integers(_MOST_HOLES + 1))):
+        anchor = points[int(rng.integers(len(points)))]
+        kept &= np.linalg.norm(points - anchor, axis=1) > rng.uniform(*_HOLE_RADII)
+    if kept.mean() < _FEWEST_LEFT:
+        kept[:] = True
+    moved = dataclasses.replace(part, means=torch.from_numpy(points))
+    return moved.select(torch.from_numpy(kept))
+
+
+def outline_shares(
+    points: FloatArray,  # [N, 3] P, object frame
+    truth: FloatArray,  # [M, 3] of the complete object
+    views: ViewDistribution,
+) -> FloatArray:  # [V]
+    """Return the share of the complete object's outline that P's covers, from each view."""
+    target = np.array(views.target, np.float32)
+    shares = []
+    for view in views_at(views.radius):
+        true = np.zeros(SIDE_PX**2, np.bool_)
+        true[view.pixels(truth - target)[0]] = True
+        covered = outline(view.pixels((points - target).astype(np.float32))[0]).ravel()
+        shares.append((covered & true).sum() / true.sum())
+    return np.array(shares, np.float32)
+
+
+def outline_sets(
+    folder: Path, meshes: Path, seed: int, objects: int, workers: int
+) -> list[OutlineSets]:
+    """Return sets, one entry a file of ``FILE_OBJECTS`` objects; make those not yet made.
+
+    Args:
+        folder: for the files.
+        meshes: pack of meshes.
+        seed: of the list and the parts.
+        objects: how many of the train split.
+        workers: processes that make them.
+    """
+    tasks = answer_tasks(meshes, seed, objects)
+    contents = f"{seed} {' '.join(FEATURES)}"
+    stem = folder / f"outlines-{hashlib.sha256(contents.encode()).hexdigest()[:8]}"
+    return made_of_tasks(OutlineSets, stem, outline_sets_of, tasks, FILE_OBJECTS, workers)

@@ -1,0 +1,115 @@
+"""Train the outline scorer: ``python -m recipes.train_embedded_prior.planes.train_outline_scorer``.
+
+It reads P alone: no network is asked. Parts are made once and kept in the run's folder, so that the
+same command goes on; learning takes a minute.
+
+Conventions
+-----------
+* An outline is whole if it covers ``WHOLE`` of the complete object's.
+* Every sixth file of objects is held out.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from gscomplete.networks.perceptron import Perceptron
+from gscomplete.priors.embedded.weights import packaged_weights
+from gscomplete.shape.outline.scorer import OUTLINE_SCORER_FILE, WHOLE_FROM
+from recipes.entry_point import start
+from recipes.train_embedded_prior.planes.array_sets import joined
+from recipes.train_embedded_prior.planes.outline_sets import KINDS, OutlineSets, outline_sets
+from recipes.train_embedded_prior.planes.scorer_training import ScorerConfig, fit_perceptron
+
+_LOG = logging.getLogger(__name__)
+_HELD_OUT_EVERY = 6
+WHOLE = 0.985
+"""Share of the complete object's outline."""
+_CLEAR = 0.03
+"""Outlines that lack so much more than that count once; ..."""
+_LEAST_WEIGHT, _MOST_WEIGHT, _WHOLE_WEIGHT = 0.1, 2.0, 0.5
+"""... those that lack less or more by these, whole ones by the last."""
+_LACKING = 0.95
+"""Outlines below it are errors that show."""
+
+
+@dataclass(frozen=True)
+class OutlineScorerConfig(ScorerConfig):
+    """Train the outline scorer."""
+
+    run: Path = Path("runs/outline_scorer")
+    out: Path = field(default_factory=lambda: packaged_weights() / OUTLINE_SCORER_FILE)
+    objects: int = 960
+    seed: int = 37
+    width: int = 96
+    epochs: int = 60
+    batch_parts: int = 32
+    weight_decay: float = 0.3
+
+
+def fit(config: OutlineScorerConfig, sets: OutlineSets) -> Perceptron:
+    """Train the scorer."""
+    shares = torch.from_numpy(sets.shares)
+    weights, whole = weights_of(shares), (shares >= WHOLE).float()
+
+    def batch_loss(network: nn.Sequential, inputs: Tensor, generator: torch.Generator) -> Tensor:
+        chosen = torch.randint(len(sets), (config.batch_parts,), generator=generator)
+        scores = network(inputs[chosen])[..., 0]
+        entropy = F.binary_cross_entropy_with_logits(scores, whole[chosen], reduction="none")
+        return (weights[chosen] * entropy).mean()
+
+    every = torch.ones(shares.shape, dtype=torch.bool)
+    return fit_perceptron(config, torch.from_numpy(sets.features), every, batch_loss)
+
+
+def weights_of(shares: Tensor) -> Tensor:
+    """Return how much outlines count: the more of the object's they lack, the more."""
+    lacking = ((WHOLE - shares) / _CLEAR).clamp(_LEAST_WEIGHT, _MOST_WEIGHT)
+    return torch.where(shares >= WHOLE, _WHOLE_WEIGHT, lacking)
+
+
+def told(name: str, scorer: Perceptron, sets: OutlineSets) -> str:
+    """Return in words what the scorer makes of parts of each kind."""
+    lines = []
+    for index, kind in enumerate(KINDS):
+        chosen = sets.kinds == index
+        if not chosen.any():
+            continue
+        shares = sets.shares[chosen]
+        taken = scorer(sets.features[chosen]) > WHOLE_FROM
+        right = (shares[taken] >= WHOLE).mean() if taken.any() else np.nan
+        lacking = ((shares < _LACKING) & taken).any(axis=1).mean()
+        lines.append(
+            f"{name}, {kind}, {len(shares)}: whole outlines of {shares.shape[1]} "
+            f"{(shares >= WHOLE).sum(axis=1).mean():.1f}, taken for it "
+            f"{taken.sum(axis=1).mean():.1f}, of these right {right:.1%}; parts with one that "
+            f"lacks more than {1 - _LACKING:.0%} {lacking:.1%}"
+        )
+    return "\n".join(lines)
+
+
+def main(config: OutlineScorerConfig) -> int:
+    """Run from the command line."""
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    files = outline_sets(config.run, config.meshes, config.seed, config.objects, config.workers)
+    held_out = joined(files[::_HELD_OUT_EVERY])
+    others = [sets for k, sets in enumerate(files) if k % _HELD_OUT_EVERY]
+    if others:
+        _LOG.info(told("held out", fit(config, joined(others)), held_out))
+    every = joined(files)
+    scorer = fit(config, every)
+    _LOG.info(told("learned from", scorer, every))
+    scorer.save(config.out)
+    _LOG.info("%s", config.out)
+    return 0
+
+
+if __name__ == "__main__":
+    start(main, OutlineScorerConfig, __doc__)

@@ -1,0 +1,53 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from gscomplete.shape.outline.scorer import FEATURES
+from recipes.train_embedded_prior.planes.outline_sets import KINDS, VIEWS, OutlineSets
+from recipes.train_embedded_prior.planes.train_outline_scorer import (
+    WHOLE,
+    OutlineScorerConfig,
+    fit,
+    told,
+    weights_of,
+)
+
+CONFIG = OutlineScorerConfig(Path("unused"), epochs=40, batch_parts=8, width=16)
+
+
+def simple_sets(parts: int) -> OutlineSets:
+    """One feature tells how whole outlines are."""
+    rng = np.random.default_rng(parts)
+    features = rng.normal(size=(parts, VIEWS, len(FEATURES))).astype(np.float32)
+    shares = np.clip(WHOLE + 0.05 * features[..., 3], 0, 1).astype(np.float32)
+    return OutlineSets(features, shares, (np.arange(parts) % 2).astype(np.float32))
+
+
+def test_a_scorer_learns_which_outlines_are_whole():
+    scorer = fit(CONFIG, simple_sets(120))
+    sets = simple_sets(20)
+    clear = np.abs(sets.shares - WHOLE) > 0.01
+    right = (scorer(sets.features) > 0) == (sets.shares >= WHOLE)
+    assert right[clear].mean() > 0.95
+    assert fit(CONFIG, simple_sets(120)).digest() == scorer.digest()
+
+
+def test_the_more_an_outline_lacks_the_more_it_counts():
+    shares = torch.tensor([1.0, WHOLE, WHOLE - 1e-4, WHOLE - 0.03, WHOLE - 0.3])
+    assert weights_of(shares).tolist() == pytest.approx([0.5, 0.5, 0.1, 1.0, 2.0], abs=1e-4)
+
+
+def test_what_is_told_counts_kinds_apart():
+    shares = np.array([[1.0, 0.97, 0.5, 1.0], [0.9, 0.9, 0.9, 0.9]], np.float32)
+    features = np.zeros((2, 4, len(FEATURES)), np.float32)
+    features[0, :3, 0] = 9  # two of three are wrong, one of which lacks much
+    sets = OutlineSets(features, shares, np.array([1, 3], np.float32))
+    arcs, halves = told("here", lambda rows: rows[..., 0], sets).splitlines()
+    assert arcs.startswith(
+        "here, arc, 1: whole outlines of 4 2.0, taken for it 3.0, of these right"
+    )
+    assert "right 33.3%" in arcs
+    assert arcs.endswith("5% 100.0%")
+    assert halves.startswith(f"here, {KINDS[3]}, 1: whole outlines of 4 0.0, taken for it 0.0")
