@@ -21,7 +21,7 @@ from gscomplete.shape.ask import ask, mean_answer
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter, ShapeOutput
 from gscomplete.shape.one_view import beside_scan
-from gscomplete.shape.outline.scorer import beside_whole_outlines
+from gscomplete.shape.outline.scorer import MOST_LOGITS, doubts_beside_outlines
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs, voxelize_partial
 from gscomplete.shape.symmetry_choice import choose_symmetries
 from gscomplete.shape.voxels import CELLS, FloatArray, cell_centers
@@ -29,8 +29,6 @@ from gscomplete.splats import Splats
 from gscomplete.util.stages import stage
 from gscomplete.views import ViewDistribution
 
-_BESIDE_LOGITS = 6.0
-"""What cells beside P's outline lose: only those that the network is sure of stay."""
 _EMPTY_LOGIT = -4.0
 """Cells below count as filled at no level that is in use."""
 
@@ -117,11 +115,11 @@ def _doubted_beside(
     logits = answer.occupancy.flatten()
     possible = (logits > _EMPTY_LOGIT).nonzero()[:, 0]
     places = cell_centers(CELLS).reshape(-1, 3)[possible.numpy()]
-    beside = beside_whole_outlines(points, distribution, places, ends_in_plane=ends_in_plane)
+    doubts = doubts_beside_outlines(points, distribution, places, ends_in_plane=ends_in_plane)
     if not ends_in_plane:
-        beside |= beside_scan(points, distribution, places)
+        doubts[beside_scan(points, distribution, places)] = MOST_LOGITS
     lowered = logits.clone()
-    lowered[possible[torch.from_numpy(beside)]] -= _BESIDE_LOGITS
+    lowered[possible] -= torch.from_numpy(doubts)
     return dataclasses.replace(answer, occupancy=lowered.reshape(answer.occupancy.shape))
 
 

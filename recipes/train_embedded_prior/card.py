@@ -14,8 +14,8 @@ from gscomplete.priors.embedded.model import FourViewDenoiser, count_parameters
 from gscomplete.priors.embedded.weights import PriorConfig
 from gscomplete.shape.bank.store import BANK_CELLS, BANK_FILE, ShapeBank
 from gscomplete.shape.benefit import BENEFIT_SCORER_FILE
-from gscomplete.shape.outline.scorer import OUTLINE_SCORER_FILE
 from gscomplete.shape.network import ShapeCompleter
+from gscomplete.shape.outline.scorer import OUTLINE_SCORER_FILE
 from gscomplete.shape.planes.answer_scorer import ANSWER_SCORER_FILE
 from gscomplete.shape.planes.coarse_scorer import COARSE_SCORER_FILE
 from gscomplete.shape.planes.fine_scorer import FINE_SCORER_FILE

@@ -1,10 +1,11 @@
+import numpy as np
 import pytest
 import torch
 
 from gscomplete.shape.ask import mean_answer
 from gscomplete.shape.mirror_plane import MirrorPlane
 from gscomplete.shape.one_view import beside_scan
-from gscomplete.shape.outline.scorer import beside_whole_outlines
+from gscomplete.shape.outline.scorer import doubts_beside_outlines
 from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.predict import differing_share, predict
 from gscomplete.shape.symmetry_choice import choose_symmetries
@@ -25,12 +26,12 @@ def asked(model, partial, **options):
     return predict(model, partial, VIEWS, WORDS, no_tokens=NO_WORDS, **options)
 
 
-def beside(partial, shape, *, ends_in_plane):
-    """Mark the cells that lie beside outlines that are whole."""
+def doubts(partial, shape, *, ends_in_plane):
+    """Return what cells lose beside outlines."""
     points, places = partial.means.numpy(), cell_centers(CELLS).reshape(-1, 3)
-    found = beside_whole_outlines(points, VIEWS, places, ends_in_plane=ends_in_plane)
+    found = doubts_beside_outlines(points, VIEWS, places, ends_in_plane=ends_in_plane)
     if not ends_in_plane:
-        found |= beside_scan(points, VIEWS, places)
+        found[beside_scan(points, VIEWS, places)] = 6.0
     return torch.from_numpy(found).reshape(shape)
 
 
@@ -43,8 +44,9 @@ def test_the_answer_is_to_what_was_chosen_with_the_prompt_and_without(model):
         assert (found.matrix == expected.matrix).all()
         assert (found.shift == expected.shift).all()
     again = mean_answer(model, guess.seen, (WORDS, NO_WORDS))
-    kept = ~beside(partial, again.occupancy.shape, ends_in_plane=True)
-    assert torch.equal(guess.output.occupancy[kept], again.occupancy[kept])
+    lost = doubts(partial, again.occupancy.shape, ends_in_plane=True)
+    lost = torch.where(again.occupancy > -4.0, lost, 0.0)
+    assert torch.equal(guess.output.occupancy, again.occupancy - lost)
 
 
 def test_what_the_prompt_changes_is_counted_and_told(model):
@@ -66,22 +68,22 @@ def test_cells_that_differ_are_counted_against_those_that_either_fills():
     assert differing_share(-one.abs(), -one.abs()) == 0.0
 
 
-def test_cells_beside_a_scan_are_doubted_and_no_others(model):
+def test_cells_beside_outlines_are_doubted_and_no_others(model):
     whole = ball()
     scan = whole.select(whole.means[:, 0] > 0.1)  # all that a view along x shows
     guess = asked(model, scan, ends_in_plane=False)
     plain = mean_answer(model, guess.seen, (WORDS, NO_WORDS)).occupancy
-    doubted = beside(scan, plain.shape, ends_in_plane=False) & (plain > -4.0)
-    assert doubted.any()
-    assert torch.equal(guess.output.occupancy, torch.where(doubted, plain - 6.0, plain))
+    lost = torch.where(plain > -4.0, doubts(scan, plain.shape, ends_in_plane=False), 0.0)
+    assert lost.max() == 6.0
+    assert torch.equal(guess.output.occupancy, plain - lost)
 
 
 def test_beside_a_cut_part_only_whole_outlines_count(model, monkeypatch):
     def above(points, views, places, *, ends_in_plane):
         assert ends_in_plane
-        return places[:, 2] > 0.1
+        return 6.0 * (places[:, 2] > 0.1).astype(np.float32)
 
-    monkeypatch.setattr("gscomplete.shape.predict.beside_whole_outlines", above)
+    monkeypatch.setattr("gscomplete.shape.predict.doubts_beside_outlines", above)
     guess = asked(model, half(ball()), ends_in_plane=True)
     plain = mean_answer(model, guess.seen, (WORDS, NO_WORDS)).occupancy
     upper = torch.from_numpy(cell_centers(CELLS)[..., 2] > 0.1).reshape(plain.shape)

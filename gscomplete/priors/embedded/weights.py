@@ -5,8 +5,8 @@ be absent), ``config.json`` what goes with them, and ``CARD.md`` tells people ab
 package's folder also holds ``planes.safetensors``, ``plane_judge.safetensors`` and
 ``answers.safetensors`` (scorers of ``shape.planes``), ``benefit.safetensors`` (``shape.benefit``)
 and ``outlines.safetensors`` (``shape.outline``), which are not read from any other: like the grid,
-the first two are part of what the shape network was trained with. ``shapes.safetensors`` (``shape.bank.store``) is the
-package's, too, where a folder holds none.
+the first two are part of what the shape network was trained with. ``shapes.safetensors``
+(``shape.bank.store``) is the package's, too, where a folder holds none.
 
 Conventions
 -----------

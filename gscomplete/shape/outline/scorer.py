@@ -71,8 +71,10 @@ _STEPS = (1, 2, 4, 6)
 _BESIDE = tuple(f"{which}_{step}" for step in _STEPS for which in ("lesser", "greater"))
 _AROUND = (*_BESIDE, "opposite", "at_best", "least", "most", "mean")
 FEATURES = (*OF_VIEW, *OF_PLACE, *(f"{name}_{where}" for where in _AROUND for name in OF_VIEW))
-WHOLE_FROM = 2.0
-"""Score, in log odds, from which on an outline counts as whole."""
+MOST_LOGITS = 6.0
+"""What a place loses beside an outline that is whole: only what the network is sure of stays ..."""
+_LOGITS_PER_SCORE = 3.0
+"""... which the scorer says in log odds; of outlines that are less surely whole, so much of it."""
 _POINTS, _NEIGHBOURS, _NORMAL_NEIGHBOURS = 4000, 24, 16
 _SEEN_DEPTH = 0.05
 _FACING = 0.6
@@ -89,14 +91,14 @@ def packaged_outline_scorer() -> Perceptron:
     return Perceptron.load(PACKAGED_WEIGHTS / OUTLINE_SCORER_FILE, len(FEATURES))
 
 
-def beside_whole_outlines(
+def doubts_beside_outlines(
     points: FloatArray,  # [N, 3] P, object frame
     views: ViewDistribution,
     places: FloatArray,  # [M, 3] object frame
     *,
     ends_in_plane: bool,
-) -> Mask:  # [M]
-    """Mark places that lie beside P seen from any view that shows the object's whole outline.
+) -> FloatArray:  # [M] logits
+    """Return what places lose that lie beside P's outline, by the surest view they are beside in.
 
     Args:
         points: P's splats.
@@ -104,14 +106,15 @@ def beside_whole_outlines(
         places: which are asked about.
         ends_in_plane: whether P was cut along a plane, as far as found.
     """
-    beside = np.zeros(len(places), np.bool_)
-    scores = packaged_outline_scorer()(outline_features(points, views, ends_in_plane=ends_in_plane))
+    features = outline_features(points, views, ends_in_plane=ends_in_plane)
+    lost = (_LOGITS_PER_SCORE * packaged_outline_scorer()(features)).clip(0.0, MOST_LOGITS)
     target = np.array(views.target, np.float32)
     points, places = (np.asarray(x - target, np.float32) for x in (points, places))
-    for view, score in zip(views_at(views.radius), scores, strict=True):
-        if score > WHOLE_FROM:
-            beside |= view.beside(points, places)
-    return beside
+    doubts = np.zeros(len(places), np.float32)
+    for view, logits in zip(views_at(views.radius), lost, strict=True):
+        if logits > 0:
+            doubts = np.maximum(doubts, logits * view.beside(points, places))
+    return doubts
 
 
 def outline_features(

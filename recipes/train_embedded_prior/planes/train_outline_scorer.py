@@ -22,7 +22,7 @@ from torch import Tensor, nn
 
 from gscomplete.networks.perceptron import Perceptron
 from gscomplete.priors.embedded.weights import packaged_weights
-from gscomplete.shape.outline.scorer import OUTLINE_SCORER_FILE, WHOLE_FROM
+from gscomplete.shape.outline.scorer import OUTLINE_SCORER_FILE
 from recipes.entry_point import start
 from recipes.train_embedded_prior.planes.array_sets import joined
 from recipes.train_embedded_prior.planes.outline_sets import KINDS, OutlineSets, outline_sets
@@ -36,6 +36,8 @@ _CLEAR = 0.03
 """Outlines that lack so much more than that count once; ..."""
 _LEAST_WEIGHT, _MOST_WEIGHT, _WHOLE_WEIGHT = 0.1, 2.0, 0.5
 """... those that lack less or more by these, whole ones by the last."""
+_TAKEN_FROM = 2.0
+"""Score from which on what lies beside an outline loses as much as it can, when told about."""
 _LACKING = 0.95
 """Outlines below it are errors that show."""
 
@@ -83,7 +85,7 @@ def told(name: str, scorer: Perceptron, sets: OutlineSets) -> str:
         if not chosen.any():
             continue
         shares = sets.shares[chosen]
-        taken = scorer(sets.features[chosen]) > WHOLE_FROM
+        taken = scorer(sets.features[chosen]) > _TAKEN_FROM
         right = (shares[taken] >= WHOLE).mean() if taken.any() else np.nan
         lacking = ((shares < _LACKING) & taken).any(axis=1).mean()
         lines.append(

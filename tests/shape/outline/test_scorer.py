@@ -4,9 +4,9 @@ import pytest
 from gscomplete.shape.outline import scorer
 from gscomplete.shape.outline.scorer import (
     FEATURES,
+    MOST_LOGITS,
     OF_VIEW,
-    WHOLE_FROM,
-    beside_whole_outlines,
+    doubts_beside_outlines,
     outline_features,
     packaged_outline_scorer,
 )
@@ -108,7 +108,7 @@ def test_place_and_distance_are_those_of_the_views():
 def test_of_next_to_nothing_no_outline_is_whole(count):
     points = BALL[:count]
     assert not outline_features(points, VIEWS, ends_in_plane=False).any()
-    assert not beside_whole_outlines(points, VIEWS, BALL, ends_in_plane=False).any()
+    assert not doubts_beside_outlines(points, VIEWS, BALL, ends_in_plane=False).any()
 
 
 def test_from_where_a_figure_was_scanned_its_outline_is_whole():
@@ -117,36 +117,36 @@ def test_from_where_a_figure_was_scanned_its_outline_is_whole():
     beside_head = np.array([[0.0, 0.3, 0.35]], np.float32)
     behind = np.array([[-0.1, 0.0, 0.0]], np.float32)
     asked = np.concatenate([between_legs, beside_head, behind])
-    found = beside_whole_outlines(part, VIEWS, asked, ends_in_plane=False)
-    assert found.tolist() == [True, True, False]
+    found = doubts_beside_outlines(part, VIEWS, asked, ends_in_plane=False)
+    assert found[:2] == pytest.approx(MOST_LOGITS)
+    assert found[2] == 0
     scores = packaged_outline_scorer()(outline_features(part, VIEWS, ends_in_plane=False))
-    whole = (scores > WHOLE_FROM).reshape(RING)
-    assert whole[0, 0]
-    assert not whole[:, AZIMUTHS // 4].any()
+    level = scores.reshape(RING)[0]
+    assert level[0] > 2
+    assert level[AZIMUTHS // 4] < -2
 
 
-def test_of_half_a_figure_nothing_is_beside():
+def test_of_half_a_figure_the_other_half_is_hardly_doubted():
     whole = figure()
     half = whole[whole[:, 1] > 0]
     lost = whole[whole[:, 1] < -0.05]
-    assert not beside_whole_outlines(half, VIEWS, lost, ends_in_plane=True).any()
+    assert doubts_beside_outlines(half, VIEWS, lost, ends_in_plane=True).max() < 1
 
 
-def test_places_are_beside_where_any_whole_outline_leaves_them_out(monkeypatch):
+def test_the_surest_outline_that_leaves_a_place_out_counts(monkeypatch):
     grid = views_at(VIEWS.radius)
-    chosen = {0, 30}
-    scores = np.array([WHOLE_FROM + (1 if k in chosen else -1) for k in range(len(grid))])
+    sure = {0: 9.0, 30: 0.5, 55: 1.0}  # log odds; of all others it is unlikely
+    scores = np.array([sure.get(k, -1.0) for k in range(len(grid))])
     monkeypatch.setattr(scorer, "packaged_outline_scorer", lambda: lambda features: scores)
-    rng = np.random.default_rng(1)
-    asked = rng.uniform(-0.7, 0.7, (500, 3)).astype(np.float32)
+    asked = np.random.default_rng(1).uniform(-0.7, 0.7, (500, 3)).astype(np.float32)
     part = BALL[BALL[:, 0] > 0]
     target = np.array(VIEWS.target, np.float32)
-    expected = np.zeros(500, bool)
-    for k in chosen:
-        expected |= grid[k].beside(part - target, asked - target)
-    found = beside_whole_outlines(part, VIEWS, asked, ends_in_plane=False)
-    assert (found == expected).all()
-    assert 0 < expected.sum() < 500
+    lost = {0: MOST_LOGITS, 30: 1.5, 55: 3.0}
+    beside = {k: grid[k].beside(part - target, asked - target) for k in sure}
+    expected = [max(lost[k] * bool(beside[k][n]) for k in sure) for n in range(500)]
+    found = doubts_beside_outlines(part, VIEWS, asked, ends_in_plane=False)
+    assert found.tolist() == expected
+    assert set(expected) == {0.0, 1.5, 3.0, 6.0}
 
 
 def test_scores_do_not_depend_on_threads():
