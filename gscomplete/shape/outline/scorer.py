@@ -73,8 +73,8 @@ _AROUND = (*_BESIDE, "opposite", "at_best", "least", "most", "mean")
 FEATURES = (*OF_VIEW, *OF_PLACE, *(f"{name}_{where}" for where in _AROUND for name in OF_VIEW))
 MOST_LOGITS = 6.0
 """What a place loses beside an outline that is whole: only what the network is sure of stays ..."""
-_LOGITS_PER_SCORE = 3.0
-"""... which the scorer says in log odds; of outlines that are less surely whole, so much of it."""
+_DOUBTED_FROM, _LOGITS_PER_SCORE = 1.0, 3.0
+"""... which the scorer says in log odds: from the first on, the surer the more."""
 _POINTS, _NEIGHBOURS, _NORMAL_NEIGHBOURS = 4000, 24, 16
 _SEEN_DEPTH = 0.05
 _FACING = 0.6
@@ -107,7 +107,8 @@ def doubts_beside_outlines(
         ends_in_plane: whether P was cut along a plane, as far as found.
     """
     features = outline_features(points, views, ends_in_plane=ends_in_plane)
-    lost = (_LOGITS_PER_SCORE * packaged_outline_scorer()(features)).clip(0.0, MOST_LOGITS)
+    above = packaged_outline_scorer()(features) - _DOUBTED_FROM
+    lost = (_LOGITS_PER_SCORE * above).clip(0.0, MOST_LOGITS)
     target = np.array(views.target, np.float32)
     points, places = (np.asarray(x - target, np.float32) for x in (points, places))
     doubts = np.zeros(len(places), np.float32)

@@ -3,8 +3,9 @@
 Conventions
 -----------
 * Of every object of the pack's train split, turned about the up axis, a scan, an arc of 100
-  degrees, another arc of any width, a cut part and, of every third, all of it: a pure function of
-  (seed, the object's id). A third of the parts is noisy and has holes.
+  degrees, another arc of any width, a cut part and, of every third, all of it; of the first of them
+  two more cut parts, one without a box: a pure function of (seed, the object's id). A third of the
+  parts is noisy and has holes.
 * An outline's share is how much of the complete object's outline P's covers.
 """
 
@@ -13,7 +14,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,6 +44,8 @@ FILE_OBJECTS = 48
 VIEWS = len(views_at(1.0))
 _CUT: tuple[PartKind, ...] = ("half", "half", "middle", "box")
 """As often as they are drawn."""
+_MORE_CUT_SHARE = 0.75
+"""Of the objects."""
 _COMPLETE_SHARE = 1 / 3
 _SPANS_DEG, _MOST_SCANNERS, _MOST_ELEVATION_DEG = (40.0, 200.0), 5, 40.0
 """Of arcs of any width."""
@@ -70,13 +73,26 @@ KINDS = ("scan", "arc", "wide", "half", "middle", "box", "complete")
 
 def outline_sets_of(task: AnswerTask) -> OutlineSets:
     """Look at the parts of one object."""
+    return _sets_of(task, (), _parts)
+
+
+def cut_sets_of(task: AnswerTask) -> OutlineSets:
+    """Look at two more cut parts of one object."""
+    return _sets_of(task, (1,), _more_cut_parts)
+
+
+def _sets_of(
+    task: AnswerTask,
+    seeds: tuple[int, ...],
+    parts: Callable[[Splats, np.random.Generator, float], Iterator[tuple[str, Splats]]],
+) -> OutlineSets:
     number = int.from_bytes(task.entry.id.encode()[-6:], "little")
-    rng = np.random.default_rng((number, task.seed))
+    rng = np.random.default_rng((number, task.seed, *seeds))
     turn_deg = float(rng.uniform(0, 360))
     complete = complete_object(read_mesh(task.meshes, task.entry), task.entry, turn_deg)
     shape = (0, VIEWS)
     rows = [OutlineSets(*(np.empty(s, np.float32) for s in ((*shape, len(FEATURES)), shape, (0,))))]
-    for kind, part in _parts(complete, rng, turn_deg):
+    for kind, part in parts(complete, rng, turn_deg):
         item = RealObject(task.entry.id, task.entry.caption, "Z", part, complete, kind)
         try:
             framed = frame_object(item, packaged_prior())
@@ -103,6 +119,14 @@ def _parts(
     for kind in kinds:
         yield kind, _worn(part_of(complete, kind, rng, turn_deg), rng)
     yield "wide", _worn(_wide_arc(complete, rng), rng)
+
+
+def _more_cut_parts(
+    complete: Splats, rng: np.random.Generator, turn_deg: float
+) -> Iterator[tuple[str, Splats]]:
+    kinds: tuple[PartKind, ...] = ("box", _CUT[int(rng.integers(len(_CUT)))])
+    for kind in kinds:
+        yield kind, _worn(part_of(complete, kind, rng, turn_deg), rng)
 
 
 def _wide_arc(complete: Splats, rng: np.random.Generator) -> Splats:
@@ -160,5 +184,11 @@ def outline_sets(
     """
     tasks = answer_tasks(meshes, seed, objects)
     contents = f"{seed} {' '.join(FEATURES)}"
-    stem = folder / f"outlines-{hashlib.sha256(contents.encode()).hexdigest()[:8]}"
-    return made_of_tasks(OutlineSets, stem, outline_sets_of, tasks, FILE_OBJECTS, workers)
+    name = hashlib.sha256(contents.encode()).hexdigest()[:8]
+    few = tasks[: math.ceil(_MORE_CUT_SHARE * len(tasks))]
+    ways = (("outlines", outline_sets_of, tasks), ("cuts", cut_sets_of, few))
+    made = [
+        made_of_tasks(OutlineSets, folder / f"{stem}-{name}", make, some, FILE_OBJECTS, workers)
+        for stem, make, some in ways
+    ]
+    return [joined([sets[k] for sets in made if k < len(sets)]) for k in range(len(made[0]))]

@@ -34,7 +34,7 @@ WHOLE = 0.985
 """Share of the complete object's outline."""
 _CLEAR = 0.03
 """Outlines that lack so much more than that count once; ..."""
-_LEAST_WEIGHT, _MOST_WEIGHT, _WHOLE_WEIGHT = 0.1, 2.0, 0.5
+_LEAST_WEIGHT, _MOST_WEIGHT, _WHOLE_WEIGHT = 0.1, 4.0, 0.5
 """... those that lack less or more by these, whole ones by the last."""
 _TAKEN_FROM = 2.0
 """Score from which on what lies beside an outline loses as much as it can, when told about."""

@@ -111,19 +111,25 @@ def test_of_next_to_nothing_no_outline_is_whole(count):
     assert not doubts_beside_outlines(points, VIEWS, BALL, ends_in_plane=False).any()
 
 
+def level_scores(part):
+    """Return the scores of level views, from +x on."""
+    features = outline_features(part, VIEWS, ends_in_plane=False)
+    return packaged_outline_scorer()(features).reshape(RING)[0]
+
+
 def test_from_where_a_figure_was_scanned_its_outline_is_whole():
-    part = scanned(figure(), (0,))
-    between_legs = np.array([[0.0, 0.0, -0.4]], np.float32)
-    beside_head = np.array([[0.0, 0.3, 0.35]], np.float32)
-    behind = np.array([[-0.1, 0.0, 0.0]], np.float32)
-    asked = np.concatenate([between_legs, beside_head, behind])
+    part = scanned(figure(), (-30, 0, 30))
+    between_legs, beside_head, behind = (0.0, 0.0, -0.4), (0.0, 0.3, 0.35), (-0.1, 0.0, 0.0)
+    asked = np.array([between_legs, beside_head, behind], np.float32)
     found = doubts_beside_outlines(part, VIEWS, asked, ends_in_plane=False)
-    assert found[:2] == pytest.approx(MOST_LOGITS)
-    assert found[2] == 0
-    scores = packaged_outline_scorer()(outline_features(part, VIEWS, ends_in_plane=False))
-    level = scores.reshape(RING)[0]
-    assert level[0] > 2
-    assert level[AZIMUTHS // 4] < -2
+    assert found.tolist() == [MOST_LOGITS, MOST_LOGITS, 0.0]
+    assert level_scores(part)[[-1, 0, 1]].min() > 3
+
+
+def test_beside_the_scanner_an_outline_lacks_what_turns_away():
+    scores = level_scores(scanned(figure(), (0,)))
+    assert scores[[-1, 0, 1]].min() > 1
+    assert scores[[AZIMUTHS // 4, -AZIMUTHS // 4]].max() < -3
 
 
 def test_of_half_a_figure_the_other_half_is_hardly_doubted():
@@ -135,7 +141,7 @@ def test_of_half_a_figure_the_other_half_is_hardly_doubted():
 
 def test_the_surest_outline_that_leaves_a_place_out_counts(monkeypatch):
     grid = views_at(VIEWS.radius)
-    sure = {0: 9.0, 30: 0.5, 55: 1.0}  # log odds; of all others it is unlikely
+    sure = {0: 9.0, 30: 1.5, 55: 2.0}  # log odds; of all others it is unlikely
     scores = np.array([sure.get(k, -1.0) for k in range(len(grid))])
     monkeypatch.setattr(scorer, "packaged_outline_scorer", lambda: lambda features: scores)
     asked = np.random.default_rng(1).uniform(-0.7, 0.7, (500, 3)).astype(np.float32)

@@ -6,6 +6,7 @@ from recipes.train_embedded_prior.planes.answer_sets import AnswerTask, train_en
 from recipes.train_embedded_prior.planes.outline_sets import (
     KINDS,
     VIEWS,
+    cut_sets_of,
     outline_sets_of,
     outline_shares,
 )
@@ -39,5 +40,8 @@ def test_sets_are_a_function_of_seed_and_object(tmp_path):
     kinds = [KINDS[int(k)] for k in made.kinds]
     assert kinds[:2] == ["scan", "arc"]
     assert kinds[-1] == "wide"
+    cut = cut_sets_of(AnswerTask(pack, entry, 3))
+    assert KINDS[int(cut.kinds[0])] == "box"
+    assert len(cut) == 2
     other = outline_sets_of(AnswerTask(pack, entry, 4))
     assert other.shares.tolist() != made.shares.tolist()

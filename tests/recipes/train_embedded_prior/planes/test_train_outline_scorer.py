@@ -36,7 +36,7 @@ def test_a_scorer_learns_which_outlines_are_whole():
 
 def test_the_more_an_outline_lacks_the_more_it_counts():
     shares = torch.tensor([1.0, WHOLE, WHOLE - 1e-4, WHOLE - 0.03, WHOLE - 0.3])
-    assert weights_of(shares).tolist() == pytest.approx([0.5, 0.5, 0.1, 1.0, 2.0], abs=1e-4)
+    assert weights_of(shares).tolist() == pytest.approx([0.5, 0.5, 0.1, 1.0, 4.0], abs=1e-4)
 
 
 def test_what_is_told_counts_kinds_apart():
