@@ -14,13 +14,14 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from gscomplete.shape.ask import ask, mean_answer
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter, ShapeOutput
-from gscomplete.shape.one_view import beside_scan
+from gscomplete.shape.one_view import ONE_VIEW_SHARE, beside_scan
 from gscomplete.shape.outline.scorer import MOST_LOGITS, doubts_beside_outlines
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs, voxelize_partial
 from gscomplete.shape.symmetry_choice import choose_symmetries
@@ -100,14 +101,14 @@ def predict(
             share = differing_share(answer.occupancy, answer.occupancy + change)
     if not isinstance(mirror_plane, MirrorPlane):
         with stage("outlines"):
-            answer = _doubted_beside(answer, voxels.positions, distribution, ends_in_plane)
+            answer = _doubted_beside(answer, voxels, distribution, ends_in_plane)
     seen, score = choice.seen, choice.symmetry_score
     return Prediction(voxels, seen, answer, score, ends_in_plane, share, choice.added)
 
 
 def _doubted_beside(
     answer: ShapeOutput,
-    points: FloatArray,  # [N, 3] of P
+    voxels: PartialVoxels,
     distribution: ViewDistribution,
     ends_in_plane: bool,
 ) -> ShapeOutput:
@@ -115,7 +116,9 @@ def _doubted_beside(
     logits = answer.occupancy.flatten()
     possible = (logits > _EMPTY_LOGIT).nonzero()[:, 0]
     places = cell_centers(CELLS).reshape(-1, 3)[possible.numpy()]
-    doubts = doubts_beside_outlines(points, distribution, places, ends_in_plane=ends_in_plane)
+    points, doubts = voxels.positions, np.zeros(len(places), np.float32)
+    if ends_in_plane or voxels.shown_at_once < ONE_VIEW_SHARE:
+        doubts = doubts_beside_outlines(points, distribution, places, ends_in_plane=ends_in_plane)
     if not ends_in_plane:
         doubts[beside_scan(points, distribution, places)] = MOST_LOGITS
     lowered = logits.clone()

@@ -4,7 +4,7 @@ import torch
 
 from gscomplete.shape.ask import mean_answer
 from gscomplete.shape.mirror_plane import MirrorPlane
-from gscomplete.shape.one_view import beside_scan
+from gscomplete.shape.one_view import ONE_VIEW_SHARE, beside_scan, best_view_share
 from gscomplete.shape.outline.scorer import doubts_beside_outlines
 from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.predict import differing_share, predict
@@ -29,7 +29,9 @@ def asked(model, partial, **options):
 def doubts(partial, shape, *, ends_in_plane):
     """Return what cells lose beside outlines."""
     points, places = partial.means.numpy(), cell_centers(CELLS).reshape(-1, 3)
-    found = doubts_beside_outlines(points, VIEWS, places, ends_in_plane=ends_in_plane)
+    found = np.zeros(len(places), np.float32)
+    if ends_in_plane or best_view_share(points) < ONE_VIEW_SHARE:
+        found = doubts_beside_outlines(points, VIEWS, places, ends_in_plane=ends_in_plane)
     if not ends_in_plane:
         found[beside_scan(points, VIEWS, places)] = 6.0
     return torch.from_numpy(found).reshape(shape)
@@ -76,6 +78,19 @@ def test_cells_beside_outlines_are_doubted_and_no_others(model):
     lost = torch.where(plain > -4.0, doubts(scan, plain.shape, ends_in_plane=False), 0.0)
     assert lost.max() == 6.0
     assert torch.equal(guess.output.occupancy, plain - lost)
+
+
+def test_what_one_view_shows_asks_for_no_other_outline(model, monkeypatch):
+    def never(*arguments, **options):
+        raise AssertionError
+
+    monkeypatch.setattr("gscomplete.shape.predict.doubts_beside_outlines", never)
+    whole = ball()
+    scan = whole.select(whole.means[:, 0] > 0.1)
+    assert best_view_share(scan.means.numpy()) >= ONE_VIEW_SHARE
+    asked(model, scan, ends_in_plane=False)
+    with pytest.raises(AssertionError):
+        asked(model, scan, ends_in_plane=True)
 
 
 def test_beside_a_cut_part_only_whole_outlines_count(model, monkeypatch):
