@@ -141,7 +141,7 @@ def test_of_half_a_figure_the_other_half_is_hardly_doubted():
 
 def test_the_surest_outline_that_leaves_a_place_out_counts(monkeypatch):
     grid = views_at(VIEWS.radius)
-    sure = {0: 9.0, 30: 1.5, 55: 2.0}  # log odds; of all others it is unlikely
+    sure = {0: 9.0, 30: 1.0, 55: 1.5}  # log odds; of all others it is unlikely
     scores = np.array([sure.get(k, -1.0) for k in range(len(grid))])
     monkeypatch.setattr(scorer, "packaged_outline_scorer", lambda: lambda features: scores)
     asked = np.random.default_rng(1).uniform(-0.7, 0.7, (500, 3)).astype(np.float32)
