@@ -24,8 +24,9 @@ AZIMUTHS = 24
 SIDE_PX = 96
 _HALF_WIDTH = 0.9
 """Of a picture, object sizes."""
-_GROWN_PX = 5
-"""Side of the square that each point of an outline grows to."""
+_GROWN_PX, _BESIDE_PX = 5, 7
+"""Side of the square that each point of an outline grows to, and for what lies beside it: where it
+turns away, P's surface is sparse."""
 
 Mask = NDArray[np.bool_]
 
@@ -64,15 +65,18 @@ class View:
         places: FloatArray,  # [M, 3] about the target
     ) -> Mask:  # [M]
         """Return which places lie beside the outline of points."""
-        covered = outline(self.pixels(points)[0])
+        covered = outline(self.pixels(points)[0], _BESIDE_PX)
         return ~covered.ravel()[self.pixels(places)[0]]
 
 
-def outline(pixels: NDArray[np.int64]) -> Mask:  # [N] -> [SIDE_PX, SIDE_PX]
+def outline(
+    pixels: NDArray[np.int64],  # [N]
+    grown_px: int = _GROWN_PX,
+) -> Mask:  # [SIDE_PX, SIDE_PX]
     """Return the outline of points, filled, without gaps between them."""
     covered = np.zeros(SIDE_PX**2, np.bool_)
     covered[pixels] = True
-    return maximum_filter(covered.reshape(SIDE_PX, SIDE_PX), _GROWN_PX)
+    return maximum_filter(covered.reshape(SIDE_PX, SIDE_PX), grown_px)
 
 
 def views_at(distance: float) -> list[View]:
