@@ -73,7 +73,7 @@ _AROUND = (*_BESIDE, "opposite", "at_best", "least", "most", "mean")
 FEATURES = (*OF_VIEW, *OF_PLACE, *(f"{name}_{where}" for where in _AROUND for name in OF_VIEW))
 MOST_LOGITS = 6.0
 """What a place loses beside an outline that is whole: only what the network is sure of stays ..."""
-_DOUBTED_FROM, _LOGITS_PER_SCORE = 0.5, 3.0
+_DOUBTED_FROM, _LOGITS_PER_SCORE = 2.0, 3.0
 """... which the scorer says in log odds: from the first on, the surer the more."""
 _POINTS, _NEIGHBOURS, _NORMAL_NEIGHBOURS = 4000, 24, 16
 _SEEN_DEPTH = 0.05

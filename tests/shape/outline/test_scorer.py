@@ -122,7 +122,8 @@ def test_from_where_a_figure_was_scanned_its_outline_is_whole():
     between_legs, beside_head, behind = (0.0, 0.0, -0.4), (0.0, 0.3, 0.35), (-0.1, 0.0, 0.0)
     asked = np.array([between_legs, beside_head, behind], np.float32)
     found = doubts_beside_outlines(part, VIEWS, asked, ends_in_plane=False)
-    assert found.tolist() == [MOST_LOGITS, MOST_LOGITS, 0.0]
+    assert (found[:2] > MOST_LOGITS / 2).all()
+    assert found[2] == 0
     assert level_scores(part)[[-1, 0, 1]].min() > 3
 
 
@@ -141,7 +142,7 @@ def test_of_half_a_figure_the_other_half_is_hardly_doubted():
 
 def test_the_surest_outline_that_leaves_a_place_out_counts(monkeypatch):
     grid = views_at(VIEWS.radius)
-    sure = {0: 9.0, 30: 1.0, 55: 1.5}  # log odds; of all others it is unlikely
+    sure = {0: 9.0, 30: 2.5, 55: 3.0}  # log odds; of all others it is unlikely
     scores = np.array([sure.get(k, -1.0) for k in range(len(grid))])
     monkeypatch.setattr(scorer, "packaged_outline_scorer", lambda: lambda features: scores)
     asked = np.random.default_rng(1).uniform(-0.7, 0.7, (500, 3)).astype(np.float32)
