@@ -19,7 +19,7 @@ from torch import Tensor
 from gscomplete.shape.bank.fit import FittedShape
 from gscomplete.shape.evidence import Evidence, gather_evidence
 from gscomplete.shape.mirror_plane import MirrorPlane
-from gscomplete.shape.one_view import ONE_VIEW_SHARE
+from gscomplete.shape.outline.one_view import ONE_VIEW_SHARE
 from gscomplete.shape.predict import Prediction
 from gscomplete.shape.surface import (
     SurfaceSettings,

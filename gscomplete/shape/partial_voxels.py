@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gscomplete.shape.evidence import Evidence, gather_evidence
-from gscomplete.shape.one_view import best_view_share
+from gscomplete.shape.outline.one_view import best_view_share
 from gscomplete.shape.planes.features import PartSamples, part_samples
 from gscomplete.shape.symmetry import (
     SymmetryMap,

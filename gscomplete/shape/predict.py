@@ -21,7 +21,7 @@ from torch import Tensor
 from gscomplete.shape.ask import ask, mean_answer
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter, ShapeOutput
-from gscomplete.shape.one_view import ONE_VIEW_SHARE, beside_scan
+from gscomplete.shape.outline.one_view import ONE_VIEW_SHARE, beside_scan
 from gscomplete.shape.outline.scorer import MOST_LOGITS, doubts_beside_outlines
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs, voxelize_partial
 from gscomplete.shape.symmetry_choice import choose_symmetries

@@ -4,7 +4,7 @@ import torch
 
 from gscomplete.shape.ask import mean_answer
 from gscomplete.shape.mirror_plane import MirrorPlane
-from gscomplete.shape.one_view import ONE_VIEW_SHARE, beside_scan, best_view_share
+from gscomplete.shape.outline.one_view import ONE_VIEW_SHARE, beside_scan, best_view_share
 from gscomplete.shape.outline.scorer import doubts_beside_outlines
 from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.predict import differing_share, predict

@@ -73,8 +73,11 @@ _AROUND = (*_BESIDE, "opposite", "at_best", "least", "most", "mean")
 FEATURES = (*OF_VIEW, *OF_PLACE, *(f"{name}_{where}" for where in _AROUND for name in OF_VIEW))
 MOST_LOGITS = 6.0
 """What a place loses beside an outline that is whole: only what the network is sure of stays ..."""
-_DOUBTED_FROM, _LOGITS_PER_SCORE = 2.0, 3.0
+DOUBTED_FROM, _LOGITS_PER_SCORE = 2.0, 3.0
 """... which the scorer says in log odds: from the first on, the surer the more."""
+_BESIDE_PX = 7
+"""Side of the square that points grow to, for what lies beside them: P is sparse where it turns
+away."""
 _POINTS, _NEIGHBOURS, _NORMAL_NEIGHBOURS = 4000, 24, 16
 _SEEN_DEPTH = 0.05
 _FACING = 0.6
@@ -107,14 +110,14 @@ def doubts_beside_outlines(
         ends_in_plane: whether P was cut along a plane, as far as found.
     """
     features = outline_features(points, views, ends_in_plane=ends_in_plane)
-    above = packaged_outline_scorer()(features) - _DOUBTED_FROM
+    above = packaged_outline_scorer()(features) - DOUBTED_FROM
     lost = (_LOGITS_PER_SCORE * above).clip(0.0, MOST_LOGITS)
     target = np.array(views.target, np.float32)
     points, places = (np.asarray(x - target, np.float32) for x in (points, places))
     doubts = np.zeros(len(places), np.float32)
     for view, logits in zip(views_at(views.radius), lost, strict=True):
         if logits > 0:
-            doubts = np.maximum(doubts, logits * view.beside(points, places))
+            doubts = np.maximum(doubts, logits * view.beside(points, places, SIDE_PX, _BESIDE_PX))
     return doubts
 
 
@@ -134,8 +137,7 @@ def outline_features(
     local, seen = np.array([row for row, _ in rows], np.float32), np.stack([s for _, s in rows])
     local[:, -1] /= local[:, -1].max()
     best = int(local[:, 0].argmax())
-    place = _of_place(surface, grid, views, seen, best)
-    place[:, -1] = ends_in_plane
+    place = _of_place(surface, grid, views, seen, best, ends_in_plane)
     return np.concatenate([local, place, *_around(local, best)], axis=1)
 
 
@@ -192,28 +194,36 @@ def _of_place(
     views: ViewDistribution,
     seen: Mask,  # [V, N]
     best: int,
-) -> FloatArray:  # [V, len(OF_PLACE)] but for the last
-    """Return where views are, and what is known of P as a whole."""
+    ends_in_plane: bool,
+) -> FloatArray:  # [V, len(OF_PLACE)]
+    """Return where views are, and what is known of P as a whole; columns as ``OF_PLACE``."""
     toward = np.stack([view.toward for view in grid])
     c = math.radians(views.azimuth_deg)
-    place = np.zeros((len(grid), len(OF_PLACE)), np.float32)
-    place[:, 0] = toward[:, 2]
-    place[:, 1] = toward[:, 0] * math.cos(c) + toward[:, 1] * math.sin(c)
-    place[:, 2] = toward @ toward[best]
     sides = np.ptp(surface.points, axis=0)
-    place[:, 3] = seen.mean()
-    place[:, 4] = surface.on_rim.mean()
-    place[:, 5] = sides.min() / max(float(sides.max()), 1e-12)
+    right, _, along = (axes @ surface.points.T for axes in np.stack([v.axes for v in grid], axis=1))
+    columns = (
+        toward[:, 2],
+        toward[:, 0] * math.cos(c) + toward[:, 1] * math.sin(c),
+        toward @ toward[best],
+        seen.mean(),
+        surface.on_rim.mean(),
+        sides.min() / max(float(sides.max()), 1e-12),
+        *(_seen_within(seen, reach) for reach in _UNIONS),
+        np.ptp(right, axis=1),
+        np.ptp(along, axis=1),
+        ends_in_plane,
+    )
+    shape = len(grid)
+    return np.stack([np.broadcast_to(np.float32(x), shape) for x in columns], axis=1)
+
+
+def _seen_within(seen: Mask, reach: int) -> FloatArray:  # [V, N] -> [V]
+    """Return the share of points that is seen from views or any of so many to either side."""
     rings = seen.reshape(len(ELEVATIONS_DEG), AZIMUTHS, -1)
-    for column, reach in zip((6, 7), _UNIONS, strict=True):
-        union = rings.copy()
-        for step in range(1, reach + 1):
-            union |= np.roll(rings, step, axis=1) | np.roll(rings, -step, axis=1)
-        place[:, column] = union.mean(axis=2).ravel()
-    for row, view in enumerate(grid):
-        right, _, along = view.axes @ surface.points.T
-        place[row, 8:10] = np.ptp(right), np.ptp(along)
-    return place
+    union = rings.copy()
+    for step in range(1, reach + 1):
+        union |= np.roll(rings, step, axis=1) | np.roll(rings, -step, axis=1)
+    return union.mean(axis=2).ravel()
 
 
 def _around(local: FloatArray, best: int) -> list[FloatArray]:  # [V, L] -> each [V, L]

@@ -12,7 +12,6 @@ Conventions
 from __future__ import annotations
 
 import functools
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,7 +23,7 @@ from gscomplete.errors import UserError
 from gscomplete.priors.embedded.ending import Ending, ending_of
 from gscomplete.priors.embedded.prior import EmbeddedPrior
 from gscomplete.priors.embedded.weights import SHAPE_FILE, packaged_weights
-from gscomplete.shape.one_view import ONE_VIEW_SHARE
+from gscomplete.shape.outline.one_view import ONE_VIEW_SHARE
 from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.planes.answer_scorer import (
     FEATURES,
@@ -41,7 +40,7 @@ from recipes.real_objects.load import RealObject
 from recipes.real_objects.unseen import PartKind, complete_object, part_of
 from recipes.train_embedded_prior.data.mesh_pack import PackEntry, read_manifest, read_mesh
 from recipes.train_embedded_prior.data.solids import solid_cells
-from recipes.train_embedded_prior.planes.array_sets import joined, made_of_tasks
+from recipes.train_embedded_prior.planes.array_sets import joined, made_of_tasks, stem_of
 
 FILE_OBJECTS = 50
 ANSWERS = CANDIDATES + 1
@@ -204,5 +203,5 @@ def answer_sets(
     """
     tasks = answer_tasks(meshes, seed, objects)
     contents = f"{seed} {asked_with()} {' '.join(FEATURES)}"
-    stem = folder / f"answers-{hashlib.sha256(contents.encode()).hexdigest()[:8]}"
+    stem = stem_of(folder, "answers", contents)
     return made_of_tasks(AnswerSets, stem, answer_sets_of, tasks, FILE_OBJECTS, workers)

@@ -7,6 +7,7 @@ on with the files that are there.
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import multiprocessing
 import sys
 from collections.abc import Callable, Sequence
@@ -56,6 +57,11 @@ def made_once(
             with atomic_path(paths[start]) as temporary, temporary.open("wb") as file:
                 np.savez(file, **{name: getattr(made, name) for name in _names(kind)})
     return [_read(kind, path) for path in paths.values()]
+
+
+def stem_of(folder: Path, kind: str, contents: str) -> Path:
+    """Return where the paths of files of a kind begin: other contents are other files."""
+    return folder / f"{kind}-{hashlib.sha256(contents.encode()).hexdigest()[:8]}"
 
 
 def made_of_tasks(

@@ -12,7 +12,6 @@ Conventions
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,7 +33,7 @@ from recipes.train_embedded_prior.planes.answer_sets import (
     asked_with,
     shadow_ious,
 )
-from recipes.train_embedded_prior.planes.array_sets import joined, made_of_tasks
+from recipes.train_embedded_prior.planes.array_sets import joined, made_of_tasks, stem_of
 
 FILE_OBJECTS = 48
 _KINDS: tuple[PartKind, ...] = (
@@ -102,5 +101,5 @@ def benefit_sets(
     """
     tasks = answer_tasks(meshes, seed, objects)
     contents = f"{seed} {asked_with()} {packaged_answer_scorer().digest()} {' '.join(FEATURES)}"
-    stem = folder / f"benefits-{hashlib.sha256(contents.encode()).hexdigest()[:8]}"
+    stem = stem_of(folder, "benefits", contents)
     return made_of_tasks(BenefitSets, stem, benefit_sets_of, tasks, FILE_OBJECTS, workers)

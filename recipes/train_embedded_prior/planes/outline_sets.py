@@ -12,7 +12,6 @@ Conventions
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -38,9 +37,10 @@ from recipes.train_embedded_prior.planes.answer_sets import (
     answer_tasks,
     packaged_prior,
 )
-from recipes.train_embedded_prior.planes.array_sets import joined, made_of_tasks
+from recipes.train_embedded_prior.planes.array_sets import joined, made_of_tasks, stem_of
 
 FILE_OBJECTS = 48
+KINDS = ("scan", "arc", "wide", "half", "middle", "box", "complete")
 VIEWS = len(views_at(1.0))
 _CUT: tuple[PartKind, ...] = ("half", "half", "middle", "box")
 """As often as they are drawn."""
@@ -66,9 +66,6 @@ class OutlineSets:
 
     def __len__(self) -> int:
         return len(self.shares)
-
-
-KINDS = ("scan", "arc", "wide", "half", "middle", "box", "complete")
 
 
 def outline_sets_of(task: AnswerTask) -> OutlineSets:
@@ -184,11 +181,12 @@ def outline_sets(
     """
     tasks = answer_tasks(meshes, seed, objects)
     contents = f"{seed} {' '.join(FEATURES)}"
-    name = hashlib.sha256(contents.encode()).hexdigest()[:8]
     few = tasks[: math.ceil(_MORE_CUT_SHARE * len(tasks))]
     ways = (("outlines", outline_sets_of, tasks), ("cuts", cut_sets_of, few))
     made = [
-        made_of_tasks(OutlineSets, folder / f"{stem}-{name}", make, some, FILE_OBJECTS, workers)
-        for stem, make, some in ways
+        made_of_tasks(
+            OutlineSets, stem_of(folder, kind, contents), make, some, FILE_OBJECTS, workers
+        )
+        for kind, make, some in ways
     ]
     return [joined([sets[k] for sets in made if k < len(sets)]) for k in range(len(made[0]))]

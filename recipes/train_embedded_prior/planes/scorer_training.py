@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import torch
 from torch import Tensor, nn
 
 from gscomplete.networks.perceptron import Perceptron
+from recipes.train_embedded_prior.planes.array_sets import joined
 
 BatchLoss = Callable[[nn.Sequential, Tensor, torch.Generator], Tensor]
 """(network, scaled features, generator of draws) -> loss [] of one batch."""
+Sets = TypeVar("Sets")
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -27,7 +32,7 @@ class ScorerConfig:
     out: Path
     """File to write; the default is the package's own."""
     objects: int
-    """Objects to learn from, the held-out ones included; two parts of each."""
+    """Objects to learn from, the held-out ones included; some parts of each."""
     seed: int
     width: int
     """Units of the first hidden layer; the second has half as many."""
@@ -69,3 +74,30 @@ def fit_perceptron(
         loss.backward()
         optimizer.step()
     return Perceptron.of(network, center, spread)
+
+
+def train_on_files(
+    config: ScorerConfig,
+    files: Sequence[Sets],
+    held_out_every: int,
+    fit: Callable[[Sets], Perceptron],
+    told: Callable[[str, Perceptron, Sets], str],
+) -> None:
+    """Train a scorer, say how good it is, and write it.
+
+    Args:
+        config: names the file to write.
+        files: parts, by the file.
+        held_out_every: so many files; the first of them is learned from at the end alone.
+        fit: trains on parts.
+        told: says in words what a scorer makes of parts that are called so.
+    """
+    held_out = joined(files[::held_out_every])
+    others = [sets for k, sets in enumerate(files) if k % held_out_every]
+    if others:
+        _LOG.info(told("held out", fit(joined(others)), held_out))
+    every = joined(files)
+    scorer = fit(every)
+    _LOG.info(told("learned from", scorer, every))
+    scorer.save(config.out)
+    _LOG.info("%s", config.out)

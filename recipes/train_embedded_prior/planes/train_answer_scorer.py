@@ -12,6 +12,7 @@ Conventions
 
 from __future__ import annotations
 
+import functools
 import logging
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,10 +29,12 @@ from gscomplete.shape.planes.answer_scorer import ANSWER_SCORER_FILE, OF_ANSWER
 from gscomplete.shape.voxels import FloatArray
 from recipes.entry_point import start
 from recipes.train_embedded_prior.planes.answer_sets import AnswerSets, answer_sets
-from recipes.train_embedded_prior.planes.array_sets import joined
-from recipes.train_embedded_prior.planes.scorer_training import ScorerConfig, fit_perceptron
+from recipes.train_embedded_prior.planes.scorer_training import (
+    ScorerConfig,
+    fit_perceptron,
+    train_on_files,
+)
 
-_LOG = logging.getLogger(__name__)
 _HELD_OUT_EVERY = 8
 _SCALE = 20.0
 """Of differences between true scores."""
@@ -100,31 +103,23 @@ def true_scores_of_choice(
     return sets.true_scores[rows, chosen], sets.true_scores[rows, likeliest], best
 
 
+def told(name: str, scorer: Perceptron, sets: AnswerSets) -> str:
+    """Return in words what the scorer makes of parts."""
+    first, likeliest, best = true_scores_of_choice(scorer, sets)
+    low, high = bootstrap_interval((first - likeliest).tolist())
+    return (
+        f"{name}, {len(first)} parts: score of the answer {first.mean():.4f}, of that to the "
+        f"likeliest plane {likeliest.mean():.4f} ({(first - likeliest).mean():+.4f}, {low:+.4f} to "
+        f"{high:+.4f}), of the best {best.mean():.4f}"
+    )
+
+
 def main(config: AnswerScorerConfig) -> int:
     """Run from the command line."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     files = answer_sets(config.run, config.meshes, config.seed, config.objects, config.workers)
-    held_out = joined(files[::_HELD_OUT_EVERY])
-    others = [sets for k, sets in enumerate(files) if k % _HELD_OUT_EVERY]
-    if others:
-        _told("held out", true_scores_of_choice(fit(config, joined(others)), held_out))
-    every = joined(files)
-    scorer = fit(config, every)
-    _told("learned from", true_scores_of_choice(scorer, every))
-    scorer.save(config.out)
-    _LOG.info("%s", config.out)
+    train_on_files(config, files, _HELD_OUT_EVERY, functools.partial(fit, config), told)
     return 0
-
-
-def _told(name: str, found: tuple[FloatArray, FloatArray, FloatArray]) -> None:
-    first, likeliest, best = found
-    low, high = bootstrap_interval((first - likeliest).tolist())
-    _LOG.info(
-        "%s, %d parts: score of the answer %.4f, of that to the likeliest plane %.4f "
-        "(%+.4f, %+.4f to %+.4f), of the best %.4f",
-        *(name, len(first), first.mean(), likeliest.mean()),
-        *((first - likeliest).mean(), low, high, best.mean()),
-    )
 
 
 if __name__ == "__main__":

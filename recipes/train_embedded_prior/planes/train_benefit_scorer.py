@@ -12,6 +12,7 @@ Conventions
 
 from __future__ import annotations
 
+import functools
 import logging
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,11 +26,13 @@ from gscomplete.networks.perceptron import Perceptron
 from gscomplete.priors.embedded.weights import packaged_weights
 from gscomplete.shape.benefit import BENEFIT_SCORER_FILE, LEFT_BELOW
 from recipes.entry_point import start
-from recipes.train_embedded_prior.planes.array_sets import joined
 from recipes.train_embedded_prior.planes.benefit_sets import BenefitSets, benefit_sets
-from recipes.train_embedded_prior.planes.scorer_training import ScorerConfig, fit_perceptron
+from recipes.train_embedded_prior.planes.scorer_training import (
+    ScorerConfig,
+    fit_perceptron,
+    train_on_files,
+)
 
-_LOG = logging.getLogger(__name__)
 _HELD_OUT_EVERY = 6
 _MOST_LOST, _MOST_GAINED = 0.2, 0.1
 """Larger losses and gains count as these."""
@@ -95,15 +98,7 @@ def main(config: BenefitScorerConfig) -> int:
     """Run from the command line."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     files = benefit_sets(config.run, config.meshes, config.seed, config.objects, config.workers)
-    held_out = joined(files[::_HELD_OUT_EVERY])
-    others = [sets for k, sets in enumerate(files) if k % _HELD_OUT_EVERY]
-    if others:
-        _LOG.info(told("held out", fit(config, joined(others)), held_out))
-    every = joined(files)
-    scorer = fit(config, every)
-    _LOG.info(told("learned from", scorer, every))
-    scorer.save(config.out)
-    _LOG.info("%s", config.out)
+    train_on_files(config, files, _HELD_OUT_EVERY, functools.partial(fit, config), told)
     return 0
 
 

@@ -11,6 +11,7 @@ Conventions
 
 from __future__ import annotations
 
+import functools
 import logging
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,13 +23,15 @@ from torch import Tensor, nn
 
 from gscomplete.networks.perceptron import Perceptron
 from gscomplete.priors.embedded.weights import packaged_weights
-from gscomplete.shape.outline.scorer import OUTLINE_SCORER_FILE
+from gscomplete.shape.outline.scorer import DOUBTED_FROM, OUTLINE_SCORER_FILE
 from recipes.entry_point import start
-from recipes.train_embedded_prior.planes.array_sets import joined
 from recipes.train_embedded_prior.planes.outline_sets import KINDS, OutlineSets, outline_sets
-from recipes.train_embedded_prior.planes.scorer_training import ScorerConfig, fit_perceptron
+from recipes.train_embedded_prior.planes.scorer_training import (
+    ScorerConfig,
+    fit_perceptron,
+    train_on_files,
+)
 
-_LOG = logging.getLogger(__name__)
 _HELD_OUT_EVERY = 6
 WHOLE = 0.985
 """Share of the complete object's outline."""
@@ -36,8 +39,6 @@ _CLEAR = 0.03
 """Outlines that lack so much more than that count once; ..."""
 _LEAST_WEIGHT, _MOST_WEIGHT, _WHOLE_WEIGHT = 0.1, 4.0, 0.5
 """... those that lack less or more by these, whole ones by the last."""
-_TAKEN_FROM = 2.0
-"""Score from which on what lies beside an outline loses as much as it can, when told about."""
 _LACKING = 0.95
 """Outlines below it are errors that show."""
 
@@ -85,7 +86,7 @@ def told(name: str, scorer: Perceptron, sets: OutlineSets) -> str:
         if not chosen.any():
             continue
         shares = sets.shares[chosen]
-        taken = scorer(sets.features[chosen]) > _TAKEN_FROM
+        taken = scorer(sets.features[chosen]) > DOUBTED_FROM
         right = (shares[taken] >= WHOLE).mean() if taken.any() else np.nan
         lacking = ((shares < _LACKING) & taken).any(axis=1).mean()
         lines.append(
@@ -101,15 +102,7 @@ def main(config: OutlineScorerConfig) -> int:
     """Run from the command line."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     files = outline_sets(config.run, config.meshes, config.seed, config.objects, config.workers)
-    held_out = joined(files[::_HELD_OUT_EVERY])
-    others = [sets for k, sets in enumerate(files) if k % _HELD_OUT_EVERY]
-    if others:
-        _LOG.info(told("held out", fit(config, joined(others)), held_out))
-    every = joined(files)
-    scorer = fit(config, every)
-    _LOG.info(told("learned from", scorer, every))
-    scorer.save(config.out)
-    _LOG.info("%s", config.out)
+    train_on_files(config, files, _HELD_OUT_EVERY, functools.partial(fit, config), told)
     return 0
 
 

@@ -10,7 +10,7 @@ from gscomplete.shape.outline.scorer import (
     outline_features,
     packaged_outline_scorer,
 )
-from gscomplete.shape.outline.views import AZIMUTHS, ELEVATIONS_DEG, views_at
+from gscomplete.shape.outline.views import AZIMUTHS, ELEVATIONS_DEG, SIDE_PX, views_at
 from gscomplete.views import ViewDistribution
 from tests.builders.objects import ball
 from tests.builders.threads import each_thread_count
@@ -149,7 +149,7 @@ def test_the_surest_outline_that_leaves_a_place_out_counts(monkeypatch):
     part = BALL[BALL[:, 0] > 0]
     target = np.array(VIEWS.target, np.float32)
     lost = {0: MOST_LOGITS, 30: 1.5, 55: 3.0}
-    beside = {k: grid[k].beside(part - target, asked - target) for k in sure}
+    beside = {k: grid[k].beside(part - target, asked - target, SIDE_PX, 7) for k in sure}
     expected = [max(lost[k] * bool(beside[k][n]) for k in sure) for n in range(500)]
     found = doubts_beside_outlines(part, VIEWS, asked, ends_in_plane=False)
     assert found.tolist() == expected

@@ -59,5 +59,5 @@ def test_beside_a_ball_is_what_its_disc_does_not_cover():
     asked = places(
         (0, 0.55, 0), (0, 0, 0.6), (-0.5, 0, 0), (0.5, 0, 0), (0, 0.3, 0), (-0.6, 0.3, 0)
     )
-    found = views_at(2.2)[0].beside(BALL, asked)
+    found = views_at(2.2)[0].beside(BALL, asked, SIDE_PX, 7)
     assert found.tolist() == [True, True, False, False, False, False]

@@ -7,22 +7,16 @@ only where every view that may have been the scanner's finds it there.
 
 Conventions
 -----------
-* A view is three axes: to the right, up, and towards the viewer.
-* How much of any part one view shows is counted with parallel rays, in sides of P. Views of a scan
-  are at V's distance and look at its target; their pictures are planes through the target.
+* How much of any part one view shows is counted with parallel rays, in sides of P.
 * Depth cameras lose dark surfaces: what lies beside P is unlikely, not impossible.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
 
+from gscomplete.shape.outline.views import View, axes_of_views
 from gscomplete.shape.voxels import FloatArray
 from gscomplete.views import ViewDistribution
 
@@ -48,8 +42,6 @@ _MOST_VIEWS = 60
 _STEEP_SINE = 0.85
 """... and nor are those, such as plates, that show all of themselves from above: from a view whose
 elevation has a larger sine."""
-_HALF_WIDTH = 0.9
-"""Of a picture, object sizes."""
 _SILHOUETTE_PX, _GROWN_PX = 128, 5
 """Side of a picture of P's silhouette, and of the square that each of its pixels grows to."""
 
@@ -61,7 +53,7 @@ def best_view_share(points: NDArray[np.floating]) -> float:  # [N, 3] z up, in [
     chosen = points[:: max(1, -(-len(points) // _SHARE_POINTS))]
     side = max(float(np.ptp(points, axis=0).max()), 1e-12)
     best = 0.0
-    for axes in _axes_of_views(_SHARE_STEP_DEG, _SHARE_ELEVATIONS_DEG):
+    for axes in axes_of_views(_SHARE_STEP_DEG, _SHARE_ELEVATIONS_DEG):
         x, y, near = (chosen @ axis for axis in axes)
         cell = max(float(np.ptp(x)), float(np.ptp(y)), 1e-12) / _SHARE_PX * (1 + 1e-9)
         column, row = ((v - v.min()) // cell for v in (x, y))
@@ -70,44 +62,6 @@ def best_view_share(points: NDArray[np.floating]) -> float:  # [N, 3] z up, in [
         np.maximum.at(nearest, pixel, near)
         best = max(best, float((near > nearest[pixel] - _SHARE_DEPTH * side).mean()))
     return best
-
-
-@dataclass(frozen=True, slots=True)
-class _View:
-    """One that may be a scanner's."""
-
-    axes: FloatArray  # [3, 3]
-    distance: float
-
-    def project(self, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return where points [N, 3] about the target are in the picture, and how far away."""
-        right, up, toward = self.axes @ points.T
-        depth = self.distance - toward
-        scale = self.distance / np.maximum(depth, 1e-3)
-        return right * scale, up * scale, depth
-
-    def pixels(self, points: FloatArray, size_px: int) -> tuple[NDArray[np.intp], FloatArray]:
-        """Return the pixels [N] of points, numbered row by row, and how far away they are."""
-        x, y, depth = self.project(points)
-        column, row = (
-            ((v + _HALF_WIDTH) * (size_px / (2 * _HALF_WIDTH))).clip(0, size_px - 1).astype(np.intp)
-            for v in (x, y)
-        )
-        return row * size_px + column, depth
-
-    def shown(self, points: FloatArray) -> float:
-        """Return the share of points [N, 3] that no others hide."""
-        pixel, depth = self.pixels(points, _SHOWN_PX)
-        nearest = np.full(_SHOWN_PX**2, np.inf)
-        np.minimum.at(nearest, pixel, depth)
-        return float((depth < nearest[pixel] + _SEEN_DEPTH).mean())
-
-    def beside(self, points: FloatArray, places: FloatArray) -> NDArray[np.bool_]:
-        """Return which of the places [M, 3] are beside the silhouette of points [N, 3]."""
-        covered = np.zeros(_SILHOUETTE_PX**2, np.bool_)
-        covered[self.pixels(points, _SILHOUETTE_PX)[0]] = True
-        grown = maximum_filter(covered.reshape(_SILHOUETTE_PX, -1), _GROWN_PX)
-        return ~grown.ravel()[self.pixels(places, _SILHOUETTE_PX)[0]]
 
 
 def beside_scan(
@@ -125,25 +79,23 @@ def beside_scan(
     target = np.array(views.target, np.float32)
     points, places = points - target, places - target
     few = points[:: max(1, -(-len(points) // _SCAN_POINTS))]
-    every = _axes_of_views(_SCAN_STEP_DEG, _SCAN_ELEVATIONS_DEG)
-    found = (_View(axes.astype(np.float32), views.radius) for axes in every)
-    tried = [(view.shown(few), view) for view in found]
+    every = axes_of_views(_SCAN_STEP_DEG, _SCAN_ELEVATIONS_DEG)
+    found = (View(axes.astype(np.float32), views.radius) for axes in every)
+    tried = [(_shown(view, few), view) for view in found]
     most = max(share for share, _ in tried)
     maybe = [view for share, view in tried if share >= most - _NEARLY_AS_MUCH]
-    is_flat = len(maybe) > _MOST_VIEWS or any(view.axes[2, 2] > _STEEP_SINE for view in maybe)
+    is_flat = len(maybe) > _MOST_VIEWS or any(view.toward[2] > _STEEP_SINE for view in maybe)
     beside = np.full(len(places), most >= _LEAST_SHOWN and not is_flat)
     for view in maybe:
         if not beside.any():
             break
-        beside[beside] = view.beside(points, places[beside])
+        beside[beside] = view.beside(points, places[beside], _SILHOUETTE_PX, _GROWN_PX)
     return beside
 
 
-def _axes_of_views(step_deg: float, elevations_deg: Sequence[float]) -> Iterator[FloatArray]:
-    """Yield the axes [3, 3] of views from all sides, at some elevations."""
-    for elevation in np.deg2rad(elevations_deg):
-        for azimuth in np.deg2rad(np.arange(0.0, 360.0, step_deg)):
-            right = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
-            level = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
-            toward = level * math.cos(elevation) + (0.0, 0.0, math.sin(elevation))
-            yield np.stack([right, np.cross(toward, right), toward])
+def _shown(view: View, points: FloatArray) -> float:
+    """Return the share of points [N, 3] that no others hide."""
+    pixel, depth = view.pixels(points, _SHOWN_PX)
+    nearest = np.full(_SHOWN_PX**2, np.inf)
+    np.minimum.at(nearest, pixel, depth)
+    return float((depth < nearest[pixel] + _SEEN_DEPTH).mean())

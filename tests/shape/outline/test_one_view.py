@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gscomplete.shape.one_view import beside_scan, best_view_share
+from gscomplete.shape.outline.one_view import beside_scan, best_view_share
 from gscomplete.views import ViewDistribution
 from tests.builders.objects import ball
 
