@@ -136,31 +136,63 @@ def assemble_splats(
         known: finds shapes that suit P, which may contradict mirror images; called where the
             network doubts a part of them.
     """
-    copies, contradicted = None, None
-    if is_mirrored_by_splats(prediction):
-        copies, contradicted = _new_copies(prediction, partial, known, generator)
-    if copies is None or contradicted is None or not len(copies):
-        level = _surface_logit(prediction, settings)
-        near = settings.near_partial
-        doubted = not _is_certain(prediction)
-        plain = SurfaceSettings(
-            settings.count, near_partial=near, filled_logit=level, rim_decides=doubted
-        )
-        surface = surface_splats(prediction.output, prediction.seen, partial, plain, generator)
-        return AssembledSplats(surface, 0)
+    copies, contradicted = mirrored_copies(prediction, partial, generator, known)
+    covering = surface_settings(prediction, settings, copies)
+    asked = prediction.output, prediction.seen, partial, covering, generator
+    if copies is None:
+        return AssembledSplats(surface_splats(*asked), 0)
     if settings.image_is_all and len(copies) >= _NEARLY_ALL * len(partial):
         return AssembledSplats(copies, len(copies), len(contradicted))
-    beside = SurfaceSettings(
+    surface = surface_splats(*asked, copies)
+    if len(contradicted):
+        surface = surface.select(~stands_off(known(), surface, contradicted))
+    return AssembledSplats(concatenate([copies, surface]), len(copies), len(contradicted))
+
+
+def mirrored_copies(
+    prediction: Prediction,
+    partial: Splats,
+    generator: torch.Generator,
+    known: Callable[[], Sequence[FittedShape]] = tuple,
+) -> tuple[Splats | None, Splats]:
+    """Return P's splats through the first mirror image, where P has none and nothing is against.
+
+    The second value are those that known shapes alone are against. None = P's own splats are not
+    to be mirrored, or none of them is left. Arguments are those of :func:`assemble_splats`.
+    """
+    if not is_mirrored_by_splats(prediction):
+        return None, partial.select(torch.arange(0))
+    copies = mirror_image(partial, prediction.seen.symmetries[0])
+    occupancy = prediction.output.occupancy.float()
+    least_logit = -math.inf if _is_certain(prediction) else _LEAST_COPY_LOGIT
+    copies = select_consistent(copies, occupancy, prediction.voxels.evidence, least_logit)
+    doubted = sample_volume(occupancy, copies.means)[:, 0] < _DOUBTED_LOGIT
+    against = torch.zeros_like(doubted)
+    if float(doubted.sum()) > _FEW_DOUBTED * len(copies):
+        against = contradicted_by(known(), copies, doubted)
+    contradicted, copies = copies.select(against), copies.select(~against)
+    copies = _beyond(copies, partial, generator)
+    return copies if len(copies) else None, contradicted
+
+
+def surface_settings(
+    prediction: Prediction, settings: AssembleSettings, copies: Splats | None
+) -> SurfaceSettings:
+    """Return how the network's surface is covered, beside mirrored splats or alone."""
+    if copies is None:
+        return SurfaceSettings(
+            settings.count,
+            near_partial=settings.near_partial,
+            filled_logit=_surface_logit(prediction, settings),
+            rim_decides=not _is_certain(prediction),
+        )
+    return SurfaceSettings(
         settings.count,
         near_partial=settings.reach,
         gap_spacings=_GAP_SPACINGS,
         filled_logit=_LOGIT_BESIDE,
         least_spacing=min(max(median_spacing(copies.means), _LEAST_SPACING), _MOST_SPACING),
     )
-    surface = surface_splats(prediction.output, prediction.seen, partial, beside, generator, copies)
-    if len(contradicted):
-        surface = surface.select(~stands_off(known(), surface, contradicted))
-    return AssembledSplats(concatenate([copies, surface]), len(copies), len(contradicted))
 
 
 def is_mirrored_by_splats(prediction: Prediction) -> bool:
@@ -239,28 +271,6 @@ def _mirror_note(prediction: Prediction, mirrored: int) -> str:
     plane = mirror_plane_of(prediction.seen.symmetries[0])
     how = "by P's own splats" if mirrored else "as a hint"
     return f"mirrored {how} through the upright plane {plane} (--mirror)"
-
-
-def _new_copies(
-    prediction: Prediction,
-    partial: Splats,
-    known: Callable[[], Sequence[FittedShape]],
-    generator: torch.Generator,
-) -> tuple[Splats, Splats]:
-    """Return P's splats through the first mirror image, where P has none and nothing is against.
-
-    The second value are those that known shapes alone are against.
-    """
-    copies = mirror_image(partial, prediction.seen.symmetries[0])
-    occupancy = prediction.output.occupancy.float()
-    least_logit = -math.inf if _is_certain(prediction) else _LEAST_COPY_LOGIT
-    copies = select_consistent(copies, occupancy, prediction.voxels.evidence, least_logit)
-    doubted = sample_volume(occupancy, copies.means)[:, 0] < _DOUBTED_LOGIT
-    against = torch.zeros_like(doubted)
-    if float(doubted.sum()) > _FEW_DOUBTED * len(copies):
-        against = contradicted_by(known(), copies, doubted)
-    contradicted, copies = copies.select(against), copies.select(~against)
-    return _beyond(copies, partial, generator), contradicted
 
 
 def image_of_half(

@@ -4,7 +4,7 @@ Conventions
 -----------
 * The surface is where the interpolated occupancy logit crosses a level; outward is where it falls.
   Cells of thin walls are filled whole, so the surface lies about ``_INWARD`` cells outside the
-  true one: splats are set that much inside it.
+  true one: what is new is told that far inside it, and set as deep as ``surface_depth`` says.
 * Splats are flat discs facing outward. Those on surface that P has are left out.
 """
 
@@ -23,6 +23,7 @@ from gscomplete.shape.colors.rim import checked_by_rim
 from gscomplete.shape.colors.sources import nearest_colors, source_colors
 from gscomplete.shape.network import ShapeOutput
 from gscomplete.shape.partial_voxels import ShapeInputs
+from gscomplete.shape.surface_depth import surface_depths
 from gscomplete.shape.voxels import CELL_SIDE, HALF_SIDE, grown, sample_volume
 from gscomplete.splats import Splats, colors_to_sh, concatenate
 from gscomplete.splats.neighbourhood import one_sidedness
@@ -76,6 +77,16 @@ class SurfaceSettings:
     """Whether colours that are unlike those at P's rim give way to them."""
 
 
+@dataclass(frozen=True, slots=True)
+class SurfacePoints:
+    """Points of the predicted surface, evenly spread."""
+
+    points: Tensor  # [N, 3] where the logits cross their level
+    normals: Tensor  # [N, 3] outward
+    insets: Tensor  # [N] how far inside they were asked whether they are new
+    spacing: float
+
+
 def surface_splats(
     output: ShapeOutput,
     inputs: ShapeInputs,
@@ -94,16 +105,12 @@ def surface_splats(
         generator: chooses where splats sit.
         mirrored: other splats that are there already, which then lend colours too; None = none.
     """
-    logits = (output.occupancy[0].float() - settings.filled_logit).clamp(-8, 8)
     anchor = thinned(partial, 20_000, generator)
-    field = _field(logits)
-    points, normals, on_surface = _project(field, _seeds(logits, generator))
-    points, normals = points[on_surface], normals[on_surface]
-    points = _set_inside(field, points, normals)
     there = anchor.means if mirrored is None else torch.cat([anchor.means, mirrored.means])
-    is_new = is_missing(points, normals, there, settings)
-    points, normals, spacing = _spread(points[is_new], normals[is_new], settings, generator)
-    points = on_copies(points, normals, anchor.means, inputs)
+    found = new_surface(output, there, settings, generator)
+    points, normals = found.points, found.normals
+    depths = surface_depths(output, inputs, settings.filled_logit, points, normals)
+    points = on_copies(points - depths[:, None] * normals, normals, anchor.means, inputs)
     if mirrored is None:
         colors = source_colors(output, inputs, partial, points, generator)
         if settings.rim_decides:
@@ -111,7 +118,7 @@ def surface_splats(
     else:
         colored = concatenate([partial.with_sh_degree(0), mirrored])
         colors = nearest_colors(colored, points, normals, generator)
-    scales = torch.full((len(points), 3), _OVERLAP * spacing)
+    scales = torch.full((len(points), 3), _OVERLAP * found.spacing)
     scales[:, 2] *= _FLATNESS
     return Splats(
         points,
@@ -120,6 +127,32 @@ def surface_splats(
         torch.full((len(points),), settings.opacity),
         colors_to_sh(colors.clamp(0.0, 1.0)),
     )
+
+
+def new_surface(
+    output: ShapeOutput,
+    there: Tensor,  # [M, 3]
+    settings: SurfaceSettings,
+    generator: torch.Generator,
+) -> SurfacePoints:
+    """Return the predicted surface where nothing is yet.
+
+    Args:
+        output: of the network for a batch of one.
+        there: splats that are there already.
+        settings: knobs.
+        generator: chooses where points lie.
+    """
+    logits = (output.occupancy[0].float() - settings.filled_logit).clamp(-8, 8)
+    field = _field(logits)
+    points, normals, on_surface = _project(field, _seeds(logits, generator))
+    points, normals = points[on_surface], normals[on_surface]
+    insets = _insets(field, points, normals)
+    inside = points - insets[:, None] * normals
+    new = torch.nonzero(is_missing(inside, normals, there, settings))[:, 0]
+    kept, spacing = _spread(inside[new], normals[new], settings, generator)
+    chosen = new[kept]
+    return SurfacePoints(points[chosen], normals[chosen], insets[chosen], spacing)
 
 
 def on_copies(
@@ -187,21 +220,21 @@ def _project(field: Tensor, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return points, normals, arrived
 
 
-def _set_inside(field: Tensor, points: Tensor, normals: Tensor) -> Tensor:  # [N, 3]
-    """Move points inward, but not past the axis of a thin rod, where the logits fall again."""
+def _insets(field: Tensor, points: Tensor, normals: Tensor) -> Tensor:  # [N]
+    """Return how far inside to go, but not past the axis of a thin rod, where the logits fall."""
     step = _INWARD / _INWARD_STEPS * CELL_SIDE
-    rises = torch.ones(len(points), dtype=torch.bool)
+    insets, rises = torch.zeros(len(points)), torch.ones(len(points), dtype=torch.bool)
     for _ in range(_INWARD_STEPS):
-        points = torch.where(rises[:, None], points - step * normals, points)
-        slopes = sample_volume(field[1:], points)
+        insets = torch.where(rises, insets + step, insets)
+        slopes = sample_volume(field[1:], points - insets[:, None] * normals)
         rises = rises & ((slopes * normals).sum(dim=1) <= 0)
-    return points
+    return insets
 
 
 def _spread(
     points: Tensor, normals: Tensor, settings: SurfaceSettings, generator: torch.Generator
-) -> tuple[Tensor, Tensor, float]:
-    """Keep at most ``settings.count`` evenly spread points; return their spacing too.
+) -> tuple[Tensor, float]:  # [K]
+    """Return which points to keep, at most ``settings.count``, evenly spread, and their spacing.
 
     One point is kept per cell of a grid whose side is searched for; points that face opposite ways
     are kept apart, so that thin walls stay double.
@@ -218,7 +251,7 @@ def _spread(
         else:
             side_high = side
             kept = found
-    return points[kept], normals[kept], side_high
+    return order[kept], side_high
 
 
 def _one_per_cell(points: Tensor, normals: Tensor, side: float) -> Tensor:  # [K]

@@ -19,6 +19,7 @@ from gscomplete.shape.outline.scorer import OUTLINE_SCORER_FILE
 from gscomplete.shape.planes.answer_scorer import ANSWER_SCORER_FILE
 from gscomplete.shape.planes.coarse_scorer import COARSE_SCORER_FILE
 from gscomplete.shape.planes.fine_scorer import FINE_SCORER_FILE
+from gscomplete.shape.surface_depth import SURFACE_DEPTH_FILE
 from gscomplete.shape.voxels import CELL_SIDE, CELLS
 from recipes.train_embedded_prior.data.mesh_pack import PackEntry
 
@@ -82,11 +83,12 @@ def card(
             f"seed {made.seed}.",
             f"* Planes that P is mirrored through are scored by `{COARSE_SCORER_FILE}` and then "
             f"by `{FINE_SCORER_FILE}`, trained before it by `train_coarse_scorer.py` and "
-            f"`train_fine_scorer.py` of `recipes/train_embedded_prior/planes`; the answers to "
-            f"them by `{ANSWER_SCORER_FILE}`, trained after it by `train_answer_scorer.py`. "
+            f"`train_fine_scorer.py` of `recipes/train_embedded_prior/small_networks`; the answers "
+            f"to them by `{ANSWER_SCORER_FILE}`, trained after it by `train_answer_scorer.py`. "
             f"Whether P is better left as it is says `{BENEFIT_SCORER_FILE}` "
             f"(`train_benefit_scorer.py`), from which views its outline is the whole object's "
-            f"`{OUTLINE_SCORER_FILE}` (`train_outline_scorer.py`).",
+            f"`{OUTLINE_SCORER_FILE}` (`train_outline_scorer.py`), how deep inside the predicted "
+            f"surface the true one lies `{SURFACE_DEPTH_FILE}` (`train_surface_depth.py`).",
             *([f"* History: {history}"] if history else []),
             *(f"* Held-out {name}: {value:.4f}" for name, value in shape_losses.items()),
             "",

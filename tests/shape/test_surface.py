@@ -10,6 +10,7 @@ from gscomplete.shape.surface import (
     SurfaceSettings,
     is_missing,
     median_spacing,
+    new_surface,
     on_copies,
     surface_splats,
 )
@@ -23,7 +24,6 @@ from gscomplete.shape.voxels import (
 )
 from gscomplete.splats import concatenate
 from gscomplete.splats.neighbourhood import one_sidedness
-from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.views import ViewDistribution
 from tests.builders.objects import ball, half
 from tests.builders.shape_network import likeliest_inputs, mirrors
@@ -63,7 +63,7 @@ def test_interpolation_reads_cell_centres():
 def test_discs_lie_on_the_surface_and_not_on_p():
     splats = guess()
     distance = splats.means.norm(dim=1)
-    # The level lies 0.025 outside; set inside by a cell (0.03), and smoothed.
+    # The level lies 0.025 outside; about a cell (0.03) deeper, and smoothed.
     assert float((distance - 0.4).abs().max()) < 0.035
     # All but a few in the random gaps between P's own splats.
     assert float((splats.means[:, 0] < 0.05).float().mean()) > 0.99
@@ -81,15 +81,16 @@ def test_the_completion_is_closed_and_of_the_right_size():
     assert float(iou.min()) > 0.93
 
 
-def test_discs_of_a_thin_rod_hardly_pass_its_axis():
+def test_places_inside_a_thin_rod_hardly_pass_its_axis():
     away = torch.from_numpy(cell_centers(CELLS)) / CELL_SIDE
     output = ball_output()
     output.occupancy[0] = 1.0 - 2.0 * away[..., :2].norm(dim=-1)
     output.occupancy[0][away[..., 2].abs() > 12] = -8.0
-    splats = guess(output=output)
-    beside = splats.means[:, 2].abs() < 0.2  # of the rod's ends
-    normals = rotation_matrices(splats.quaternions)[:, :, 2]
-    outside = (splats.means * normals).sum(dim=1)[beside] / CELL_SIDE
+    generator = torch.Generator().manual_seed(0)
+    rod = new_surface(output, torch.full((1, 3), 9.0), SurfaceSettings(), generator)
+    inside = rod.points - rod.insets[:, None] * rod.normals
+    beside = inside[:, 2].abs() < 0.2  # of the rod's ends
+    outside = (inside * rod.normals).sum(dim=1)[beside] / CELL_SIDE
     assert len(outside) > 100
     assert float(outside.min()) > -0.25  # one of the steps inward; all of them: -0.5
     assert float(outside.max()) < 0.05

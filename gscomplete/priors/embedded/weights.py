@@ -3,10 +3,11 @@
 ``model.safetensors`` holds the four-view denoiser, ``shape.safetensors`` the shape network (it may
 be absent), ``config.json`` what goes with them, and ``CARD.md`` tells people about them. The
 package's folder also holds ``planes.safetensors``, ``plane_judge.safetensors`` and
-``answers.safetensors`` (scorers of ``shape.planes``), ``benefit.safetensors`` (``shape.benefit``)
-and ``outlines.safetensors`` (``shape.outline``), which are not read from any other: like the grid,
-the first two are part of what the shape network was trained with. ``shapes.safetensors``
-(``shape.bank.store``) is the package's, too, where a folder holds none.
+``answers.safetensors`` (scorers of ``shape.planes``), ``benefit.safetensors`` (``shape.benefit``),
+``outlines.safetensors`` (``shape.outline``) and ``surface_depth.safetensors``
+(``shape.surface_depth``), which are not read from any other: like the grid, the first two are part
+of what the shape network was trained with. ``shapes.safetensors`` (``shape.bank.store``) is the
+package's, too, where a folder holds none.
 
 Conventions
 -----------

@@ -3,7 +3,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from recipes.train_embedded_prior.planes.array_sets import joined, made_of_tasks, made_once
+from recipes.train_embedded_prior.small_networks.array_sets import joined, made_of_tasks, made_once
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from gscomplete.shape.outline.scorer import FEATURES
-from recipes.train_embedded_prior.planes.outline_sets import KINDS, VIEWS, OutlineSets
-from recipes.train_embedded_prior.planes.train_outline_scorer import (
+from recipes.train_embedded_prior.small_networks.outline_sets import KINDS, VIEWS, OutlineSets
+from recipes.train_embedded_prior.small_networks.train_outline_scorer import (
     WHOLE,
     OutlineScorerConfig,
     fit,

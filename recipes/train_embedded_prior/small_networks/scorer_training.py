@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from gscomplete.networks.perceptron import Perceptron
-from recipes.train_embedded_prior.planes.array_sets import joined
+from recipes.train_embedded_prior.small_networks.array_sets import joined
 
 BatchLoss = Callable[[nn.Sequential, Tensor, torch.Generator], Tensor]
 """(network, scaled features, generator of draws) -> loss [] of one batch."""

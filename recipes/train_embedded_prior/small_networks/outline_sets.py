@@ -32,12 +32,12 @@ from recipes.real_objects.compare import frame_object
 from recipes.real_objects.load import RealObject
 from recipes.real_objects.unseen import PartKind, complete_object, part_of, seen_from
 from recipes.train_embedded_prior.data.mesh_pack import read_mesh
-from recipes.train_embedded_prior.planes.answer_sets import (
+from recipes.train_embedded_prior.small_networks.answer_sets import (
     AnswerTask,
     answer_tasks,
     packaged_prior,
 )
-from recipes.train_embedded_prior.planes.array_sets import joined, made_of_tasks, stem_of
+from recipes.train_embedded_prior.small_networks.array_sets import joined, made_of_tasks, stem_of
 
 FILE_OBJECTS = 48
 KINDS = ("scan", "arc", "wide", "half", "middle", "box", "complete")

@@ -40,7 +40,7 @@ from recipes.real_objects.load import RealObject
 from recipes.real_objects.unseen import PartKind, complete_object, part_of
 from recipes.train_embedded_prior.data.mesh_pack import PackEntry, read_manifest, read_mesh
 from recipes.train_embedded_prior.data.solids import solid_cells
-from recipes.train_embedded_prior.planes.array_sets import joined, made_of_tasks, stem_of
+from recipes.train_embedded_prior.small_networks.array_sets import joined, made_of_tasks, stem_of
 
 FILE_OBJECTS = 50
 ANSWERS = CANDIDATES + 1

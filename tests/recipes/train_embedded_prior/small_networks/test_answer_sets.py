@@ -2,7 +2,7 @@ import numpy as np
 import torch
 
 from gscomplete.shape.planes.answer_scorer import FEATURES, OF_ANSWER, Answers
-from recipes.train_embedded_prior.planes.answer_sets import (
+from recipes.train_embedded_prior.small_networks.answer_sets import (
     ANSWERS,
     AnswerTask,
     answer_sets_of,

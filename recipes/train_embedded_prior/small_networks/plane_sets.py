@@ -32,7 +32,7 @@ from recipes.train_embedded_prior.data.dataset import HELD_OUT_SEED_OFFSET, Sour
 from recipes.train_embedded_prior.data.mesh_source import MixedSource
 from recipes.train_embedded_prior.data.shape_dataset import PosedObject, ShapeSetMaker, pack_cells
 from recipes.train_embedded_prior.data.source import procedural_source
-from recipes.train_embedded_prior.planes.array_sets import joined, made_once
+from recipes.train_embedded_prior.small_networks.array_sets import joined, made_once
 
 FILE_OBJECTS = 200
 BEST_PLANES = 4

@@ -1,4 +1,6 @@
-"""Train the outline scorer: ``python -m recipes.train_embedded_prior.planes.train_outline_scorer``.
+"""Train the outline scorer.
+
+``python -m recipes.train_embedded_prior.small_networks.train_outline_scorer``
 
 It reads P alone: no network is asked. Parts are made once and kept in the run's folder, so that the
 same command goes on; learning takes a minute.
@@ -25,8 +27,12 @@ from gscomplete.networks.perceptron import Perceptron
 from gscomplete.priors.embedded.weights import packaged_weights
 from gscomplete.shape.outline.scorer import DOUBTED_FROM, OUTLINE_SCORER_FILE
 from recipes.entry_point import start
-from recipes.train_embedded_prior.planes.outline_sets import KINDS, OutlineSets, outline_sets
-from recipes.train_embedded_prior.planes.scorer_training import (
+from recipes.train_embedded_prior.small_networks.outline_sets import (
+    KINDS,
+    OutlineSets,
+    outline_sets,
+)
+from recipes.train_embedded_prior.small_networks.scorer_training import (
     ScorerConfig,
     fit_perceptron,
     train_on_files,

@@ -1,9 +1,10 @@
 """Train the fine symmetry scorer.
 
-``python -m recipes.train_embedded_prior.planes.train_fine_scorer`` comes after the coarse scorer,
-whose likely planes it scores, and before the shape network, whose training sets hold the copies
-that it prefers. Objects are made once and kept in the run's folder; training goes on from the last
-checkpoint there.
+``python -m recipes.train_embedded_prior.small_networks.train_fine_scorer``
+
+It comes after the coarse scorer, whose likely planes it scores, and before the shape network, whose
+training sets hold the copies that it prefers. Objects are made once and kept in the run's folder;
+training goes on from the last checkpoint there.
 
 Conventions
 -----------
@@ -49,7 +50,7 @@ from gscomplete.shape.planes.proposals import FINELY_SCORED
 from gscomplete.util.atomic import atomic_path
 from gscomplete.util.jsonio import to_json, write_json
 from recipes.train_embedded_prior.data.shape_dataset import unpack_cells
-from recipes.train_embedded_prior.planes.plane_sets import (
+from recipes.train_embedded_prior.small_networks.plane_sets import (
     BEST_PLANES,
     FILE_OBJECTS,
     PlaneSets,

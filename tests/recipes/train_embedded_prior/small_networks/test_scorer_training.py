@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from gscomplete.networks.perceptron import Perceptron
-from recipes.train_embedded_prior.planes.scorer_training import (
+from recipes.train_embedded_prior.small_networks.scorer_training import (
     ScorerConfig,
     fit_perceptron,
     train_on_files,

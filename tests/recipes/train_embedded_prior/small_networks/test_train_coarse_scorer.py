@@ -2,7 +2,7 @@ import numpy as np
 import torch
 
 from gscomplete.shape.planes.features import ANGLES, FEATURES
-from recipes.train_embedded_prior.planes.train_coarse_scorer import (
+from recipes.train_embedded_prior.small_networks.train_coarse_scorer import (
     CoarseScorerConfig,
     fit,
     score_of_choice,

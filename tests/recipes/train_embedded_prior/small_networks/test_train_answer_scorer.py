@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from gscomplete.shape.planes.answer_scorer import FEATURES, OF_ANSWER
-from recipes.train_embedded_prior.planes.answer_sets import ANSWERS, AnswerSets
-from recipes.train_embedded_prior.planes.train_answer_scorer import (
+from recipes.train_embedded_prior.small_networks.answer_sets import ANSWERS, AnswerSets
+from recipes.train_embedded_prior.small_networks.train_answer_scorer import (
     AnswerScorerConfig,
     fit,
     loss_of,

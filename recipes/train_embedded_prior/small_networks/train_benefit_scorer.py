@@ -1,4 +1,6 @@
-"""Train the benefit scorer: ``python -m recipes.train_embedded_prior.planes.train_benefit_scorer``.
+"""Train the benefit scorer.
+
+``python -m recipes.train_embedded_prior.small_networks.train_benefit_scorer``
 
 It comes after the answer scorer, whose choice it judges. Parts are made once and kept in the run's
 folder, so that the same command goes on; learning takes seconds.
@@ -26,8 +28,8 @@ from gscomplete.networks.perceptron import Perceptron
 from gscomplete.priors.embedded.weights import packaged_weights
 from gscomplete.shape.benefit import BENEFIT_SCORER_FILE, LEFT_BELOW
 from recipes.entry_point import start
-from recipes.train_embedded_prior.planes.benefit_sets import BenefitSets, benefit_sets
-from recipes.train_embedded_prior.planes.scorer_training import (
+from recipes.train_embedded_prior.small_networks.benefit_sets import BenefitSets, benefit_sets
+from recipes.train_embedded_prior.small_networks.scorer_training import (
     ScorerConfig,
     fit_perceptron,
     train_on_files,

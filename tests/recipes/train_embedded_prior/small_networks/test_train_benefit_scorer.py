@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from gscomplete.shape.benefit import FEATURES
-from recipes.train_embedded_prior.planes.benefit_sets import BenefitSets
-from recipes.train_embedded_prior.planes.train_benefit_scorer import (
+from recipes.train_embedded_prior.small_networks.benefit_sets import BenefitSets
+from recipes.train_embedded_prior.small_networks.train_benefit_scorer import (
     BenefitScorerConfig,
     fit,
     loss_of,

@@ -5,14 +5,14 @@ from gscomplete.shape.benefit import FEATURES
 from gscomplete.shape.planes.answer_scorer import answer_features, packaged_answer_scorer
 from gscomplete.shape.voxels import shadows
 from recipes.real_objects.load import RealObject
-from recipes.train_embedded_prior.planes.answer_sets import (
+from recipes.train_embedded_prior.small_networks.answer_sets import (
     LEVEL,
     AnswerTask,
     asked_part,
     shadow_ious,
     train_entries,
 )
-from recipes.train_embedded_prior.planes.benefit_sets import benefit_of, benefit_sets_of
+from recipes.train_embedded_prior.small_networks.benefit_sets import benefit_of, benefit_sets_of
 from tests.builders.mesh_pack import write_pack
 from tests.builders.objects import ball
 

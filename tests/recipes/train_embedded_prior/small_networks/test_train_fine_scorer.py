@@ -8,15 +8,15 @@ from gscomplete.errors import UserError
 from gscomplete.shape.planes.features import ANGLES, FEATURES, OFFSETS
 from gscomplete.shape.planes.proposals import FINELY_SCORED
 from gscomplete.shape.voxels import COARSE_CELLS
-from recipes.train_embedded_prior.planes.array_sets import joined
-from recipes.train_embedded_prior.planes.plane_sets import (
+from recipes.train_embedded_prior.small_networks.array_sets import joined
+from recipes.train_embedded_prior.small_networks.plane_sets import (
     BEST_PLANES,
     FILE_OBJECTS,
     PlaneSets,
     planes_of,
     posed_object,
 )
-from recipes.train_embedded_prior.planes.train_fine_scorer import (
+from recipes.train_embedded_prior.small_networks.train_fine_scorer import (
     FineScorerConfig,
     FineScorerTraining,
     batch_of,

@@ -2,8 +2,8 @@ import numpy as np
 
 from gscomplete.shape.outline.scorer import FEATURES
 from gscomplete.views import ViewDistribution
-from recipes.train_embedded_prior.planes.answer_sets import AnswerTask, train_entries
-from recipes.train_embedded_prior.planes.outline_sets import (
+from recipes.train_embedded_prior.small_networks.answer_sets import AnswerTask, train_entries
+from recipes.train_embedded_prior.small_networks.outline_sets import (
     KINDS,
     VIEWS,
     cut_sets_of,

@@ -1,6 +1,6 @@
 """Train the coarse symmetry scorer.
 
-``python -m recipes.train_embedded_prior.planes.train_coarse_scorer`` comes before the shape
+``python -m recipes.train_embedded_prior.small_networks.train_coarse_scorer`` comes before the shape
 network, whose training sets hold the copies that it chooses.
 
 Conventions
@@ -33,7 +33,7 @@ from gscomplete.shape.planes.features import FEATURES, plane_features
 from gscomplete.shape.voxels import FloatArray
 from recipes.entry_point import start
 from recipes.train_embedded_prior.data.copies import Truth
-from recipes.train_embedded_prior.planes.plane_sets import Task, posed_object
+from recipes.train_embedded_prior.small_networks.plane_sets import Task, posed_object
 
 _LOG = logging.getLogger(__name__)
 _HELD_OUT_EVERY = 5

@@ -1,4 +1,6 @@
-"""Train the answer scorer: ``python -m recipes.train_embedded_prior.planes.train_answer_scorer``.
+"""Train the answer scorer.
+
+``python -m recipes.train_embedded_prior.small_networks.train_answer_scorer``
 
 It comes after the shape network, whose answers it scores. Parts are made once and kept in the run's
 folder, so that the same command goes on; learning takes seconds.
@@ -28,8 +30,8 @@ from gscomplete.priors.embedded.weights import packaged_weights
 from gscomplete.shape.planes.answer_scorer import ANSWER_SCORER_FILE, OF_ANSWER
 from gscomplete.shape.voxels import FloatArray
 from recipes.entry_point import start
-from recipes.train_embedded_prior.planes.answer_sets import AnswerSets, answer_sets
-from recipes.train_embedded_prior.planes.scorer_training import (
+from recipes.train_embedded_prior.small_networks.answer_sets import AnswerSets, answer_sets
+from recipes.train_embedded_prior.small_networks.scorer_training import (
     ScorerConfig,
     fit_perceptron,
     train_on_files,

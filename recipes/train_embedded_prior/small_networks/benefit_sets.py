@@ -24,7 +24,7 @@ from gscomplete.shape.voxels import FloatArray
 from recipes.real_objects.load import RealObject
 from recipes.real_objects.unseen import PartKind, complete_object, part_of
 from recipes.train_embedded_prior.data.mesh_pack import read_mesh
-from recipes.train_embedded_prior.planes.answer_sets import (
+from recipes.train_embedded_prior.small_networks.answer_sets import (
     LEVEL,
     AnswerTask,
     AskedPart,
@@ -33,7 +33,7 @@ from recipes.train_embedded_prior.planes.answer_sets import (
     asked_with,
     shadow_ious,
 )
-from recipes.train_embedded_prior.planes.array_sets import joined, made_of_tasks, stem_of
+from recipes.train_embedded_prior.small_networks.array_sets import joined, made_of_tasks, stem_of
 
 FILE_OBJECTS = 48
 _KINDS: tuple[PartKind, ...] = (

@@ -1,0 +1,177 @@
+"""What the surface depth learns from: points of predicted surfaces, and how deep the truth lies.
+
+Conventions
+-----------
+* Parts are cut as in ``real_objects.unseen``, two of each object of the pack's train split, which
+  is turned about the up axis: a pure function of the object's id. A run's guess is made of each
+  up to where its surface is covered; what a run leaves as it is is left out.
+* The true depth is that of the first true surface on the way in, cells; NaN where none is near.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from gscomplete.errors import UserError
+from gscomplete.priors.embedded.ending import ending_of
+from gscomplete.shape.assemble import AssembleSettings, mirrored_copies, surface_settings
+from gscomplete.shape.benefit import is_better_left
+from gscomplete.shape.predict import predict
+from gscomplete.shape.surface import new_surface
+from gscomplete.shape.surface_depth import FEATURES, depth_features
+from gscomplete.shape.voxels import CELL_SIDE, FloatArray
+from recipes.real_objects.compare import FramedObject, frame_object
+from recipes.real_objects.load import RealObject
+from recipes.real_objects.unseen import PartKind, complete_object, part_of
+from recipes.train_embedded_prior.data.mesh_pack import read_mesh
+from recipes.train_embedded_prior.small_networks.answer_sets import (
+    AnswerTask,
+    answer_tasks,
+    asked_with,
+    packaged_prior,
+)
+from recipes.train_embedded_prior.small_networks.array_sets import joined, made_of_tasks, stem_of
+
+FILE_OBJECTS = 48
+_KINDS: tuple[PartKind, ...] = (
+    "scan", "half", "arc", "box", "scan", "arc", "middle", "scan",
+)  # fmt: skip
+"""As often as they are drawn."""
+_DRAWS = 77
+_POINTS = 1500
+"""Of a part."""
+_DEPTHS = np.arange(-2.0, 4.01, 0.25)
+"""Where the truth is looked for, cells."""
+_NEAR, _PASSED = 0.35, 0.1
+"""A true surface is found where it comes this near, cells, and is then left by the second ..."""
+_NEAR_ENOUGH = 0.5
+"""... or comes this near to any place on the way."""
+_FARTHEST = 2.5
+
+
+@dataclass(frozen=True, slots=True)
+class DepthSets:
+    """N points of predicted surfaces."""
+
+    features: FloatArray  # [N, F]
+    depths: FloatArray  # [N] true ones, cells
+    insets: FloatArray  # [N] how deep points were set without a network, cells
+
+    def __len__(self) -> int:
+        return len(self.depths)
+
+
+def first_depths(
+    distance: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    points: FloatArray,  # [N, 3]
+    normals: FloatArray,  # [N, 3] outward
+) -> FloatArray:  # [N]
+    """Return how deep the first surface lies inside points, cells; NaN where none is near.
+
+    Args:
+        distance: of places [M, 3] from the surface, cells.
+        points: from which to look.
+        normals: against which to look.
+    """
+    count = len(points)
+    found, nearest = np.full(count, np.nan, np.float32), np.full(count, np.inf)
+    is_past = np.zeros(count, np.bool_)
+    for depth in _DEPTHS:
+        away = distance(points - depth * CELL_SIDE * normals)
+        nearer = ~is_past & (away < nearest)
+        found[nearer], nearest[nearer] = depth, away[nearer]
+        is_past |= (away > nearest + _PASSED) & (nearest < _NEAR)
+    found[nearest >= _NEAR_ENOUGH] = np.nan
+    return found
+
+
+def depth_sets_of(task: AnswerTask) -> DepthSets:
+    """Guess two parts of one object."""
+    number = int.from_bytes(task.entry.id.encode()[-6:], "little")
+    rng = np.random.default_rng((number, _DRAWS))
+    turn_deg = float(rng.uniform(0, 360))
+    complete = complete_object(read_mesh(task.meshes, task.entry), task.entry, turn_deg)
+    rows = [DepthSets(np.empty((0, len(FEATURES)), np.float32), *np.empty((2, 0), np.float32))]
+    for kind in (_KINDS[k] for k in rng.permutation(len(_KINDS))[:2]):
+        part = part_of(complete, kind, rng, turn_deg)
+        try:
+            framed = frame_object(
+                RealObject(task.entry.id, task.entry.caption, "Z", part, complete, kind),
+                packaged_prior(),
+            )
+        except UserError:  # a part of next to nothing
+            continue
+        rows += _sets_of_part(framed, number)
+    return joined(rows)
+
+
+def _sets_of_part(framed: FramedObject, seed: int) -> list[DepthSets]:  # one or none
+    """Guess one part as a run does, up to the surface."""
+    prior, partial = packaged_prior(), framed.partial
+    ending = ending_of(partial, "guess")
+    if ending.is_complete:
+        return []
+    asked = prior.asked(prior.condition(framed.item.prompt), ends_in_plane=ending.in_plane)
+    assert asked is not None
+    assert framed.truth is not None
+    prediction = predict(
+        asked.model,
+        partial,
+        framed.views,
+        asked.tokens,
+        no_tokens=asked.no_tokens,
+        ends_in_plane=ending.in_plane,
+        bfloat16=asked.bfloat16,
+        mirror_plane=ending.mirror,
+    )
+    added = prediction.added
+    if ending.features is not None and added is not None and is_better_left(ending.features, added):
+        return []
+    generator = torch.Generator().manual_seed(seed)
+    copies, _ = mirrored_copies(prediction, partial, generator)
+    if copies is not None and ending.image_is_all:
+        return []
+    settings = surface_settings(prediction, AssembleSettings(), copies)
+    there = partial.means if copies is None else torch.cat([partial.means, copies.means])
+    surface = new_surface(prediction.output, there, settings, generator)
+    chosen = torch.randperm(len(surface.points), generator=generator)[:_POINTS]
+    if not len(chosen):
+        return []
+    points, normals = surface.points[chosen], surface.normals[chosen]
+    features = depth_features(
+        prediction.output, prediction.seen, settings.filled_logit, points, normals
+    )
+    truth = cKDTree(framed.truth.means.numpy())
+
+    def distance(places: NDArray[np.float64]) -> NDArray[np.float64]:
+        found, _ = truth.query(places, distance_upper_bound=_FARTHEST * CELL_SIDE)
+        return np.asarray(found / CELL_SIDE)
+
+    depths = first_depths(distance, points.numpy(), normals.numpy())
+    insets = (surface.insets[chosen] / CELL_SIDE).numpy()
+    return [DepthSets(features, depths, insets)]
+
+
+def depth_sets(
+    folder: Path, meshes: Path, seed: int, objects: int, workers: int
+) -> list[DepthSets]:
+    """Return sets, one entry a file of ``FILE_OBJECTS`` objects; make those not yet made.
+
+    Args:
+        folder: for the files.
+        meshes: pack of meshes.
+        seed: of the list.
+        objects: how many of the train split.
+        workers: processes that make them.
+    """
+    tasks = answer_tasks(meshes, seed, objects)
+    contents = f"{seed} {asked_with()} {' '.join(FEATURES)}"
+    stem = stem_of(folder, "depths", contents)
+    return made_of_tasks(DepthSets, stem, depth_sets_of, tasks, FILE_OBJECTS, workers)

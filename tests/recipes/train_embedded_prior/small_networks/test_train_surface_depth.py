@@ -1,0 +1,44 @@
+from pathlib import Path
+
+import numpy as np
+
+from gscomplete.shape.surface_depth import FEATURES
+from recipes.train_embedded_prior.small_networks.depth_sets import DepthSets
+from recipes.train_embedded_prior.small_networks.train_surface_depth import (
+    SurfaceDepthConfig,
+    fit,
+    told,
+)
+
+CONFIG = SurfaceDepthConfig(Path("unused"), epochs=60, batch_parts=128, width=16)
+
+
+def simple_sets(count, seed=0):
+    """One feature tells the depth; a tenth is near no true surface."""
+    rng = np.random.default_rng(seed)
+    features = rng.normal(size=(count, len(FEATURES))).astype(np.float32)
+    depths = 1 + 0.5 * features[:, 7]
+    depths[::10] = np.nan
+    return DepthSets(features, depths, np.ones(count, np.float32))
+
+
+def test_the_perceptron_learns_the_depth():
+    scorer, sets = fit(CONFIG, simple_sets(4000)), simple_sets(500, seed=1)
+    is_known = np.isfinite(sets.depths)
+    errors = np.abs(scorer(sets.features) - sets.depths)[is_known]
+    assert errors.mean() < 0.15  # 0.4 for the mean depth
+    assert fit(CONFIG, simple_sets(4000)).digest() == scorer.digest()
+
+
+def test_what_is_told_leaves_out_what_is_near_nothing():
+    sets = DepthSets(
+        np.zeros((4, len(FEATURES)), np.float32),
+        np.array([1, 2, np.nan, 3], np.float32),
+        np.array([1, 1, 1, 1], np.float32),
+    )
+    line = told("here", lambda rows: np.full(len(rows), 2, np.float32), sets)
+    assert line == (
+        "here, 4 points, 75.0% near a true surface: mean error 0.667 cells, 1.000 without a network"
+    )
+    sets.depths[:] = np.nan
+    assert told("here", lambda rows: rows[:, 0], sets) == "here: no point is near a true surface"
