@@ -70,3 +70,14 @@ def test_files_are_checked(tmp_path):
     assert Perceptron.load(path, 5).digest() == perceptron().digest()
     with pytest.raises(UserError, match="weight0: expected 6 columns, found 5"):
         Perceptron.load(path, 6)
+
+
+def test_rows_score_alike_alone_and_among_others():
+    """A large product would be shared out among BLAS's threads, as many as there are."""
+    net = perceptron(features=67, width=96)
+    features = np.random.default_rng(2).normal(size=(5000, 67)).astype(np.float32)
+    together = net(features)
+    for first in (0, 1600, 4992):
+        block = features[first : first + 16]
+        assert net(block).tobytes() == together[first : first + 16].tobytes()
+    assert net(features[:0]).shape == (0,)
