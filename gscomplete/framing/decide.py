@@ -111,6 +111,8 @@ def decide_framing(
     camera = request.camera_position_file if view is None else None
     is_viewed = view is not None or camera is not None
     if not (is_boxed and is_viewed):
+        if not len(partial):
+            raise UserError("framing: P has no splat")
         rotation = up_rotation(request.up)
         anchor = partial.means.double().median(dim=0).values
         level = transform_splats(partial, Similarity(1.0, rotation, -(rotation @ anchor)))

@@ -3,9 +3,12 @@
 import math
 
 import pytest
+import torch
 
 from gscomplete.errors import UserError
-from gscomplete.framing.decide import FramingRequest
+from gscomplete.framing.decide import FramingRequest, framing_for
+from gscomplete.priors import load_prior
+from tests.builders.objects import ball
 
 
 @pytest.mark.parametrize("size", [0.0, -1.0, math.nan, math.inf, -math.inf])
@@ -18,3 +21,10 @@ def test_a_size_that_is_no_length_is_refused(size: float) -> None:
 def test_a_centre_that_is_nowhere_is_refused(odd: float) -> None:
     with pytest.raises(UserError, match=r"--center: expected three finite numbers, found 0,.*,1"):
         FramingRequest(center_file=(0.0, odd, 1.0))
+
+
+@pytest.mark.parametrize(("count", "message"), [(0, "P has no splat"), (1, "framing: .*")])
+def test_a_part_of_next_to_nothing_is_refused(count: int, message: str) -> None:
+    part = ball(100).select(torch.arange(count))
+    with pytest.raises(UserError, match=message):
+        framing_for(part, FramingRequest("Z"), load_prior("embedded"))
