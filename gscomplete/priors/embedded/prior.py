@@ -13,7 +13,6 @@ Conventions
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import functools
 from collections.abc import Callable
@@ -33,14 +32,12 @@ from gscomplete.priors.embedded.diffusion import (
     NUM_TIMESTEPS,
     add_noise,
     ddim,
-    guided_x0,
-    x0_from_v,
 )
 from gscomplete.priors.embedded.ending import ending_of, ends_in_plane, mirror_of_half
-from gscomplete.priors.embedded.inputs import images_to_color_alpha, input_map, network_images
+from gscomplete.priors.embedded.inputs import images_to_color_alpha, network_images
 from gscomplete.priors.embedded.int8 import in_bytes
-from gscomplete.priors.embedded.model import INPUT_CHANNELS, VIEWS, FourViewDenoiser
-from gscomplete.priors.embedded.rays import ring_numbers
+from gscomplete.priors.embedded.model import VIEWS, FourViewDenoiser
+from gscomplete.priors.embedded.ring_task import RingTask, ring_task
 from gscomplete.priors.embedded.text import Tokenizer, understood_by
 from gscomplete.priors.embedded.weights import (
     PriorConfig,
@@ -310,63 +307,24 @@ class EmbeddedPrior:
         conditioning: Conditioning,
         input_views: FourViews | None,
         guidance: Guidance | None,
-    ) -> _Task:
+    ) -> RingTask:
         """Gather what stays the same over the denoising steps of one call."""
         if not isinstance(conditioning, EmbeddedConditioning):
             raise TypeError(
                 f"EmbeddedPrior: expected its own conditioning, found {type(conditioning).__name__}"
             )
-        ring = ring_numbers(views.cameras)
-        mapped = None
-        if input_views is not None:
-            mapped = input_map(
-                input_views.color.detach(),
-                input_views.alpha.detach(),
-                input_views.depth.detach(),
-                float(ring[1]),
-                self.views.resolution_px,
-            ).to(self._device)
-        guidance = guidance or self.default_guidance(sees_input=mapped is not None)
-        shape = conditioning.shape_map(views, float(ring[1]), self.views.resolution_px)
-        shape = shape.to(self._device)
-        return _Task(ring.to(self._device), mapped, shape, conditioning, guidance)
+        guidance = guidance or self.default_guidance(sees_input=input_views is not None)
+        size_px = self.views.resolution_px
+        return ring_task(views, conditioning, input_views, guidance, size_px, self._device)
 
-    def _denoise(self, task: _Task, noisy: Tensor, timestep: float) -> Tensor:  # [4, 4, s, s]
+    def _denoise(self, task: RingTask, noisy: Tensor, timestep: float) -> Tensor:  # [4, 4, s, s]
         """Return the guided x0 of one ring, within the range of images."""
-        size = self.views.resolution_px
-        nothing = noisy.new_zeros(VIEWS, INPUT_CHANNELS, size, size)
 
-        def denoise(passes: list[tuple[bool, bool]]) -> list[Tensor]:
-            count = len(passes)
-            maps = [nothing if task.mapped is None or not seen else task.mapped
-                    for seen, _ in passes]  # fmt: skip
-            words = task.conditioning
-            tokens = [words.tokens if told else words.negative_tokens for _, told in passes]
-            x_t = noisy[None].expand(count, -1, -1, -1, -1)
-            at = noisy.new_full((count,), timestep)
-            with self._autocast():
-                v = self._model(
-                    x_t,
-                    torch.stack(maps),
-                    task.shape.expand(count, -1, -1, -1, -1),
-                    at,
-                    task.ring.expand(count, -1),
-                    torch.stack(tokens).to(self._device),
-                )
-            return list(x0_from_v(x_t, v, at).split(1))
+        def network(*inputs: Tensor) -> Tensor:
+            with torch.autocast(self._device.type, torch.bfloat16, enabled=self._bfloat16):
+                return self._model(*inputs)
 
-        x0 = guided_x0(
-            denoise,
-            has_input=task.mapped is not None,
-            has_text=task.conditioning.has_text,
-            input_scale=task.guidance.input_scale,
-            text_scale=task.guidance.text_scale,
-            rescale=task.guidance.rescale,
-        )
-        return x0[0].clamp(-1, 1)
-
-    def _autocast(self) -> contextlib.AbstractContextManager[None]:
-        return torch.autocast(self._device.type, torch.bfloat16, enabled=self._bfloat16)
+        return task.denoise(network, noisy, timestep)
 
     def _noise(self, images: Tensor, generator: torch.Generator) -> Tensor:
         noise = torch.randn(images.shape, generator=generator, device=generator.device)
@@ -378,17 +336,6 @@ class EmbeddedPrior:
                 f"EmbeddedPrior: timestep: expected 0 to {NUM_TIMESTEPS - 1}, found {timestep}"
             )
         return float(timestep)
-
-
-@dataclass(frozen=True, slots=True)
-class _Task:
-    """What is to be denoised under which conditions."""
-
-    ring: Tensor  # [3]
-    mapped: Tensor | None  # [4, 5, s, s]
-    shape: Tensor  # [4, 2, s, s]
-    conditioning: EmbeddedConditioning
-    guidance: Guidance
 
 
 def load_embedded(folder: Path | None, device: torch.device | str) -> EmbeddedPrior:
