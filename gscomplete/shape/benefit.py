@@ -66,10 +66,12 @@ def packaged_benefit_scorer() -> Perceptron:
 
 
 def is_better_left(
-    of_ending: FloatArray,  # [len(OF_ENDING)]
-    of_answers: FloatArray,  # [len(OF_ANSWERS)]
+    of_ending: FloatArray | None,  # [len(OF_ENDING)]
+    of_answers: FloatArray | None,  # [len(OF_ANSWERS)]
 ) -> bool:
-    """Say whether what the network would add makes P worse."""
+    """Say whether what the network would add makes P worse; not where either is not asked for."""
+    if of_ending is None or of_answers is None:
+        return False
     features = np.concatenate([of_ending, of_answers])
     return float(packaged_benefit_scorer()(features[None])[0]) < LEFT_BELOW
 

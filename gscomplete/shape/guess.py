@@ -168,13 +168,8 @@ def guess_complete(
             case.
     """
     settings = AssembleSettings(count=count, image_is_all=mirror_is_cut)
-    plain = _predict(asked, partial, views, mirror)
-    if (
-        of_ending is not None
-        and plain.added is not None
-        and not known.decide
-        and is_better_left(of_ending, plain.added)
-    ):
+    plain = ask_about(asked, partial, views, mirror)
+    if not known.decide and is_better_left(of_ending, plain.added):
         nothing = partial.with_sh_degree(0).select(torch.arange(0))
         return Guess(nothing, (), (_LEFT_NOTE,))
     notes: tuple[str, ...] = ()
@@ -213,7 +208,7 @@ def _by_known_shapes(
     if frame is not None:
         given = transform_splats(partial.with_sh_degree(0), frame)
         there = tuple(shape_in(shape, frame) for shape in shapes)
-        plain = _predict(asked, given, views_in(views, frame), mirror)
+        plain = ask_about(asked, given, views_in(views, frame), mirror)
     occupancy: Tensor | None
     if known.decide:
         points = given.means.double().numpy()
@@ -250,7 +245,8 @@ def _by_known_shapes(
     return Guess(splats, shapes, notes_of(heeded, assembled.mirrored))
 
 
-def _predict(asked: Asked, partial: Splats, views: ViewDistribution, mirror: Mirror) -> Prediction:
+def ask_about(asked: Asked, partial: Splats, views: ViewDistribution, mirror: Mirror) -> Prediction:
+    """Ask the network; arguments as :func:`guess_complete`."""
     return predict(
         asked.model,
         partial,

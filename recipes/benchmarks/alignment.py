@@ -221,7 +221,7 @@ def main(options: Options) -> None:
     kinds: list[str] = []
     seconds: list[float] = []
     for entry in entries_of(options):
-        number = int.from_bytes(entry.id.encode()[-6:], "little")
+        number = entry.number
         rng = np.random.default_rng([options.seed, number])
         case = make_case(read_mesh(options.meshes, entry), entry, rng, options.distort)
         began = time.process_time()

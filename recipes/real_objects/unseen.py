@@ -202,7 +202,7 @@ def main(options: Options) -> None:
     results = Results(options.out / "results.json", made_with)
     entries = chosen_entries(options.meshes, options.objects)
     for entry in track(entries, "objects", console=Console(file=sys.stderr)):
-        number = int.from_bytes(entry.id.encode()[-6:], "little")
+        number = entry.number
         turn_deg = float(np.random.default_rng((number, 0)).uniform(0, 360))
         complete: Splats | None = None
         for kind in options.kinds:

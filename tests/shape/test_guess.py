@@ -148,16 +148,16 @@ def test_a_prompt_of_no_known_noun_decides_nothing(asked, bank):
 def test_p_is_left_as_it_is_where_the_scorer_says_so_and_no_user_decides(asked, monkeypatch):
     told = []
 
-    def judged(of_ending, of_answers):
-        told.append((of_ending, len(of_answers)))
-        return True
+    def scorer(features):
+        told.append(features)
+        return np.full(len(features), -99.0)
 
-    monkeypatch.setattr("gscomplete.shape.guess.is_better_left", judged)
+    monkeypatch.setattr("gscomplete.shape.benefit.packaged_benefit_scorer", lambda: scorer)
     numbers = np.zeros(len(OF_ENDING), np.float32)
     left = guess(asked, "a unicorn", None, "guess", numbers)
     assert len(left.splats) == 0
     assert "nothing is added" in left.notes[0]
-    assert told[0][1] == len(OF_ANSWERS)
+    assert told[0].shape == (1, len(OF_ENDING) + len(OF_ANSWERS))
     assert len(guess(asked, "a unicorn", None, "none", numbers).splats) > 0
     assert len(guess(asked, "a unicorn", None, MirrorPlane(0.0, -0.1), numbers).splats) > 0
     assert len(guess(asked, "a unicorn", None, "guess").splats) > 0

@@ -42,6 +42,11 @@ class PackEntry:
     author: str
     colour: str
 
+    @property
+    def number(self) -> int:
+        """The end of the id as a number: a seed."""
+        return int.from_bytes(self.id.encode()[-6:], "little")
+
 
 @dataclass(frozen=True, slots=True)
 class PackMesh:

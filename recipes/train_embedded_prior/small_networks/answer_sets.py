@@ -2,8 +2,8 @@
 
 Conventions
 -----------
-* Parts are cut as in ``real_objects.unseen``, two of each object of the pack's train split, which
-  is turned about the up axis: a pure function of (seed, the object's id).
+* Parts are cut as in ``real_objects.unseen``, two of each object: a pure function of (seed, the
+  object's id).
 * An answer's true score is the intersection over union of shadows of cells, its own and those of
   the complete object, both with P's: along the axes and two level diagonals, on average.
 * Parts are kept in files of ``FILE_OBJECTS`` objects, made once.
@@ -11,17 +11,13 @@ Conventions
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from gscomplete.errors import UserError
 from gscomplete.priors.embedded.ending import Ending, ending_of
-from gscomplete.priors.embedded.prior import EmbeddedPrior
 from gscomplete.priors.embedded.weights import SHAPE_FILE, packaged_weights
 from gscomplete.shape.outline.one_view import ONE_VIEW_SHARE
 from gscomplete.shape.partial_voxels import voxelize_partial
@@ -35,12 +31,16 @@ from gscomplete.shape.planes.fine_scorer import FINE_SCORER_FILE
 from gscomplete.shape.symmetry_choice import CANDIDATES, ask_about_planes
 from gscomplete.shape.voxels import FloatArray, shadows, splat_arrays
 from gscomplete.util.digests import sha256_of
-from recipes.real_objects.compare import frame_object
-from recipes.real_objects.load import RealObject
-from recipes.real_objects.unseen import PartKind, complete_object, part_of
-from recipes.train_embedded_prior.data.mesh_pack import PackEntry, read_manifest, read_mesh
+from recipes.real_objects.compare import FramedObject
+from recipes.real_objects.unseen import PartKind
 from recipes.train_embedded_prior.data.solids import solid_cells
-from recipes.train_embedded_prior.small_networks.array_sets import joined, made_of_tasks, stem_of
+from recipes.train_embedded_prior.small_networks.array_sets import joined
+from recipes.train_embedded_prior.small_networks.object_tasks import (
+    ObjectTask,
+    packaged_prior,
+    sets_of_objects,
+)
+from recipes.train_embedded_prior.small_networks.perceptron_training import PerceptronConfig
 
 FILE_OBJECTS = 50
 ANSWERS = CANDIDATES + 1
@@ -67,27 +67,6 @@ class AnswerSets:
         return len(self.true_scores)
 
 
-@dataclass(frozen=True, slots=True)
-class AnswerTask:
-    """One object to make sets of."""
-
-    meshes: Path
-    entry: PackEntry
-    seed: int
-
-
-def train_entries(meshes: Path, seed: int, count: int) -> list[PackEntry]:
-    """Return the first objects of the shuffled train split."""
-    entries = [entry for entry in read_manifest(meshes) if entry.split == "train"]
-    order = np.random.default_rng(seed).permutation(len(entries))
-    return [entries[k] for k in order[:count]]
-
-
-def answer_tasks(meshes: Path, seed: int, count: int) -> list[AnswerTask]:
-    """Return the tasks of the first objects of the shuffled train split."""
-    return [AnswerTask(meshes, entry, seed) for entry in train_entries(meshes, seed, count)]
-
-
 def shadow_ious(
     answers: Answers,
     complete: Tensor,  # bool [C, C, C]
@@ -112,18 +91,16 @@ class AskedPart:
     solid: Tensor  # bool [C, C, C] the complete object's cells
 
 
-def asked_part(item: RealObject) -> AskedPart | None:
+def asked_part(framed: FramedObject | None) -> AskedPart | None:
     """Ask the network about a part as a run does; None = a run asks nothing."""
-    prior = packaged_prior()
-    try:
-        framed = frame_object(item, prior)
-    except UserError:  # a part of next to nothing
+    if framed is None:
         return None
     assert framed.truth is not None
+    prior = packaged_prior()
     ending = ending_of(framed.partial, "guess")
     if ending.is_complete or ending.mirror != "guess":
         return None
-    asked = prior.asked(prior.condition(item.prompt), ends_in_plane=ending.in_plane)
+    asked = prior.asked(prior.condition(framed.item.prompt), ends_in_plane=ending.in_plane)
     assert asked is not None
     answers = ask_about_planes(
         asked.model,
@@ -136,20 +113,15 @@ def asked_part(item: RealObject) -> AskedPart | None:
     return AskedPart(ending, answers, torch.from_numpy(solid_cells(positions, tangents) > 0))
 
 
-def answer_sets_of(task: AnswerTask) -> AnswerSets:
+def answer_sets_of(task: ObjectTask) -> AnswerSets:
     """Ask about two parts of one object."""
-    number = int.from_bytes(task.entry.id.encode()[-6:], "little")
-    rng = np.random.default_rng((number, task.seed))
-    turn_deg = float(rng.uniform(0, 360))
-    first, second = (_KINDS[k] for k in rng.permutation(len(_KINDS))[:2])
+    turned = task.turned(task.seed)
+    first, second = (_KINDS[k] for k in turned.rng.permutation(len(_KINDS))[:2])
     if first == second:
         second = "arc" if first == "half" else "half"
-    complete = complete_object(read_mesh(task.meshes, task.entry), task.entry, turn_deg)
     rows = [_no_sets()]
     for kind in (first, second):
-        part = part_of(complete, kind, rng, turn_deg)
-        item = RealObject(task.entry.id, task.entry.caption, "Z", part, complete, kind)
-        asked = asked_part(item)
+        asked = asked_part(turned.framed(turned.part(kind), kind))
         if asked is None:
             continue
         answers = asked.answers
@@ -176,32 +148,14 @@ def _padded(features: FloatArray, true_scores: FloatArray, weight: float) -> Ans
     )
 
 
-@functools.cache
-def packaged_prior() -> EmbeddedPrior:
-    """Return the prior that ships, on one thread of this process."""
-    torch.set_num_threads(1)
-    return EmbeddedPrior.from_folder(packaged_weights())
-
-
 def asked_with() -> str:
     """Name the weights that answers depend on."""
     files = (SHAPE_FILE, COARSE_SCORER_FILE, FINE_SCORER_FILE)
     return " ".join(sha256_of(packaged_weights() / file) for file in files)
 
 
-def answer_sets(
-    folder: Path, meshes: Path, seed: int, objects: int, workers: int
-) -> list[AnswerSets]:
-    """Return sets, one entry a file of ``FILE_OBJECTS`` objects; make those not yet made.
-
-    Args:
-        folder: for the files.
-        meshes: pack of meshes.
-        seed: of the list and the parts.
-        objects: how many of the train split.
-        workers: processes that make them.
-    """
-    tasks = answer_tasks(meshes, seed, objects)
-    contents = f"{seed} {asked_with()} {' '.join(FEATURES)}"
-    stem = stem_of(folder, "answers", contents)
-    return made_of_tasks(AnswerSets, stem, answer_sets_of, tasks, FILE_OBJECTS, workers)
+def answer_sets(config: PerceptronConfig) -> list[AnswerSets]:
+    """Return sets, one entry a file; make those not yet made."""
+    contents = f"{asked_with()} {' '.join(FEATURES)}"
+    make = answer_sets_of
+    return sets_of_objects(config, AnswerSets, "answers", contents, make, FILE_OBJECTS)

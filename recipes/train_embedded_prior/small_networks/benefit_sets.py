@@ -2,9 +2,9 @@
 
 Conventions
 -----------
-* Of every object of the pack's train split, turned about the up axis, all of it and one part are
-  asked about: a pure function of (seed, the object's id). What passes for closed or is mirrored
-  through a square cut is left out, as a run leaves it out.
+* Of every object all of it and one part are asked about: a pure function of (seed, the object's
+  id). What passes for closed or is mirrored through a square cut is left out, as a run leaves it
+  out.
 * The gain is in intersection over union of shadows of cells (``answer_sets``): that of the answer
   which the answer scorer puts first, less P's own.
 """
@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -21,19 +20,17 @@ import torch
 from gscomplete.shape.benefit import FEATURES, features_of_answers
 from gscomplete.shape.planes.answer_scorer import Answers, answer_features, packaged_answer_scorer
 from gscomplete.shape.voxels import FloatArray
-from recipes.real_objects.load import RealObject
-from recipes.real_objects.unseen import PartKind, complete_object, part_of
-from recipes.train_embedded_prior.data.mesh_pack import read_mesh
+from recipes.real_objects.unseen import PartKind
 from recipes.train_embedded_prior.small_networks.answer_sets import (
     LEVEL,
-    AnswerTask,
     AskedPart,
-    answer_tasks,
     asked_part,
     asked_with,
     shadow_ious,
 )
-from recipes.train_embedded_prior.small_networks.array_sets import joined, made_of_tasks, stem_of
+from recipes.train_embedded_prior.small_networks.array_sets import joined
+from recipes.train_embedded_prior.small_networks.object_tasks import ObjectTask, sets_of_objects
+from recipes.train_embedded_prior.small_networks.perceptron_training import PerceptronConfig
 
 FILE_OBJECTS = 48
 _KINDS: tuple[PartKind, ...] = (
@@ -68,18 +65,13 @@ def _score(answers: Answers, asked: AskedPart, index: int) -> float:
     return float(shadow_ious(answers, asked.solid, LEVEL)[index])
 
 
-def benefit_sets_of(task: AnswerTask) -> BenefitSets:
+def benefit_sets_of(task: ObjectTask) -> BenefitSets:
     """Ask about one object and a part of it."""
-    number = int.from_bytes(task.entry.id.encode()[-6:], "little")
-    rng = np.random.default_rng((number, task.seed))
-    turn_deg = float(rng.uniform(0, 360))
-    kinds: tuple[PartKind, ...] = ("complete", _KINDS[int(rng.integers(len(_KINDS)))])
-    complete = complete_object(read_mesh(task.meshes, task.entry), task.entry, turn_deg)
+    turned = task.turned(task.seed)
+    kinds: tuple[PartKind, ...] = ("complete", _KINDS[int(turned.rng.integers(len(_KINDS)))])
     rows = [BenefitSets(np.empty((0, len(FEATURES)), np.float32), *np.empty((2, 0), np.float32))]
     for kind in kinds:
-        part = part_of(complete, kind, rng, turn_deg)
-        item = RealObject(task.entry.id, task.entry.caption, "Z", part, complete, kind)
-        asked = asked_part(item)
+        asked = asked_part(turned.framed(turned.part(kind), kind))
         if asked is not None:
             features, gain = benefit_of(asked)
             found = np.array([[gain], [kind == "complete"]], np.float32)
@@ -87,19 +79,8 @@ def benefit_sets_of(task: AnswerTask) -> BenefitSets:
     return joined(rows)
 
 
-def benefit_sets(
-    folder: Path, meshes: Path, seed: int, objects: int, workers: int
-) -> list[BenefitSets]:
-    """Return sets, one entry a file of ``FILE_OBJECTS`` objects; make those not yet made.
-
-    Args:
-        folder: for the files.
-        meshes: pack of meshes.
-        seed: of the list and the parts.
-        objects: how many of the train split.
-        workers: processes that make them.
-    """
-    tasks = answer_tasks(meshes, seed, objects)
-    contents = f"{seed} {asked_with()} {packaged_answer_scorer().digest()} {' '.join(FEATURES)}"
-    stem = stem_of(folder, "benefits", contents)
-    return made_of_tasks(BenefitSets, stem, benefit_sets_of, tasks, FILE_OBJECTS, workers)
+def benefit_sets(config: PerceptronConfig) -> list[BenefitSets]:
+    """Return sets, one entry a file; make those not yet made."""
+    contents = f"{asked_with()} {packaged_answer_scorer().digest()} {' '.join(FEATURES)}"
+    make = benefit_sets_of
+    return sets_of_objects(config, BenefitSets, "benefits", contents, make, FILE_OBJECTS)

@@ -2,9 +2,8 @@
 
 Conventions
 -----------
-* Parts are cut as in ``real_objects.unseen``, two of each object of the pack's train split, which
-  is turned about the up axis: a pure function of the object's id. A run's guess is made of each
-  up to where its surface is covered; what a run leaves as it is is left out.
+* Parts are cut as in ``real_objects.unseen``, two of each object: a pure function of its id. Each
+  is guessed as in a run, up to where its surface is covered; what a run leaves is left out.
 * The true depth is that of the first true surface on the way in, cells; NaN where none is near.
 """
 
@@ -12,32 +11,29 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gscomplete.errors import UserError
 from gscomplete.priors.embedded.ending import ending_of
 from gscomplete.shape.assemble import AssembleSettings, mirrored_copies, surface_settings
 from gscomplete.shape.benefit import is_better_left
-from gscomplete.shape.predict import predict
+from gscomplete.shape.guess import ask_about
 from gscomplete.shape.surface import new_surface
 from gscomplete.shape.surface_depth import FEATURES, depth_features
 from gscomplete.shape.voxels import CELL_SIDE, FloatArray
-from recipes.real_objects.compare import FramedObject, frame_object
-from recipes.real_objects.load import RealObject
-from recipes.real_objects.unseen import PartKind, complete_object, part_of
-from recipes.train_embedded_prior.data.mesh_pack import read_mesh
-from recipes.train_embedded_prior.small_networks.answer_sets import (
-    AnswerTask,
-    answer_tasks,
-    asked_with,
+from recipes.real_objects.compare import FramedObject
+from recipes.real_objects.unseen import PartKind
+from recipes.train_embedded_prior.small_networks.answer_sets import asked_with
+from recipes.train_embedded_prior.small_networks.array_sets import joined
+from recipes.train_embedded_prior.small_networks.object_tasks import (
+    ObjectTask,
     packaged_prior,
+    sets_of_objects,
 )
-from recipes.train_embedded_prior.small_networks.array_sets import joined, made_of_tasks, stem_of
+from recipes.train_embedded_prior.small_networks.perceptron_training import PerceptronConfig
 
 FILE_OBJECTS = 48
 _KINDS: tuple[PartKind, ...] = (
@@ -92,23 +88,14 @@ def first_depths(
     return found
 
 
-def depth_sets_of(task: AnswerTask) -> DepthSets:
+def depth_sets_of(task: ObjectTask) -> DepthSets:
     """Guess two parts of one object."""
-    number = int.from_bytes(task.entry.id.encode()[-6:], "little")
-    rng = np.random.default_rng((number, _DRAWS))
-    turn_deg = float(rng.uniform(0, 360))
-    complete = complete_object(read_mesh(task.meshes, task.entry), task.entry, turn_deg)
+    turned = task.turned(_DRAWS)
     rows = [DepthSets(np.empty((0, len(FEATURES)), np.float32), *np.empty((2, 0), np.float32))]
-    for kind in (_KINDS[k] for k in rng.permutation(len(_KINDS))[:2]):
-        part = part_of(complete, kind, rng, turn_deg)
-        try:
-            framed = frame_object(
-                RealObject(task.entry.id, task.entry.caption, "Z", part, complete, kind),
-                packaged_prior(),
-            )
-        except UserError:  # a part of next to nothing
-            continue
-        rows += _sets_of_part(framed, number)
+    for kind in (_KINDS[k] for k in turned.rng.permutation(len(_KINDS))[:2]):
+        framed = turned.framed(turned.part(kind), kind)
+        if framed is not None:
+            rows += _sets_of_part(framed, task.entry.number)
     return joined(rows)
 
 
@@ -121,18 +108,8 @@ def _sets_of_part(framed: FramedObject, seed: int) -> list[DepthSets]:  # one or
     asked = prior.asked(prior.condition(framed.item.prompt), ends_in_plane=ending.in_plane)
     assert asked is not None
     assert framed.truth is not None
-    prediction = predict(
-        asked.model,
-        partial,
-        framed.views,
-        asked.tokens,
-        no_tokens=asked.no_tokens,
-        ends_in_plane=ending.in_plane,
-        bfloat16=asked.bfloat16,
-        mirror_plane=ending.mirror,
-    )
-    added = prediction.added
-    if ending.features is not None and added is not None and is_better_left(ending.features, added):
+    prediction = ask_about(asked, partial, framed.views, ending.mirror)
+    if is_better_left(ending.features, prediction.added):
         return []
     generator = torch.Generator().manual_seed(seed)
     copies, _ = mirrored_copies(prediction, partial, generator)
@@ -159,19 +136,7 @@ def _sets_of_part(framed: FramedObject, seed: int) -> list[DepthSets]:  # one or
     return [DepthSets(features, depths, insets)]
 
 
-def depth_sets(
-    folder: Path, meshes: Path, seed: int, objects: int, workers: int
-) -> list[DepthSets]:
-    """Return sets, one entry a file of ``FILE_OBJECTS`` objects; make those not yet made.
-
-    Args:
-        folder: for the files.
-        meshes: pack of meshes.
-        seed: of the list.
-        objects: how many of the train split.
-        workers: processes that make them.
-    """
-    tasks = answer_tasks(meshes, seed, objects)
-    contents = f"{seed} {asked_with()} {' '.join(FEATURES)}"
-    stem = stem_of(folder, "depths", contents)
-    return made_of_tasks(DepthSets, stem, depth_sets_of, tasks, FILE_OBJECTS, workers)
+def depth_sets(config: PerceptronConfig) -> list[DepthSets]:
+    """Return sets, one entry a file; make those not yet made."""
+    contents = f"{asked_with()} {' '.join(FEATURES)}"
+    return sets_of_objects(config, DepthSets, "depths", contents, depth_sets_of, FILE_OBJECTS)

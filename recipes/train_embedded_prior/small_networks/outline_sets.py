@@ -2,10 +2,9 @@
 
 Conventions
 -----------
-* Of every object of the pack's train split, turned about the up axis, a scan, an arc of 100
-  degrees, another arc of any width, a cut part and, of every third, all of it; of the first of them
-  two more cut parts, one without a box: a pure function of (seed, the object's id). A third of the
-  parts is noisy and has holes.
+* Of every object a scan, an arc of 100 degrees, another arc of any width, a cut part and, of every
+  third, all of it; of the first of them two more cut parts, one without a box: a pure function of
+  (seed, the object's id). A third of the parts is noisy and has holes.
 * An outline's share is how much of the complete object's outline P's covers.
 """
 
@@ -15,12 +14,10 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
 
-from gscomplete.errors import UserError
 from gscomplete.framing.cut_plane import find_cut
 from gscomplete.priors.embedded.ending import ends_in_plane
 from gscomplete.shape.outline.scorer import FEATURES, outline_features
@@ -28,16 +25,14 @@ from gscomplete.shape.outline.views import SIDE_PX, outline, views_at
 from gscomplete.shape.voxels import FloatArray
 from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution
-from recipes.real_objects.compare import frame_object
-from recipes.real_objects.load import RealObject
-from recipes.real_objects.unseen import PartKind, complete_object, part_of, seen_from
-from recipes.train_embedded_prior.data.mesh_pack import read_mesh
-from recipes.train_embedded_prior.small_networks.answer_sets import (
-    AnswerTask,
-    answer_tasks,
-    packaged_prior,
+from recipes.real_objects.unseen import PartKind, seen_from
+from recipes.train_embedded_prior.small_networks.array_sets import joined
+from recipes.train_embedded_prior.small_networks.object_tasks import (
+    ObjectTask,
+    TurnedObject,
+    sets_of_objects,
 )
-from recipes.train_embedded_prior.small_networks.array_sets import joined, made_of_tasks, stem_of
+from recipes.train_embedded_prior.small_networks.perceptron_training import PerceptronConfig
 
 FILE_OBJECTS = 48
 KINDS = ("scan", "arc", "wide", "half", "middle", "box", "complete")
@@ -68,32 +63,27 @@ class OutlineSets:
         return len(self.shares)
 
 
-def outline_sets_of(task: AnswerTask) -> OutlineSets:
+def outline_sets_of(task: ObjectTask) -> OutlineSets:
     """Look at the parts of one object."""
     return _sets_of(task, (), _parts)
 
 
-def cut_sets_of(task: AnswerTask) -> OutlineSets:
+def cut_sets_of(task: ObjectTask) -> OutlineSets:
     """Look at two more cut parts of one object."""
     return _sets_of(task, (1,), _more_cut_parts)
 
 
 def _sets_of(
-    task: AnswerTask,
+    task: ObjectTask,
     seeds: tuple[int, ...],
-    parts: Callable[[Splats, np.random.Generator, float], Iterator[tuple[str, Splats]]],
+    parts: Callable[[TurnedObject], Iterator[tuple[str, Splats]]],
 ) -> OutlineSets:
-    number = int.from_bytes(task.entry.id.encode()[-6:], "little")
-    rng = np.random.default_rng((number, task.seed, *seeds))
-    turn_deg = float(rng.uniform(0, 360))
-    complete = complete_object(read_mesh(task.meshes, task.entry), task.entry, turn_deg)
+    turned = task.turned(task.seed, *seeds)
     shape = (0, VIEWS)
     rows = [OutlineSets(*(np.empty(s, np.float32) for s in ((*shape, len(FEATURES)), shape, (0,))))]
-    for kind, part in parts(complete, rng, turn_deg):
-        item = RealObject(task.entry.id, task.entry.caption, "Z", part, complete, kind)
-        try:
-            framed = frame_object(item, packaged_prior())
-        except UserError:  # a part of next to nothing
+    for kind, part in parts(turned):
+        framed = turned.framed(part, kind)
+        if framed is None:
             continue
         assert framed.truth is not None
         points, views = framed.partial.means.double().numpy(), framed.views
@@ -106,24 +96,22 @@ def _sets_of(
     return joined(rows)
 
 
-def _parts(
-    complete: Splats, rng: np.random.Generator, turn_deg: float
-) -> Iterator[tuple[str, Splats]]:
+def _parts(turned: TurnedObject) -> Iterator[tuple[str, Splats]]:
+    rng = turned.rng
     cut = _CUT[int(rng.integers(len(_CUT)))]
     kinds: list[PartKind] = ["scan", "arc", cut]
     if rng.random() < _COMPLETE_SHARE:
         kinds.append("complete")
     for kind in kinds:
-        yield kind, _worn(part_of(complete, kind, rng, turn_deg), rng)
-    yield "wide", _worn(_wide_arc(complete, rng), rng)
+        yield kind, _worn(turned.part(kind), rng)
+    yield "wide", _worn(_wide_arc(turned.complete, rng), rng)
 
 
-def _more_cut_parts(
-    complete: Splats, rng: np.random.Generator, turn_deg: float
-) -> Iterator[tuple[str, Splats]]:
+def _more_cut_parts(turned: TurnedObject) -> Iterator[tuple[str, Splats]]:
+    rng = turned.rng
     kinds: tuple[PartKind, ...] = ("box", _CUT[int(rng.integers(len(_CUT)))])
     for kind in kinds:
-        yield kind, _worn(part_of(complete, kind, rng, turn_deg), rng)
+        yield kind, _worn(turned.part(kind), rng)
 
 
 def _wide_arc(complete: Splats, rng: np.random.Generator) -> Splats:
@@ -167,26 +155,12 @@ def outline_shares(
     return np.array(shares, np.float32)
 
 
-def outline_sets(
-    folder: Path, meshes: Path, seed: int, objects: int, workers: int
-) -> list[OutlineSets]:
-    """Return sets, one entry a file of ``FILE_OBJECTS`` objects; make those not yet made.
-
-    Args:
-        folder: for the files.
-        meshes: pack of meshes.
-        seed: of the list and the parts.
-        objects: how many of the train split.
-        workers: processes that make them.
-    """
-    tasks = answer_tasks(meshes, seed, objects)
-    contents = f"{seed} {' '.join(FEATURES)}"
-    few = tasks[: math.ceil(_MORE_CUT_SHARE * len(tasks))]
-    ways = (("outlines", outline_sets_of, tasks), ("cuts", cut_sets_of, few))
+def outline_sets(config: PerceptronConfig) -> list[OutlineSets]:
+    """Return sets, one entry a file; make those not yet made."""
+    contents = " ".join(FEATURES)
+    ways = (("outlines", outline_sets_of, 1.0), ("cuts", cut_sets_of, _MORE_CUT_SHARE))
     made = [
-        made_of_tasks(
-            OutlineSets, stem_of(folder, kind, contents), make, some, FILE_OBJECTS, workers
-        )
-        for kind, make, some in ways
+        sets_of_objects(config, OutlineSets, kind, contents, make, FILE_OBJECTS, share)
+        for kind, make, share in ways
     ]
     return [joined([sets[k] for sets in made if k < len(sets)]) for k in range(len(made[0]))]

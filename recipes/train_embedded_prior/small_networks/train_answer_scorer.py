@@ -31,8 +31,8 @@ from gscomplete.shape.planes.answer_scorer import ANSWER_SCORER_FILE, OF_ANSWER
 from gscomplete.shape.voxels import FloatArray
 from recipes.entry_point import start
 from recipes.train_embedded_prior.small_networks.answer_sets import AnswerSets, answer_sets
-from recipes.train_embedded_prior.small_networks.scorer_training import (
-    ScorerConfig,
+from recipes.train_embedded_prior.small_networks.perceptron_training import (
+    PerceptronConfig,
     fit_perceptron,
     train_on_files,
 )
@@ -49,7 +49,7 @@ _NEVER = -99.0
 
 
 @dataclass(frozen=True)
-class AnswerScorerConfig(ScorerConfig):
+class AnswerScorerConfig(PerceptronConfig):
     """Train the answer scorer."""
 
     run: Path = Path("runs/answer_scorer")
@@ -58,7 +58,7 @@ class AnswerScorerConfig(ScorerConfig):
     seed: int = 34
     width: int = 96
     epochs: int = 60
-    batch_parts: int = 128
+    batch_rows: int = 128
     weight_decay: float = 0.05
 
 
@@ -69,7 +69,7 @@ def fit(config: AnswerScorerConfig, sets: AnswerSets) -> Perceptron:
     weights = torch.from_numpy(sets.weights)
 
     def batch_loss(network: nn.Sequential, inputs: Tensor, generator: torch.Generator) -> Tensor:
-        chosen = torch.multinomial(weights, config.batch_parts, True, generator=generator)
+        chosen = torch.multinomial(weights, config.batch_rows, True, generator=generator)
         return loss_of(network(inputs[chosen])[..., 0], true_scores[chosen], asked[chosen])
 
     return fit_perceptron(config, torch.from_numpy(sets.features), asked, batch_loss)
@@ -119,7 +119,7 @@ def told(name: str, scorer: Perceptron, sets: AnswerSets) -> str:
 def main(config: AnswerScorerConfig) -> int:
     """Run from the command line."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    files = answer_sets(config.run, config.meshes, config.seed, config.objects, config.workers)
+    files = answer_sets(config)
     train_on_files(config, files, _HELD_OUT_EVERY, functools.partial(fit, config), told)
     return 0
 

@@ -29,8 +29,8 @@ from gscomplete.priors.embedded.weights import packaged_weights
 from gscomplete.shape.benefit import BENEFIT_SCORER_FILE, LEFT_BELOW
 from recipes.entry_point import start
 from recipes.train_embedded_prior.small_networks.benefit_sets import BenefitSets, benefit_sets
-from recipes.train_embedded_prior.small_networks.scorer_training import (
-    ScorerConfig,
+from recipes.train_embedded_prior.small_networks.perceptron_training import (
+    PerceptronConfig,
     fit_perceptron,
     train_on_files,
 )
@@ -47,7 +47,7 @@ _WORSE = 0.005
 
 
 @dataclass(frozen=True)
-class BenefitScorerConfig(ScorerConfig):
+class BenefitScorerConfig(PerceptronConfig):
     """Train the benefit scorer."""
 
     run: Path = Path("runs/benefit_scorer")
@@ -56,7 +56,7 @@ class BenefitScorerConfig(ScorerConfig):
     seed: int = 36
     width: int = 24
     epochs: int = 100
-    batch_parts: int = 64
+    batch_rows: int = 64
     weight_decay: float = 0.1
 
 
@@ -65,7 +65,7 @@ def fit(config: BenefitScorerConfig, sets: BenefitSets) -> Perceptron:
     gains = torch.from_numpy(sets.gains)
 
     def batch_loss(network: nn.Sequential, inputs: Tensor, generator: torch.Generator) -> Tensor:
-        chosen = torch.randint(len(sets), (config.batch_parts,), generator=generator)
+        chosen = torch.randint(len(sets), (config.batch_rows,), generator=generator)
         return loss_of(network(inputs[chosen])[:, 0], gains[chosen])
 
     every = torch.ones(len(sets), dtype=torch.bool)
@@ -99,7 +99,7 @@ def told(name: str, scorer: Perceptron, sets: BenefitSets) -> str:
 def main(config: BenefitScorerConfig) -> int:
     """Run from the command line."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    files = benefit_sets(config.run, config.meshes, config.seed, config.objects, config.workers)
+    files = benefit_sets(config)
     train_on_files(config, files, _HELD_OUT_EVERY, functools.partial(fit, config), told)
     return 0
 

@@ -32,8 +32,8 @@ from recipes.train_embedded_prior.small_networks.outline_sets import (
     OutlineSets,
     outline_sets,
 )
-from recipes.train_embedded_prior.small_networks.scorer_training import (
-    ScorerConfig,
+from recipes.train_embedded_prior.small_networks.perceptron_training import (
+    PerceptronConfig,
     fit_perceptron,
     train_on_files,
 )
@@ -50,7 +50,7 @@ _LACKING = 0.95
 
 
 @dataclass(frozen=True)
-class OutlineScorerConfig(ScorerConfig):
+class OutlineScorerConfig(PerceptronConfig):
     """Train the outline scorer."""
 
     run: Path = Path("runs/outline_scorer")
@@ -59,7 +59,7 @@ class OutlineScorerConfig(ScorerConfig):
     seed: int = 37
     width: int = 96
     epochs: int = 60
-    batch_parts: int = 32
+    batch_rows: int = 32
     weight_decay: float = 0.3
 
 
@@ -69,7 +69,7 @@ def fit(config: OutlineScorerConfig, sets: OutlineSets) -> Perceptron:
     weights, whole = weights_of(shares), (shares >= WHOLE).float()
 
     def batch_loss(network: nn.Sequential, inputs: Tensor, generator: torch.Generator) -> Tensor:
-        chosen = torch.randint(len(sets), (config.batch_parts,), generator=generator)
+        chosen = torch.randint(len(sets), (config.batch_rows,), generator=generator)
         scores = network(inputs[chosen])[..., 0]
         entropy = F.binary_cross_entropy_with_logits(scores, whole[chosen], reduction="none")
         return (weights[chosen] * entropy).mean()
@@ -107,7 +107,7 @@ def told(name: str, scorer: Perceptron, sets: OutlineSets) -> str:
 def main(config: OutlineScorerConfig) -> int:
     """Run from the command line."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    files = outline_sets(config.run, config.meshes, config.seed, config.objects, config.workers)
+    files = outline_sets(config)
     train_on_files(config, files, _HELD_OUT_EVERY, functools.partial(fit, config), told)
     return 0
 

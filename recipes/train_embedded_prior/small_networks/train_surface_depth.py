@@ -28,8 +28,8 @@ from gscomplete.priors.embedded.weights import packaged_weights
 from gscomplete.shape.surface_depth import SURFACE_DEPTH_FILE
 from recipes.entry_point import start
 from recipes.train_embedded_prior.small_networks.depth_sets import DepthSets, depth_sets
-from recipes.train_embedded_prior.small_networks.scorer_training import (
-    ScorerConfig,
+from recipes.train_embedded_prior.small_networks.perceptron_training import (
+    PerceptronConfig,
     fit_perceptron,
     train_on_files,
 )
@@ -40,7 +40,7 @@ _ROUNDED_BELOW = 0.2
 
 
 @dataclass(frozen=True)
-class SurfaceDepthConfig(ScorerConfig):
+class SurfaceDepthConfig(PerceptronConfig):
     """Train the surface depth."""
 
     run: Path = Path("runs/surface_depth")
@@ -49,8 +49,7 @@ class SurfaceDepthConfig(ScorerConfig):
     seed: int = 5
     width: int = 96
     epochs: int = 6
-    batch_parts: int = 2048
-    """Points of a batch."""
+    batch_rows: int = 2048
     weight_decay: float = 1.0
     dropout: float = 0.05
 
@@ -61,7 +60,7 @@ def fit(config: SurfaceDepthConfig, sets: DepthSets) -> Perceptron:
     features, depths = (torch.from_numpy(x[is_known]) for x in (sets.features, sets.depths))
 
     def batch_loss(network: nn.Sequential, inputs: Tensor, generator: torch.Generator) -> Tensor:
-        chosen = torch.randint(len(inputs), (config.batch_parts,), generator=generator)
+        chosen = torch.randint(len(inputs), (config.batch_rows,), generator=generator)
         found = network(inputs[chosen])[:, 0]
         return F.smooth_l1_loss(found, depths[chosen], beta=_ROUNDED_BELOW)
 
@@ -85,7 +84,7 @@ def told(name: str, scorer: Perceptron, sets: DepthSets) -> str:
 def main(config: SurfaceDepthConfig) -> int:
     """Run from the command line."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    files = depth_sets(config.run, config.meshes, config.seed, config.objects, config.workers)
+    files = depth_sets(config)
     train_on_files(config, files, _HELD_OUT_EVERY, functools.partial(fit, config), told)
     return 0
 

@@ -7,12 +7,15 @@ from gscomplete.shape.voxels import shadows
 from recipes.real_objects.load import RealObject
 from recipes.train_embedded_prior.small_networks.answer_sets import (
     LEVEL,
-    AnswerTask,
     asked_part,
     shadow_ious,
-    train_entries,
 )
 from recipes.train_embedded_prior.small_networks.benefit_sets import benefit_of, benefit_sets_of
+from recipes.train_embedded_prior.small_networks.object_tasks import (
+    ObjectTask,
+    framed_item,
+    train_entries,
+)
 from tests.builders.mesh_pack import write_pack
 from tests.builders.objects import ball
 
@@ -20,7 +23,7 @@ from tests.builders.objects import ball
 def test_the_gain_is_that_of_the_answer_put_first_over_p():
     whole = ball(3000)
     part = whole.select(whole.means[:, 2] < 0.2)  # the network is asked: it is open above
-    asked = asked_part(RealObject("ball", "a ball", "Z", part, whole, "box"))
+    asked = asked_part(framed_item(RealObject("ball", "a ball", "Z", part, whole, "box")))
     assert asked is not None
     features, gain = benefit_of(asked)
     assert features.shape == (len(FEATURES),)
@@ -36,7 +39,7 @@ def test_the_gain_is_that_of_the_answer_put_first_over_p():
 def test_sets_are_a_function_of_seed_and_object(tmp_path):
     pack = write_pack(tmp_path)
     entry = train_entries(pack, 3, 100)[0]
-    made, again = (benefit_sets_of(AnswerTask(pack, entry, 3)) for _ in range(2))
+    made, again = (benefit_sets_of(ObjectTask(pack, entry, 3)) for _ in range(2))
     assert made.features.shape == (len(made), len(FEATURES))
     np.testing.assert_array_equal(made.features, again.features)
     np.testing.assert_array_equal(made.gains, again.gains)

@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 
 from gscomplete.shape.surface_depth import FEATURES
 from gscomplete.shape.voxels import CELL_SIDE
-from recipes.train_embedded_prior.small_networks.answer_sets import AnswerTask, train_entries
 from recipes.train_embedded_prior.small_networks.depth_sets import depth_sets_of, first_depths
+from recipes.train_embedded_prior.small_networks.object_tasks import ObjectTask, train_entries
 from tests.builders.mesh_pack import write_pack
 
 UP = np.array([[0, 0, 1]], np.float32)
@@ -36,14 +36,16 @@ def test_beyond_reach_is_nothing():
 
 
 def test_a_wall_that_is_passed_by_is_nothing():
-    beside = lambda places: np.hypot(places[:, 2] / CELL_SIDE + 1, 0.6)  # noqa: E731
+    def beside(places):
+        return np.hypot(places[:, 2] / CELL_SIDE + 1, 0.6)
+
     assert np.isnan(first_depths(beside, ORIGIN, UP)[0])
 
 
 def test_sets_are_a_function_of_the_object(tmp_path):
     pack = write_pack(tmp_path)
     entry = train_entries(pack, 3, 100)[0]
-    made, again = (depth_sets_of(AnswerTask(pack, entry, 3)) for _ in range(2))
+    made, again = (depth_sets_of(ObjectTask(pack, entry, 3)) for _ in range(2))
     assert made.features.shape == (len(made), len(FEATURES))
     assert len(made.insets) == len(made)
     np.testing.assert_array_equal(made.features, again.features)

@@ -2,7 +2,7 @@ import numpy as np
 
 from gscomplete.shape.outline.scorer import FEATURES
 from gscomplete.views import ViewDistribution
-from recipes.train_embedded_prior.small_networks.answer_sets import AnswerTask, train_entries
+from recipes.train_embedded_prior.small_networks.object_tasks import ObjectTask, train_entries
 from recipes.train_embedded_prior.small_networks.outline_sets import (
     KINDS,
     VIEWS,
@@ -32,7 +32,7 @@ def test_half_a_ball_has_half_an_outline_from_its_sides_and_all_of_it_from_its_f
 def test_sets_are_a_function_of_seed_and_object(tmp_path):
     pack = write_pack(tmp_path)
     entry = train_entries(pack, 3, 100)[0]
-    made, again = (outline_sets_of(AnswerTask(pack, entry, 3)) for _ in range(2))
+    made, again = (outline_sets_of(ObjectTask(pack, entry, 3)) for _ in range(2))
     assert made.features.shape == (len(made), VIEWS, len(FEATURES))
     assert made.shares.shape == (len(made), VIEWS)
     np.testing.assert_array_equal(made.features, again.features)
@@ -40,8 +40,8 @@ def test_sets_are_a_function_of_seed_and_object(tmp_path):
     kinds = [KINDS[int(k)] for k in made.kinds]
     assert kinds[:2] == ["scan", "arc"]
     assert kinds[-1] == "wide"
-    cut = cut_sets_of(AnswerTask(pack, entry, 3))
+    cut = cut_sets_of(ObjectTask(pack, entry, 3))
     assert KINDS[int(cut.kinds[0])] == "box"
     assert len(cut) == 2
-    other = outline_sets_of(AnswerTask(pack, entry, 4))
+    other = outline_sets_of(ObjectTask(pack, entry, 4))
     assert other.shares.tolist() != made.shares.tolist()

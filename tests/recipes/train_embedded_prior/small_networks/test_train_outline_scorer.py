@@ -14,7 +14,7 @@ from recipes.train_embedded_prior.small_networks.train_outline_scorer import (
     weights_of,
 )
 
-CONFIG = OutlineScorerConfig(Path("unused"), epochs=40, batch_parts=8, width=16)
+CONFIG = OutlineScorerConfig(Path("unused"), epochs=40, batch_rows=8, width=16)
 
 
 def simple_sets(parts: int) -> OutlineSets:

@@ -1,4 +1,4 @@
-"""Training of the perceptrons that judge what the shape network answers about a part."""
+"""Training of perceptrons: of those that judge P and answers, and of the surface's depth."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class ScorerConfig:
-    """How a scorer is trained, whichever it is."""
+class PerceptronConfig:
+    """How a perceptron is trained, whichever it is."""
 
     meshes: Path
     """Pack of meshes; its train split is used."""
@@ -37,7 +37,7 @@ class ScorerConfig:
     width: int
     """Units of the first hidden layer; the second has half as many."""
     epochs: int
-    batch_parts: int
+    batch_rows: int
     weight_decay: float
     learning_rate: float = 3e-3
     dropout: float = 0.1
@@ -46,7 +46,7 @@ class ScorerConfig:
 
 
 def fit_perceptron(
-    config: ScorerConfig,
+    config: PerceptronConfig,
     features: Tensor,  # [N, ..., F]
     asked: Tensor,  # bool [N, ...] rows that count for centre and spread
     batch_loss: BatchLoss,
@@ -65,7 +65,7 @@ def fit_perceptron(
     optimizer = torch.optim.AdamW(
         network.parameters(), config.learning_rate, weight_decay=config.weight_decay
     )
-    steps = max(config.epochs * len(features) // config.batch_parts, 1)
+    steps = max(config.epochs * len(features) // config.batch_rows, 1)
     for step in range(steps):
         for group in optimizer.param_groups:
             group["lr"] = config.learning_rate * 0.5 * (1 + math.cos(math.pi * step / steps))
@@ -77,7 +77,7 @@ def fit_perceptron(
 
 
 def train_on_files(
-    config: ScorerConfig,
+    config: PerceptronConfig,
     files: Sequence[Sets],
     held_out_every: int,
     fit: Callable[[Sets], Perceptron],

@@ -6,8 +6,8 @@ import numpy as np
 import torch
 
 from gscomplete.networks.perceptron import Perceptron
-from recipes.train_embedded_prior.small_networks.scorer_training import (
-    ScorerConfig,
+from recipes.train_embedded_prior.small_networks.perceptron_training import (
+    PerceptronConfig,
     fit_perceptron,
     train_on_files,
 )
@@ -16,7 +16,7 @@ from recipes.train_embedded_prior.small_networks.scorer_training import (
 def test_a_perceptron_learns_a_sum_and_rows_that_were_not_asked_count_for_nothing():
     """The scale of features comes from the rows asked alone; the others hold huge numbers."""
     unused = Path("unused")
-    config = ScorerConfig(unused, unused, unused, 0, 3, 16, 60, 32, 0.01)
+    config = PerceptronConfig(unused, unused, unused, 0, 3, 16, 60, 32, 0.01)
     features = torch.randn(600, 5, generator=torch.Generator().manual_seed(0))
     asked = torch.arange(600) % 3 > 0
     features[~asked] = 1e6
@@ -24,7 +24,7 @@ def test_a_perceptron_learns_a_sum_and_rows_that_were_not_asked_count_for_nothin
     targets = features.sum(dim=1)
 
     def batch_loss(network, inputs, generator):
-        chosen = rows[torch.randint(len(rows), (config.batch_parts,), generator=generator)]
+        chosen = rows[torch.randint(len(rows), (config.batch_rows,), generator=generator)]
         return (network(inputs[chosen])[:, 0] - targets[chosen]).square().mean()
 
     scorer = fit_perceptron(config, features, asked, batch_loss)
@@ -42,7 +42,7 @@ class Numbers:
 
 
 def test_every_so_many_files_are_held_out_and_all_are_learned_from_at_the_end(tmp_path, caplog):
-    config = ScorerConfig(tmp_path, tmp_path, tmp_path / "x.safetensors", 1, 0, 4, 1, 2, 0.1)
+    config = PerceptronConfig(tmp_path, tmp_path, tmp_path / "x.safetensors", 1, 0, 4, 1, 2, 0.1)
     learned = []
 
     def fit(sets):

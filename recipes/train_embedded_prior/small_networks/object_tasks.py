@@ -1,0 +1,122 @@
+"""Objects that perceptrons learn from: those of the pack's train split, turned, and parts of them.
+
+Conventions
+-----------
+* An object is turned about the up axis, and cut, by random numbers of its own: a pure function of
+  its id and of the seeds that are given.
+* Parts are framed as a run frames them.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import torch
+
+from gscomplete.errors import UserError
+from gscomplete.priors.embedded.prior import EmbeddedPrior
+from gscomplete.priors.embedded.weights import packaged_weights
+from gscomplete.splats import Splats
+from recipes.real_objects.compare import FramedObject, frame_object
+from recipes.real_objects.load import RealObject
+from recipes.real_objects.unseen import PartKind, complete_object, part_of
+from recipes.train_embedded_prior.data.mesh_pack import PackEntry, read_manifest, read_mesh
+from recipes.train_embedded_prior.small_networks.array_sets import made_of_tasks, stem_of
+from recipes.train_embedded_prior.small_networks.perceptron_training import PerceptronConfig
+
+Sets = TypeVar("Sets")
+"""A dataclass of arrays of as many rows."""
+
+
+@dataclass(frozen=True, slots=True)
+class TurnedObject:
+    """A complete object, and what its parts are drawn with."""
+
+    entry: PackEntry
+    complete: Splats
+    turn_deg: float
+    rng: np.random.Generator
+
+    def part(self, kind: PartKind) -> Splats:
+        """Draw a part."""
+        return part_of(self.complete, kind, self.rng, self.turn_deg)
+
+    def framed(self, part: Splats, kind: str) -> FramedObject | None:
+        """Frame a part as a run does; None = it is next to nothing."""
+        item = RealObject(self.entry.id, self.entry.caption, "Z", part, self.complete, kind)
+        return framed_item(item)
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectTask:
+    """One object to make sets of."""
+
+    meshes: Path
+    entry: PackEntry
+    seed: int
+
+    def turned(self, *seeds: int) -> TurnedObject:
+        """Read the object and turn it by random numbers of these seeds."""
+        rng = np.random.default_rng((self.entry.number, *seeds))
+        turn_deg = float(rng.uniform(0, 360))
+        complete = complete_object(read_mesh(self.meshes, self.entry), self.entry, turn_deg)
+        return TurnedObject(self.entry, complete, turn_deg, rng)
+
+
+@functools.cache
+def packaged_prior() -> EmbeddedPrior:
+    """Return the prior that ships, on one thread of this process."""
+    torch.set_num_threads(1)
+    return EmbeddedPrior.from_folder(packaged_weights())
+
+
+def framed_item(item: RealObject) -> FramedObject | None:
+    """Frame a part as a run does; None = it is next to nothing."""
+    try:
+        return frame_object(item, packaged_prior())
+    except UserError:
+        return None
+
+
+def train_entries(meshes: Path, seed: int, count: int) -> list[PackEntry]:
+    """Return the first objects of the shuffled train split."""
+    entries = [entry for entry in read_manifest(meshes) if entry.split == "train"]
+    order = np.random.default_rng(seed).permutation(len(entries))
+    return [entries[k] for k in order[:count]]
+
+
+def object_tasks(meshes: Path, seed: int, count: int) -> list[ObjectTask]:
+    """Return the tasks of the first objects of the shuffled train split."""
+    return [ObjectTask(meshes, entry, seed) for entry in train_entries(meshes, seed, count)]
+
+
+def sets_of_objects(
+    config: PerceptronConfig,
+    kind: type[Sets],
+    name: str,
+    contents: str,
+    make: Callable[[ObjectTask], Sets],
+    per_file: int,
+    share: float = 1.0,
+) -> list[Sets]:
+    """Return sets, one entry a file of so many objects; make those not yet made.
+
+    Args:
+        config: names pack, folder, seed, objects and processes.
+        kind: the dataclass.
+        name: of the files.
+        contents: what else decides what is in them: other contents are other files.
+        make: makes the sets of one object; picklable.
+        per_file: objects of a file.
+        share: of the objects, the first of them.
+    """
+    tasks = object_tasks(config.meshes, config.seed, config.objects)
+    stem = stem_of(config.run, name, f"{config.seed} {contents}")
+    some = tasks[: math.ceil(share * len(tasks))]
+    return made_of_tasks(kind, stem, make, some, per_file, config.workers)
