@@ -6,8 +6,7 @@ import pytest
 import torch
 
 from gscomplete.errors import UserError
-from gscomplete.framing.decide import FramingRequest, framing_for
-from gscomplete.priors import load_prior
+from gscomplete.framing.decide import FramingRequest, decide_framing
 from tests.builders.objects import ball
 
 
@@ -27,4 +26,4 @@ def test_a_centre_that_is_nowhere_is_refused(odd: float) -> None:
 def test_a_part_of_next_to_nothing_is_refused(count: int, message: str) -> None:
     part = ball(100).select(torch.arange(count))
     with pytest.raises(UserError, match=message):
-        framing_for(part, FramingRequest("Z"), load_prior("embedded"))
+        decide_framing(part, FramingRequest("Z"))
