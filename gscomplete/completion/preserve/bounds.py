@@ -13,7 +13,8 @@ and leaves what it leaves. Here, after the optimisation, the errors E_color and 
    says how much each splat contributes. Those that make up nearly all of it may fade, move (a
    splat in front of P's surface is drawn back behind it by the depth error) and shrink, against
    a term that keeps the picture from outside V, and within V beside P, as it was. A last round
-   that went farther than it had to is partly taken back.
+   that went farther than it had to is partly taken back. Rounds that would not come near the
+   bounds in the end are not gone on with.
 4. Fade, while a bound is exceeded: the splats that contribute most lose most of their opacity, as
    many as the excess asks for.
 5. Remove, as the last resort, what the errors depend on most, again and again. P alone has none,
@@ -35,7 +36,7 @@ import dataclasses
 import functools
 import math
 import time
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -54,13 +55,13 @@ from gscomplete.completion.preserve.outcome import (
     HardPreservationReport,
     count_changes,
 )
+from gscomplete.completion.preserve.shares import enough_of, largest_share
 from gscomplete.completion.settings import HardPreservationSettings
 from gscomplete.evaluate.metrics import MID_GREY
 from gscomplete.render import PreparedFrozen, Render, join_prepared, prepare_frozen, render
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.thinning import thinned
 from gscomplete.util.randomness import generator_for
-from gscomplete.util.same_bits import fixed_sum
 from gscomplete.views import Cameras, ViewDistribution, join_cameras
 
 _CHECK_VIEWS = 24
@@ -87,6 +88,8 @@ _WATCHED_SHARE = 0.5
 """Refitting watches errors above this share of what is aimed at, not only those above it."""
 _FAINT = 0.05
 """Opacity at which it is found out where backing helps."""
+_FAR_ABOVE = 2.0
+"""Share of what is aimed at above which fading has nearly all of the work left."""
 _CLOSE_SHARE = 0.85
 """Errors above this share of what is aimed at are near enough to it."""
 _WANTED_SHARE = 0.93
@@ -141,7 +144,11 @@ def preserve_hard(
     if work.above(found):
         start, found = work.backed(original, found)
     current, rounds, fadings = start, 0, 0
+    largest: list[float] = []
     while work.above(found) and rounds < settings.rounds:
+        largest.append(max(work.above(found).values()))
+        if not are_promising(largest, settings.rounds):
+            break
         previous, too_large = current, found
         current = work.refit(current, found, rounds)
         found, rounds = work.check(current), rounds + 1
@@ -157,7 +164,7 @@ def preserve_hard(
         found, fadings = work.check(current), fadings + 1
         if not (last_resort or work.above(found)):
             current, found = work.no_further_than_needed(previous, too_large, current, found)
-    kept = _still_visible(start, current, _PRUNE_OPACITY)
+    kept = (current.opacities == start.opacities) | (current.opacities >= _PRUNE_OPACITY)
     count = len(original)
     return HardPreservation(
         current.select(kept),
@@ -175,6 +182,20 @@ def preserve_hard(
             ),
         ),
     )
+
+
+def are_promising(largest: Sequence[float], rounds: int) -> bool:
+    """Say whether so many rounds will bring errors near the bounds, going on as the last two did.
+
+    Args:
+        largest: error before each round so far and before the next, in units of what is aimed at.
+        rounds: most of them.
+    """
+    done = len(largest) - 1
+    if done < 2:
+        return True
+    of_one_round = math.sqrt(largest[-1] / largest[-3])
+    return bool(largest[-1] * of_one_round ** (rounds - done) <= _FAR_ABOVE)
 
 
 def are_within_bounds(
@@ -357,24 +378,6 @@ class _Work:
         return gradient * opacities.detach()
 
 
-def largest_share(amounts: Tensor, share: float) -> Tensor:  # [N] >= 0 -> [N] bool
-    """Mark the fewest amounts that make up a share of their sum."""
-    order = torch.argsort(amounts, descending=True, stable=True)
-    before = amounts[order].double().cumsum(0) - amounts[order].double()
-    marked = torch.zeros_like(amounts, dtype=torch.bool)
-    marked[order] = (before < share * fixed_sum(amounts.double())) & (amounts[order] > 0)
-    return marked
-
-
-def enough_of(amounts: Tensor, needed: float) -> Tensor:  # [N] -> [N] bool
-    """Mark the fewest positive amounts whose sum is at least ``needed``, all if none are enough."""
-    order = torch.argsort(amounts, descending=True, stable=True)
-    positive = amounts[order].clamp_min(0.0).double()
-    marked = torch.zeros_like(amounts, dtype=torch.bool)
-    marked[order] = (positive.cumsum(0) - positive < needed) & (positive > 0)
-    return marked
-
-
 def _blended(first: Splats, second: Splats, share: float) -> Splats:
     """Return splats part of the way from the first to the second; equal rows stay as they are."""
     return dataclasses.replace(
@@ -391,8 +394,3 @@ def _replaced(splats: Splats, rows: Tensor, values: Splats) -> Splats:  # rows: 
     for name, value in values.fields():
         out[name][rows] = value
     return Splats(**out)
-
-
-def _still_visible(before: Splats, after: Splats, least: float) -> Tensor:  # [N] bool
-    """Mark the splats that were not faded below the least opacity."""
-    return (after.opacities == before.opacities) | (after.opacities >= least)

@@ -4,12 +4,9 @@ import dataclasses
 
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import settings as hypothesis_settings
-from hypothesis import strategies as st
 
 from gscomplete.completion.preserve import bounds as hard_preservation
-from gscomplete.completion.preserve.bounds import enough_of, largest_share, preserve_hard
+from gscomplete.completion.preserve.bounds import are_promising, preserve_hard
 from gscomplete.completion.preserve.fit import MARGIN, masked_errors, outside_cameras
 from gscomplete.completion.rings import inside_distribution
 from gscomplete.completion.settings import HardPreservationSettings
@@ -195,23 +192,29 @@ def test_v_all_round_leaves_no_view_outside():
     assert result.report.met
 
 
-@hypothesis_settings(max_examples=60, deadline=None)
-@given(
-    st.lists(st.floats(0, 1e3, width=32), max_size=40),
-    st.floats(0.0, 1.0),
+@pytest.mark.parametrize(
+    ("largest", "rounds", "expected"),
+    [
+        ([9.0, 8.5], 10, True),  # one round tells too little
+        ([6.0, 5.9, 5.5], 10, False),  # 5.5 x .957^8 = 3.9
+        ([12.0, 6.0, 3.0], 10, True),  # halved by every round
+        ([6.0, 5.9, 5.5, 2.0], 10, True),  # the last two alone count
+        ([1.5, 1.6, 1.7], 4, True),  # 1.7 x 1.065^2 = 1.93
+        ([1.5, 1.6, 1.7], 6, False),
+    ],
 )
-def test_the_fewest_amounts_that_are_enough_are_marked(values, share):
-    amounts = torch.tensor(values, dtype=torch.float32)
-    total = amounts.double().sum()
-    for marked, needed in (
-        (largest_share(amounts, share), share * total),
-        (enough_of(amounts, float(share * total)), share * total),
-    ):
-        chosen = amounts[marked].double()
-        assert float(chosen.sum()) >= float(needed) * (1 - 1e-6)
-        if len(chosen):
-            assert float(chosen.sum() - chosen.min()) < float(needed) * (1 + 1e-6) + 1e-30
-            assert float(chosen.min()) >= float(amounts[~marked].max()) if (~marked).any() else True
+def test_rounds_that_get_nowhere_end(largest, rounds, expected):
+    assert are_promising(largest, rounds) == expected
+
+
+def test_what_rounds_cannot_mend_is_faded_at_once():
+    # Over the whole of P: no small step brings it behind.
+    many = wall(0.35, (0.1, 0.8, 0.2))
+    tight = dataclasses.replace(SMALL, color_bound=1e-7, depth_bound=1e-7, steps=1)
+    report = preserve_hard(many, PARTIAL, VIEWS, tight).report
+    assert report.met
+    assert report.rounds == 2
+    assert report.fadings > 0
 
 
 @pytest.mark.parametrize(
