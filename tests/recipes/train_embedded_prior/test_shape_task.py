@@ -109,7 +109,7 @@ def test_sets_go_where_the_network_is(tmp_path):
 
 def test_training_lowers_the_loss(tmp_path, batch):
     task = ShapeTask(
-        tiny_shape_run(tmp_path, steps=20, batch_sets=2, fresh_sets=1, learning_rate=1e-2),
+        tiny_shape_run(tmp_path, steps=10, batch_sets=2, fresh_sets=1, learning_rate=1e-2),
         stub_source,
         WORDS,
     )

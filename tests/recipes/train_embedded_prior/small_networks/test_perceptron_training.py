@@ -16,7 +16,7 @@ from recipes.train_embedded_prior.small_networks.perceptron_training import (
 def test_a_perceptron_learns_a_sum_and_rows_that_were_not_asked_count_for_nothing():
     """The scale of features comes from the rows asked alone; the others hold huge numbers."""
     unused = Path("unused")
-    config = PerceptronConfig(unused, unused, unused, 0, 3, 16, 60, 32, 0.01)
+    config = PerceptronConfig(unused, unused, unused, 0, 3, 16, 20, 32, 0.01)
     features = torch.randn(600, 5, generator=torch.Generator().manual_seed(0))
     asked = torch.arange(600) % 3 > 0
     features[~asked] = 1e6

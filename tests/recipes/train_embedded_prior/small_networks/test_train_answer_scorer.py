@@ -30,7 +30,7 @@ def first(sets: AnswerSets, rows: slice) -> AnswerSets:
 
 def test_a_scorer_learns_what_makes_answers_good():
     sets = simple_sets()
-    config = AnswerScorerConfig(Path("unused"), width=16, epochs=40, batch_rows=32)
+    config = AnswerScorerConfig(Path("unused"), width=16, epochs=20, batch_rows=32)
     scorer = fit(config, first(sets, slice(300)))
     chosen, likeliest, best = true_scores_of_choice(scorer, first(sets, slice(300, None)))
     assert chosen.mean() > likeliest.mean() + 0.8 * (best - likeliest).mean()
@@ -48,7 +48,7 @@ def test_parts_count_by_their_weights():
     contrary = np.arange(len(sets)) % 2 == 0
     true_scores = np.where(contrary[:, None], 1.6 - sets.true_scores, sets.true_scores)
     weights = np.where(contrary, 0.0, 1.0).astype(np.float32)
-    config = AnswerScorerConfig(Path("unused"), width=16, epochs=40, batch_rows=32)
+    config = AnswerScorerConfig(Path("unused"), width=16, epochs=20, batch_rows=32)
     scorer = fit(config, AnswerSets(sets.features, true_scores, weights))
     chosen, likeliest, best = true_scores_of_choice(scorer, sets)
     assert chosen.mean() > likeliest.mean() + 0.8 * (best - likeliest).mean()

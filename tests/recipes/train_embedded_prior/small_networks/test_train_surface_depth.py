@@ -10,7 +10,7 @@ from recipes.train_embedded_prior.small_networks.train_surface_depth import (
     told,
 )
 
-CONFIG = SurfaceDepthConfig(Path("unused"), epochs=60, batch_rows=128, width=16)
+CONFIG = SurfaceDepthConfig(Path("unused"), epochs=15, batch_rows=128, width=16)
 
 
 def simple_sets(count, seed=0):
