@@ -6,6 +6,7 @@ import torch
 from scipy.spatial import cKDTree
 
 from gscomplete.render import render
+from gscomplete.shape import assemble
 from gscomplete.shape.assemble import (
     AssembleSettings,
     assemble_splats,
@@ -130,9 +131,23 @@ def test_what_one_view_shows_lacks_a_side_however_little_it_seems():
     assert farthest(ends_in_plane=False) > farthest(ends_in_plane=True) + 0.05
 
 
+def test_what_no_view_shows_most_of_has_a_level_of_its_own(monkeypatch):
+    prediction = predicted(0.5, confidence=40.0)
+    shown = prediction.voxels.shown_at_once
+    others = {"occupancy_threshold_high": 2.0, "occupancy_threshold_low": 2.0}
+    monkeypatch.setattr(assemble, "_MOST_OF_A_PIECE", shown + 0.01)
+    piece = put_together(prediction, occupancy_threshold_piece=-2.0, **others)
+    monkeypatch.setattr(assemble, "_MOST_OF_A_PIECE", shown)
+    other = put_together(prediction, occupancy_threshold_piece=-2.0, **others)
+    unsure = {"occupancy_threshold_high": -2.0, "occupancy_threshold_low": -2.0}
+    assert torch.equal(piece.means, put_together(prediction, **unsure).means)
+    assert torch.equal(other.means, put_together(prediction, **others).means)
+
+
 @pytest.mark.parametrize(("count", "is_sure"), [(60, False), (4000, True)])
-def test_scattered_splats_are_no_closed_surface(count, is_sure):
+def test_scattered_splats_are_no_closed_surface(count, is_sure, monkeypatch):
     """All of a ball is there; of few splats, as far scanners see it, most of it is open."""
+    monkeypatch.setattr(assemble, "_MOST_OF_A_PIECE", 0.0)
     partial = ball(count)
     voxels = voxelize_partial(partial, VIEWS)
     half_ball = predicted(0.5, confidence=40.0)
