@@ -7,7 +7,6 @@ EXTRAS ?= dev
 # constraints-lowest.txt; else the newest.
 LOCKED ?=
 LOCK := $(if $(filter lowest,$(LOCKED)),constraints-lowest.txt,constraints.txt)
-# Without --no-compile pip compiles all files of all packages, most of which nothing imports: half a minute.
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-done
@@ -20,8 +19,8 @@ setup: $(STAMP)
 
 $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --no-compile "$(TORCH)"
-	$(BIN)/pip install --quiet --no-compile $(if $(LOCKED),--constraint $(LOCK)) --editable ".[$(EXTRAS)]"
+	$(BIN)/pip install --quiet "$(TORCH)"
+	$(BIN)/pip install --quiet $(if $(LOCKED),--constraint $(LOCK)) --editable ".[$(EXTRAS)]"
 	@echo "Compiling kernels, for which the first completion would wait"
 	rm -rf $(VENV)/first $(VENV)/steps
 	-$(BIN)/gscomplete complete $(SAMPLE) --out $(VENV)/first > /dev/null
