@@ -6,7 +6,6 @@ import torch
 from scipy.spatial import cKDTree
 
 from gscomplete.render import render
-from gscomplete.shape import assemble
 from gscomplete.shape.assemble import (
     AssembleSettings,
     assemble_splats,
@@ -131,23 +130,24 @@ def test_what_one_view_shows_lacks_a_side_however_little_it_seems():
     assert farthest(ends_in_plane=False) > farthest(ends_in_plane=True) + 0.05
 
 
-def test_what_no_view_shows_most_of_has_a_level_of_its_own(monkeypatch):
+def test_what_no_view_shows_most_of_has_a_level_of_its_own():
     prediction = predicted(0.5, confidence=40.0)
     shown = prediction.voxels.shown_at_once
-    others = {"occupancy_threshold_high": 2.0, "occupancy_threshold_low": 2.0}
-    monkeypatch.setattr(assemble, "_MOST_OF_A_PIECE", shown + 0.01)
-    piece = put_together(prediction, occupancy_threshold_piece=-2.0, **others)
-    monkeypatch.setattr(assemble, "_MOST_OF_A_PIECE", shown)
-    other = put_together(prediction, occupancy_threshold_piece=-2.0, **others)
+    sure = {"occupancy_threshold_high": 2.0, "occupancy_threshold_low": 2.0}
     unsure = {"occupancy_threshold_high": -2.0, "occupancy_threshold_low": -2.0}
-    assert torch.equal(piece.means, put_together(prediction, **unsure).means)
-    assert torch.equal(other.means, put_together(prediction, **others).means)
+
+    def found(shown_of_piece: float):
+        return put_together(
+            prediction, shown_of_piece=shown_of_piece, occupancy_threshold_piece=-2.0, **sure
+        )
+
+    assert torch.equal(found(shown + 0.01).means, put_together(prediction, **unsure).means)
+    assert torch.equal(found(shown).means, put_together(prediction, **sure).means)
 
 
 @pytest.mark.parametrize(("count", "is_sure"), [(60, False), (4000, True)])
-def test_scattered_splats_are_no_closed_surface(count, is_sure, monkeypatch):
+def test_scattered_splats_are_no_closed_surface(count, is_sure):
     """All of a ball is there; of few splats, as far scanners see it, most of it is open."""
-    monkeypatch.setattr(assemble, "_MOST_OF_A_PIECE", 0.0)
     partial = ball(count)
     voxels = voxelize_partial(partial, VIEWS)
     half_ball = predicted(0.5, confidence=40.0)
@@ -155,7 +155,10 @@ def test_scattered_splats_are_no_closed_surface(count, is_sure, monkeypatch):
 
     def found(sure: float, unsure: float):
         settings = AssembleSettings(
-            count=4000, occupancy_threshold_high=sure, occupancy_threshold_low=unsure
+            count=4000,
+            occupancy_threshold_high=sure,
+            occupancy_threshold_low=unsure,
+            shown_of_piece=0.0,
         )
         return assemble_splats(
             prediction, partial, settings, torch.Generator().manual_seed(0)

@@ -138,5 +138,5 @@ def _sets_of_part(framed: FramedObject, seed: int) -> list[DepthSets]:  # one or
 
 def depth_sets(config: PerceptronConfig) -> list[DepthSets]:
     """Return sets, one entry a file; make those not yet made."""
-    contents = f"{asked_with()} {' '.join(FEATURES)}"
+    contents = f"{asked_with()} {AssembleSettings()} {' '.join(FEATURES)}"
     return sets_of_objects(config, DepthSets, "depths", contents, depth_sets_of, FILE_OBJECTS)
