@@ -10,6 +10,7 @@ from safetensors.torch import load_file, save
 from torch import Tensor
 
 from gscomplete.errors import UserError
+from gscomplete.fitting.row_adam import MOMENTS
 from gscomplete.util.atomic import atomic_path
 
 FILE_NAME = "latest.safetensors"
@@ -32,7 +33,8 @@ def check_fits(path: Path, state: dict[str, Tensor], fresh: dict[str, Tensor], s
     Args:
         path: the checkpoint, for messages.
         state: what it holds.
-        fresh: the state of the same job at step 0; rows may have come and gone since.
+        fresh: the state of the same job at step 0; rows may have come and gone since, where there
+            were any.
         steps: of the complete job.
 
     Raises:
@@ -42,20 +44,20 @@ def check_fits(path: Path, state: dict[str, Tensor], fresh: dict[str, Tensor], s
     if step.ndim or not 0 <= int(step) <= steps:
         raise UserError(f"{path}: step: expected 0 to {steps}, found {step.tolist()}")
     rows = len(state["value.means"]) if state.get("value.means", step).ndim else 0
-    if rows == 0:
+    if rows == 0 and len(fresh["value.means"]):
         raise UserError(f"{path}: value.means: expected one row a splat, found none")
     for name, expected in fresh.items():
         found = state.get(name)
         shape = (rows, *expected.shape[1:]) if expected.ndim else ()
         _require(path, name, found, expected.dtype, shape)
     for name in (name.removeprefix("value.") for name in fresh if name.startswith("value.")):
-        value, count = state[f"value.{name}"], state.get(f"adam.{name}.step")
-        if count is None and int(step) == 0:
-            continue
-        _require(path, f"adam.{name}.step", count, torch.float32, ())
-        for key in ("exp_avg", "exp_avg_sq"):
-            moment = state.get(f"adam.{name}.{key}")
-            _require(path, f"adam.{name}.{key}", moment, value.dtype, tuple(value.shape))
+        value = state[f"value.{name}"]
+        moments = {key: state.get(f"adam.{name}.{key}") for key in ("step", *MOMENTS)}
+        if all(moment is None for moment in moments.values()):
+            continue  # a value that does not move has none
+        _require(path, f"adam.{name}.step", moments["step"], torch.float32, ())
+        for key in MOMENTS:
+            _require(path, f"adam.{name}.{key}", moments[key], value.dtype, tuple(value.shape))
 
 
 def _require(

@@ -10,59 +10,89 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
+from gscomplete.completion import pipeline
 from gscomplete.completion.pipeline import Request
 from gscomplete.completion.presets import RECONSTRUCT
 from gscomplete.completion.run_folder import RUN_FILE, Run, RunRequest, execute, prepare
+from gscomplete.completion.settings import CompletionSettings
 from gscomplete.errors import UserError
 from gscomplete.fitting.step_loop import LOG_FILE
 from gscomplete.framing.decide import FramingRequest
+from gscomplete.priors.base import FirstGuess
 from gscomplete.splats import write_splats
 from tests.builders.objects import ball
-from tests.builders.priors import OraclePrior
+from tests.builders.priors import GuessingPrior
 
 CHECKPOINT = "checkpoints/latest.safetensors"
 
 
-def begin(folder: Path, *, resume: bool = False) -> Run:
-    truth = ball(300)
-    write_splats(folder / "p.ply", truth.select(truth.means[:, 0] > 0))
-    settings = dataclasses.replace(
-        RECONSTRUCT, start="sphere", steps=6, new_splats=50, rounds=2, resolution_px=16
-    )
+BALL = ball(300)
+HALF = BALL.select(BALL.means[:, 0] > 0)
+QUICK = dataclasses.replace(
+    RECONSTRUCT, start="sphere", steps=6, new_splats=50, rounds=2, resolution_px=16
+)
+NOTHING = FirstGuess(BALL.select(torch.arange(0)), ())
+COLORS_ALONE = dataclasses.replace(QUICK, mode="distill", moves="colors")
+"""As the embedded prior's ``distill`` moves them."""
+
+
+def begin(folder: Path, *, resume: bool = False, settings: CompletionSettings = QUICK) -> Run:
+    write_splats(folder / "p.ply", HALF)
     framing = FramingRequest(view_deg=(0.0, 10.0), center_file=(0.0, 0.0, 0.0), size_file=0.8)
     asked = Request("a ball", dataclasses.replace(settings, checkpoint_every=1), framing)
     request = RunRequest(folder / "p.ply", folder / "out", asked, resume=resume)
-    return prepare(request, OraclePrior(truth))
+    return prepare(request, GuessingPrior(BALL, NOTHING))
 
 
 class Stop(Exception):
     """Ends a run after some steps."""
 
 
-@pytest.fixture
-def stopped(tmp_path: Path) -> Path:
-    """A run that was stopped after four of six steps."""
+def stop_after_four(folder: Path, settings: CompletionSettings = QUICK) -> Path:
+    """Stop a run after four of six steps."""
 
     def stop(report) -> None:
         if report.step == 4:
             raise Stop
 
     with pytest.raises(Stop):
-        execute(begin(tmp_path), stop)
-    return tmp_path
+        execute(begin(folder, settings=settings), stop)
+    return folder
 
 
-def test_a_stopped_run_goes_on_to_the_same_bytes(stopped: Path, tmp_path_factory) -> None:
-    other = tmp_path_factory.mktemp("other")
-    execute(begin(other), lambda report: None)
+@pytest.fixture
+def stopped(tmp_path: Path) -> Path:
+    return stop_after_four(tmp_path)
+
+
+@pytest.mark.parametrize("settings", [QUICK, COLORS_ALONE])
+def test_a_stopped_run_goes_on_to_the_same_bytes(tmp_path: Path, settings) -> None:
+    stopped, other = (tmp_path / name for name in ("stopped", "other"))
+    for folder in (stopped, other):
+        folder.mkdir()
+    execute(begin(other, settings=settings), lambda report: None)
+    stop_after_four(stopped, settings)
     # the log may hold anything: what it says decides nothing
     log = stopped / "out" / LOG_FILE
     log.write_bytes(b"\xff\xfe{\n" + log.read_bytes()[5:])
-    resumed = begin(stopped, resume=True)
+    resumed = begin(stopped, resume=True, settings=settings)
     assert resumed.steps.step_number == 4
     execute(resumed, lambda report: None)
     results = [(folder / "out/completed.ply").read_bytes() for folder in (stopped, other)]
     assert results[0] == results[1]
+
+
+def test_a_run_that_adds_nothing_goes_on_after_its_checkpoint(tmp_path: Path, monkeypatch) -> None:
+    def fail(*arguments) -> None:
+        raise Stop
+
+    settings = dataclasses.replace(QUICK, start="guess", steps=0)
+    with monkeypatch.context() as patched:
+        patched.setattr(pipeline, "finish", fail)
+        with pytest.raises(Stop):
+            execute(begin(tmp_path, settings=settings), lambda report: None)
+    resumed = begin(tmp_path, resume=True, settings=settings)
+    assert execute(resumed, lambda report: None)["result"]["new_splats"] == 0
 
 
 @pytest.mark.parametrize(

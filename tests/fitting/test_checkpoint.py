@@ -41,6 +41,18 @@ def test_what_fits_passes():
     check_fits(PATH, later(), fresh(), 10)
 
 
+def test_a_value_that_does_not_move_has_no_moments():
+    colors_alone = {name: value for name, value in later().items() if "adam.means" not in name}
+    check_fits(PATH, colors_alone, fresh(), 10)
+
+
+def test_none_is_enough_where_there_were_none():
+    nothing = {name: value[:0] if value.ndim else value for name, value in fresh().items()}
+    check_fits(PATH, nothing, nothing, 10)
+    with pytest.raises(UserError, match=r"value\.means: expected one row a splat, found none"):
+        check_fits(PATH, nothing, fresh(), 10)
+
+
 @pytest.mark.parametrize("step", [-5, 10**9, 11])
 def test_a_step_that_the_job_has_not_is_named(step):
     state = later() | {"step": torch.tensor(step)}
