@@ -11,6 +11,10 @@ from gscomplete.priors.base import PriorViews
 from gscomplete.util.randomness import generator_for, uniform
 from gscomplete.views import Cameras, ViewDistribution, four_view_orbit, radius_to_fit
 
+_ELEVATION_SLACK_DEG = 20.0
+"""Beyond V's elevations a ring still sees P much as V does; from far above or below, what V hides
+shows."""
+
 
 @dataclass(frozen=True, slots=True)
 class Ring:
@@ -125,8 +129,10 @@ def random_ring(views: PriorViews, size_px: int, seed: int, step: int) -> Camera
 
 
 def inside_distribution(cameras: Cameras, distribution: ViewDistribution) -> Tensor:  # [V] bool
-    """Whether each camera looks from within the azimuth range of V (any elevation)."""
-    position = cameras.positions
-    azimuth_deg = torch.rad2deg(torch.atan2(position[:, 1], position[:, 0]))
+    """Whether each camera looks from within V's azimuths, and from no far other elevation."""
+    x, y, z = cameras.positions.unbind(dim=1)
+    azimuth_deg = torch.rad2deg(torch.atan2(y, x))
     offset = (azimuth_deg - distribution.azimuth_deg + 180.0) % 360.0 - 180.0
-    return offset.abs() <= distribution.azimuth_range_deg
+    rise_deg = torch.rad2deg(torch.atan2(z, torch.hypot(x, y))) - distribution.elevation_deg
+    is_level = rise_deg.abs() <= distribution.elevation_range_deg + _ELEVATION_SLACK_DEG
+    return (offset.abs() <= distribution.azimuth_range_deg) & is_level

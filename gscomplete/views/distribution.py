@@ -5,7 +5,8 @@ Conventions
 * Angles in degrees in the object frame: azimuth 0 looks from +x, 90 from +y; positive elevation
   looks down (see ``cameras``). Azimuths returned here are not wrapped to a period.
 * A distribution is uniform in azimuth and in elevation about the input view c.
-* Elevations are clamped to +/-``MAX_ELEVATION_DEG``: a view never crosses a pole.
+* c itself stands at ``MAX_ELEVATION_DEG`` at most, and views that would lie nearer to a pole turn
+  back as far: a view never crosses a pole, and many do not share one elevation.
 * Random views are a function of (seed, step): a resumed run draws what the first would have drawn.
 """
 
@@ -145,7 +146,8 @@ class ViewDistribution:
 
     def direction(self) -> np.ndarray:  # [3]
         """Return the unit vector from the target towards c."""
-        azimuth, elevation = np.deg2rad([self.azimuth_deg, self.elevation_deg])
+        azimuth = math.radians(self.azimuth_deg)
+        elevation = math.radians(_off_the_poles(self.elevation_deg))
         level = math.cos(elevation)
         return np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)])
 
@@ -185,7 +187,7 @@ class ViewDistribution:
     def ring(self, count: int, size_px: int) -> Cameras:
         """Place cameras evenly round the object at c's elevation, c first, azimuth rising."""
         azimuths = self.azimuth_deg + 360.0 / count * np.arange(count)
-        elevations = np.full(count, _clamp_elevations(self.elevation_deg))
+        elevations = np.full(count, _off_the_poles(self.elevation_deg))
         return self.cameras((azimuths, elevations), size_px)
 
     def preview_cameras(self, size_px: int) -> Cameras:
@@ -217,10 +219,17 @@ class ViewDistribution:
         """Map points of the unit square to views."""
         offset = 2.0 * unit - 1.0
         azimuths = self.azimuth_deg + self.azimuth_range_deg * offset[:, 0]
-        elevations = self.elevation_deg + self.elevation_range_deg * offset[:, 1]
-        return azimuths, _clamp_elevations(elevations)
+        center = _off_the_poles(self.elevation_deg)
+        return azimuths, _turned_back(center + self.elevation_range_deg * offset[:, 1])
 
 
-def _clamp_elevations(elevations_deg: Any) -> Any:
-    """Keep elevations off the poles."""
-    return np.clip(elevations_deg, -MAX_ELEVATION_DEG, MAX_ELEVATION_DEG)
+def _off_the_poles(elevation_deg: float) -> float:
+    """Return the nearest elevation that c may have."""
+    return min(max(elevation_deg, -MAX_ELEVATION_DEG), MAX_ELEVATION_DEG)
+
+
+def _turned_back(elevations_deg: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Mirror elevations beyond the largest back into the range."""
+    largest = np.copysign(MAX_ELEVATION_DEG, elevations_deg)
+    beyond = np.abs(elevations_deg) > MAX_ELEVATION_DEG
+    return np.where(beyond, 2 * largest - elevations_deg, elevations_deg)

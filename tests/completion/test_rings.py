@@ -79,3 +79,13 @@ def test_views_of_v_are_told_across_the_end_of_the_circle():
     around = ViewDistribution(175.0, 0.0, azimuth_range_deg=30.0)
     cameras = four_view_orbit(-160.0, 10.0, radius=2.0, fov_deg=40.0, size_px=8)
     assert inside_distribution(cameras, around).tolist() == [True, False, False, False]
+
+
+def test_a_ring_far_below_v_is_not_trusted():
+    from_above = ViewDistribution(0.0, 70.0, azimuth_range_deg=180.0, elevation_range_deg=10.0)
+    level, steep = (
+        four_view_orbit(0.0, elevation_deg, radius=2.0, fov_deg=40.0, size_px=8)
+        for elevation_deg in (0.0, 45.0)
+    )
+    assert not bool(inside_distribution(level, from_above).any())
+    assert bool(inside_distribution(steep, from_above).all())

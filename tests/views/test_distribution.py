@@ -65,6 +65,18 @@ def test_low_discrepancy_starts_at_c_and_stays_in_range(
     assert np.all(np.abs(elevations) <= MAX_ELEVATION_DEG)
 
 
+@pytest.mark.parametrize("elevation_deg", [85.0, 90.0, -90.0])
+def test_views_about_a_pole_do_not_share_one_elevation(elevation_deg: float) -> None:
+    views = ViewDistribution(0, elevation_deg)
+    drawn = np.abs(views.sample(1, 0, 4000)[1])
+    unit = np.sort((drawn - (MAX_ELEVATION_DEG - 15)) / 15)
+    assert np.abs(unit - np.linspace(0, 1, len(unit))).max() < 0.03  # Kolmogorov distance
+    expected = views.radius * torch.from_numpy(views.direction())
+    camera = views.input_camera(16)
+    torch.testing.assert_close(camera.positions[0].double(), expected, atol=1e-5, rtol=0)
+    assert views.eye() == pytest.approx(expected.numpy())
+
+
 def test_low_discrepancy_is_more_even_than_random() -> None:
     views = ViewDistribution(0, 0, 50, 15)
     count = 64
