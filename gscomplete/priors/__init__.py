@@ -29,6 +29,11 @@ PRIOR_NAMES = ("embedded", "mvdream")
 """Priors that can be asked for by name."""
 _CALLABLE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 """``MODULE:FUNCTION``."""
+_PARTS = (
+    *("name", "views", "sees_input", "num_timesteps", "default_guidance"),
+    *("condition", "distill", "reconstruct"),
+)
+"""Of ``base.Prior``."""
 
 
 _OF_BASE = ("Conditioning", "FourViews", "Guidance", "Prior", "PriorViews")
@@ -110,9 +115,7 @@ def _load_callable(name: str, device: torch.device | str) -> Prior:
             f"--prior {name}: expected MODULE:FUNCTION, found no such ({error})"
         ) from error
     prior: Prior = make(device)
-    lacking = [
-        part for part in ("name", "views", "condition", "distill") if not hasattr(prior, part)
-    ]
+    lacking = [part for part in _PARTS if not hasattr(prior, part)]
     if lacking:
         raise UserError(f"--prior {name}: expected a prior, found one without {', '.join(lacking)}")
     return prior

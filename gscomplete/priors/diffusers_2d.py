@@ -49,7 +49,7 @@ from gscomplete.views import Cameras
 
 GUIDANCE_SCALE = 100.0
 """DreamFusion's, for models that know one view at a time."""
-_MOST_TIMESTEPS = 100_000
+_TIMESTEPS = 1000
 _PAD_IDS = {"!": OPEN_CLIP_PAD_ID, "<|endoftext|>": END_ID}
 
 
@@ -170,10 +170,11 @@ def read_schedule(path: Path) -> NoiseSchedule:
         "rescale_betas_zero_snr",
     )
     given = {name: data[name] for name in names if data.get(name) is not None}
-    steps = given.get("num_train_timesteps", 1)
-    if not isinstance(steps, int) or not 1 <= steps <= _MOST_TIMESTEPS:
+    steps = given.get("num_train_timesteps", _TIMESTEPS)
+    if steps != _TIMESTEPS:
         raise UserError(
-            f"{path}: num_train_timesteps: expected 1 to {_MOST_TIMESTEPS:,}, found {steps!r}"
+            f"{path}: num_train_timesteps: expected {_TIMESTEPS:,}, which the schedules of "
+            f"completions are for, found {steps!r}"
         )
     try:
         scheduler = require("diffusers").DDPMScheduler(**given)

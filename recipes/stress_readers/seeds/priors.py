@@ -27,7 +27,7 @@ def prior_seeds(folder: Path) -> list[tuple[str, Callable[[Path], object]]]:
     text = {"architectures": ["CLIPTextModel"], "hidden_size": 32, "num_attention_heads": 4}
     text |= {"num_hidden_layers": 2, "intermediate_size": 64, "hidden_act": "gelu"}
     (folder / "text.json").write_text(json.dumps(text))
-    schedule = {"num_train_timesteps": 100, "beta_start": 1e-4, "beta_end": 0.02}
+    schedule = {"num_train_timesteps": 1000, "beta_start": 1e-4, "beta_end": 0.02}
     schedule |= {"beta_schedule": "linear", "prediction_type": "epsilon"}
     (folder / "scheduler_config.json").write_text(json.dumps(schedule))
 
