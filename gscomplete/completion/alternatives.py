@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from PIL import Image
 
 from gscomplete.completion.settings import CompletionSettings
+from gscomplete.completion.start import scale_bounds
 from gscomplete.evaluate.pictures import contact_sheet, render_images
 from gscomplete.priors.base import Conditioning, Prior, ShapePrior
 from gscomplete.shape.mirror_plane import ChosenMirror, MirrorPlane
@@ -66,7 +67,7 @@ def guess_alternatives(
     if settings.start != "guess" or not isinstance(prior, ShapePrior):
         return []
     mirrors = prior.likely_mirrors(partial, distribution, conditioning)
-    found = []
+    found, bounds = [], scale_bounds(prior.views, settings)
     planes = [mirror for mirror in mirrors if isinstance(mirror, MirrorPlane)]
     others = [mirror for mirror in mirrors if not isinstance(mirror, MirrorPlane)]
     for mirror in (*planes[:count], *others):
@@ -81,7 +82,7 @@ def guess_alternatives(
             known_shapes=settings.known_shapes,
         )
         if guess is not None:
-            found.append(Alternative(mirror, guess.splats))
+            found.append(Alternative(mirror, bounds.clamped(guess.splats)))
     return found
 
 

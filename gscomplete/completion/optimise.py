@@ -159,7 +159,7 @@ class Optimisation:
             drawn = self._renders.together(splats, batches, offsets)
         background = random_background(generator_for(settings.seed, step, "background"))
         background = background.to(self._device)
-        view = _part(drawn, 0, 4)
+        view = drawn[:4]
         pull = self._held_pull(view)
         if pull is not None:
             guidance = pull.on(view)
@@ -169,7 +169,7 @@ class Optimisation:
         total, preservation = guidance, None
         if preserving:
             preservation = preservation_loss(
-                _part(drawn, 4, count),
+                drawn[4:],
                 self._renders.alone(batches[1]),
                 background,
                 masked=not schedules.is_warmup(settings, step),
@@ -205,7 +205,7 @@ class Optimisation:
         )
 
     def state(self) -> dict[str, Tensor]:
-        """Return everything a resumed run needs, as named tensors."""
+        """Return everything a resumed run needs, as named tensors, which the next step changes."""
         return {
             "step": torch.tensor(self.step_number),
             "statistics.total": self._statistics.total,
@@ -360,8 +360,3 @@ def _stays_on_cpu(name: str) -> bool:
 def _gradient(value: Tensor) -> Tensor:
     """Return what a value's gradient is, zeros where nothing depends on it."""
     return torch.zeros_like(value) if value.grad is None else value.grad.detach()
-
-
-def _part(drawn: Render, start: int, stop: int) -> Render:
-    """Return some of a render's views."""
-    return Render(drawn.color[start:stop], drawn.alpha[start:stop], drawn.depth[start:stop])

@@ -25,8 +25,9 @@ from gscomplete.priors.base import Prior
 
 PresetName = Literal["default", "fast", "reconstruct", "distill", "paper"]
 """``default``: the best of time and quality for the prior. ``fast``: less care.
-``reconstruct``: iterative reconstruction. ``distill``: score distillation in fewer steps than the
-paper's, from the prior's guess where it has one. ``paper``: the paper's settings."""
+``reconstruct``: iterative reconstruction. ``distill``: score distillation, from the prior's guess
+where it has one, in as many steps as the prior needs. ``paper``: the paper's settings. Which of
+``SETTINGS`` each is, a prior says (``preset``)."""
 
 PAPER = CompletionSettings()
 """The paper's settings (sections 3.1 to 3.3); where the sphere stands: see above."""
@@ -80,7 +81,7 @@ RECONSTRUCT = dataclasses.replace(
 )
 """Iterative reconstruction: a few denoised rings, many cheap fitting steps."""
 
-DEFAULT = dataclasses.replace(
+GUESS = dataclasses.replace(
     RECONSTRUCT,
     steps=0,
     new_splats=20_000,
@@ -90,7 +91,7 @@ DEFAULT = dataclasses.replace(
 of a small denoiser make it no better in shape, and dirtier (the time/quality benchmark)."""
 
 REFINE = dataclasses.replace(
-    DEFAULT,
+    GUESS,
     mode="distill",
     moves="colors",
     steps=24,
@@ -102,11 +103,11 @@ REFINE = dataclasses.replace(
 """Score distillation of colours from the first guess, where P has several: patterns go on, the
 shape stays. More steps, more noise and steps that move shapes gain less (docs/decisions.md)."""
 
-FILL = dataclasses.replace(DEFAULT, start="fill", hard_preservation=None)
+FILL = dataclasses.replace(GUESS, start="fill", hard_preservation=None)
 """P's gaps are closed and nothing else is done: what is seen through a gap changes, and is meant
 to."""
 
-FAST = dataclasses.replace(DEFAULT, new_splats=10_000, hard_preservation=None)
+SMALL_GUESS = dataclasses.replace(GUESS, new_splats=10_000, hard_preservation=None)
 """The first guess as it is."""
 
 TEXT_ONLY = dataclasses.replace(
@@ -138,8 +139,8 @@ SETTINGS: dict[str, CompletionSettings] = {
     "latent": LATENT,
     "refine": REFINE,
     "reconstruct": RECONSTRUCT,
-    "guess": DEFAULT,
-    "small guess": FAST,
+    "guess": GUESS,
+    "small guess": SMALL_GUESS,
     "text only": TEXT_ONLY,
 }
 """What a prior's ``presets`` may name."""

@@ -142,7 +142,8 @@ class CompletionSettings:
     warmup_steps: int = 50
     """Steps at the start whose preservation loss is unmasked (n_init, section 3.3)."""
     preservation_weight: float = 2.0
-    """lambda of section 3.3; 0 = no preservation loss."""
+    """lambda of section 3.3; 0 = no preservation loss. That loss is a sum over a render's pixels,
+    the prior's over its own resolution's: renders of half the side weigh P a quarter as much."""
     preservation_every: int = 2
     """The preservation loss joins every k-th step (after the warm-up); 1 = always."""
     preservation_views: int | None = None

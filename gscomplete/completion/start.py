@@ -8,6 +8,7 @@ Conventions
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import torch
@@ -86,7 +87,7 @@ def start_splats(
         )
         start = Start(scattered, False, f"start: {len(scattered):,} splats in a sphere")
     require_finite(0, **{f"{name} at the start": value for name, value in start.splats.fields()})
-    return start
+    return dataclasses.replace(start, splats=bounds.clamped(start.splats))
 
 
 def _guess(

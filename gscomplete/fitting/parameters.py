@@ -149,6 +149,11 @@ class Bounds:
     min_scale: float
     max_scale: float
 
+    def clamped(self, splats: Splats) -> Splats:
+        """Return splats whose scales are within the bounds."""
+        scales = splats.scales.clamp(max(self.min_scale, 1e-9), self.max_scale)
+        return dataclasses.replace(splats, scales=scales)
+
 
 class BoundedParameters(SplatParameters):
     """Splats that are projected onto their bounds after every step.
@@ -164,8 +169,7 @@ class BoundedParameters(SplatParameters):
 
     def raw(self, splats: Splats) -> dict[str, Tensor]:
         """Turn activated splats into raw values by name, within the bounds."""
-        scales = splats.scales.clamp(max(self.bounds.min_scale, 1e-9), self.bounds.max_scale)
-        return super().raw(dataclasses.replace(splats, scales=scales))
+        return super().raw(self.bounds.clamped(splats))
 
     def step(self, progress: float) -> None:
         """Apply one Adam step with the rates of ``progress`` (0 to 1), then the bounds."""

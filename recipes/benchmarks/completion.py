@@ -30,7 +30,7 @@ import torch
 from rich.console import Console
 from rich.progress import track
 
-from gscomplete.completion.presets import DEFAULT, DISTILL, FAST, PAPER, RECONSTRUCT, REFINE
+from gscomplete.completion.presets import DISTILL, GUESS, PAPER, RECONSTRUCT, REFINE, SMALL_GUESS
 from gscomplete.completion.settings import CompletionSettings, HardPreservationSettings
 from gscomplete.evaluate.pictures import save_image
 from gscomplete.fitting.settings import LearningRates
@@ -67,10 +67,10 @@ def ways() -> dict[str, CompletionSettings]:
     rates = DISTILL.learning_rates
     faster = LearningRates(**{name: 4 * value for name, value in dataclasses.asdict(rates).items()})
     return {
-        "fast": FAST,
-        "soft": change(DEFAULT, hard_preservation=None),
-        "default": DEFAULT,
-        "strict": change(DEFAULT, hard_preservation=HardPreservationSettings()),
+        "fast": SMALL_GUESS,
+        "soft": change(GUESS, hard_preservation=None),
+        "default": GUESS,
+        "strict": change(GUESS, hard_preservation=HardPreservationSettings()),
         "reconstruct": RECONSTRUCT,
         "random views": change(RECONSTRUCT, preservation_views=None),
         "every 4th": change(RECONSTRUCT, preservation_every=4, preservation_weight=8.0),

@@ -8,7 +8,7 @@ import torch
 from gscomplete.api import complete
 from gscomplete.completion import run_folder
 from gscomplete.completion.pipeline import Request, finish, prepare
-from gscomplete.completion.presets import DEFAULT, DISTILL, RECONSTRUCT
+from gscomplete.completion.presets import DISTILL, GUESS, RECONSTRUCT
 from gscomplete.completion.settings import HardPreservationSettings
 from gscomplete.errors import UserError
 from gscomplete.framing.decide import FramingRequest
@@ -59,7 +59,7 @@ def test_what_is_added_lies_in_the_file_frame():
 
 def test_where_nothing_is_missing_nothing_is_added():
     prior = GuessingPrior(TRUTH, FirstGuess(TRUTH.select(torch.arange(0)), ("not mirrored",)))
-    found = complete(PARTIAL, "a ball", prior=prior, settings=DEFAULT, **KNOWN)
+    found = complete(PARTIAL, "a ball", prior=prior, settings=GUESS, **KNOWN)
     assert len(found.new) == 0
     assert found.hard_preservation is not None
     assert found.hard_preservation.met
@@ -72,12 +72,12 @@ SCAN = {"view_deg": (0.0, 0.0), "center_file": (0.0, 0.0, 0.0), "size_file": 1.0
 def test_the_slits_of_a_scan_are_closed_unless_unwanted():
     board = leaning_board(65.0)
     prior = GuessingPrior(TRUTH, NOTHING)
-    found = complete(board, "a board", prior=prior, settings=DEFAULT, **SCAN)
+    found = complete(board, "a board", prior=prior, settings=GUESS, **SCAN)
     assert len(found.new) > 1000
     assert found.hard_preservation is not None
     assert found.hard_preservation.met
     assert any(note.startswith("slits of the scan: closed by") for note in found.notes)
-    left = dataclasses.replace(DEFAULT, close_slits=False)
+    left = dataclasses.replace(GUESS, close_slits=False)
     assert len(complete(board, "a board", prior=prior, settings=left, **SCAN).new) == 0
 
 
@@ -86,7 +86,7 @@ def test_what_closes_slits_may_not_give_way_to_what_it_hides():
     board = leaning_board(65.0)
     behind = dataclasses.replace(board, means=board.means - torch.tensor([0.05, 0.0, 0.0]))
     prior = GuessingPrior(TRUTH, FirstGuess(behind, ("behind",)))
-    found = complete(board, "a board", prior=prior, settings=DEFAULT, **SCAN)
+    found = complete(board, "a board", prior=prior, settings=GUESS, **SCAN)
     slits = slit_splats(found.partial, found.views.eye())
     assert torch.equal(found.new.means[-len(slits) :], slits.means)
     assert torch.equal(found.new.opacities[-len(slits) :], slits.opacities)
@@ -94,7 +94,7 @@ def test_what_closes_slits_may_not_give_way_to_what_it_hides():
 
 def test_slits_stay_open_where_closing_them_breaks_the_bounds():
     strict = HardPreservationSettings(color_bound=1e-7, depth_bound=1e-7)
-    settings = dataclasses.replace(DEFAULT, hard_preservation=strict)
+    settings = dataclasses.replace(GUESS, hard_preservation=strict)
     prior = GuessingPrior(TRUTH, NOTHING)
     found = complete(leaning_board(65.0), "a board", prior=prior, settings=settings, **SCAN)
     assert len(found.new) == 0
@@ -133,15 +133,15 @@ def test_only_a_guessed_view_gives_way_to_the_guess_of_the_complete_object(is_gi
     )
     if not is_given:
         views = prepare(
-            part, Request("", DEFAULT, dataclasses.replace(framing, view_deg=wrong)), prior
+            part, Request("", GUESS, dataclasses.replace(framing, view_deg=wrong)), prior
         ).views
         decided = dataclasses.make_dataclass("Framing", ["frame", "views", "notes"])
-        frame = prepare(part, Request("", DEFAULT, framing), prior).frame
+        frame = prepare(part, Request("", GUESS, framing), prior).frame
         monkeypatch.setattr(
             "gscomplete.completion.pipeline.decide_framing",
             lambda *arguments, **more: decided(frame, views, ()),
         )
-    prepared = prepare(part, Request("", DEFAULT, framing), prior)
+    prepared = prepare(part, Request("", GUESS, framing), prior)
     assert (prepared.views == prepared.guessed_views) == is_given
     assert any("after all" in note for note in prepared.notes) == (not is_given)
     assert finish(prepared, part).views == prepared.views

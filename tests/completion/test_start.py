@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 import torch
 
-from gscomplete.completion.presets import DEFAULT, RECONSTRUCT
+from gscomplete.completion.presets import GUESS, RECONSTRUCT
 from gscomplete.completion.start import INITIAL_OPACITY, initial_splats, start_splats
 from gscomplete.errors import UserError
 from gscomplete.fitting.finite import NonFiniteError
@@ -62,7 +62,7 @@ def test_a_guess_with_nan_is_refused():
         started(RECONSTRUCT, FirstGuess(broken, ()))
 
 
-@pytest.mark.parametrize("settings", [DEFAULT, RECONSTRUCT])
+@pytest.mark.parametrize("settings", [GUESS, RECONSTRUCT])
 def test_an_empty_guess_is_followed(settings):
     """It says that nothing is missing: steps from a sphere would add fog to a complete object."""
     empty = FirstGuess(PARTIAL.select(torch.arange(0)), ("not mirrored",))
@@ -74,4 +74,4 @@ def test_an_empty_guess_is_followed(settings):
 
 def test_no_steps_and_no_guess_are_refused():
     with pytest.raises(UserError, match="0 steps: expected a prior that guesses"):
-        started(DEFAULT)
+        started(GUESS)

@@ -7,7 +7,7 @@ import torch
 
 from gscomplete.api import complete
 from gscomplete.completion.preserve.outcome import CheckedErrors, HardPreservationReport
-from gscomplete.completion.presets import DEFAULT
+from gscomplete.completion.presets import GUESS
 from gscomplete.evaluate.doubts import MARK, doubts_of_guess, doubts_of_result
 from gscomplete.priors.base import FirstGuess
 from gscomplete.splats import transform_splats
@@ -54,6 +54,6 @@ def test_doubts_stand_among_the_notes_of_a_completion():
     known = {"view_deg": (180.0, 0.0), "center_file": (0.0, 0.0, 0.0), "size_file": 0.8}
     rest = truth.select(truth.means[:, 0] <= 0)
     prior = GuessingPrior(truth, FirstGuess(rest, ()))
-    found = complete(part, "a ball", prior=prior, settings=DEFAULT, **known)
+    found = complete(part, "a ball", prior=prior, settings=GUESS, **known)
     assert any("hides" in doubt for doubt in found.doubts)
     assert set(found.doubts) <= set(found.notes)

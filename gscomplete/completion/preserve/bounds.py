@@ -165,9 +165,11 @@ def preserve_hard(
         if not (last_resort or work.above(found)):
             current, found = work.no_further_than_needed(previous, too_large, current, found)
     kept = (current.opacities == start.opacities) | (current.opacities >= _PRUNE_OPACITY)
-    count = len(original)
+    left, count = current.select(kept), len(original)
+    if bool((current.opacities[~kept] > 0).any()):
+        found = work.check(left)
     return HardPreservation(
-        current.select(kept),
+        left,
         kept[:count],
         HardPreservationReport(
             before=before,
@@ -298,25 +300,29 @@ class _Work:
         return _replaced(splats, active, fitted)
 
     def no_further_than_needed(
-        self, far: Splats, too_large: CheckedErrors, near: Splats, found: CheckedErrors
+        self,
+        before: Splats,
+        before_errors: CheckedErrors,
+        after: Splats,
+        after_errors: CheckedErrors,
     ) -> tuple[Splats, CheckedErrors]:
         """Go back from splats within the bounds towards those before, whose errors are too large.
 
         Roots of the errors are taken to be straight lines in between.
         """
         low, high = 0.0, 1.0
-        best = near
+        best = after
         for _ in range(_GOING_BACK):
-            if self.above(found, _CLOSE_SHARE):
+            if self.above(after_errors, _CLOSE_SHARE):
                 break
-            middle = low + (high - low) * self._share_of_way(too_large, found)
-            blend = _blended(far, near, middle)
+            middle = low + (high - low) * self._share_of_way(before_errors, after_errors)
+            blend = _blended(before, after, middle)
             errors = self.check(blend)
             if self.above(errors):
-                low, too_large = middle, errors
+                low, before_errors = middle, errors
             else:
-                high, best, found = middle, blend, errors
-        return best, found
+                high, best, after_errors = middle, blend, errors
+        return best, after_errors
 
     def _share_of_way(self, too_large: CheckedErrors, found: CheckedErrors) -> float:  # in (0, 1)
         """Return how far it is from errors above the bounds to those that are wanted."""
