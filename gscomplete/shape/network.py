@@ -23,7 +23,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from gscomplete.shape.symmetry import COPIES, SOURCES
-from gscomplete.util.same_bits import GroupNorm
+from gscomplete.util.same_bits import GroupNorm, fixed_sigmoid, fixed_silu
 
 PACKAGED_WEIGHTS = Path(__file__).resolve().parents[1] / "priors/embedded/weights"
 """Where the weights of the shape networks lie: beside those of the embedded prior."""
@@ -70,8 +70,8 @@ class ResidualBlock(nn.Module):
     def forward(self, x: Tensor, embedding: Tensor) -> Tensor:  # [B, C, n, n, n], [B, E]
         """Return the features after the block."""
         scale, shift = self.modulation(embedding)[:, :, None, None, None].chunk(2, dim=1)
-        h = self.conv_in(F.silu(self.norm_in(x)))
-        h = F.silu(torch.addcmul(shift.to(h.dtype), self.norm_out(h), 1 + scale.to(h.dtype)))
+        h = self.conv_in(fixed_silu(self.norm_in(x)))
+        h = fixed_silu(torch.addcmul(shift.to(h.dtype), self.norm_out(h), 1 + scale.to(h.dtype)))
         return x + self.conv_out(h)
 
 
@@ -146,6 +146,7 @@ class ShapeCompleter(nn.Module):
         place = positions(evidence.shape[-1], evidence.device).expand(len(volumes), -1, -1, -1, -1)
         x = torch.cat([fold(volumes.flatten(1, 2)), evidence, place], dim=1)
         x = self.stem(x.contiguous(memory_format=torch.channels_last_3d))
+        x = x.contiguous(memory_format=torch.channels_last_3d)  # which one thread does not keep
         kept = []
         for level in range(3):
             x = self.down[level](x, embedding)
@@ -162,11 +163,11 @@ class ShapeCompleter(nn.Module):
         parts = (_FOLD**3, 3, SOURCES + 1, SOURCES)
         filled, colors, sources, trust = out.split(parts, dim=1)
         pointed = F.interpolate(trust, scale_factor=float(_FOLD)) * volumes[:, :, 0]
-        return ShapeOutput(unfold(filled)[:, 0] + pointed.sum(1), torch.sigmoid(colors), sources)
+        return ShapeOutput(unfold(filled)[:, 0] + pointed.sum(1), fixed_sigmoid(colors), sources)
 
     def answer_of(self, x: Tensor) -> Tensor:  # [B, C, n, n, n] -> [B, O, n, n, n]
         """Return what the last features say."""
-        answer: Tensor = self.head(F.silu(self.norm(x)))
+        answer: Tensor = self.head(fixed_silu(self.norm(x)))
         return answer
 
 

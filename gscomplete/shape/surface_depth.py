@@ -25,6 +25,7 @@ from gscomplete.shape.partial_voxels import ShapeInputs
 from gscomplete.shape.symmetry import SOURCES
 from gscomplete.shape.voxels import CELL_SIDE, FloatArray, sample_volume
 from gscomplete.util.nearest import query_nearest
+from gscomplete.util.same_bits import fixed_softmax
 
 SURFACE_DEPTH_FILE = "surface_depth.safetensors"
 DEPTHS = (-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
@@ -108,7 +109,7 @@ def depth_features(
     smooth = F.avg_pool3d(logits, _SMOOTHED, 1, _SMOOTHED // 2, count_include_pad=False)
     filled = torch.from_numpy(inputs.volumes[:, 0])
     filled = torch.stack([filled[0], filled[1], filled[1:].amax(dim=0)])
-    sources = output.sources[0].float().softmax(dim=0)
+    sources = fixed_softmax(output.sources[0].float(), dim=0)
     beside = torch.stack([_to_sides(logits, points, normals, depth) for depth in _SIDE_DEPTHS], 1)
     profile = along(logits, DEPTHS)
     inside = points - CELL_SIDE * normals

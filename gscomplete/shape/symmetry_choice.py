@@ -29,6 +29,7 @@ from gscomplete.shape.planes.answer_scorer import (
 from gscomplete.shape.planes.proposals import candidate_planes
 from gscomplete.shape.symmetry import SymmetryMap, mirror, no_symmetries
 from gscomplete.shape.voxels import CELLS, FloatArray
+from gscomplete.util.same_bits import fixed_sigmoid
 from gscomplete.util.stages import stage
 
 CANDIDATES = 8
@@ -167,7 +168,7 @@ def ask_about_planes(
     answers = Answers(
         tuple(planes),
         copies,
-        torch.cat([output.occupancy for output in outputs]).sigmoid_(),
+        fixed_sigmoid(torch.cat([output.occupancy for output in outputs])),
         torch.from_numpy(voxels.volume[0]),
         voxels.shown_at_once,
         ends_in_plane,

@@ -7,9 +7,9 @@ Conventions
   adds up each result.
 * Processors that multiply tiles (AMX) add up the long sums of a matrix product in as many parts as
   there are threads, where the product itself is too small to be shared out.
-* Sigmoids and fractional powers of 32,768 elements and more are safe only in one thread: the last
-  elements of every thread's part are rounded in another way than those before them. Exponentials,
-  logarithms and arithmetic are safe.
+* Sigmoids, SiLUs, softmaxes over the first dimension and fractional powers of 32,768 elements and
+  more are safe only in one thread: the last elements of every thread's part are rounded in another
+  way than those before them. Exponentials, logarithms and arithmetic are safe.
 """
 
 from __future__ import annotations
@@ -44,6 +44,18 @@ def fixed_sigmoid(values: Tensor) -> Tensor:  # [...] -> [...]
     """Return the sigmoid, with graph."""
     with one_thread(values):
         return torch.sigmoid(values)
+
+
+def fixed_silu(values: Tensor) -> Tensor:  # [...] -> [...]
+    """Return values times their sigmoids, with graph."""
+    with one_thread(values):
+        return F.silu(values)
+
+
+def fixed_softmax(logits: Tensor, dim: int) -> Tensor:  # [...] -> [...]
+    """Return the softmax over a dimension, with graph."""
+    with one_thread(logits):
+        return logits.softmax(dim)
 
 
 def fixed_power(values: Tensor, exponent: float) -> Tensor:  # [...] -> [...]

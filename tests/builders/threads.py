@@ -7,14 +7,20 @@ from collections.abc import Iterator
 import numba
 import torch
 
+COUNTS = (1, 2, 5)
+"""The last divides no size of a grid: parts of the work end within a vector."""
+
 
 def each_thread_count() -> Iterator[int]:
-    """Set PyTorch and the kernels to one thread, then to two; set them back at the end."""
+    """Set PyTorch and the kernels to one thread, two and five; set them back at the end.
+
+    Kernels take no more threads than the process was started for.
+    """
     before = torch.get_num_threads(), numba.get_num_threads()
     try:
-        for count in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
+        for count in COUNTS:
             torch.set_num_threads(count)
-            numba.set_num_threads(count)
+            numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))
             yield count
     finally:
         torch.set_num_threads(before[0])

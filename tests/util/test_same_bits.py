@@ -8,10 +8,13 @@ from gscomplete.util.same_bits import (
     fixed_mean,
     fixed_power,
     fixed_sigmoid,
+    fixed_silu,
+    fixed_softmax,
     fixed_sum,
 )
 
-THREADS = (1, 2, 3, 4)
+THREADS = (1, 2, 3, 4, 5, 7, 11)
+"""Divisors of the sizes below, and numbers that are none."""
 
 
 @pytest.fixture(autouse=True)
@@ -42,6 +45,8 @@ def test_bits_do_not_depend_on_threads(count):
         "sum": lambda: fixed_sum(values),
         "mean": lambda: fixed_mean(values),
         "sigmoid": lambda: fixed_sigmoid(8 * values - 4),
+        "silu": lambda: fixed_silu(8 * values - 4),
+        "softmax": lambda: fixed_softmax((8 * values - 4)[: count // 7 * 7].reshape(7, -1), dim=0),
         "power": lambda: fixed_power(values, 1 / 3),
     }
     for name, operation in operations.items():

@@ -37,7 +37,7 @@ from gscomplete.shape.planes.features import FEATURES
 from gscomplete.shape.voxels import CELL_SIDE, HALF_SIDE, FloatArray
 from gscomplete.util.atomic import atomic_path
 from gscomplete.util.kernels import KERNEL
-from gscomplete.util.same_bits import GroupNorm
+from gscomplete.util.same_bits import GroupNorm, fixed_silu
 
 FINE_SCORER_FILE = "plane_judge.safetensors"
 STEP = 0.04
@@ -70,8 +70,8 @@ class ResidualBlock(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:  # [K, C, u, v, z]
         """Return the features after the block."""
-        h = self.conv_in(F.silu(self.norm_in(x)))
-        return x + self.conv_out(F.silu(self.norm_out(h)))
+        h = self.conv_in(fixed_silu(self.norm_in(x)))
+        return x + self.conv_out(fixed_silu(self.norm_out(h)))
 
 
 class FineSymmetryScorer(nn.Module):
@@ -106,8 +106,8 @@ class FineSymmetryScorer(nn.Module):
         """Score planes."""
         x = torch.cat([self.stem(volumes.fine), self.evidence(volumes.coarse)], dim=1)
         for level, block in enumerate(self.blocks):
-            x = block(x if level == 0 else self.shrink[level - 1](F.silu(x)))
-        x = F.silu(self.norm(x)).float()
+            x = block(x if level == 0 else self.shrink[level - 1](fixed_silu(x)))
+        x = fixed_silu(self.norm(x)).float()
         scaled = (features - self.center) / self.spread
         pooled = [x.mean(dim=(2, 3, 4)), x.amax(dim=(2, 3, 4)), scaled]
         answer = self.head(torch.cat(pooled, dim=1))
