@@ -52,7 +52,7 @@ from gscomplete.splats.formats.any_file import read_splat_file
 from gscomplete.splats.oklab import color_spread
 from gscomplete.splats.slits import slit_splats
 from gscomplete.splats.suspects import describe_suspects
-from gscomplete.splats.working_set import WorkingSet, working_set
+from gscomplete.splats.working_set import WorkingSet, without_strays, working_set
 from gscomplete.util.jsonio import to_json
 from gscomplete.util.stages import stage
 from gscomplete.views import ObjectFrame, ViewDistribution, radius_to_fit
@@ -242,6 +242,7 @@ def prepare(
     notes += framing.notes
     if framing_request.center_file is not None or framing_request.size_file is not None:
         notes += check_given_frame(working.splats, framing.frame, name)
+    working = without_strays(working, framing.frame.object_from_file)
     notes += (*describe_frame(framing.frame, framing.views), working.summary)
     partial = transform_splats(working.splats, framing.frame.object_from_file).detach().to("cpu")
     require_visible(partial, framing.views, name)

@@ -1,19 +1,27 @@
 """Which splats of P take part in the optimisation. The output has them all, whatever this says.
 
-Left out are splats that cannot be drawn (not finite, far too large), and of very large inputs an
-even choice is drawn with widths grown to match: at the resolutions priors see, millions of splats
-cost time and change nothing.
+Left out are splats that cannot be drawn (not finite, far too large), a few strays far outside the
+object, which would pass for parts of it, and of very large inputs an even choice is drawn with
+widths grown to match: at the resolutions priors see, millions of splats cost time and change
+nothing.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats
 from gscomplete.splats.filters import usable_rows
 from gscomplete.splats.thinning import thinned
+from gscomplete.splats.transform import Similarity
 from gscomplete.util.randomness import generator_for
+
+_FAR = 1.0
+"""Along any axis, object sizes from the object frame's origin: twice as far as its box reaches."""
+_MOST_STRAYS = 0.02
+"""Where more than this share is so far away, P has parts there, and all takes part."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +32,7 @@ class WorkingSet:
     total: int
     """Splats in the file."""
     unusable: dict[str, int]
-    """Rows that cannot be drawn, by reason."""
+    """Rows that cannot be drawn or are no part of the object, by reason."""
     thinned: int
     """Splats left out because there were more than the limit."""
 
@@ -69,3 +77,14 @@ def working_set(partial: Splats, limit: int | None, path: str) -> WorkingSet:
         return WorkingSet(splats, len(partial), reasons, 0)
     drawn = thinned(splats, limit, generator_for(0, 0, "working set"))
     return WorkingSet(drawn, len(partial), reasons, count - limit)
+
+
+def without_strays(working: WorkingSet, object_from_file: Similarity) -> WorkingSet:
+    """Leave out the few splats that lie far outside the object frame's box."""
+    places = object_from_file.apply(working.splats.means)
+    stray = places.abs().amax(dim=1) > _FAR
+    count = int(stray.sum())
+    if not 0 < count <= _MOST_STRAYS * len(stray):
+        return working
+    reasons = {**working.unusable, "far outside the object": count}
+    return dataclasses.replace(working, splats=working.splats.select(~stray), unusable=reasons)

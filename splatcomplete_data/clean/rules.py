@@ -29,7 +29,7 @@ from scipy.sparse.csgraph import connected_components
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, usable_rows
-from gscomplete.splats.filters import middle_and_extent
+from gscomplete.splats.filters import FAR_FACTOR, far_positions, middle_and_extent
 from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.splats.suspects import FEWEST, SuspectLimits, suspect_rows
 from splatcomplete_data.multiview.propose_box import Focus, propose_box
@@ -140,7 +140,7 @@ def _marks(
 
 
 def islands(splats: Splats, strength: float) -> NDArray[np.bool_]:  # [N]
-    """Mark splats of clusters that hold little and touch nothing else.
+    """Mark splats of clusters that hold little and touch nothing else, and those far off.
 
     Args:
         splats: drawable.
@@ -161,7 +161,8 @@ def islands(splats: Splats, strength: float) -> NDArray[np.bool_]:  # [N]
     weight = _weights(splats)
     held = np.bincount(own, weight)
     share = _between(_ISLAND_SHARES, strength)
-    return np.asarray(held[own] < share * weight.sum())
+    far = far_positions(splats.means.numpy(), middle, extent, FAR_FACTOR)
+    return np.asarray(far | (held[own] < share * weight.sum()))
 
 
 def _reach(splats: Splats) -> tuple[NDArray[np.float64], NDArray[np.int64]]:  # [5 N, 3], [5 N]

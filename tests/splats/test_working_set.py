@@ -6,7 +6,9 @@ import pytest
 import torch
 
 from gscomplete.errors import UserError
-from gscomplete.splats.working_set import working_set
+from gscomplete.splats import concatenate
+from gscomplete.splats.working_set import without_strays, working_set
+from gscomplete.views import ObjectFrame
 from tests.builders.objects import ball
 
 
@@ -30,3 +32,16 @@ def test_unusable_rows_are_left_out_with_a_reason():
     nothing = dataclasses.replace(splats, means=means * torch.nan)
     with pytest.raises(UserError, match=r"p\.ply: expected at least one splat"):
         working_set(nothing, None, "p.ply")
+
+
+@pytest.mark.parametrize(("strays", "left_out"), [(0, 0), (15, 15), (60, 0)])
+def test_a_few_splats_far_outside_the_object_are_left_out(strays, left_out):
+    splats, frame = ball(1000), ObjectFrame("Z", (0.0, 0.0, 0.0), 0.8)
+    away = splats.select(torch.arange(strays))
+    away = dataclasses.replace(away, means=away.means + torch.tensor([1e6, 0.0, 0.0]))
+    chosen = without_strays(
+        working_set(concatenate([away, splats]), None, "p.ply"), frame.object_from_file
+    )
+    assert len(chosen.splats) == 1000 + strays - left_out
+    assert chosen.unusable == ({"far outside the object": left_out} if left_out else {})
+    assert chosen.total == 1000 + strays

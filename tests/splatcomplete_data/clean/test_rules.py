@@ -82,6 +82,14 @@ def test_rows_that_cannot_be_drawn_go_at_any_strength():
     assert not cleaned.keep[7]
 
 
+def test_what_is_far_from_all_others_is_an_island_however_much_it_holds():
+    """What ``validate`` warns of as position outliers."""
+    far = moved(BALL.select(torch.arange(0, len(BALL), 50)), (60.0, 0.0, 0.0))
+    cleaned = clean_rows(concatenate([BALL, far]), 0.5)
+    assert cleaned.keep[: len(BALL)].all()
+    assert not cleaned.keep[len(BALL) :].any()
+
+
 def test_a_splat_that_reaches_over_joins_islands():
     """A stick of long splats ties a small ball to a large one."""
     # The stick ends in its middle, within reach of its splats.
