@@ -111,6 +111,8 @@ def settings_of(options: HowToComplete, prior: Prior) -> CompletionSettings:
     if options.fill:
         _require_plain_fill(options)
     if options.steps is not None:
+        if options.steps < 0:
+            raise UserError(f"--steps: expected at least 0, found {options.steps}")
         settings = _stretched(settings, options.steps)
     if options.checkpoint_every is not None:
         settings = dataclasses.replace(settings, checkpoint_every=options.checkpoint_every)
@@ -235,7 +237,7 @@ def _stretched(settings: CompletionSettings, steps: int) -> CompletionSettings:
 
     Presets without steps have nothing to stretch.
     """
-    if settings.steps == 0 or steps <= 0:
+    if settings.steps == 0 or steps == 0:
         return dataclasses.replace(settings, steps=steps)
     share = steps / settings.steps
     every = max(1, round(share * settings.densify.every))

@@ -29,7 +29,7 @@ from gscomplete.completion.preserve.outcome import HardPreservationReport
 from gscomplete.completion.seam import SeamColorReport, match_seam_colors
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.completion.start import start_splats
-from gscomplete.evaluate.doubts import doubts_of_guess, doubts_of_result
+from gscomplete.evaluate.doubts import doubts_of_guess, doubts_of_partial, doubts_of_result
 from gscomplete.framing.check import (
     check_given_frame,
     describe_frame,
@@ -262,10 +262,10 @@ def prepare(
     steps = Optimisation(partial, start.splats, prior, conditioning, views, settings, device)
 
     notes += (start.note, *((moved,) if moved else ()), *skipped, *conditioning.report)
-    doubts: tuple[str, ...] = ()
+    doubts = doubts_of_partial(partial)
     if start.is_guess and len(start.splats):
-        doubts = doubts_of_guess(partial, start.splats, views)
-        notes += doubts
+        doubts += doubts_of_guess(partial, start.splats, views)
+    notes += doubts
     if request.negative_prompt and not steps.heeds_negative_prompt:
         notes += ("negative prompt: without effect here (with this prior: --text-only)",)
     return Prepared(

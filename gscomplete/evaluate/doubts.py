@@ -8,10 +8,13 @@ Conventions
 
 from __future__ import annotations
 
+import numpy as np
 import torch
+from scipy.ndimage import label, sum_labels
 
 from gscomplete.framing.input_view import hidden_share
 from gscomplete.splats import Splats, concatenate
+from gscomplete.splats.suspects import FEWEST
 from gscomplete.splats.thinning import thinned
 from gscomplete.views import ViewDistribution
 
@@ -21,12 +24,36 @@ _MOST_HIDDEN = 0.1
 """Share of P's pixels that a guess may hide from about c."""
 _MOST_SPLATS = 20_000
 """Splats of P that are drawn to tell, chosen at random where it has more."""
+_CELLS_OF_PIECES = 6
+"""Along P's largest side: what is a cell apart, a sixth and more of it, is in pieces ..."""
+_LEAST_PIECE = 0.1
+"""... of which each has more than this share. So are 2 of 240 parts of 48 objects."""
 _MOST_LOST = 0.5
 """Share of the new splats that bounds on E_color and E_depth may remove or fade."""
 _OPEN_SIDE = 0.9
 """P whose largest side is shorter than this was guessed to be open to one side, ..."""
 _LEAST_GROWTH = 0.25
 """... and of what it lacks of the guessed size at least this share is filled."""
+
+
+def doubts_of_partial(partial: Splats) -> tuple[str, ...]:
+    """Return what makes P doubtful as a part of one object.
+
+    Args:
+        partial: P; its frame does not matter.
+    """
+    found = []
+    if len(partial) < FEWEST:
+        found.append(
+            f"P has {len(partial)} splats, of which at least {FEWEST} are needed to tell what it is"
+        )
+    elif (pieces := _shares_of_pieces(partial))[1:2] > [_LEAST_PIECE]:
+        shares = " and ".join(f"{share:.0%}" for share in pieces if share > _LEAST_PIECE)
+        found.append(
+            f"P is in pieces that are far apart ({shares} of it) and is completed as one object: "
+            "if it is several, complete each (splatcomplete-data crop)"
+        )
+    return tuple(MARK + reason for reason in found)
 
 
 def doubts_of_guess(partial: Splats, guess: Splats, views: ViewDistribution) -> tuple[str, ...]:
@@ -72,6 +99,18 @@ def doubts_of_result(partial: Splats, new: Splats, lost: float | None) -> tuple[
             "one half, say so (--mirror cut); else give the size (--object-size)"
         )
     return tuple(MARK + reason for reason in found)
+
+
+def _shares_of_pieces(partial: Splats) -> list[float]:
+    """Return what shares of P's splats are in pieces that no filled cell joins, largest first."""
+    means = partial.means.double().numpy()
+    low, sides = means.min(axis=0), np.ptp(means, axis=0)
+    cell = max(float(sides.max()), 1e-12) / _CELLS_OF_PIECES
+    places = ((means - low) / cell).astype(int).clip(0, _CELLS_OF_PIECES - 1)
+    filled = np.zeros((_CELLS_OF_PIECES,) * 3)
+    np.add.at(filled, tuple(places.T), 1.0 / len(means))
+    pieces, count = label(filled > 0, np.ones((3, 3, 3)))
+    return sorted(sum_labels(filled, pieces, range(1, count + 1)).tolist(), reverse=True)
 
 
 def _largest_side(*parts: Splats) -> float:

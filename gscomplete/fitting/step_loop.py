@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 LOG_FILE = "log.jsonl"
 CHECKPOINTS = "checkpoints"
+_LONGEST_VALUE = 60
+"""Characters of a setting that a message shows."""
 
 Report = TypeVar("Report", bound="DataclassInstance")
 Report_co = TypeVar("Report_co", bound="DataclassInstance", covariant=True)
@@ -126,12 +128,18 @@ def require_same_identity(path: Path, identity: dict[str, Any]) -> None:
             )
         else:
             detail = f"the run has {found!r}, asked for {value!r}"
-        raise UserError(f"{path}: cannot resume with another {key}: {detail}")
+        raise UserError(
+            f"{path}: cannot resume with another {key}: {detail}; resume with the options that it "
+            "was started with"
+        )
 
 
 def _of(settings: dict[str, Any], name: str) -> str:
     """Return a setting as text; null is not the same as no such setting."""
-    return repr(settings[name]) if name in settings else "no such setting"
+    if name not in settings:
+        return "no such setting"
+    text = repr(settings[name])
+    return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."
 
 
 def _trim_log(path: Path, step: int) -> None:

@@ -22,7 +22,14 @@ from pathlib import Path
 import torch
 
 from gscomplete.errors import UserError
-from gscomplete.splats.ply_files.header import Element, PlyError, PlyHeader, Property, read_header
+from gscomplete.splats.ply_files.header import (
+    MESH_FIRST,
+    Element,
+    PlyError,
+    PlyHeader,
+    Property,
+    read_header,
+)
 from gscomplete.splats.ply_files.layout import REQUIRED, SplatLayout, find_layout
 from gscomplete.splats.ply_files.payload import (
     BlockSink,
@@ -154,7 +161,8 @@ def splat_element(header: PlyHeader, path: Path) -> Element:
         raise PlyError(path, "compressed_splat_file", message)
     faces = header.find("face")
     if faces is not None and not set(REQUIRED) <= set(element.names):
-        message = f"a mesh PLY ({element.count} vertices, {faces.count} faces), expected splats"
+        counts = f"{element.count} vertices, {faces.count} faces"
+        message = f"expected splats, found a mesh PLY ({counts}); {MESH_FIRST}"
         raise PlyError(path, "not_a_splat_file", message)
     return element
 

@@ -8,9 +8,9 @@ import torch
 from gscomplete.api import complete
 from gscomplete.completion.preserve.outcome import CheckedErrors, HardPreservationReport
 from gscomplete.completion.presets import GUESS
-from gscomplete.evaluate.doubts import MARK, doubts_of_guess, doubts_of_result
+from gscomplete.evaluate.doubts import MARK, doubts_of_guess, doubts_of_partial, doubts_of_result
 from gscomplete.priors.base import FirstGuess
-from gscomplete.splats import transform_splats
+from gscomplete.splats import concatenate, transform_splats
 from gscomplete.splats.transform import Similarity
 from gscomplete.views import ViewDistribution
 from tests.builders.objects import ball, cylinder, half_cylinder
@@ -28,6 +28,18 @@ def test_a_guess_behind_p_is_not_doubted_one_before_p_is():
     assert found.startswith(MARK)
     assert "hides" in found
     assert "--view" in found
+
+
+def test_a_few_splats_and_pieces_far_apart_are_told():
+    part = half_cylinder(75.0)
+    assert doubts_of_partial(part) == ()
+    (few,) = doubts_of_partial(part.select(torch.arange(5)))
+    assert "P has 5 splats" in few
+    away = dataclasses.replace(part, means=part.means + torch.tensor([3.0, 0.0, 0.0]))
+    (apart,) = doubts_of_partial(concatenate([part, away]))
+    assert "50% and 50%" in apart
+    one_place = dataclasses.replace(part, means=torch.zeros_like(part.means))
+    assert doubts_of_partial(one_place) == ()
 
 
 @pytest.mark.parametrize(("faded", "dropped", "count"), [(20, 10, 0), (20, 60, 1), (80, 0, 1)])

@@ -178,6 +178,7 @@ def preserve_hard(
             rounds=rounds,
             fadings=fadings,
             seconds=time.perf_counter() - started,
+            mask_from=settings.mask_from,
             added=int(kept[count:].sum()),
             **count_changes(
                 original, current.select(torch.arange(count)), kept[:count], cleared[:count]

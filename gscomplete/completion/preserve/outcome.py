@@ -59,6 +59,8 @@ class HardPreservationReport:
     fadings: int
     """Sweeps of fading and removing."""
     seconds: float
+    mask_from: float = 0.0
+    """P's alpha from which pixels were held to its appearance."""
 
     @property
     def lost(self) -> float:
@@ -69,8 +71,10 @@ class HardPreservationReport:
     def summary(self) -> str:
         """Describe what was done in one line."""
         before, after = self.before, self.after
+        where = f", where P's alpha is {self.mask_from:g} and more" if self.mask_from else ""
         text = (
-            f"hard preservation: E_color {before.color:.6f} to {after.color:.6f}, E_depth "
+            f"hard preservation ({after.views} views of its own{where}): "
+            f"E_color {before.color:.6f} to {after.color:.6f}, E_depth "
             f"{before.depth:.6f} to {after.depth:.6f}; {self.untouched:,} of {self.total:,} new "
             f"splats untouched, {self.faded:,} faded, {self.moved:,} moved, {self.shrunk:,} shrunk"
         )

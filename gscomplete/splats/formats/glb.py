@@ -24,6 +24,7 @@ import torch
 from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
+from gscomplete.splats.ply_files.header import MESH_FIRST
 from gscomplete.splats.record import Splats, concatenate
 from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.splats.transform import Similarity, transform_splats
@@ -133,7 +134,9 @@ def read_glb_splats(path: Path) -> tuple[Splats, int]:
             raise
         raise UserError(f"{path}: GLB: malformed document ({error!r})") from error
     if not found:
-        raise UserError(f"{path}: expected a primitive with {EXTENSION}, found none")
+        raise UserError(
+            f"{path}: expected a primitive with {EXTENSION}, found none: a mesh; {MESH_FIRST}"
+        )
     degree = max(splats.sh_degree for splats in found)
     padded = [splats.with_sh_degree(degree) for splats in found]
     return concatenate(padded), others

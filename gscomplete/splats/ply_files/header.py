@@ -23,6 +23,10 @@ from gscomplete.errors import UserError
 MAX_HEADER_BYTES = 1 << 20
 """A header that has not ended after one MiB is not a header."""
 
+MESH_FIRST = "make splats of it: splatcomplete-data mesh FILE --out DIR"
+"""What to do with a mesh."""
+_MESH_SUFFIXES = (".obj", ".stl", ".off", ".fbx", ".dae", ".gltf", ".3mf")
+
 PlyFormat = Literal["ascii", "binary_little_endian", "binary_big_endian"]
 
 FaultName = Literal[
@@ -242,7 +246,7 @@ def describe_content(head: bytes, path: Path) -> str:
         (b"gltf", "a binary glTF file"),
         (b"\x89png", "a PNG image"),
         (b"\xff\xd8\xff", "a JPEG image"),
-        (b"# .pcd", "a PCD point cloud"),
+        (b"# .pcd", "a PCD point cloud; make splats of it: splatcomplete-data scan FILE --out DIR"),
         (b"{", "a JSON file"),
     ]
     if not head:
@@ -251,6 +255,8 @@ def describe_content(head: bytes, path: Path) -> str:
         return "a .splat file (convert it first: splatcomplete-data convert IN.splat OUT.ply)"
     if path.suffix.lower() == ".ksplat":
         return "a .ksplat file (convert it to PLY first)"
+    if path.suffix.lower() in _MESH_SUFFIXES:
+        return f"a mesh; {MESH_FIRST}"
     for magic, kind in by_start:
         if start.startswith(magic):
             return kind

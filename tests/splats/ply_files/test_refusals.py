@@ -84,6 +84,23 @@ def without(name: str) -> dict[str, np.ndarray]:
     return table
 
 
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("cow.obj", b"\nmtllib cow.mtl\nv 0 0 0\n"),
+        (
+            "mesh.ply",
+            b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nelement face 1\n"
+            b"property list uchar int vertex_indices\nend_header\n0\n3 0 0 0\n",
+        ),
+    ],
+)
+def test_meshes_say_what_makes_splats_of_them(tmp_path, name, content):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(PlyError, match="splatcomplete-data mesh FILE"):
+        read_splats(tmp_path / name)
+
+
 @pytest.mark.parametrize("name", ["x", "opacity", "f_dc_1", "scale_2", "rot_0", "f_rest_7"])
 def test_missing_property_is_named(tmp_path, name):
     (tmp_path / "a.ply").write_bytes(make_ply(without(name)))
