@@ -101,7 +101,8 @@ REFINE = dataclasses.replace(
     learning_rates=LearningRates(sh=1e-2),
 )
 """Score distillation of colours from the first guess, where P has several: patterns go on, the
-shape stays. More steps, more noise and steps that move shapes gain less (docs/decisions.md)."""
+shape stays. All of them are within the warm-up: masked from the start, with more steps or noise, or
+moving shapes, too, they gain less (docs/decisions.md)."""
 
 FILL = dataclasses.replace(GUESS, start="fill", hard_preservation=None)
 """P's gaps are closed and nothing else is done: what is seen through a gap changes, and is meant

@@ -83,11 +83,17 @@ def test_what_decides_the_result_may_not_change(tmp_path):
     require_same_identity(path, identity)
     with pytest.raises(UserError, match=r"run\.json: .* another prompt: .*'a mug', .* 'a cup'"):
         require_same_identity(path, {**identity, "prompt": "a cup"})
-    with pytest.raises(UserError, match=r"another settings: seed: the run has 0, asked for 5$"):
+    with pytest.raises(UserError, match=r"another settings: seed: the run has 0, asked for 5;"):
         require_same_identity(path, {**identity, "settings": {"seed": 5, "steps": 3}})
+    stages = {**identity, "settings": {"seed": 0, "steps": 3, "stages": list(range(100))}}
+    with pytest.raises(
+        UserError, match=r"stages: .* \[0, 1, 2,.*\.\.\.; resume with the options"
+    ) as error:
+        require_same_identity(path, stages)
+    assert len(str(error.value)) < 300
     earlier = identity["settings"] | {"radius": None}
     write_json(path, {"identity": {**identity, "settings": earlier}})
-    with pytest.raises(UserError, match=r"radius: the run has None, asked for no such setting$"):
+    with pytest.raises(UserError, match=r"radius: the run has None, asked for no such setting;"):
         require_same_identity(path, identity)
     for damaged in ([], {"identity": "a mug"}):
         write_json(path, damaged)
