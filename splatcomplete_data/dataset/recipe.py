@@ -25,6 +25,7 @@ from typing import Any
 from gscomplete.errors import UserError
 from gscomplete.util import jsonio
 from gscomplete.util.optional import import_optional
+from splatcomplete_data.cuts.boxes import BOXES_SUFFIX
 
 SCHEMA = "splatcomplete.recipe"
 SCHEMA_VERSION = 1
@@ -95,21 +96,24 @@ class Entry:
         """
         folders = [os.path.abspath(folder) for folder in (data, allowed) if folder is not None]
         options = self.options(Path("out"), data)  # what captures wrote is no path of the recipe's
+        named = [("box", text) for text in _box_files(self.values)]
         for field in dataclasses.fields(options):
             value = getattr(options, field.name)
             is_path = isinstance(value, Path) or field.name == "poses"
-            if field.name == "out" or not is_path:
-                continue
+            if field.name != "out" and is_path:
+                named.append((field.name, value))
+        for name, value in named:
             path = os.path.abspath(data / value)
             if not any(os.path.commonpath([path, folder]) == folder for folder in folders):
                 raise UserError(
-                    f"recipe entry {self.id!r}: {field.name}: {value} lies outside {folders[0]} "
+                    f"recipe entry {self.id!r}: {name}: {value} lies outside {folders[0]} "
                     f"and is not read (to read it: --allow-outside {os.path.dirname(path)})"
                 )
 
     def sources(self, data: Path) -> tuple[Path, ...]:
         """Return the files and folders below ``data`` that the options name."""
         texts = [v for v in self.values.values() if isinstance(v, str) and "\n" not in v]
+        texts += _box_files(self.values)
         paths = [data / text for text in texts if text and len(text) < 1000]
         return tuple(path for path in paths if path.exists() and path != data)
 
@@ -157,6 +161,11 @@ def read_recipe(path: Path) -> Recipe:
             if needed not in known:
                 raise UserError(f"{path}: {entry.id}: no capture is called {needed!r}")
     return Recipe(str(data.get("name") or path.stem), captures, objects)
+
+
+def _box_files(values: dict[str, Any]) -> list[str]:
+    """Return the files of boxes that an entry's options name."""
+    return [text for text in values.get("box", ()) if text.endswith(BOXES_SUFFIX)]
 
 
 def _entries(path: Path, rows: Any, *, is_capture: bool) -> tuple[Entry, ...]:

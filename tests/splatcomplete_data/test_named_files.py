@@ -150,6 +150,15 @@ def test_a_recipe_names_nothing_outside_the_data(tmp_path: Path, name: str) -> N
     entry.check_reach(tmp_path / "data", tmp_path)
 
 
+def test_a_recipe_names_no_file_of_boxes_outside_the_data(tmp_path: Path) -> None:
+    (tmp_path / "data").mkdir()
+    values = {"file": "a.ply", "prompt": "a cup", "box": ["0,0,0,1,1,1", "../boxes.txt"]}
+    entry = Entry("cup", "scan", values)
+    with pytest.raises(UserError, match=r"'cup': box: \.\./boxes\.txt lies outside"):
+        entry.check_reach(tmp_path / "data", None)
+    entry.check_reach(tmp_path / "data", tmp_path)
+
+
 def test_an_objects_files_are_plain_names(tmp_path: Path) -> None:
     from tests.builders.folders import object_record
 

@@ -208,6 +208,18 @@ def test_the_record_beside_a_splat_file_is_in_the_fingerprint_of_its_part(
     assert len(seen) == 3
 
 
+def test_a_file_of_boxes_is_in_the_fingerprint(tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    data.mkdir()
+    text = "objects: [{id: a, command: scan, file: a.ply, prompt: a cup, box: [boxes.txt]}]\n"
+    entry = read_recipe(recipe(tmp_path, text)).objects[0]
+    seen = set()
+    for content in ("0,0,0,1,1,1\n", "0,0,0,1,1,2\n"):
+        (data / "boxes.txt").write_text(content)
+        seen.add(fingerprint(entry, data, tmp_path))
+    assert len(seen) == 2
+
+
 @pytest.mark.parametrize("place", ["photos/masks", "masks"])
 def test_masks_that_a_capture_finds_by_itself_are_in_its_fingerprint(
     tmp_path: Path, place: str
