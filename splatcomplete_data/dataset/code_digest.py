@@ -2,9 +2,10 @@
 
 Conventions
 -----------
-* Counted are the modules of this package and of ``gscomplete`` that a command imports, directly or
-  through others, within functions too; so a change of the scan code leaves meshes up to date.
-* Comments, docstrings and layout do not count: they change no result.
+* Counted are the modules of this package and of ``gscomplete`` that a command imports, or starts as
+  a process of its own by ``-m`` and the name, directly or through others, within functions too; so
+  a change of the scan code leaves meshes up to date.
+* Comments, docstrings (of attributes, too) and layout do not count: they change no result.
 * Other packages count by nothing: their versions are the environment's business.
 """
 
@@ -13,6 +14,7 @@ from __future__ import annotations
 import ast
 import functools
 import hashlib
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -40,36 +42,41 @@ def code_digest(command: str) -> str:
 
 @functools.cache
 def _read(module: str) -> tuple[str, tuple[str, ...]]:
-    """Return the digest of a module and the modules of ours that it imports."""
+    """Return the digest of a module and the modules of ours that it imports or starts."""
     path = _file_of(module)
     assert path is not None
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    tree = _WithoutWords().visit(ast.parse(path.read_text(encoding="utf-8")))
     needed = set()
-    for node in ast.walk(_WithoutTypes().visit(tree)):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             needed |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module is not None:
             needed |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
-        body = getattr(node, "body", None)
-        if isinstance(body, list) and body and _is_text(body[0]):
-            node.body = body[1:]  # type: ignore[attr-defined]
+        elif isinstance(node, ast.List):
+            needed |= _started(node)
     digest = hashlib.sha256(ast.dump(tree).encode()).hexdigest()
     return digest, tuple(sorted(name for name in needed if _file_of(name) is not None))
 
 
-class _WithoutTypes(ast.NodeTransformer):
-    """Leaves out what only type checkers read."""
+class _WithoutWords(ast.NodeTransformer):
+    """Leaves out what does nothing: texts that are statements, and what type checkers read."""
 
     def visit_If(self, node: ast.If) -> Any:
         """Drop the body of ``if TYPE_CHECKING``."""
+        self.generic_visit(node)
         is_types = isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
-        return node.orelse or None if is_types else self.generic_visit(node)
+        return node.orelse or None if is_types else node
+
+    def visit_Expr(self, node: ast.Expr) -> Any:
+        """Drop a text: a docstring, of an attribute perhaps."""
+        is_text = isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+        return None if is_text else self.generic_visit(node)
 
 
-def _is_text(statement: ast.AST) -> bool:
-    """Tell whether a statement is a text: a docstring, at the head of a body."""
-    is_constant = isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)
-    return is_constant and isinstance(statement.value.value, str)  # type: ignore[attr-defined]
+def _started(command: ast.List) -> set[str]:
+    """Return the module that a command line starts as a process, if it starts one."""
+    words = [word.value if isinstance(word, ast.Constant) else None for word in command.elts]
+    return {str(name) for flag, name in itertools.pairwise(words) if flag == "-m"}
 
 
 def _file_of(module: str) -> Path | None:

@@ -54,6 +54,19 @@ def test_words_layout_types_and_the_code_of_others_do_not(digest):
     assert digest("mesh", "splatcomplete_data/near.py", typed) == before
 
 
+def test_texts_beside_attributes_do_not_count(digest):
+    code = "class A:\n    x: int = 1\n"
+    before = digest("mesh", "splatcomplete_data/near.py", code)
+    worded = code + '    """One."""\n'
+    assert digest("mesh", "splatcomplete_data/near.py", worded) == before
+
+
+def test_modules_that_are_started_by_name_count(digest, monkeypatch):
+    starts = 'import sys\n\n\ndef f():\n    return [sys.executable, "-m", "gscomplete.other"]\n'
+    monkeypatch.setitem(CODE, "splatcomplete_data/near.py", starts)
+    assert digest("mesh", "gscomplete/other.py", "x = 2") != digest("mesh")
+
+
 def test_the_commands_of_this_package_have_digests_of_their_own():
     digests = {name: module.code_digest(name) for name in ("mesh", "scan", "depth", "images")}
     assert len(set(digests.values())) == len(digests)
