@@ -41,8 +41,11 @@ if TYPE_CHECKING:
 
 PREVIEW_FILE = "preview.png"
 BOXES_FILE = "boxes.png"
-"""Picture of crop boxes: part of a cropped object, or all that a folder holds that they were only
-proposed in."""
+"""Picture of crop boxes: part of a cropped object, or what ``crop --propose`` leaves."""
+CLUSTERS_FILE = "clusters.png"
+"""Picture of what stands in a scan: what ``scan --propose`` leaves."""
+PROPOSED_FILES = (BOXES_FILE, CLUSTERS_FILE)
+"""A folder that holds only these is no object's yet; they may be lost."""
 
 Subset = Literal["multiview", "singleview", "lidar", "mesh"]
 """Kinds of source, as in the paper's section "Dataset"."""
@@ -230,7 +233,7 @@ def write_object(
     assert drawn is not None
     counts = {"sh_degree": drawn.sh_degree}
     comments = (f"splatcomplete-data {record.tool_version}", f"object {record.id}")
-    place = atomic_folder(folder, marker=RECORD_FILE, spare=(BOXES_FILE,), overwrite=overwrite)
+    place = atomic_folder(folder, marker=RECORD_FILE, spare=PROPOSED_FILES, overwrite=overwrite)
     with place as temporary:
         for name, splats in ((PARTIAL_FILE, partial), (COMPLETE_FILE, complete)):
             if splats is None:

@@ -256,7 +256,7 @@ def check_out(options: ObjectOptions, source_file: Path) -> None:
             or an option is a number that is not finite.
     """
     from splatcomplete_data.atomic_folder import check_destination
-    from splatcomplete_data.objects import BOXES_FILE, RECORD_FILE
+    from splatcomplete_data.objects import PROPOSED_FILES, RECORD_FILE
 
     for field in dataclasses.fields(options):
         value = getattr(options, field.name)
@@ -266,7 +266,7 @@ def check_out(options: ObjectOptions, source_file: Path) -> None:
     check_destination(
         options.out or default_folder(source_file),
         marker=RECORD_FILE,
-        spare=(BOXES_FILE,),
+        spare=PROPOSED_FILES,
         overwrite=options.overwrite,
     )
 

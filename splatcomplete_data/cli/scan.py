@@ -23,9 +23,6 @@ from splatcomplete_data.cli.common import (
 )
 from splatcomplete_data.cli.points import PointOptions, PointSource, made_from_points
 
-CLUSTERS_FILE = "clusters.png"
-"""Picture of --propose."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class ScanOptions(PointOptions):
@@ -136,7 +133,7 @@ def _propose(options: ScanOptions) -> int:
     from gscomplete.evaluate.pictures import save_image
     from gscomplete.util import jsonio
     from splatcomplete_data.cli.points import part_settings
-    from splatcomplete_data.objects import RECORD_FILE
+    from splatcomplete_data.objects import CLUSTERS_FILE, RECORD_FILE
     from splatcomplete_data.scan.clean import Surroundings
     from splatcomplete_data.scan.propose import cluster_sheet, propose_clusters
 
