@@ -51,7 +51,7 @@ class CleanOptions:
     picture: Path | None = None
     """Picture to write; None = clean.png in the current folder, or --out's name with .png."""
     overwrite: bool = False
-    """Replace --out if it exists."""
+    """Replace --out, and the picture with it, if they exist."""
     json: bool = False
     """Print counts and files as JSON on standard output and nothing else there."""
 
@@ -68,10 +68,13 @@ def run(options: CleanOptions) -> int:
     from splatcomplete_data.clean.rules import clean_rows
     from splatcomplete_data.multiview.scene import read_scene
 
+    path = options.picture or Path(_PICTURE)
     if options.out is not None:
         writable_format_of(options.out)
-        if options.out.exists() and not options.overwrite:
-            raise UserError(f"{options.out}: it exists; replace it with --overwrite")
+        path = options.picture or options.out.with_suffix(".png")
+        for file in (options.out, path):
+            if file.exists() and not options.overwrite:
+                raise UserError(f"{file}: it exists; replace it with --overwrite")
     scene = read_scene(options.file, None if options.up == "auto" else parse_up(options.up))
     rules: list[Rule] = [*options.rules]
     if options.background:
@@ -79,7 +82,6 @@ def run(options: CleanOptions) -> int:
     focus = scene.focus() if options.background else None
     cleaned = clean_rows(scene.file.splats, options.strength, rules, focus)
     lost = _write(options.out, scene, cleaned) if options.out is not None else ()
-    path = options.picture or (options.out.with_suffix(".png") if options.out else Path(_PICTURE))
     save_image(_sheet(scene, cleaned), path)
     _report(options, scene, cleaned, lost, path)
     return 0

@@ -142,6 +142,10 @@ def test_the_command_copies_records_and_tells_counts(tmp_path, monkeypatch, caps
     assert result.comments == ("a comment",)
     assert main(["clean", "a.ply", "--out", "b.ply"]) == 2
     assert "it exists" in capsys.readouterr().err
+    (tmp_path / "b.ply").unlink()
+    assert main(["clean", "a.ply", "--out", "b.ply"]) == 2
+    assert "b.png: it exists; replace it with --overwrite" in capsys.readouterr().err
+    assert main(["clean", "a.ply", "--out", "b.ply", "--overwrite"]) == 0
     assert main(["clean", "a.ply", "--strength", "2"]) == 2
     assert "--strength: expected 0 to 1, found 2" in capsys.readouterr().err
     assert main(["clean", "a.ply", "--out", "c.sog", "--rules", "haze", "--strength", "0.4"]) == 0
