@@ -53,6 +53,9 @@ _NEXT_TO_NO_ROOM = 0.06
 _SHARE_COST = 0.03
 _IN_FRONT_COST, _UNSEEN_COST, _GROWTH_COST = 0.15, 0.06, 0.012
 _PICTURE_PX = 40
+_LEAST_ACROSS = 0.04
+"""P's extent across c counts as no less, of P's and the shape's together: the picture of a rod that
+is seen along its axis would fill the memory."""
 _TOLERANCE = 0.06
 """In front of P by more than this, object sizes, a shape would hide it."""
 _SEEN_DEPTH, _NEAR = 0.03, 0.07
@@ -238,7 +241,9 @@ def _judged(
     axes = np.stack([right, np.cross(toward_c, right), toward_c])
     p, s = part @ axes.T, surface @ axes.T
     corner = np.minimum(p[:, :2].min(axis=0), s[:, :2].min(axis=0))
-    scale = (_PICTURE_PX - 1) / max(float(np.ptp(p[:, :2], axis=0).max()), 1e-6)
+    both = float((np.maximum(p[:, :2].max(axis=0), s[:, :2].max(axis=0)) - corner).max())
+    across = max(float(np.ptp(p[:, :2], axis=0).max()), _LEAST_ACROSS * both, 1e-6)
+    scale = (_PICTURE_PX - 1) / across
     p_px, s_px = (np.floor((q[:, :2] - corner) * scale).astype(np.int64) for q in (p, s))
     shape = tuple(np.maximum(p_px.max(axis=0), s_px.max(axis=0)) + 1)
     part_depth, shape_depth = np.full(shape, -np.inf), np.full(shape, -np.inf)

@@ -1,4 +1,5 @@
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -74,6 +75,17 @@ def test_next_to_nothing_is_no_reason_to_fail(bank, count):
     for toward_c in (FRONT, np.array([0.0, 0.0, 1.0])):
         for shape in fit_known_shapes(bank, "chair", points, toward_c, 2, LIMITS):
             assert np.isfinite(shape.points).all()
+
+
+def test_a_rod_seen_along_its_axis_asks_for_no_large_picture(bank):
+    rod = np.linspace(-0.5, 0.5, 200)[:, None] * [0.0, 0.0, 1.0]
+    rod[1::2, 0] = 0.0005
+    tracemalloc.start()
+    limits = FitLimits(most_cost=math.inf, most_growth=math.inf)
+    fit_known_shapes(bank, "a plank", rod, np.array([0.0, 0.0, 1.0]), 1, limits)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 100e6
 
 
 def test_a_face_tells_nothing_of_the_depth_behind_it(tmp_path):
