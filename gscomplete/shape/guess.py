@@ -28,7 +28,7 @@ from gscomplete.shape.assemble import (
 from gscomplete.shape.bank.as_answer import DECIDING, LIKE_PARTIAL, occupancy_of
 from gscomplete.shape.bank.fit import FitLimits, FittedShape, fit_known_shapes
 from gscomplete.shape.bank.nouns import head_noun
-from gscomplete.shape.bank.shown import occupancy_by_shapes
+from gscomplete.shape.bank.shown import LEAST_SHOWN, occupancy_by_shapes
 from gscomplete.shape.bank.store import read_bank
 from gscomplete.shape.bank.wider import (
     shape_in,
@@ -203,6 +203,8 @@ def _by_known_shapes(
 ) -> Guess | None:
     """Guess with known shapes, where they have room; None where their answers do not count."""
     shapes = known.fitted(partial, views)[: 1 if known.decide else _MOST_SHOWN]
+    if len(shapes) < (1 if known.decide else LEAST_SHOWN):
+        return None
     frame = wider_from_object(partial.means.double().numpy(), shapes)
     there, given = shapes, partial
     if frame is not None:
@@ -212,7 +214,7 @@ def _by_known_shapes(
     occupancy: Tensor | None
     if known.decide:
         points = given.means.double().numpy()
-        occupancy = occupancy_of(there[0], points) if there else None
+        occupancy = occupancy_of(there[0], points)
         plain = dataclasses.replace(plain, symmetry_score=0.0)  # P's splats are not mirrored
         settings = dataclasses.replace(settings, near_partial=LIKE_PARTIAL)
     else:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from gscomplete.shape import guess as module
 from gscomplete.shape.bank.store import BANK_FILE, ShapeName, write_bank
 from gscomplete.shape.benefit import OF_ANSWERS, OF_ENDING
 from gscomplete.shape.guess import Asked, KnownShapes, guess_complete
@@ -93,6 +94,17 @@ def test_a_part_that_is_mirrored_through_a_plane_asks_for_no_known_shape(asked, 
     assert one.notes == two.notes
     assert len(one.splats.means) == len(two.splats.means)
     assert torch.equal(one.splats.means, two.splats.means)
+
+
+def test_one_shape_that_suits_asks_nothing_again(asked, tmp_path, monkeypatch):
+    path = tmp_path / BANK_FILE
+    write_bank(path, [ShapeName("a/chair", "chair", "a chair")], [chair_cells()])
+    asks = []
+    ask = module.ask_about
+    monkeypatch.setattr(module, "ask_about", lambda *about: asks.append(about) or ask(*about))
+    found = guess(asked, "a wooden chair", path)
+    assert found.known == ()
+    assert len(asks) == 1
 
 
 class Doubting(Believing):

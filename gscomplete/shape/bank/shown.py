@@ -16,6 +16,8 @@ from gscomplete.shape.bank.fit import FittedShape
 from gscomplete.shape.network import ShapeCompleter
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs
 
+LEAST_SHOWN = 2
+"""Fewer known shapes do not agree among themselves."""
 _LEAST_PLAIN_AGREEMENT = 0.4
 """Of the plain answer with those to known shapes (IoU of filled cells). Below it they are of
 another object ..."""
@@ -48,7 +50,7 @@ def occupancy_by_shapes(
         tokens: the prompt.
         bfloat16: precision of the network.
     """
-    if len(shapes) < 2:
+    if len(shapes) < LEAST_SHOWN:
         return None
     shown = []
     for shape in shapes:
