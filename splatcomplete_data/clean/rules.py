@@ -79,6 +79,7 @@ def clean_rows(
     strength: float,
     rules: Sequence[Rule] = DEFAULT_RULES,
     focus: Focus | None = None,
+    option: str = "--strength",
 ) -> Cleaned:
     """Mark the splats that rules leave.
 
@@ -87,12 +88,13 @@ def clean_rows(
         strength: 0 to 1.
         rules: which ones apply.
         focus: where the object is, for ``background``.
+        option: that the user gave the strength by, for errors.
 
     Raises:
         UserError: the strength is out of range, ``background`` lacks a focus, or nothing is left.
     """
     if not 0 <= strength <= 1:
-        raise UserError(f"--strength: expected 0 to 1, found {strength:g}")
+        raise UserError(f"{option}: expected 0 to 1, found {strength:g}")
     usable, reasons = usable_rows(splats)
     keep = usable.numpy().copy()
     drawn = splats.select(usable)

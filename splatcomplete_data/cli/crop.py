@@ -46,7 +46,7 @@ class CropOptions(ObjectOptions):
     box: tuple[str, ...] = ()
     """Boxes in the file's frame, in order: auto, or [keep:|remove:]CX,CY,CZ,HX,HY,HZ (centre and
     half extents), with ,QW,QX,QY,QZ behind for an oriented box; or a file of boxes that --pick
-    saved. None = keep everything."""
+    saved. Without any, everything is kept."""
     pick: Path | None = None
     """Only open a page on which boxes are moved, turned and sized over the scene, those of --box
     to begin with, and saved to this file (.txt) for --box."""
@@ -132,7 +132,7 @@ def _boxes(options: CropOptions, scene: Scene) -> tuple[list[Any], list[str]]:
     for text in options.box:
         if text == "auto":
             splats = scene.file.splats
-            cleaned = clean_rows(splats, _strength(options))
+            cleaned = clean_rows(splats, _strength(options), option="--clean")
             proposal = propose_box(splats.select(torch.from_numpy(cleaned.keep)), scene.focus())
             notes += [f"--box auto: {note}" for note in proposal.notes]
             boxes.append(proposal.box)
@@ -159,7 +159,8 @@ def _cleaned(
     from splatcomplete_data.clean.rules import clean_rows
 
     rows = torch.from_numpy(mask)
-    cleaned = clean_rows(scene.file.splats.select(rows), _strength(options))
+    kept = scene.file.splats.select(rows)
+    cleaned = clean_rows(kept, _strength(options), option="--clean")
     mask = mask.copy()
     mask[mask] = cleaned.keep
     return mask, cleaned.reasons

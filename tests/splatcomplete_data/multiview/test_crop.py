@@ -244,6 +244,8 @@ def test_folders_that_are_no_capture_are_named(tmp_path, capsys):
 
 def test_a_nan_box_is_refused(tmp_path: Path, capsys):
     write_splats(tmp_path / "scene.ply", captures.ball(30))
+    assert main(["crop", str(tmp_path / "scene.ply"), "--clean", "2"]) == 2
+    assert "--clean: expected 0 to 1, found 2" in capsys.readouterr().err
     assert main(["crop", str(tmp_path / "scene.ply"), "--box", "nan,0,0,1,1,1"]) == 2
     assert "--box" in capsys.readouterr().err
 
