@@ -32,6 +32,7 @@ from gscomplete.folders.object_folder import OBJECT_FILE as RECORD_FILE
 from gscomplete.splats import Similarity, Splats, read_splats, write_splats
 from gscomplete.util import jsonio
 from gscomplete.util.digests import sha256_of
+from gscomplete.util.file_names import is_plain_name
 from gscomplete.views import ObjectFrame, ViewDistribution
 from splatcomplete_data.atomic_folder import atomic_folder
 from splatcomplete_data.cuts.boxes import CropBox
@@ -145,9 +146,9 @@ class ObjectRecord:
             ValueError: the id or a file's name is no plain file name, or the prompt is empty.
         """
         for name in self.files:
-            if not name or name.startswith(".") or set(name) & set("/\\\0\n"):
+            if not is_plain_name(name):
                 raise ValueError(f"files: expected plain file names, found {name!r}")
-        if not self.id or self.id.startswith(".") or set(self.id) & set("/\\\0\n"):
+        if not is_plain_name(self.id):
             raise ValueError(f"id: expected a plain file name, found {self.id!r}")
         if not self.prompt.strip():
             raise ValueError("prompt: expected what the complete object is, found an empty text")

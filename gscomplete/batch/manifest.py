@@ -23,9 +23,14 @@ from typing import Any
 
 from gscomplete.batch import storage
 from gscomplete.errors import UserError
-from gscomplete.util.file_names import DATASET_FILE, OBJECT_FILE, SPLAT_SUFFIXES, splat_stem
+from gscomplete.util.file_names import (
+    DATASET_FILE,
+    OBJECT_FILE,
+    SPLAT_SUFFIXES,
+    is_plain_name,
+    splat_stem,
+)
 
-_LONGEST_ID = 200
 FieldKind = type[str] | type[float] | type[int] | tuple[str, ...]
 """Of an option: its type, or the texts that it may be."""
 _KINDS: dict[object, str] = {str: "a text", float: "a number", int: "an integer"}
@@ -215,8 +220,7 @@ def _checked(where: str, items: Iterable[Item]) -> Iterator[Item]:
     seen: set[str] = set()
     for item in items:
         name = item.id
-        is_name = isinstance(name, str) and 0 < len(name) <= _LONGEST_ID
-        if not is_name or name[0] == "." or "/" in name or "\\" in name or not name.isprintable():
+        if not is_plain_name(name):
             raise UserError(f"{where}: id: expected a plain name, found {name!r}")
         if name in seen:
             raise UserError(f"{where}: id: expected each name once, found {name!r} twice")

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from gscomplete.errors import UserError
-from gscomplete.util.file_names import COMPLETE_FILE, OBJECT_FILE, PARTIAL_FILE
+from gscomplete.util.file_names import COMPLETE_FILE, OBJECT_FILE, PARTIAL_FILE, is_plain_name
 from gscomplete.util.jsonio import read_json
 from gscomplete.views import ObjectFrame, ViewDistribution
 
@@ -91,12 +91,15 @@ def read_object_folder(folder: Path) -> ObjectFolder:
     if origin not in _ORIGINS:
         expected = ", ".join(_ORIGINS)
         raise UserError(f"{path}: frame_origin: expected one of {expected}, found {origin!r}")
+    object_id = data.get("id")
+    if not is_plain_name(object_id):
+        raise UserError(f"{path}: id: expected a plain name, found {object_id!r}")
     files = data.get("files")
     if not isinstance(files, dict):
         raise UserError(f"{path}: files: expected an object, found {files!r}")
     return ObjectFolder(
         folder,
-        _text(data, "id", path),
+        object_id,
         _text(data, "subset", path),
         _text(data, "prompt", path),
         ObjectFrame.from_json(data.get("frame"), f"{path}: frame"),

@@ -1,4 +1,6 @@
-"""Names of the files that make object, run and dataset folders, and of splat files."""
+"""Names of the files that make object, run and dataset folders, of splat files, and of objects."""
+
+from typing import Any, TypeGuard
 
 OBJECT_FILE = "object.json"
 PARTIAL_FILE = "partial.ply"
@@ -9,6 +11,15 @@ DATASET_FILE = "dataset.json"
 ALTERNATIVES_FOLDER = "alternatives"
 SPLAT_SUFFIXES = (".compressed.ply", ".ply", ".splat", ".spz", ".glb", ".sog", ".ksplat")
 """Of the splat files that are read; the longer of two that fit comes first."""
+_LONGEST_NAME = 200
+"""In characters."""
+
+
+def is_plain_name(name: Any) -> TypeGuard[str]:
+    """Tell whether a name can be that of a file or folder: within its folder, shown, printable."""
+    if not isinstance(name, str) or not 0 < len(name) <= _LONGEST_NAME:
+        return False
+    return not name.startswith(".") and not set(name) & set("/\\") and name.isprintable()
 
 
 def splat_stem(name: str) -> str | None:

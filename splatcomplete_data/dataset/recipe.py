@@ -24,6 +24,7 @@ from typing import Any
 
 from gscomplete.errors import UserError
 from gscomplete.util import jsonio
+from gscomplete.util.file_names import is_plain_name
 from gscomplete.util.optional import import_optional
 from splatcomplete_data.cuts.boxes import BOXES_SUFFIX
 
@@ -178,7 +179,7 @@ def _entries(path: Path, rows: Any, *, is_capture: bool) -> tuple[Entry, ...]:
         if not isinstance(row, dict) or not isinstance(row.get("id"), str):
             raise UserError(f"{path}: entry {number}: expected a mapping with an id")
         name, command = row["id"], row.get("command")
-        if not name or name.startswith(".") or set(name) & set("/\\\0\n"):
+        if not is_plain_name(name):
             raise UserError(f"{path}: entry {number}: id: expected a plain name, found {name!r}")
         if name in [entry.id for entry in entries]:
             raise UserError(f"{path}: {name}: expected each id once, found it twice")

@@ -1,9 +1,9 @@
-"""Names say which files hold splats."""
+"""Names say which files hold splats, and which names may be those of folders."""
 
 import pytest
 
 from gscomplete.splats.formats.any_file import READ
-from gscomplete.util.file_names import SPLAT_SUFFIXES, splat_stem
+from gscomplete.util.file_names import SPLAT_SUFFIXES, is_plain_name, splat_stem
 
 
 def test_the_suffixes_are_those_of_the_formats_that_are_read():
@@ -24,3 +24,9 @@ def test_the_suffixes_are_those_of_the_formats_that_are_read():
 )
 def test_stems(name, stem):
     assert splat_stem(name) == stem
+
+
+def test_plain_names_stay_within_their_folder():
+    assert all(map(is_plain_name, ("mug", "a mug", "mug.v2", "Krug_für_2", "茶杯")))
+    odd = ("", ".mug", "..", "a/b", "../../evil", "a\\b", "a\0", "a\nb", "a\tb", "a" * 201, 3, None)
+    assert not any(map(is_plain_name, odd))
