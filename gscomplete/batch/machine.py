@@ -55,7 +55,7 @@ def plan_workers(
 
     Args:
         items: how many there are to do.
-        memory_bytes: what a worker needs.
+        memory_bytes: what a worker needs, positive.
         count: of workers; None = one per GPU, else one per core, as far as memory reaches.
         threads: of each worker; None = the cores shared out.
         gpus: to be used.
@@ -64,10 +64,6 @@ def plan_workers(
         UserError: the machine does not carry what was asked for.
     """
     cores = usable_cores()
-    if count is not None and count < 1:
-        raise UserError(f"--workers: expected 1 or more, found {count}")
-    if threads is not None and threads < 1:
-        raise UserError(f"--threads: expected 1 or more, found {threads}")
     free = available_bytes()
     fitting = cores if free is None else free // memory_bytes
     if fitting < (count or 1):

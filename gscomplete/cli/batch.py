@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
+import re
 import sys
 import time
 from dataclasses import dataclass
@@ -26,6 +27,7 @@ from gscomplete.util.parse import parse_numbers, parse_view
 if TYPE_CHECKING:
     from gscomplete.batch.ledger import Row
     from gscomplete.batch.machine import WorkerPlan
+    from gscomplete.batch.manifest import Item
     from gscomplete.batch.run import Batch, Summary
     from gscomplete.batch.work import Task
 
@@ -33,7 +35,7 @@ EMBEDDED_MEMORY_GIB = 2.0
 """Of a worker with the embedded prior: 1.1 GiB at most on 21 real objects, and room for larger."""
 OTHER_MEMORY_GIB = 12.0
 """Of a worker with another prior: MVDream's weights in float32 and as much again."""
-_MOST_RUNNING = 4
+_MOST_RUNNING, _MOST_NAMED = 4, 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +93,7 @@ def run(options: BatchOptions) -> int:
     address = _address(options.ray)
     _check(options)
     items = plan(options.source, ITEM_FIELDS)
+    _check_prompts(options, items)
     batch = open_batch(
         items, identity_of(options), options.out, scratch=options.scratch, redo=options.redo
     )
@@ -126,10 +129,44 @@ def _check(options: BatchOptions) -> None:
     """
     parse_view(options.view)
     parse_numbers(options.center, 3, "--center", "X,Y,Z")
-    if options.memory is not None and not 0 < options.memory < float("inf"):
-        raise UserError(f"--memory: expected a positive number of GiB, found {options.memory:g}")
+    if re.fullmatch(r"auto|cpu|cuda(:[0-9]+)?", options.device) is None:
+        raise UserError(f"--device: expected auto, cpu, cuda or cuda:N, found {options.device!r}")
+    for name, count in (("workers", options.workers), ("threads", options.threads)):
+        if count is not None and count < 1:
+            raise UserError(f"--{name}: expected 1 or more, found {count}")
+    if options.memory is not None and not 0.001 <= options.memory < float("inf"):
+        raise UserError(
+            f"--memory: expected a number of GiB from 0.001 on, found {options.memory:g}"
+        )
     if options.retries < 0:
         raise UserError(f"--retries: expected 0 or more, found {options.retries}")
+
+
+def _check_prompts(options: BatchOptions, items: list[Item]) -> None:
+    """Check that objects have prompts, as far as the names of files tell.
+
+    Raises:
+        UserError: some have none: splat files with no object.json beside them.
+    """
+    from gscomplete.batch import storage
+    from gscomplete.util.file_names import OBJECT_FILE, splat_stem
+
+    if options.prompt is not None or options.fill:
+        return
+    alone = [
+        item
+        for item in items
+        if "prompt" not in item.options and splat_stem(item.source.rpartition("/")[2]) is not None
+    ]
+    folders = {item.source.rpartition("/")[0] for item in alone}
+    bare = {f for f in folders if storage.signature(storage.join(f, OBJECT_FILE)) is None}
+    lacking = [item.id for item in alone if item.source.rpartition("/")[0] in bare]
+    if lacking:
+        more = f" and {len(lacking) - _MOST_NAMED:,} more" if len(lacking) > _MOST_NAMED else ""
+        raise UserError(
+            "--prompt: expected what each object is, here or in a manifest, found none for "
+            f"{', '.join(lacking[:_MOST_NAMED])}{more}"
+        )
 
 
 def _plan(options: BatchOptions, items: int) -> WorkerPlan:

@@ -24,9 +24,9 @@ def folder(tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
-def batch(folder: Path, *more: str) -> int:
+def batch(folder: Path, *more: str, prompt: tuple[str, ...] = ("--prompt", "a mug")) -> int:
     arguments = ("batch", str(folder / "in"), "--out", str(folder / "runs"), "--workers", "1")
-    return main([*arguments, *more])
+    return main([*arguments, *prompt, *more])
 
 
 def test_failures_are_told_and_are_the_exit_code(folder, capsys):
@@ -54,7 +54,11 @@ def test_json_is_one_object_on_standard_output(folder, capsys):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--memory", "-1"), "--memory: expected a positive number"),
+        (("--memory", "-1"), "--memory: expected a number of GiB"),
+        (("--memory", "1e-10"), "--memory: expected a number of GiB"),
+        (("--device", "cuda:abc"), "--device: expected auto, cpu, cuda or cuda:N"),
+        (("--ray", "--threads", "-1"), "--threads: expected 1 or more"),
+        (("--ray", "--workers", "-1"), "--workers: expected 1 or more"),
         (("--workers", "0"), "--workers: expected 1 or more"),
         (("--retries", "-1"), "--retries: expected 0 or more"),
         (("--view", "nowhere"), "--view: expected AZIMUTH,ELEVATION"),
@@ -67,6 +71,15 @@ def test_wrong_options_are_one_line(folder, capsys, options, message):
     told = capsys.readouterr().err
     assert message in told
     assert len(told.strip().splitlines()) == 1
+
+
+def test_objects_without_a_prompt_are_named_before_a_worker_starts(folder, capsys):
+    assert batch(folder, prompt=()) == 2
+    assert "--prompt: expected what each object is" in (told := capsys.readouterr().err)
+    assert "found none for a, bad, c" in told
+    assert not (folder / "runs").exists()
+    (folder / "in/object.json").write_text("{}")  # may say it
+    assert batch(folder, prompt=()) == 1
 
 
 def test_nothing_but_what_decides_results_is_the_batch_s_identity(tmp_path):
