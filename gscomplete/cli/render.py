@@ -76,6 +76,8 @@ def run(options: RenderOptions) -> int:
     if not options.views:
         raise UserError("--views: expected at least one AZIMUTH,ELEVATION, found none")
     background = parse_numbers(options.background, 3, "--background", "R,G,B") or [1.0, 1.0, 1.0]
+    if not all(0 <= value <= 1 for value in background):
+        raise UserError(f"--background: expected 0 to 1 each, found {options.background}")
     angles = [parse_view(view, "--views") for view in options.views]
     from gscomplete.folders import drawable_of
     from gscomplete.views import parse_up

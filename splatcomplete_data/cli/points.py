@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -81,6 +82,12 @@ def part_settings(options: PointOptions) -> PartSettings:
         if options.splat_size == "auto"
         else parse_numbers(options.splat_size, 1, "--splat-size", "SIGMA")
     )
+    for name, radius in (
+        ("plane-thickness", options.plane_thickness),
+        ("cluster-radius", options.cluster_radius),
+    ):
+        if not 0 < radius < math.inf:
+            raise UserError(f"--{name}: expected a positive number, found {radius:g}")
     if not 0 < options.sigma < 100:
         raise UserError(f"--sigma: expected a positive number, found {options.sigma:g}")
     for name, value in (("planes", options.planes or 0), ("clusters", options.clusters)):

@@ -65,6 +65,7 @@ def test_splats_that_cannot_be_drawn_are_counted(tmp_path, capsys):
         ({"center": "0,0", "size": 1.0}, "--center: expected X,Y,Z"),
         ({"center": "0,0,0", "size": -1.0}, "--object-size"),
         ({"background": "1,1"}, "--background"),
+        ({"background": "0,0,255"}, "--background: expected 0 to 1"),
         ({"file": Path("missing.ply")}, "missing.ply"),
     ],
 )
