@@ -194,6 +194,6 @@ def _is_finite(number: float) -> bool:
 
 
 def _describe(data: Any) -> str:
-    """Show a JSON value briefly in an error message."""
-    text = json.dumps(data)
+    """Show a value of JSON or YAML, which has dates too, briefly in an error message."""
+    text = json.dumps(data, default=str, skipkeys=True)
     return text if len(text) <= 40 else text[:37] + "..."

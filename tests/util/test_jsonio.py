@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from datetime import date
 from pathlib import Path
 from typing import Any, Literal
 
@@ -124,3 +125,8 @@ def test_numbers_and_nesting_beyond_all_bounds_are_user_errors(tmp_path: Path, t
         path.write_text('{"ratio": ' + text + "}")
     with pytest.raises(UserError, match=r"x\.json"):
         jsonio.from_json(Outer, jsonio.read_json(path), str(path))
+
+
+def test_dates_of_yaml_are_shown():
+    with pytest.raises(UserError, match='count: expected an integer, found "2026-01-31"'):
+        jsonio.from_json(Outer, jsonio.to_json(example()) | {"count": date(2026, 1, 31)}, "a.yaml")
