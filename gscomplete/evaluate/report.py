@@ -72,7 +72,7 @@ class EvaluationReport:
     clip: float | Unavailable
     """S_CLIP between P from c and the completion from four sides."""
     truth: TruthErrors | None = None
-    """Agreement with the known complete object object; None when it is not known."""
+    """Agreement with the known complete object; None when it is not known."""
     truth_pictures: TruthPictures | None = None
     """Likeness to it."""
     truth_surface: HiddenSurfaceErrors | None = None

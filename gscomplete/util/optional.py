@@ -2,8 +2,8 @@
 
 Conventions
 -----------
-* This is the only place that imports Open3D, laspy, OpenImageIO, gsply, pymeshlab, usd-core (its
-  package is ``pxr``) and yaml.
+* This is the only place in the packages that imports Open3D, laspy, OpenImageIO, gsply, pymeshlab,
+  usd-core (its package is ``pxr``) and yaml; recipes do, too.
 * ``import open3d`` needs the system library libusb-1.0, which a fresh machine lacks; the package
   ``libusb-package`` carries it, and loading it first is all that is needed.
 """

@@ -37,12 +37,12 @@ def clean_sheet(
     for splats, grey in ((before, LIGHT_GREY), (after, LIGHT_GREY), (removed, (1.0, 1.0, 1.0))):
         pictures = []
         for camera in cameras:
-            size = Image.new("RGB", (camera.width, camera.height), "white")
+            picture = Image.new("RGB", (camera.width, camera.height), "white")
             if len(splats):
                 view = camera.to(dtype=torch.float32)
                 with torch.no_grad():
                     color = render(splats, view, torch.tensor(grey), settings=settings).color[0]
-                size = to_image(color)
-            pictures.append(size)
+                picture = to_image(color)
+            pictures.append(picture)
         rows.append(pictures)
     return contact_sheet(rows, row_labels=["before", "after", "removed"])

@@ -26,7 +26,7 @@ def grid_cells(
     normals: NDArray[np.float64],  # [T, 3]
     step: float,
 ) -> tuple[NDArray[np.int64], FloatArray, FloatArray, FloatArray, FloatArray, int]:
-    """Return triangle, weights, steps, axes and sizes as ``convert.Cells``, and the missed."""
+    """Return triangle, weights, steps, axes and sizes as ``cells.Cells``, and the missed."""
     drop = np.abs(normals).argmax(axis=1)
     counts = np.zeros(len(vertices), np.int64)
     _visit(vertices, drop, step, counts, *_room(0))

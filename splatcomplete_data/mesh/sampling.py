@@ -3,7 +3,7 @@
 Conventions
 -----------
 * A point is a triangle and barycentric weights; random numbers are a function of the seed.
-* ``point_frames`` gives points the tangent frame and colour look-ups that ``convert.Cells`` has.
+* ``point_frames`` gives points the tangent frame and colour look-ups that ``cells.Cells`` has.
 """
 
 from __future__ import annotations
