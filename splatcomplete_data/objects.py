@@ -33,7 +33,7 @@ from gscomplete.splats import Similarity, Splats, read_splats, write_splats
 from gscomplete.util import jsonio
 from gscomplete.util.digests import sha256_of
 from gscomplete.util.file_names import is_plain_name
-from gscomplete.views import ObjectFrame, ViewDistribution
+from gscomplete.views import FrameOrigin, ObjectFrame, ViewDistribution
 from splatcomplete_data.atomic_folder import atomic_folder
 from splatcomplete_data.cuts.boxes import CropBox
 
@@ -113,7 +113,7 @@ class ObjectRecord:
     """Where it comes from."""
     frame: ObjectFrame
     """Up axis, centre and size of the complete object in the file frame."""
-    frame_origin: Literal["truth", "guess", "given"]
+    frame_origin: FrameOrigin
     """Whether centre and size come from the known complete object, a guess from the part, or the
     user."""
     views: ViewDistribution

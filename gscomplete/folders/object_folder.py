@@ -13,21 +13,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, get_args
 
 from gscomplete.errors import UserError
 from gscomplete.util.file_names import COMPLETE_FILE, OBJECT_FILE, PARTIAL_FILE, is_plain_name
 from gscomplete.util.jsonio import read_json
-from gscomplete.views import ObjectFrame, ViewDistribution
+from gscomplete.views import FrameOrigin, ObjectFrame, ViewDistribution
 
 SCHEMA = "splatcomplete.object"
 """Name of the JSON form."""
 SCHEMA_VERSION = 1
 """Version of the JSON form; other versions are refused."""
 
-FrameOrigin = Literal["truth", "guess", "given"]
-"""Whether centre and size come from the complete object, a guess from the part, or the user."""
-_ORIGINS: tuple[FrameOrigin, ...] = ("truth", "guess", "given")
+_ORIGINS: tuple[FrameOrigin, ...] = get_args(FrameOrigin)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import torch
@@ -20,14 +19,11 @@ from gscomplete.errors import UserError
 from gscomplete.framing.guess import guess_framing
 from gscomplete.splats import Similarity, Splats, transform_splats
 from gscomplete.util.parse import require_positive
-from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution, up_rotation
+from gscomplete.views import FrameOrigin, ObjectFrame, UpAxis, ViewDistribution, up_rotation
 from gscomplete.views.distribution import AZIMUTH_RANGE_DEG, ELEVATION_RANGE_DEG, FOV_DEG, RADIUS
 
 _STEEPEST_DEG = 75.0
 """From steeper above no side is behind."""
-
-Origin = Literal["truth", "guess", "given"]
-"""Where centre and size come from: the known complete object, the part, or the user."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +68,7 @@ class Framing:
     """Frame and views of an object, and how they were found."""
 
     frame: ObjectFrame
-    origin: Origin
+    origin: FrameOrigin
     views: ViewDistribution
     notes: tuple[str, ...]
     """Reasons of the parts that were guessed."""
@@ -102,7 +98,7 @@ def decide_framing(
         UserError: a guess is needed and the part has no finite splat or no extent.
     """
     center, size, view = request.center_file, request.size_file, request.view_deg
-    origin: Origin = "given"
+    origin: FrameOrigin = "given"
     notes: tuple[str, ...] = ()
     if complete is not None and (center is None or size is None):
         known = ObjectFrame.about(complete, request.up)

@@ -9,10 +9,18 @@ from gscomplete.views.cameras import (
     radius_to_fit,
 )
 from gscomplete.views.distribution import ViewDistribution
-from gscomplete.views.frame import ObjectFrame, UpAxis, axis_direction, parse_up, up_rotation
+from gscomplete.views.frame import (
+    FrameOrigin,
+    ObjectFrame,
+    UpAxis,
+    axis_direction,
+    parse_up,
+    up_rotation,
+)
 
 __all__ = [
     "Cameras",
+    "FrameOrigin",
     "ObjectFrame",
     "UpAxis",
     "ViewDistribution",

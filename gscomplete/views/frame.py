@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -40,6 +40,9 @@ from gscomplete.util import jsonio
 
 UpAxis = str
 """The file axis that points up, X, Y, Z, -X, -Y or -Z, or a direction "X,Y,Z" in file axes."""
+
+FrameOrigin = Literal["truth", "guess", "given"]
+"""Whether centre and size come from the complete object, a guess from the part, or the user."""
 
 _OBJECT_ROWS: dict[str, tuple[tuple[float, float, float], ...]] = {
     "Z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
