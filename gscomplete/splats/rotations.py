@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -13,12 +15,17 @@ def rotation_matrices(quaternions: Tensor) -> Tensor:  # [N, 4] wxyz -> [N, 3, 3
     near_one = quaternions / safe  # squares of the raw values may leave the range of float32
     norm = near_one.norm(dim=1, keepdim=True)
     w, x, y, z = (near_one / torch.where(norm > 0, norm, 1.0)).unbind(1)
-    rows = [
+    rows = matrix_rows(w, x, y, z)
+    return torch.stack([torch.stack(row, dim=1) for row in rows], dim=1)
+
+
+def matrix_rows(w: Any, x: Any, y: Any, z: Any) -> list[list[Any]]:
+    """Return the rows of the rotation matrix of a unit quaternion: numbers, or arrays of them."""
+    return [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
-    return torch.stack([torch.stack(row, dim=1) for row in rows], dim=1)
 
 
 def quaternions_facing(normals: Tensor) -> Tensor:  # [N, 3] unit -> [N, 4] wxyz

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
+from gscomplete.splats.rotations import matrix_rows
 
 Action = Literal["keep", "remove"]
 BOXES_SUFFIX = ".txt"
@@ -60,14 +61,7 @@ class CropBox:
     @property
     def rotation(self) -> NDArray[np.float64]:  # [3, 3], columns are the box's axes
         """Matrix that turns box axes into file axes."""
-        w, x, y, z = self.quaternion
-        return np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-        )
+        return np.array(matrix_rows(*self.quaternion))
 
     def contains(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:  # [N, 3] -> [N]
         """Mark the points inside the box or on its faces; points that are not finite are not."""

@@ -18,6 +18,7 @@ import numba
 import numpy as np
 
 from gscomplete.evaluate.align.nearest_grid import CELLS, REACH, FloatArray, NearestGrid
+from gscomplete.splats.rotations import matrix_rows
 
 KEPT = 0.9
 """Share of the part's points that pairs are made of: what another system left out has none."""
@@ -30,12 +31,7 @@ def even_rotations(count: int) -> FloatArray:  # [count, 3, 3]
     r, big = np.sqrt(s / count), np.sqrt(1.0 - s / count)
     alpha, beta = 2 * np.pi * s / phi, 2 * np.pi * s / psi
     x, y, z, w = r * np.sin(alpha), r * np.cos(alpha), big * np.sin(beta), big * np.cos(beta)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
+    return np.moveaxis(np.array(matrix_rows(w, x, y, z)), 2, 0)
 
 
 def improve(

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
+from gscomplete.splats.rotations import matrix_rows
 from splatcomplete_data.multiview.photos.images import photo_size
 from splatcomplete_data.multiview.photos.lens import Lens
 from splatcomplete_data.multiview.photos.posed import PosedPhoto, PosedPhotos
@@ -352,13 +353,8 @@ def _pose(image: _Image, path: Path) -> NDArray[np.float64]:  # [4, 4]
     length = float(np.linalg.norm(quaternion))
     if not (np.isfinite(quaternion).all() and np.isfinite(image.translation).all() and length > 0):
         raise UserError(f"{path}: {image.name}: expected a finite pose, found {image}")
-    w, x, y, z = quaternion / length
     pose = np.eye(4)
-    pose[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
+    pose[:3, :3] = matrix_rows(*quaternion / length)
     pose[:3, 3] = image.translation
     return pose
 
