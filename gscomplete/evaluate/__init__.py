@@ -8,7 +8,6 @@ from gscomplete.evaluate.metrics import (
 )
 from gscomplete.evaluate.perceptual import Unavailable
 from gscomplete.evaluate.pictures import (
-    TurntableSettings,
     contact_sheet,
     draw_turntable,
     preview_sheet,
@@ -16,19 +15,13 @@ from gscomplete.evaluate.pictures import (
     save_image,
     save_turntable,
 )
-from gscomplete.evaluate.report import (
-    EvaluationReport,
-    EvaluationSettings,
-    evaluate,
-    report_table,
-)
+from gscomplete.evaluate.report import EvaluationReport, EvaluationSettings, evaluate
 
 __all__ = [
     "EvaluationReport",
     "EvaluationSettings",
     "PreservationErrors",
     "TruthErrors",
-    "TurntableSettings",
     "Unavailable",
     "against_truth",
     "contact_sheet",
@@ -37,7 +30,6 @@ __all__ = [
     "preservation",
     "preview_sheet",
     "render_images",
-    "report_table",
     "save_image",
     "save_turntable",
 ]

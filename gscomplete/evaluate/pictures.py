@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -41,18 +40,10 @@ _LONGEST_TITLE = 400
 """Letters of a title that are looked at."""
 _FRAME_MS = 80
 """Time for which a picture is shown."""
-
-
-@dataclass(frozen=True, slots=True)
-class TurntableSettings:
-    """How a turntable is drawn."""
-
-    frames: int = 36
-    """Pictures in one full turn."""
-    size_px: int = 256
-    """Side of a picture."""
-    quality: int = 80
-    """WebP quality, 1 to 100; other formats ignore it."""
+_TURN_FRAMES, _TURN_PX = 36, 256
+"""Pictures in one full turn, and their side."""
+_TURN_QUALITY = 80
+"""WebP quality, 1 to 100; other formats ignore it."""
 
 
 def render_images(
@@ -203,37 +194,29 @@ def save_image(image: Image.Image, path: Path) -> None:
         image.save(temporary)
 
 
-def draw_turntable(
-    splats: Splats, views: ViewDistribution, settings: TurntableSettings | None = None
-) -> list[Image.Image]:
+def draw_turntable(splats: Splats, views: ViewDistribution) -> list[Image.Image]:
     """Draw one turn about the object, starting at the input view c.
 
     Args:
         splats: what to show, in the object frame.
         views: gives the start, elevation, distance and lens.
-        settings: knobs; None = defaults.
 
     Returns:
         Pictures from evenly spaced views.
     """
-    chosen = settings or TurntableSettings()
-    return render_images(splats, views.ring(chosen.frames, chosen.size_px))
+    return render_images(splats, views.ring(_TURN_FRAMES, _TURN_PX))
 
 
-def save_turntable(
-    frames: Sequence[Image.Image], path: Path, settings: TurntableSettings | None = None
-) -> None:
+def save_turntable(frames: Sequence[Image.Image], path: Path) -> None:
     """Write the pictures of a turn as an endless animation.
 
     Args:
         frames: what ``draw_turntable`` returned.
         path: destination; WebP, GIF or animated PNG by its suffix.
-        settings: knobs; None = defaults.
 
     Raises:
         UserError: the suffix names no animated format, or the folder cannot be written.
     """
-    chosen = settings or TurntableSettings()
     if path.suffix.lower() not in (".webp", ".gif", ".png"):
         raise UserError(f"{path}: turntable: expected .webp, .gif or .png, found {path.suffix!r}")
     if path.suffix.lower() == ".webp":
@@ -245,7 +228,7 @@ def save_turntable(
             append_images=frames[1:],
             duration=_FRAME_MS,
             loop=0,
-            quality=chosen.quality,
+            quality=_TURN_QUALITY,
         )
 
 

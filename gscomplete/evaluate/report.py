@@ -1,4 +1,4 @@
-"""The numbers of a run, as JSON and as a table.
+"""The numbers of a run, as JSON.
 
 Conventions
 -----------
@@ -12,7 +12,6 @@ import dataclasses
 from dataclasses import dataclass
 
 import torch
-from rich.table import Table
 
 from gscomplete.evaluate.geometry import HiddenSurfaceErrors, hidden_surface_errors
 from gscomplete.evaluate.haarpsi import haarpsi
@@ -138,48 +137,3 @@ def truth_pictures_of_renders(completed: Render, partial: Render, truth: Render)
         float(haarpsi(completed.color, truth.color, either).mean()),
         patch_distance(completed.color, truth.color, hidden),
     )
-
-
-def report_table(report: EvaluationReport, title: str = "Evaluation") -> Table:
-    """Lay a report out for the terminal.
-
-    Args:
-        report: what :func:`evaluate` returned.
-        title: line above the table.
-
-    Returns:
-        A table of ``rich``, a line for each metric.
-    """
-    table = Table(title=title)
-    table.add_column("metric")
-    table.add_column("input view c", justify="right")
-    table.add_column(f"V ({report.all_views.views} views)", justify="right")
-    one, many = report.input_view, report.all_views
-    table.add_row("E_color (masked mean)", _number(one.color), _number(many.color))
-    table.add_row(
-        "E_color (image mean)", _number(one.color_image_mean), _number(many.color_image_mean)
-    )
-    table.add_row("E_depth (object sizes squared)", _number(one.depth), _number(many.depth))
-    table.add_row("E_LPIPS", _number(report.lpips), "")
-    table.add_row("S_CLIP", _number(report.clip), "")
-    table.add_row("HaarPSI", "", _number(report.haarpsi))
-    if report.truth is not None and report.truth_pictures is not None:
-        psnr, ssim = report.truth.hidden_color_psnr_db, report.truth_pictures.hidden_ssim
-        table.add_row("silhouette IoU", "", _number(report.truth.silhouette_iou))
-        table.add_row("hidden silhouette IoU", "", _number(report.truth.hidden_iou))
-        table.add_row("hidden colour PSNR (dB)", "", "-" if psnr is None else f"{psnr:.1f}")
-        table.add_row("hidden SSIM", "", "-" if ssim is None else _number(ssim))
-        table.add_row("HaarPSI to the truth", "", _number(report.truth_pictures.haarpsi))
-        patches = report.truth_pictures.patches
-        table.add_row(
-            "distance of hidden patches", "", "-" if patches is None else _number(patches)
-        )
-    if report.truth_surface is not None:
-        table.add_row("hidden-surface F-score at 1 %", "", _number(report.truth_surface.f_score_1))
-        table.add_row("hidden-surface F-score at 3 %", "", _number(report.truth_surface.f_score_3))
-    return table
-
-
-def _number(value: float | Unavailable) -> str:
-    """Show a number briefly, or why there is none."""
-    return f"unavailable: {value.reason}" if isinstance(value, Unavailable) else f"{value:.4g}"

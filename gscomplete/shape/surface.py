@@ -48,6 +48,7 @@ _ROUNDING = 1e-3
 _COPY_REACH = 1.2
 """Cells to a mirror image of P within which a point belongs on it."""
 _COPY_NEIGHBOURS = 4
+_OPACITY = 0.95
 _OVERLAP = 1.0
 """Tangent standard deviation per spacing, so that neighbours overlap into a closed surface."""
 
@@ -58,7 +59,6 @@ class SurfaceSettings:
 
     count: int = 8000
     """Most splats."""
-    opacity: float = 0.95
     near_partial: float = 0.03
     """Surface points this near to P's splats are P's own, ..."""
     near_rim: float = 0.01
@@ -124,7 +124,7 @@ def surface_splats(
         points,
         quaternions_facing(normals),
         scales,
-        torch.full((len(points),), settings.opacity),
+        torch.full((len(points),), _OPACITY),
         colors_to_sh(colors.clamp(0.0, 1.0)),
     )
 

@@ -11,7 +11,6 @@ Conventions
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,8 +20,6 @@ from numpy.typing import NDArray
 from gscomplete.splats.record import Splats, colors_to_sh
 
 FloatArray = NDArray[np.float32]
-PointColors = Callable[[FloatArray], FloatArray]
-
 
 DISC_OPACITY = 0.97
 _TANGENT_PER_SPACING = 0.6
@@ -135,21 +132,13 @@ def sample_triangles(
     return triangle, np.stack([1.0 - a - b, a, b], axis=1).astype(np.float32)
 
 
-def triangles_to_discs(
-    triangles: ColoredTriangles,
-    count: int,
-    seed: int = 0,
-    *,
-    point_colors: PointColors | None = None,
-) -> Splats:
+def triangles_to_discs(triangles: ColoredTriangles, count: int, seed: int = 0) -> Splats:
     """Cover a triangle mesh with ``count`` oriented discs.
 
     Args:
         triangles: the surface.
         count: number of splats.
         seed: seed of the sampling.
-        point_colors: colours [N, 3] as a function of points [N, 3]; None interpolates the corner
-            colours.
 
     Raises:
         ValueError: no triangle has an area, or ``count`` is not positive.
@@ -157,9 +146,6 @@ def triangles_to_discs(
     triangle, weights = sample_triangles(triangles.vertices, count, seed)
     points = np.einsum("nk,nkc->nc", weights, triangles.vertices[triangle])
     areas, normals = triangle_areas_and_normals(triangles.vertices)
-    if point_colors is None:
-        colors = np.einsum("nk,nkc->nc", weights, triangles.colors[triangle])
-    else:
-        colors = point_colors(points)
+    colors = np.einsum("nk,nkc->nc", weights, triangles.colors[triangle])
     spacing = float(np.sqrt(areas.sum(dtype=np.float64) / count))
     return discs_at(points, normals[triangle], colors, spacing)

@@ -9,7 +9,6 @@ from PIL import Image
 
 from gscomplete.errors import UserError
 from gscomplete.evaluate import (
-    TurntableSettings,
     contact_sheet,
     draw_turntable,
     preview_sheet,
@@ -17,6 +16,7 @@ from gscomplete.evaluate import (
     save_image,
     save_turntable,
 )
+from gscomplete.evaluate import pictures as module
 from gscomplete.evaluate.pictures import LIGHT_GREY, to_image
 from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution
@@ -59,9 +59,17 @@ def test_sheet_checks_its_labels() -> None:
         contact_sheet([[]])
 
 
+@pytest.fixture
+def small_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Turntables of twelve small pictures."""
+    monkeypatch.setattr(module, "_TURN_FRAMES", 12)
+    monkeypatch.setattr(module, "_TURN_PX", 32)
+
+
+@pytest.mark.usefixtures("small_turn")
 def test_preview_shows_input_and_completion_from_six_views(tmp_path: Path) -> None:
     blob, views = red_blob(), ViewDistribution(30, 15)
-    turn = draw_turntable(blob, views, TurntableSettings(12, 32))
+    turn = draw_turntable(blob, views)
     again = render_images(blob, views.preview_cameras(32))
     assert [p.tobytes() for p in turn[::2]] == [p.tobytes() for p in again]
     sheet = preview_sheet(blob.select(torch.arange(10)), turn, views, title="x")
@@ -86,13 +94,14 @@ def test_rendered_background_is_light_grey() -> None:
     assert red > green + 50
 
 
+@pytest.mark.usefixtures("small_turn")
 @pytest.mark.parametrize("suffix", [".webp", ".gif"])
 def test_turntable_turns_once_and_loops(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"turntable{suffix}"
-    turn = draw_turntable(red_blob(), ViewDistribution(0, 0), TurntableSettings(5, 32))
+    turn = draw_turntable(red_blob(), ViewDistribution(0, 0))
     save_turntable(turn, path)
     with Image.open(path) as animation:
-        assert animation.n_frames == 5  # type: ignore[attr-defined]
+        assert animation.n_frames == 12  # type: ignore[attr-defined]
         assert animation.size == (32, 32)
         assert animation.info["loop"] == 0
     assert [p.name for p in tmp_path.iterdir()] == [path.name]

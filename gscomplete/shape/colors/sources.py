@@ -13,8 +13,6 @@ Conventions
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -41,23 +39,17 @@ _OUTWARD = 2.0 * CELL_SIDE
 """So far outside new splats the nearest colours are searched: icing, not the dough under it."""
 
 
-@dataclass(frozen=True, slots=True)
-class ColorSettings:
-    """How sources are chosen; lengths in object sizes."""
-
-    reach: float = 0.06
-    """A source counts in full where it has a splat this near; beyond it loses, the farther the
-    more, so that the nearest is taken where none is near."""
-    max_splats: int = 40_000
-    """Most splats of P searched."""
-    height_weight: float = 3.0
-    """How much farther away a splat counts for being higher or lower than for being beside: rims,
-    bands and stripes go round what stands upright, and go on round it. On most objects it makes no
-    difference; a striped lantern gains 1.9 dB."""
-
-
+_REACH = 0.06
+"""A source counts in full where it has a splat this near, object sizes; beyond it loses, the
+farther the more, so that the nearest is taken where none is near."""
 _FAR_PENALTY = 3.0
-"""Logits lost per ``reach`` beyond it."""
+"""Logits lost per ``_REACH`` beyond it."""
+_MOST_SEARCHED = 40_000
+"""Splats of a source."""
+_HEIGHT_WEIGHT = 3.0
+"""How much farther away a splat counts for being higher or lower than for being beside: rims,
+bands and stripes go round what stands upright, and go on round it. On most objects it makes no
+difference; a striped lantern gains 1.9 dB."""
 
 
 def source_colors(
@@ -66,7 +58,6 @@ def source_colors(
     partial: Splats,
     points: Tensor,  # [N, 3]
     generator: torch.Generator,
-    settings: ColorSettings | None = None,
 ) -> Tensor:  # [N, 3]
     """Return the colours of new splats at ``points``.
 
@@ -76,10 +67,8 @@ def source_colors(
         partial: P in the object frame.
         points: where the new splats are.
         generator: chooses the splats of P searched, if there are too many.
-        settings: knobs; None = defaults.
     """
-    chosen = settings or ColorSettings()
-    known = _Known(partial, generator, chosen)
+    known = _Known(partial, generator)
     places = [points.numpy(), *(s.undo(points.numpy()) for s in inputs.symmetries)]
     pointing = sample_volume(output.sources[0, :SOURCES].float(), points)
     behind = _PREFERENCE * (torch.arange(SOURCES) - 1).clamp_min(0)
@@ -90,7 +79,7 @@ def source_colors(
         counts = most[:, source] > logits.amax(dim=1) - _NO_SHARE
         color, distance = known.near(place[counts.numpy()])
         found[counts, source] = color
-        beyond = (distance / chosen.reach - 1.0).clamp_min(0)
+        beyond = (distance / _REACH - 1.0).clamp_min(0)
         logits[counts, source] = pointing[counts, source] - _FAR_PENALTY * beyond - behind[source]
     shares = (_SHARPNESS * logits).softmax(dim=1)
     return (shares[:, :, None] * found).sum(dim=1)
@@ -101,7 +90,6 @@ def nearest_colors(
     points: Tensor,  # [N, 3]
     normals: Tensor,  # [N, 3] outward
     generator: torch.Generator,
-    settings: ColorSettings | None = None,
 ) -> Tensor:  # [N, 3]
     """Return the colours of what lies about ``points``, outer layers before inner ones.
 
@@ -110,28 +98,26 @@ def nearest_colors(
         points: where the new splats are.
         normals: of the surface there.
         generator: chooses the splats searched, if there are too many.
-        settings: knobs; None = defaults.
     """
-    chosen = settings or ColorSettings()
     outside = points + _OUTWARD * normals
-    return _Known(colored, generator, chosen).near(outside.numpy())[0]
+    return _Known(colored, generator).near(outside.numpy())[0]
 
 
 class _Known:
     """Splats that colours are taken from."""
 
-    def __init__(self, splats: Splats, generator: torch.Generator, settings: ColorSettings) -> None:
-        looked_at = thinned(splats, settings.max_splats, generator)
+    def __init__(self, splats: Splats, generator: torch.Generator) -> None:
+        looked_at = thinned(splats, _MOST_SEARCHED, generator)
         self._base = looked_at.base_colors.float().clamp(0, 1)
         self._means = looked_at.means.float().numpy()
-        self._stretch = np.array([1.0, 1.0, settings.height_weight], np.float32)
+        self._stretch = np.array([1.0, 1.0, _HEIGHT_WEIGHT], np.float32)
         self._tree = cKDTree(self._means * self._stretch)
         self._nearest = range(1, min(_NEIGHBOURS, len(looked_at)) + 1)
 
     def near(self, places: NDArray[np.float32]) -> tuple[Tensor, Tensor]:  # [N, 3] -> [N, 3], [N]
         """Return the mean colour of the nearest splats, near ones first, and how far the first is.
 
-        Heights count ``height_weight`` times for which ones are near, once for how far it is.
+        Heights count ``_HEIGHT_WEIGHT`` times for which ones are near, once for how far it is.
         """
         distance, index = self._tree.query(places * self._stretch, k=self._nearest)
         weight = torch.from_numpy(1.0 / (distance + 0.2 * CELL_SIDE) ** 2).float()

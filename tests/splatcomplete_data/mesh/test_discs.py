@@ -94,16 +94,12 @@ def test_discs_of_a_sphere_cover_it_and_face_outward():
     assert np.isclose(splats.scales[0, 2] / splats.scales[0, 0], 0.05)
 
 
-def test_corner_colors_are_interpolated_and_point_colors_take_over():
+def test_corner_colors_are_interpolated():
     vertices = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]]], np.float32)
     corner = np.array([[[0, 0, 1], [1, 0, 0], [0, 1, 0]]], np.float32)
     splats = triangles_to_discs(ColoredTriangles(vertices, corner), 64)
     x, y = splats.means[:, 0], splats.means[:, 1]
     assert torch.allclose(splats.base_colors, torch.stack([x, y, 1 - x - y], dim=1), atol=1e-5)
-    painted = triangles_to_discs(
-        ColoredTriangles(vertices, corner), 64, point_colors=lambda p: np.abs(p) * 0.5
-    )
-    assert torch.allclose(painted.base_colors, painted.means.abs() * 0.5, atol=1e-6)
 
 
 def test_spacings_shape_the_discs():
