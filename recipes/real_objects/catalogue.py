@@ -29,8 +29,8 @@ Source = Literal["mesh", "scan", "splats"]
 class ScanCut:
     """Keep what a scanner sees from some viewpoints.
 
-    With the depth image that ``by_visibility`` has by default, which all recorded figures were made
-    with; that of ``cuts.named.ScanCut`` is as fine as the splats are.
+    With the depth image of ``by_visibility``, which all recorded figures were made with; that of
+    ``cuts.named.ScanCut`` is as fine as the splats are.
     """
 
     from_deg: tuple[float, ...]

@@ -24,6 +24,8 @@ from gscomplete.splats.record import Splats
 CutKind = Literal["plane", "box", "visibility", "crop", "plane+box", "plane+visibility", "nothing"]
 FloatArray = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
+_GRID_PX = 160
+"""Side of the depth image by which splats are told to be seen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,11 +106,8 @@ def by_visibility(
     splats: Splats,
     positions: ArrayLike,  # [V, 3] camera centres
     *,
-    grid_px: int = 160,
     fov_deg: float = 60.0,
     tolerance: float | None = None,
-    target: ArrayLike | None = None,  # [3]
-    reach: float | None = None,
 ) -> PartialCut:
     """Keep the splats that at least one camera, looking at the object's middle, sees first.
 
@@ -119,12 +118,8 @@ def by_visibility(
     Args:
         splats: the object.
         positions: camera centres, outside the object.
-        grid_px: side of the depth image.
         fov_deg: field of view; widened where the object would not fit.
         tolerance: depth slack, None = three median tangent sizes.
-        target: what the cameras look at; None = the middle of the box of all splats.
-        reach: how far the object reaches from there; None = as far as its farthest splat. Where
-            there may be floaters, say both: they would widen the view.
 
     Raises:
         ValueError: positions are not [V, 3].
@@ -138,17 +133,15 @@ def by_visibility(
     sizes = splats.scales.detach().amax(dim=1).cpu().float().numpy()
     slack = 3.0 * float(np.median(sizes)) if tolerance is None else tolerance
     solid = (splats.opacities.detach() >= 0.2).cpu().numpy()
-    middle = 0.5 * (points.min(axis=0) + points.max(axis=0)) if target is None else target
-    middle = np.asarray(middle, np.float64)
-    if reach is None:
-        reach = float(np.linalg.norm(points - middle, axis=1).max())
+    middle = (0.5 * (points.min(axis=0) + points.max(axis=0))).astype(np.float64)
+    reach = float(np.linalg.norm(points - middle, axis=1).max())
     seen = np.zeros(len(points), np.bool_)
     for eye in eyes:
         distance = float(np.linalg.norm(eye - middle))
         half = max(math.tan(math.radians(fov_deg) / 2), 1.05 * reach / max(distance - reach, 1e-3))
         rotation = looking_rotation(eye, middle).astype(np.float32)
         local = (points - eye.astype(np.float32)) @ rotation.T
-        seen |= _first_surface(local, sizes, solid, grid_px, 0.5 * grid_px / half, slack)
+        seen |= _first_surface(local, sizes, solid, _GRID_PX, 0.5 * _GRID_PX / half, slack)
     return _cut(splats, seen, "visibility", views=len(eyes), eyes=eyes.round(3).tolist())
 
 
