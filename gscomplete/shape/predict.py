@@ -21,6 +21,7 @@ from torch import Tensor
 from gscomplete.shape.ask import ask, mean_answer
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter, ShapeOutput
+from gscomplete.shape.outline.lattice import in_lattice_holes
 from gscomplete.shape.outline.one_view import ONE_VIEW_SHARE, beside_scan
 from gscomplete.shape.outline.scorer import MOST_LOGITS, doubts_beside_outlines
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs, voxelize_partial
@@ -112,7 +113,7 @@ def _doubted_beside(
     distribution: ViewDistribution,
     ends_in_plane: bool,
 ) -> ShapeOutput:
-    """Lower the logits of cells that lie beside P seen from where its outline is the object's."""
+    """Lower the logits of cells beside P where its outline is the object's, and in its holes."""
     logits = answer.occupancy.flatten()
     possible = (logits > _EMPTY_LOGIT).nonzero()[:, 0]
     places = cell_centers(CELLS).reshape(-1, 3)[possible.numpy()]
@@ -121,6 +122,7 @@ def _doubted_beside(
         doubts = doubts_beside_outlines(points, distribution, places, ends_in_plane=ends_in_plane)
     if not ends_in_plane:
         doubts[beside_scan(points, distribution, places)] = MOST_LOGITS
+    doubts[in_lattice_holes(points, distribution.direction(), places)] = MOST_LOGITS
     lowered = logits.clone()
     lowered[possible] -= torch.from_numpy(doubts)
     return dataclasses.replace(answer, occupancy=lowered.reshape(answer.occupancy.shape))

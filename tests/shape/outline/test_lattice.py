@@ -1,0 +1,64 @@
+"""Holes of lattices are told from all else."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from gscomplete.shape.outline.lattice import in_lattice_holes
+
+
+def bars(*boxes: tuple[float, float, float, float]) -> np.ndarray:
+    """Points of upright bars: from and to across, from and to upwards; .02 thick."""
+    step = 0.006
+    parts = []
+    for left, right, low, high in boxes:
+        along = np.meshgrid(np.arange(left, right, step), np.arange(low, high, step))
+        for depth in (-0.01, 0.01):
+            parts.append(np.stack([along[0], np.full_like(along[0], depth), along[1]], -1))
+    return np.concatenate([part.reshape(-1, 3) for part in parts])
+
+
+RUNGS = [(-0.2, 0.2, low, low + 0.04) for low in np.linspace(-0.45, 0.4, 6)]
+LADDER = bars((-0.2, -0.16, -0.5, 0.5), (0.16, 0.2, -0.5, 0.5), *RUNGS)
+BOARD = bars((-0.3, 0.3, -0.4, 0.4))
+FRAME = bars((-0.3, 0.3, -0.4, -0.3), (-0.3, 0.3, 0.3, 0.4), (-0.3, -0.2, -0.4, 0.4),
+             (0.2, 0.3, -0.4, 0.4))  # fmt: skip
+
+
+def places_between_rungs() -> np.ndarray:
+    between = np.linspace(-0.45, 0.4, 6)[:-1] + 0.105
+    return np.stack([np.zeros(5), np.zeros(5), between], axis=1)
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 37.0, 90.0])
+@pytest.mark.parametrize("scale", [1.0, 30.0])
+def test_what_is_between_rungs_is_in_holes(angle_deg, scale):
+    turn = math.radians(angle_deg)
+    rotation = np.array(
+        [[math.cos(turn), -math.sin(turn), 0], [math.sin(turn), math.cos(turn), 0], [0, 0, 1]]
+    )
+
+    def placed(points: np.ndarray) -> np.ndarray:
+        return scale * points @ rotation.T + np.array([3.0, -2.0, 1.0])
+
+    toward_c = rotation @ np.array([0.6, 0.8, 0.0])
+    before = places_between_rungs() + np.array([0, 0.05, 0])
+    beside = np.array([[0.3, 0, 0], [0, 0, 0.6], [5.0, 0, 0]])
+    for inside, expected in ((places_between_rungs(), True), (before, True), (beside, False)):
+        assert (in_lattice_holes(placed(LADDER), toward_c, placed(inside)) == expected).all()
+    assert not in_lattice_holes(placed(LADDER), toward_c, placed(LADDER[::50])).any()
+
+
+def test_a_ladder_that_lies_down_is_one_too():
+    lying, from_above = LADDER[:, [0, 2, 1]], np.array([0.0, 0.6, 0.8])
+    assert in_lattice_holes(lying, from_above, places_between_rungs()[:, [0, 2, 1]]).all()
+
+
+@pytest.mark.parametrize("points", [BOARD, FRAME, np.zeros((0, 3)), np.zeros((5, 3))])
+def test_boards_and_frames_are_no_lattices(points):
+    """One hole may be what a scanner lost."""
+    grid = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, 12)] * 3), -1).reshape(-1, 3)
+    assert not in_lattice_holes(points, np.array([0.0, 1.0, 0.0]), grid).any()
