@@ -35,7 +35,8 @@ _ASKED = 2000
 """Points whose neighbours are looked for."""
 _SMALLEST_PX = 8
 """Area of a hole."""
-_FEWEST_HOLES = 3
+_FEWEST_HOLES, _LARGEST = 3, 0.5
+"""Of a lattice, and the share of them that one may be: a table's top that is missing is more."""
 _LEAST_SHARE, _LEAST_SHARE_FROM_C = 0.2, 0.1
 """Of holes in what a lattice's outline encloses: a scan of a plate has up to .18."""
 
@@ -95,12 +96,13 @@ def _gap_px(points: FloatArray) -> int:  # [N, 3]
 
 
 def _holes(picture: Mask, closed_px: int) -> tuple[Mask, float]:  # [P, P]
-    """Return holes, and their share of what the outline encloses; 0 where they are few."""
+    """Return holes, and their share of what the outline encloses; 0 where they are no lattice's."""
     outline = minimum_filter(maximum_filter(picture, closed_px), closed_px)
     whole = binary_fill_holes(outline)
     numbers, count = label(whole & ~outline)
-    large = np.bincount(numbers.ravel(), minlength=count + 1) >= _SMALLEST_PX
-    large[0] = False
-    holes: Mask = large[numbers]
-    are_few = large.sum() < _FEWEST_HOLES
-    return holes, 0.0 if are_few else float(holes.sum() / whole.sum())
+    areas = np.bincount(numbers.ravel(), minlength=count + 1)
+    areas[0] = 0
+    areas[areas < _SMALLEST_PX] = 0
+    holes: Mask = areas[numbers] > 0
+    is_lattice = (areas > 0).sum() >= _FEWEST_HOLES and areas.max() <= _LARGEST * areas.sum()
+    return holes, float(areas.sum() / whole.sum()) if is_lattice else 0.0
