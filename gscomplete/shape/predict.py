@@ -118,11 +118,13 @@ def _doubted_beside(
     possible = (logits > _EMPTY_LOGIT).nonzero()[:, 0]
     places = cell_centers(CELLS).reshape(-1, 3)[possible.numpy()]
     points, doubts = voxels.positions, np.zeros(len(places), np.float32)
-    if ends_in_plane or voxels.shown_at_once < ONE_VIEW_SHARE:
+    is_scan = not ends_in_plane and voxels.shown_at_once >= ONE_VIEW_SHARE
+    if not is_scan:
         doubts = doubts_beside_outlines(points, distribution, places, ends_in_plane=ends_in_plane)
     if not ends_in_plane:
         doubts[beside_scan(points, distribution, places)] = MOST_LOGITS
-    doubts[in_lattice_holes(points, distribution.direction(), places)] = MOST_LOGITS
+    toward_c = distribution.direction()
+    doubts[in_lattice_holes(points, toward_c, places, is_scan=is_scan)] = MOST_LOGITS
     lowered = logits.clone()
     lowered[possible] -= torch.from_numpy(doubts)
     return dataclasses.replace(answer, occupancy=lowered.reshape(answer.occupancy.shape))

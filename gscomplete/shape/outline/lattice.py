@@ -33,6 +33,8 @@ _NEIGHBOUR, _SPARSE = 4, 0.98
 """A gap between samples is as wide as twice the distance to this neighbour, nearly everywhere."""
 _ASKED = 2000
 """Points whose neighbours are looked for."""
+_RIM_PX = 3
+"""Side of the square that an outline's pixels grow to."""
 _SMALLEST_PX = 8
 """Area of a hole."""
 _FEWEST_HOLES, _LARGEST = 3, 0.5
@@ -45,8 +47,17 @@ def in_lattice_holes(
     points: FloatArray,  # [N, 3] P, z up
     toward_c: FloatArray,  # [3] unit
     places: FloatArray,  # [M, 3] in the same frame
+    *,
+    is_scan: bool,
 ) -> Mask:  # [M]
-    """Mark places in the holes of P if it is a lattice; none if it is not."""
+    """Mark places in the holes of P if it is a lattice; none if it is not.
+
+    Args:
+        points: P.
+        toward_c: from the object to the input view.
+        places: which are asked about.
+        is_scan: one view shows P, which was not cut: what lies beside its outline counts, too.
+    """
     if not len(points):
         return np.zeros(len(places), np.bool_)
     low, high = points.min(axis=0), points.max(axis=0)
@@ -60,6 +71,9 @@ def in_lattice_holes(
     holes, share = _holes(_picture(points, axes), closed_px)
     if share < _LEAST_SHARE or share_from_c < _LEAST_SHARE_FROM_C:
         return np.zeros(len(places), np.bool_)
+    if is_scan:
+        outline = _outline(_picture(points, axes), closed_px)
+        holes = ~maximum_filter(outline, _RIM_PX)
     found: Mask = holes[_pixels(places, axes)]
     return found
 
@@ -87,6 +101,12 @@ def _pixels(
     return up.astype(np.int64), right.astype(np.int64)
 
 
+def _outline(picture: Mask, closed_px: int) -> Mask:  # [P, P]
+    """Return where P is seen, without the gaps between its samples."""
+    outline: Mask = minimum_filter(maximum_filter(picture, closed_px), closed_px)
+    return outline
+
+
 def _gap_px(points: FloatArray) -> int:  # [N, 3]
     """Return how wide gaps between samples are, in pixels."""
     asked = points[:: max(1, -(-len(points) // _ASKED))]
@@ -97,7 +117,7 @@ def _gap_px(points: FloatArray) -> int:  # [N, 3]
 
 def _holes(picture: Mask, closed_px: int) -> tuple[Mask, float]:  # [P, P]
     """Return holes, and their share of what the outline encloses; 0 where they are no lattice's."""
-    outline = minimum_filter(maximum_filter(picture, closed_px), closed_px)
+    outline = _outline(picture, closed_px)
     whole = binary_fill_holes(outline)
     numbers, count = label(whole & ~outline)
     areas = np.bincount(numbers.ravel(), minlength=count + 1)

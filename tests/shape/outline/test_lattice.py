@@ -48,17 +48,24 @@ def test_what_is_between_rungs_is_in_holes(angle_deg, scale):
     before = places_between_rungs() + np.array([0, 0.05, 0])
     beside = np.array([[0.3, 0, 0], [0, 0, 0.6], [5.0, 0, 0]])
     for inside, expected in ((places_between_rungs(), True), (before, True), (beside, False)):
-        assert (in_lattice_holes(placed(LADDER), toward_c, placed(inside)) == expected).all()
-    assert not in_lattice_holes(placed(LADDER), toward_c, placed(LADDER[::50])).any()
+        found = in_lattice_holes(placed(LADDER), toward_c, placed(inside), is_scan=False)
+        assert (found == expected).all()
+        assert in_lattice_holes(placed(LADDER), toward_c, placed(inside), is_scan=True).all()
+    for is_scan in (False, True):
+        of_itself = placed(LADDER[::50])
+        assert not in_lattice_holes(placed(LADDER), toward_c, of_itself, is_scan=is_scan).any()
 
 
 def test_a_ladder_that_lies_down_is_one_too():
     lying, from_above = LADDER[:, [0, 2, 1]], np.array([0.0, 0.6, 0.8])
-    assert in_lattice_holes(lying, from_above, places_between_rungs()[:, [0, 2, 1]]).all()
+    between = places_between_rungs()[:, [0, 2, 1]]
+    assert in_lattice_holes(lying, from_above, between, is_scan=False).all()
 
 
 @pytest.mark.parametrize("points", [BOARD, FRAME, np.zeros((0, 3)), np.zeros((5, 3))])
 def test_boards_and_frames_are_no_lattices(points):
     """One hole may be what a scanner lost."""
     grid = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, 12)] * 3), -1).reshape(-1, 3)
-    assert not in_lattice_holes(points, np.array([0.0, 1.0, 0.0]), grid).any()
+    for is_scan in (False, True):
+        toward_c = np.array([0.0, 1.0, 0.0])
+        assert not in_lattice_holes(points, toward_c, grid, is_scan=is_scan).any()
