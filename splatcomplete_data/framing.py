@@ -9,12 +9,27 @@ import torch
 from gscomplete.errors import UserError
 from gscomplete.framing.decide import FramingRequest
 from gscomplete.splats import Similarity, Splats
-from gscomplete.views import ObjectFrame, UpAxis
+from gscomplete.views import ObjectFrame, UpAxis, up_rotation
 
 SPLAT_FILE_UP: UpAxis = "-Y"
 """What points up in a splat file that nothing more is known of, as in most trained ones."""
 UP_ASSUMED = "no cameras are known: the up axis is taken to be -Y unless --up says otherwise"
 """Note of an object whose up axis that decided."""
+
+
+def y_up_turn(up: UpAxis) -> Similarity | None:
+    """Return the turn from a splat file's axes to y up, as glTF, USD and SPZ have it.
+
+    Args:
+        up: what points up in the file.
+
+    Returns:
+        The turn; None = it is that of a format's own for ``SPLAT_FILE_UP``.
+    """
+    if up == SPLAT_FILE_UP:
+        return None
+    y_up = torch.tensor([[1, 0, 0], [0, 0, 1], [0, -1, 0]], dtype=torch.float64) @ up_rotation(up)
+    return Similarity(1.0, y_up, torch.zeros(3))
 
 
 def moved_center(request: FramingRequest, file_from_source: Similarity) -> FramingRequest:

@@ -13,6 +13,7 @@ from splatcomplete_data.cli.common import say
 
 if TYPE_CHECKING:
     from gscomplete.splats import Splats
+    from gscomplete.views import UpAxis
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,8 +38,9 @@ class ConvertOptions:
     spz_version: Literal[3, 4] = 3
     """Version of SPZ files: 3 is read everywhere, 4 is smaller."""
     up: str = "auto"
-    """For .html: axis of the splats that points up, X, Y, Z, -X, -Y or -Z, or a direction X,Y,Z;
-    auto = as the object folder says that SOURCE belongs to, else -Y."""
+    """For .html and the formats that are y up (.glb, .usd*, .spz): axis of the splats that points
+    up, X, Y, Z, -X, -Y or -Z, or a direction X,Y,Z; auto = as the object folder says that SOURCE
+    belongs to, else -Y."""
     most_splats: int = 500_000
     """For .html: of more, an even choice is shown, widened to match; 23 bytes each."""
 
@@ -51,6 +53,7 @@ def run(options: ConvertOptions) -> int:
         writable_format_of,
         write_any_splats,
     )
+    from splatcomplete_data.framing import y_up_turn
 
     is_page = options.target.suffix.lower() == ".html"
     if not is_page:
@@ -62,15 +65,39 @@ def run(options: ConvertOptions) -> int:
     if is_page:
         written = _write_page(options, found.splats)
     else:
-        written = write_any_splats(options.target, found.splats, spz_version=options.spz_version)
-        note = axes_note(options.target)
-        say(options, *([note] if note else []))
+        y_up = None
+        if axes_note(options.target) is not None:
+            up, origin = _up_of(options)
+            y_up = y_up_turn(up)
+            say(options, f"{axes_note(options.target, y_up)} ({up} is up, {origin})")
+        written = write_any_splats(
+            options.target, found.splats, spz_version=options.spz_version, y_up=y_up
+        )
     lost = (*found.left, *written)
     if lost:
         say(options, f"lost: {', '.join(lost)}")
     degree = found.splats.sh_degree
     say(options, f"written: {options.target} ({len(found.splats):,} splats, SH degree {degree})")
     return 0
+
+
+def _up_of(options: ConvertOptions) -> tuple[UpAxis, str]:
+    """Return what points up in the source, and what says so.
+
+    Raises:
+        UserError: ``--up`` is no axis, or the object folder cannot be read.
+    """
+    from gscomplete.folders import object_folder_of
+    from gscomplete.views import parse_up
+    from splatcomplete_data.framing import SPLAT_FILE_UP
+
+    up = None if options.up == "auto" else parse_up(options.up)
+    if up is not None:
+        return up, "by --up"
+    known = object_folder_of(options.source)
+    if known is not None:
+        return known.frame.up, "by its object folder"
+    return SPLAT_FILE_UP, "assumed; --up says otherwise"
 
 
 def _write_page(options: ConvertOptions, splats: Splats) -> tuple[str, ...]:

@@ -2,8 +2,8 @@
 
 Conventions
 -----------
-* Splats are handed over in the frame of a PLY: formats with axes of their own are turned, and
-  ``notes`` says so.
+* Splats are handed over in the frame of a PLY, -Y up: formats with axes of their own are turned,
+  and ``notes`` says so. Splats whose up is known to be another are written by ``y_up``.
 * PLY is the native form, ``.glb`` and USD hold all that its splats have; everything else is lossy.
   What a file or a format cannot pass on is named, never dropped silently.
 * ``read_splat_file`` is for commands that pass a PLY's records on byte for byte: files of other
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import math
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -43,6 +44,8 @@ WRITTEN: tuple[SplatFormat, ...] = (
     *("usd", "usda", "usdc"),
 )
 """Formats that are written."""
+_Y_UP: tuple[SplatFormat, ...] = ("spz", "glb", "usd", "usda", "usdc")
+"""Formats that say which way is up."""
 
 _NORMALS = ("nx", "ny", "nz")
 _COMMENTS_SHOWN = 5
@@ -177,7 +180,11 @@ def _is_plain(path: Path) -> bool:
 
 
 def write_any_splats(
-    path: Path, splats: Splats, *, spz_version: spz.SpzVersion = 3
+    path: Path,
+    splats: Splats,
+    *,
+    spz_version: spz.SpzVersion = 3,
+    y_up: Similarity | None = None,
 ) -> tuple[str, ...]:
     """Write splats in the format of the name; return what is lost.
 
@@ -185,6 +192,8 @@ def write_any_splats(
         path: destination, replaced atomically.
         splats: activated splats in the frame of a PLY.
         spz_version: version of SPZ files.
+        y_up: the turn from the splats' axes to y up, for formats that are y up; None = that of
+            a PLY, whose up is -Y.
 
     Raises:
         UserError: the name says no format that is written, a splat is not finite, or the file
@@ -199,7 +208,7 @@ def write_any_splats(
     if kind == "sog":
         return sog.write_sog(path, splats)
     if kind == "spz":
-        return spz.write_spz(path, splats, spz_version)
+        return spz.write_spz(path, splats, spz_version, y_up or spz.TURN)
     if kind == "compressed.ply":
         gsply = import_optional("gsply", "writing compressed.ply files")
         with atomic_path(path) as temporary:
@@ -208,9 +217,9 @@ def write_any_splats(
     if kind == "ply":
         write_splats(path, splats)
     elif kind == "glb":
-        glb.write_glb_splats(path, transform_splats(splats, glb.TURN))
+        glb.write_glb_splats(path, transform_splats(splats, y_up or glb.TURN))
     else:
-        usd.write_usd(path, splats)
+        usd.write_usd(path, transform_splats(splats, y_up or glb.TURN))
     return ()
 
 
@@ -227,14 +236,22 @@ def writable_format_of(path: Path) -> SplatFormat:
     return kind
 
 
-def axes_note(path: Path) -> str | None:
-    """Tell how a written file's axes differ from those of a PLY; None = they are the same."""
+def axes_note(path: Path, y_up: Similarity | None = None) -> str | None:
+    """Tell how a written file's axes differ from the splats'; None = its format has none.
+
+    Args:
+        path: destination.
+        y_up: as ``write_any_splats`` is given it.
+    """
     kind = format_of(path)
-    if kind == "spz":
-        return "written in SPZ axes (right, up, back): turned by 180 degrees about x"
-    if kind in ("glb", "usd", "usda", "usdc"):
-        return "written y up: turned by 180 degrees about z"
-    return None
+    if kind not in _Y_UP:
+        return None
+    axes = "in SPZ axes (right, up, back)" if kind == "spz" else "y up"
+    if y_up is None:
+        return f"written {axes}: turned by 180 degrees about {'x' if kind == 'spz' else 'z'}"
+    cosine = (float(y_up.rotation.trace()) - 1) / 2
+    angle = math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
+    return f"written {axes}: " + (f"turned by {angle:.0f} degrees" if angle > 0.5 else "not turned")
 
 
 def _beside_splats(file: SplatFile) -> tuple[str, ...]:

@@ -2,8 +2,8 @@
 
 Conventions
 -----------
-* SPZ stores right-up-back axes, PLY files of the same object right-down-front: reading and writing
-  turn by ``TURN``, 180 degrees about x, harmonics too.
+* SPZ stores right-up-back axes, PLY files of the same object right-down-front: reading turns by
+  ``TURN``, 180 degrees about x, harmonics too, and so does writing where nothing else is said.
 * What a file unpacks to is counted before anything is made of it.
 * Versions 1 to 3 are one gzip stream: a header of 16 bytes, then 19 bytes (version 3: 20) and the
   harmonics of every splat. Version 4 has its header and a table of its zstd streams in the open.
@@ -66,15 +66,23 @@ def read_spz(path: Path) -> Splats:
     return transform_splats(raw, TURN)
 
 
-def write_spz(path: Path, splats: Splats, version: SpzVersion = 3) -> tuple[str, ...]:
-    """Write splats in the frame of a PLY as SPZ; return what is lost.
+def write_spz(
+    path: Path, splats: Splats, version: SpzVersion = 3, turn: Similarity = TURN
+) -> tuple[str, ...]:
+    """Write splats as SPZ; return what is lost.
+
+    Args:
+        path: destination.
+        splats: activated, finite.
+        version: version of the file.
+        turn: from the splats' axes to SPZ's.
 
     Raises:
         UserError: the file cannot be written.
     """
     gsply = import_optional("gsply", "writing SPZ files")
     with atomic_path(path) as temporary:
-        gsply.write_spz(temporary, to_gsply(gsply, transform_splats(splats, TURN)), version=version)
+        gsply.write_spz(temporary, to_gsply(gsply, transform_splats(splats, turn)), version=version)
     return ("values are quantised",)
 
 

@@ -2,8 +2,8 @@
 
 Conventions
 -----------
-* ``.usda`` is text, ``.usd`` and ``.usdc`` are binary. The stage is y-up in units of 1 m: splats
-  in the frame of a PLY are turned by ``glb.TURN`` first.
+* ``.usda`` is text, ``.usd`` and ``.usdc`` are binary. The stage is y-up in units of 1 m, and
+  functions here use its axes.
 * Positions, linear scales, opacities (0 to 1), quaternions and harmonics are float: nothing is
   lost. Harmonics lie splat by splat, in the order and with the sign of 3DGS.
 """
@@ -14,9 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gscomplete.splats.formats.glb import TURN
 from gscomplete.splats.record import Splats
-from gscomplete.splats.transform import transform_splats
 from gscomplete.util.atomic import atomic_path
 from gscomplete.util.optional import import_optional
 
@@ -26,7 +24,7 @@ _EXTENT_SIGMAS = 3.0
 
 
 def write_usd(path: Path, splats: Splats) -> None:
-    """Write splats in the frame of a PLY as a stage with one prim.
+    """Write splats, y up, as a stage with one prim.
 
     Raises:
         UserError: usd-core is missing, or the file cannot be written.
@@ -36,12 +34,11 @@ def write_usd(path: Path, splats: Splats) -> None:
         import_optional(f"pxr.{name}", purpose) for name in ("Usd", "UsdGeom", "UsdVol")
     )
     array = import_optional("pxr.Vt", purpose)
-    moved = transform_splats(splats, TURN)
-    means = np.ascontiguousarray(moved.means.numpy(), np.float32)
-    reach = _EXTENT_SIGMAS * moved.scales.amax(dim=1, keepdim=True).numpy()
+    means = np.ascontiguousarray(splats.means.numpy(), np.float32)
+    reach = _EXTENT_SIGMAS * splats.scales.amax(dim=1, keepdim=True).numpy()
     extent = np.stack([(means - reach).min(axis=0), (means + reach).max(axis=0)])
-    xyzw = np.ascontiguousarray(moved.quaternions.numpy()[:, [1, 2, 3, 0]], np.float32)
-    harmonics = np.ascontiguousarray(moved.sh.reshape(-1, 3).numpy(), np.float32)
+    xyzw = np.ascontiguousarray(splats.quaternions.numpy()[:, [1, 2, 3, 0]], np.float32)
+    harmonics = np.ascontiguousarray(splats.sh.reshape(-1, 3).numpy(), np.float32)
     with atomic_path(path) as temporary:
         stage = usd.Stage.CreateNew(str(temporary))
         geom.SetStageUpAxis(stage, geom.Tokens.y)
@@ -50,10 +47,10 @@ def write_usd(path: Path, splats: Splats) -> None:
         stage.SetDefaultPrim(prim.GetPrim())
         prim.CreatePositionsAttr(array.Vec3fArray.FromNumpy(means))
         prim.CreateOrientationsAttr(array.QuatfArray.FromNumpy(xyzw))
-        prim.CreateScalesAttr(array.Vec3fArray.FromNumpy(moved.scales.float().numpy()))
-        opacities = moved.opacities.float().clamp(0, 1).numpy()
+        prim.CreateScalesAttr(array.Vec3fArray.FromNumpy(splats.scales.float().numpy()))
+        opacities = splats.opacities.float().clamp(0, 1).numpy()
         prim.CreateOpacitiesAttr(array.FloatArray.FromNumpy(opacities))
-        prim.CreateRadianceSphericalHarmonicsDegreeAttr(moved.sh_degree)
+        prim.CreateRadianceSphericalHarmonicsDegreeAttr(splats.sh_degree)
         prim.CreateRadianceSphericalHarmonicsCoefficientsAttr(array.Vec3fArray.FromNumpy(harmonics))
         prim.CreateExtentAttr(array.Vec3fArray.FromNumpy(extent.astype(np.float32)))
         stage.GetRootLayer().Save()
