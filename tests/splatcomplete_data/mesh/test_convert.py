@@ -257,7 +257,7 @@ def test_missing_files_draco_and_splats_are_noticed(tmp_path: Path) -> None:
     (tmp_path / "a.obj").write_text(obj)
     mesh = load_mesh(tmp_path / "a.obj")
     assert any("gone.mtl" in note for note in mesh.notes)
-    assert mesh.degenerate + mesh.non_finite >= 1
+    assert (mesh.degenerate, mesh.non_finite) == (1, 1)
     (tmp_path / "d.gltf").write_text('{"extensionsRequired": ["KHR_draco_mesh_compression"]}')
     with pytest.raises(UserError, match="Draco"):
         load_mesh(tmp_path / "d.gltf")

@@ -220,3 +220,19 @@ def test_all_material_libraries_are_read(tmp_path: Path, lines: str) -> None:
     colors, is_left = splats.base_colors.numpy(), splats.means[:, 0].numpy() < 3
     np.testing.assert_allclose(colors[is_left].mean(axis=0), (1, 0, 0), atol=1e-3)
     np.testing.assert_allclose(colors[~is_left].mean(axis=0), (0, 0, 1), atol=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["obj", "ply", "off"])
+def test_faces_that_are_not_finite_are_counted(tmp_path: Path, kind: str) -> None:
+    corners, faces = "0 0 0\n1 0 0\n0 1 0\nnan 0 1\n", "3 0 1 2\n3 0 1 3\n3 1 2 3\n"
+    text = {
+        "obj": "v " + corners.strip().replace("\n", "\nv ") + "\nf 1 2 3\nf 1 2 4\nf 2 3 4\n",
+        "ply": "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\n"
+        "property float z\nelement face 3\nproperty list uchar int vertex_indices\nend_header\n"
+        + corners
+        + faces,
+        "off": "OFF\n4 3 0\n" + corners + faces,
+    }[kind]
+    (tmp_path / f"a.{kind}").write_text(text)
+    mesh = load_mesh(tmp_path / f"a.{kind}")
+    assert (mesh.triangles, mesh.degenerate, mesh.non_finite) == (1, 0, 2)
