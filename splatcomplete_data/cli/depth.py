@@ -51,7 +51,7 @@ class DepthOptions(PointOptions):
     """Added to disparities (difference of the principal points)."""
     intrinsics: Path | None = None
     """Intrinsics file: JSON (Open3D, RealSense, Record3D, ROS, or fx, fy, cx, cy), four numbers
-    (fx fy cx cy), or a 3 x 3 matrix."""
+    (fx fy cx cy), or a 3 x 3 matrix; pixel centres at +0.5, of Open3D, RealSense and ROS at 0."""
     focal: str | None = None
     """F, FX,FY or FX,FY,CX,CY in pixels of the picture."""
     center_px: str | None = None

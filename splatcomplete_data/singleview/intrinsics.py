@@ -2,9 +2,9 @@
 
 Conventions
 -----------
-* ``Intrinsics`` are in pixels of an image of ``width x height``; pixel centres at +0.5, so a
-  principal point given for pixel centres at whole numbers (most files) is shifted by half a pixel
-  where a file's convention is known; half a pixel is within such files' own accuracy.
+* ``Intrinsics`` are in pixels of an image of ``width x height``; pixel centres at +0.5. JSON of
+  Open3D, ROS and RealSense has them at whole numbers: its principal point is shifted by half a
+  pixel. Of other files the convention is not known, and theirs, as the user's, is taken as it is.
 * A principal point outside the picture is refused: it is that of a picture of another size.
 * A 3 x 3 matrix is read row by row, or column by column where it then has the form of one.
 * Order of trust: options, file, the depth file's own, EXIF, a field of view. Without any of them
@@ -13,6 +13,7 @@ Conventions
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from dataclasses import dataclass
@@ -30,6 +31,8 @@ _EXIF_IFD = 0x8769
 _WIDTH_35MM = 36.0
 _MATRIX_KEYS = ("intrinsic_matrix", "K", "k")
 """Of Open3D; Record3D and ROS 1; ROS 2."""
+_WHOLE_PIXEL_KEYS = ({"intrinsic_matrix"}, {"ppx", "ppy"}, {"K", "D"}, {"k", "d"})
+"""What JSON of Open3D, RealSense, ROS 1 and ROS 2 has: their pixel centres are whole numbers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +75,11 @@ class Intrinsics:
             f"cx {self.center_x_px:.5g}, cy {self.center_y_px:.5g} px of {self.width} x "
             f"{self.height}"
         )
+
+    def shifted(self, pixels: float) -> Intrinsics:
+        """Return the intrinsics with the principal point so much further right and down."""
+        x, y = self.center_x_px + pixels, self.center_y_px + pixels
+        return dataclasses.replace(self, center_x_px=x, center_y_px=y)
 
     def resized(self, width: int, height: int) -> Intrinsics:
         """Return the intrinsics of the same picture at another size.
@@ -188,7 +196,9 @@ def read_intrinsics(path: Path, width: int, height: int) -> Intrinsics:
         data = None
     try:
         if isinstance(data, dict):
-            return _from_json(data, path, width, height)
+            found = _from_json(data, path, width, height)
+            is_whole = any(keys <= data.keys() for keys in _WHOLE_PIXEL_KEYS)
+            return found.shifted(0.5) if is_whole else found
         words = [float(word) for word in text.replace(",", " ").split()]
         if len(words) == 9:
             return from_matrix(np.array(words).reshape(3, 3), width, height, path.name)

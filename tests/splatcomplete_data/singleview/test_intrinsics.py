@@ -15,6 +15,7 @@ from splatcomplete_data.singleview.intrinsics import (
     from_numbers,
     read_intrinsics,
 )
+from splatcomplete_data.singleview.unproject import unproject
 
 ROWS = [525.0, 0, 319.5, 0, 526.0, 239.5, 0, 0, 1]
 COLUMNS = [525.0, 0, 0, 0, 526.0, 0, 319.5, 239.5, 1]
@@ -34,12 +35,9 @@ def numbers(found: Intrinsics | None) -> tuple[float, ...]:
         " ".join(map(str, COLUMNS)),
         "525 0 319.5\n0 526 239.5\n0 0 1\n",
         "525,0,0\n0,526,0\n319.5,239.5,1\n",
-        {"intrinsic_matrix": COLUMNS},
-        {"intrinsic_matrix": np.reshape(ROWS, (3, 3)).tolist()},
         {"K": COLUMNS, "w": 640, "h": 480, "dw": 192, "dh": 256, "fps": 60},  # Record3D
-        {"K": ROWS, "width": 640, "height": 480, "D": [0, 0, 0, 0, 0]},  # ROS
+        {"K": ROWS, "width": 640, "height": 480},
         {**NUMBERS, "cx": 319.5, "cy": 239.5},
-        {**NUMBERS, "ppx": 319.5, "ppy": 239.5, "model": 2, "coeffs": [0, 0, 0, 0, 0]},  # RealSense
         {"fl_x": 525, "fl_y": 526, "cx": 319.5, "cy": 239.5, "w": 640, "h": 480},  # nerfstudio
     ],
 )
@@ -47,6 +45,24 @@ def test_every_form_gives_the_same_numbers(tmp_path, content):
     path = tmp_path / "k.txt"
     path.write_text(content if isinstance(content, str) else json.dumps(content))
     assert numbers(read_intrinsics(path, 640, 480)) == (525, 526, 319.5, 239.5)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"intrinsic_matrix": COLUMNS},  # Open3D
+        {"intrinsic_matrix": np.reshape(ROWS, (3, 3)).tolist()},
+        {"K": ROWS, "width": 640, "height": 480, "D": [0, 0, 0, 0, 0]},  # ROS 1
+        {"k": ROWS, "width": 640, "height": 480, "d": [0, 0, 0, 0, 0]},  # ROS 2
+        {**NUMBERS, "ppx": 319.5, "ppy": 239.5, "model": 2, "coeffs": [0, 0, 0, 0, 0]},  # RealSense
+    ],
+)
+def test_pixel_centres_at_whole_numbers_are_moved_by_half_a_pixel(tmp_path, content):
+    (tmp_path / "k.json").write_text(json.dumps(content))
+    found = read_intrinsics(tmp_path / "k.json", 640, 480)
+    assert numbers(found) == (525, 526, 320, 240)
+    points = unproject(np.full((480, 640), 2.0), found, np.full((480, 640), True))
+    np.testing.assert_allclose(points[:, :2].mean(axis=0), 0, atol=1e-9)
 
 
 def test_a_file_without_a_principal_point_says_so(tmp_path):

@@ -160,7 +160,7 @@ def test_intrinsics_files_and_sizes(tmp_path: Path) -> None:
     matrix = [525.0, 0, 0, 0, 526.0, 0, 319.5, 239.5, 1]
     path.write_text(json.dumps({"width": 640, "height": 480, "intrinsic_matrix": matrix}))
     found = read_intrinsics(path, 1, 1).resized(320, 240)
-    assert (found.focal_x_px, found.focal_y_px, found.center_x_px) == (262.5, 263.0, 159.75)
+    assert (found.focal_x_px, found.focal_y_px, found.center_x_px) == (262.5, 263.0, 160.0)
     with pytest.raises(UserError, match="aspect"):
         found.resized(320, 320)
     for text in ("{}", "1 2 3", "[]", '{"fx": "a"}', '{"fx": -1}', '{"fx": 1, "w": 1e400}'):
