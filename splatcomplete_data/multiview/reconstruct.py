@@ -58,10 +58,10 @@ from splatcomplete_data.multiview.sfm.structure_from_motion import (
     triangulate,
 )
 from splatcomplete_data.multiview.training.initial import (
+    initial_splats,
     masked_points,
     near_points,
     random_points,
-    splats_from_points,
 )
 from splatcomplete_data.multiview.training.settings import TrainingSettings
 from splatcomplete_data.multiview.training.train import StepReport, Training, evaluate_views
@@ -165,7 +165,7 @@ def _set_up(
     timings["photos_s"] = time.perf_counter() - started
     started = time.perf_counter()
     points, origin, points_notes = _initial_points(request, capture, train, progress, begun)
-    initial = splats_from_points(points)
+    initial, thinning = initial_splats(points, request.training)
     timings["points_s"] = time.perf_counter() - started
     turned = orientation_note([photo.path for photo in capture.posed.photos])
     notes = (
@@ -174,12 +174,8 @@ def _set_up(
         f"{len(train)} photos to train on, {len(held_out)} held out, "
         f"{views[0].camera.width} x {views[0].camera.height} pixels",
         *points_notes,
+        *thinning,
     )
-    if len(initial) > request.training.growth.max_splats:
-        raise UserError(
-            f"--max-splats: expected at least the {len(initial)} initial splats, found "
-            f"{request.training.growth.max_splats}"
-        )
     training = Training(train, initial, capture.posed.extent(), request.training, device)
     uses_sfm = capture.world_from_source is not None or origin == TRIANGULATED
     identity = _identity(request, views, initial, uses_sfm)

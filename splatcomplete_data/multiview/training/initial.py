@@ -21,8 +21,11 @@ from scipy.spatial import cKDTree
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.splats.thinning import thinned
+from gscomplete.util.randomness import generator_for
 from splatcomplete_data.multiview.photos.images import View
 from splatcomplete_data.multiview.photos.posed import PosedPhotos
+from splatcomplete_data.multiview.training.settings import TrainingSettings
 from splatcomplete_data.scan import PointCloud
 
 INITIAL_OPACITY = 0.1
@@ -62,6 +65,19 @@ def splats_from_points(cloud: PointCloud) -> Splats:
         torch.full((count,), INITIAL_OPACITY),
         colors_to_sh(colors),
     )
+
+
+def initial_splats(cloud: PointCloud, settings: TrainingSettings) -> tuple[Splats, tuple[str, ...]]:
+    """Turn a cloud into no more splats than the training may have; return them and notes.
+
+    Raises:
+        UserError: there are fewer than 50 distinct points.
+    """
+    splats, most = splats_from_points(cloud), settings.growth.max_splats
+    if len(splats) <= most:
+        return splats, ()
+    note = f"--max-splats {most:,}: an even choice of the {len(splats):,} initial splats"
+    return thinned(splats, most, generator_for(settings.seed, 0, "initial")), (note,)
 
 
 def near_points(cloud: PointCloud, capture: PosedPhotos) -> PointCloud:

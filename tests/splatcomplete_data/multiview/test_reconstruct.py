@@ -240,7 +240,6 @@ def test_photos_of_one_name_in_two_folders_are_two(tmp_path):
     [
         (["--steps", "0"], "--steps: expected at least 1"),
         (["--hold-out", "1"], "--hold-out: expected 0 or at least 2"),
-        (["--max-splats", "100"], "--max-splats: expected at least the"),
         (["--max-side", "2"], "--max-side"),
         (["--masks", "nowhere"], "expected a mask for every photo"),
         (["--device", "cuda:9"], "--device"),
@@ -249,6 +248,13 @@ def test_photos_of_one_name_in_two_folders_are_two(tmp_path):
 def test_wrong_options_are_named(photos, tmp_path, capsys, flags, words):
     assert images(photos, tmp_path / "a", *flags) == 2
     assert words in capsys.readouterr().err
+
+
+def test_more_initial_splats_than_are_allowed_are_thinned(photos, tmp_path, capsys):
+    assert images(photos, tmp_path / "a", "--max-splats", "100", "--json") == 0
+    content = json.loads(capsys.readouterr().out)
+    assert 50 < content["result"]["splats"] <= 100
+    assert any("--max-splats 100: an even choice of the" in note for note in content["notes"])
 
 
 def test_folders_without_photos_are_named(tmp_path, capsys):
