@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 import torch
 
 from gscomplete.errors import UserError
@@ -100,7 +101,7 @@ def validate_dataset(dataset: Path) -> tuple[int, list[ObjectFinding]]:
     records: dict[str, ObjectRecord] = {}
     for folder in folders:
         record, found = validate_object(folder)
-        findings += found
+        findings += (*found, *_check_links(dataset, folder))
         if record is not None:
             if record.id in records:
                 message = f"id {record.id!r} is used by another folder too"
@@ -109,6 +110,11 @@ def validate_dataset(dataset: Path) -> tuple[int, list[ObjectFinding]]:
     findings += _same_parts(records)
     if folders != [dataset]:
         findings += _check_index(dataset, folders)
+        files = sorted(path.name for path in dataset.iterdir() if not path.is_dir())
+        for name in files:
+            if name != DATASET_FILE and not name.startswith("."):
+                message = f"{name}: no file of a dataset"
+                findings.append(ObjectFinding("dataset", "unknown_file", "warning", message))
     return len(folders), findings
 
 
@@ -179,18 +185,33 @@ def _check_record(folder: Path, record: ObjectRecord) -> Iterator[tuple[str, Sev
             yield "uncounted", "warning", f"step {step.name}: reasons do not add up"
     if record.source.licence is None:
         yield "no_licence", "warning", "source: no licence is recorded"
+    found: dict[str, Splats] = {}
     for name in (COMPLETE_FILE, PARTIAL_FILE):
         if name in record.files and (folder / name).is_file():
             try:
-                splats = read_splats(folder / name).splats
+                splats = found[name] = read_splats(folder / name).splats
             except UserError:
                 continue  # named above
             if name == PARTIAL_FILE and 0 < len(splats) < FEW_SPLATS:
                 yield "few_splats", "warning", f"{name}: only {len(splats)}"
             yield from _check_frame(name, splats, record)
+    is_cut = any(step.name == "boxes" or step.name.startswith("cut_") for step in record.steps)
+    if len(found) == 2 and is_cut:
+        strays = _strays(found[PARTIAL_FILE], found[COMPLETE_FILE])
+        if strays > 0:
+            message = f"{PARTIAL_FILE}: {strays:,} splats lie where {COMPLETE_FILE} has none"
+            yield "other_whole", "error", message
     counts = record.counts
     if "complete" in counts and counts.get("partial", 0) >= counts["complete"]:
         yield "part_is_whole", "error", f"partial has {counts.get('partial')} splats, complete less"
+
+
+def _strays(part: Splats, whole: Splats) -> int:
+    """Count the splats of a part at whose very position the whole has none."""
+    rows = (np.ascontiguousarray(splats.means.numpy(), np.float32) for splats in (part, whole))
+    of_part, of_whole = (values.view("V12").ravel().tolist() for values in rows)
+    known = set(of_whole)
+    return sum(position not in known for position in of_part)
 
 
 def _check_frame(
@@ -209,6 +230,14 @@ def _check_frame(
         yield "outside_frame", "warning", message
     if float((high - low).max()) < 0.2:
         yield "small_in_frame", "warning", f"{name}: fills less than a fifth of the object frame"
+
+
+def _check_links(dataset: Path, folder: Path) -> Iterator[ObjectFinding]:
+    """Find splat files that are links to somewhere outside the dataset."""
+    for path in (folder / PARTIAL_FILE, folder / COMPLETE_FILE):
+        if path.is_symlink() and not path.resolve().is_relative_to(dataset.resolve()):
+            message = f"{path.name}: a link out of the dataset, to {path.resolve()}"
+            yield ObjectFinding(folder.name, "outside_link", "warning", message)
 
 
 def _same_parts(records: dict[str, ObjectRecord]) -> Iterator[ObjectFinding]:
