@@ -253,7 +253,7 @@ def check_out(options: ObjectOptions, source_file: Path) -> None:
 
     Raises:
         UserError: it holds something, and ``--overwrite`` is not given or it is no object folder;
-            or an option is a number that is not finite.
+            an option is a number that is not finite, or the prompt is empty.
     """
     from splatcomplete_data.atomic_folder import check_destination
     from splatcomplete_data.objects import PROPOSED_FILES, RECORD_FILE
@@ -263,6 +263,8 @@ def check_out(options: ObjectOptions, source_file: Path) -> None:
         if isinstance(value, float) and not math.isfinite(value):
             name = field.name.replace("_", "-")
             raise UserError(f"--{name}: expected a finite number, found {value:g}")
+    if options.prompt is not None and not options.prompt.strip():
+        raise UserError("--prompt: expected what the complete object is, found no text")
     check_destination(
         options.out or default_folder(source_file),
         marker=RECORD_FILE,

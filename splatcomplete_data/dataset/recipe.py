@@ -41,7 +41,7 @@ OBJECT_COMMANDS = {
 CAPTURE_COMMANDS = {"images": "ImagesOptions"}
 _RENAMED = {"size": "splat_size", "size_whole": "object_size"}
 """Old names of options, which are understood for one version."""
-_RESERVED = ("out", "json", "overwrite", "resume", "propose", "allow_outside")
+_RESERVED = ("out", "json", "overwrite", "resume", "propose", "pick", "allow_outside")
 
 
 @dataclass(frozen=True, slots=True)

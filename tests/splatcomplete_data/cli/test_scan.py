@@ -63,6 +63,13 @@ def test_numbers_that_are_not_finite_are_named_before_the_work(tmp_path, capsys,
     assert f"{named}: expected a finite number" in capsys.readouterr().err
 
 
+def test_an_empty_prompt_is_refused(tmp_path, capsys):
+    np.savetxt(tmp_path / "a.xyz", np.random.default_rng(0).uniform(0, 1, (500, 3)))
+    words = ["scan", str(tmp_path / "a.xyz"), "--prompt", " ", "--out", str(tmp_path / "o")]
+    assert cli.main(words) == 2
+    assert "--prompt: expected" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("name", ["--cluster-radius", "--plane-thickness"])
 @pytest.mark.parametrize("value", ["0", "-1"])
 def test_lengths_in_spacings_are_positive(tmp_path, capsys, name, value):

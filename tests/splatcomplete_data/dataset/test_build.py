@@ -313,6 +313,7 @@ def test_a_folder_that_the_build_did_not_make_is_left_alone(
         ("objects: [{id: a, command: mesh, file: x, speed: 3}]\n", "speed"),
         ("objects: [{id: a, command: mesh, file: x, count: many}]\n", "count"),
         ("objects: [{id: a, command: mesh, file: x, out: y}]\n", "out"),
+        ("objects: [{id: a, command: crop, file: x, pick: true}]\n", "pick: set by build"),
         ("objects: [{id: ../a, command: mesh, file: x}]\n", "id"),
         ("objects: [{id: a, command: crop, file: 'capture:b'}]\n", "capture"),
         (
