@@ -58,6 +58,11 @@ def usable_rows(splats: Splats) -> tuple[Tensor, dict[str, int]]:  # [N] bool
     return keep, counts
 
 
+def in_words(counts: dict[str, int]) -> str:
+    """Return the counts of a filter's reasons as text."""
+    return ", ".join(f"{count:,} {reason.replace('_', ' ')}" for reason, count in counts.items())
+
+
 def near_rows(splats: Splats) -> tuple[Tensor, dict[str, int]]:  # [N] bool
     """Mark the splats that are not far outside the others: all but floaters, in a sound file.
 

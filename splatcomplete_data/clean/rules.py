@@ -29,7 +29,7 @@ from scipy.sparse.csgraph import connected_components
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, usable_rows
-from gscomplete.splats.filters import FAR_FACTOR, far_positions, middle_and_extent
+from gscomplete.splats.filters import FAR_FACTOR, far_positions, in_words, middle_and_extent
 from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.splats.suspects import FEWEST, SuspectLimits, suspect_rows
 from splatcomplete_data.multiview.propose_box import Focus, propose_box
@@ -108,7 +108,9 @@ def clean_rows(
             gone |= mask
         keep[keep] = ~gone
     if not keep.any():
-        raise UserError(f"clean: nothing is left of {len(splats):,} splats: {dict(reasons)}")
+        raise UserError(
+            f"clean: nothing is left of {len(splats):,} splats: {in_words(dict(reasons))}"
+        )
     return Cleaned(keep, dict(reasons), tuple(notes))
 
 

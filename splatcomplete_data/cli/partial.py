@@ -160,6 +160,7 @@ def _drawable(splats: Splats, source: Path) -> tuple[Splats, tuple[StepRecord, .
         UserError: there are no others.
     """
     from gscomplete.splats import usable_rows
+    from gscomplete.splats.filters import in_words
     from splatcomplete_data.objects import StepRecord
 
     usable, reasons = usable_rows(splats)
@@ -167,5 +168,5 @@ def _drawable(splats: Splats, source: Path) -> tuple[Splats, tuple[StepRecord, .
         return splats, ()
     kept = splats.select(usable)
     if len(kept) == 0:
-        raise UserError(f"{source}: expected splats that can be drawn, found {dict(reasons)}")
+        raise UserError(f"{source}: expected splats that can be drawn, found {in_words(reasons)}")
     return kept, (StepRecord("drawable", len(splats), len(kept), reasons),)

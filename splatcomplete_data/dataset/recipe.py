@@ -27,6 +27,7 @@ from gscomplete.util import jsonio
 from gscomplete.util.file_names import is_plain_name
 from gscomplete.util.optional import import_optional
 from splatcomplete_data.cuts.boxes import BOXES_SUFFIX
+from splatcomplete_data.cuts.named import parse_cut
 
 SCHEMA = "splatcomplete.recipe"
 SCHEMA_VERSION = 1
@@ -62,7 +63,7 @@ class Entry:
             captures: the folder of all captures, for ``capture:ID``.
 
         Raises:
-            UserError: an option is unknown or of the wrong type.
+            UserError: an option is unknown or of the wrong type, or no cut is called so.
         """
         table = CAPTURE_COMMANDS if self.is_capture else OBJECT_COMMANDS
         module = importlib.import_module(f"splatcomplete_data.cli.{self.command}")
@@ -77,8 +78,18 @@ class Entry:
             values[name] = (
                 str(captures / value.removeprefix(CAPTURE_PREFIX)) if is_capture else value
             )
+        known = [field.name for field in dataclasses.fields(cls)]
+        unknown = sorted(set(values) - set(known))
+        if unknown:
+            expected = ", ".join(name for name in known if name not in (*_RESERVED, "id"))
+            raise UserError(
+                f"recipe entry {self.id!r}: unknown option {unknown[0]!r}; expected {expected}"
+            )
         values |= {"out": str(out)} | ({} if self.is_capture else {"id": self.id})
-        return jsonio.from_json(cls, values, f"recipe entry {self.id!r}")
+        options = jsonio.from_json(cls, values, f"recipe entry {self.id!r}")
+        for text in getattr(options, "cut", ()):
+            parse_cut(text)
+        return options
 
     def captures(self) -> tuple[str, ...]:
         """Return the ids of the captures that the entry needs."""

@@ -25,13 +25,14 @@ import numpy as np
 
 from gscomplete.errors import UserError
 from gscomplete.splats.compressed_ply import read_compressed_ply
-from gscomplete.splats.filters import usable_rows
+from gscomplete.splats.filters import in_words, usable_rows
 from gscomplete.splats.formats import dot_splat, glb, ksplat, sog, spz, usd
 from gscomplete.splats.ply import SplatFile, read_splats, write_splats
 from gscomplete.splats.ply_files.header import PlyError, read_header
 from gscomplete.splats.record import Splats
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.util.atomic import atomic_path
+from gscomplete.util.file_names import COMPLETE_FILE, OBJECT_FILE, PARTIAL_FILE
 from gscomplete.util.optional import import_optional
 
 SplatFormat = Literal[
@@ -76,6 +77,9 @@ def format_of(path: Path) -> SplatFormat:
     names: tuple[SplatFormat, ...] = get_args(SplatFormat)
     fitting = [kind for kind in names if name.endswith("." + kind)]
     if not fitting:
+        if (path / OBJECT_FILE).is_file():
+            parts = f"{COMPLETE_FILE} or {PARTIAL_FILE}"
+            raise UserError(f"{path}: expected a splat file, found an object folder: name {parts}")
         expected = ", ".join(f".{kind}" for kind in names)
         raise UserError(f"{path}: expected one of {expected}, found {path.name!r}")
     return max(fitting, key=len)
@@ -156,7 +160,9 @@ def as_ply(path: Path) -> Iterator[tuple[Path, tuple[str, ...]]]:
     found = read_any_splats(path)
     usable, reasons = usable_rows(found.splats)
     if not bool(usable.any()):
-        raise UserError(f"{path}: expected splats that can be drawn, found {reasons or 'none'}")
+        raise UserError(
+            f"{path}: expected splats that can be drawn, found {in_words(reasons) or 'none'}"
+        )
     left = tuple(f"{count:,} splats left out: {reason}" for reason, count in reasons.items())
     with tempfile.TemporaryDirectory(prefix="splats.") as folder:
         converted = Path(folder) / "converted.ply"
@@ -202,7 +208,10 @@ def write_any_splats(
     kind = writable_format_of(path)
     usable, reasons = usable_rows(splats)
     if not bool(usable.all()):
-        raise UserError(f"{path}: expected finite splats, found {dict(reasons)}")
+        raise UserError(
+            f"{path}: expected splats that can be drawn, found {in_words(reasons)} (left out by "
+            "splatcomplete-data clean)"
+        )
     if kind == "splat":
         return dot_splat.write_dot_splat(path, splats)
     if kind == "sog":

@@ -310,7 +310,11 @@ def test_a_folder_that_the_build_did_not_make_is_left_alone(
         ("objects: [{id: a, command: fly}]\n", "command"),
         ("objects: [{id: a, command: {}}]\n", "command: expected one of"),
         ("objects: [{id: a, command: mesh}]\n", "file"),
-        ("objects: [{id: a, command: mesh, file: x, speed: 3}]\n", "speed"),
+        (
+            "objects: [{id: a, command: mesh, file: x, speed: 3}]\n",
+            "unknown option 'speed'; expected prompt, view",
+        ),
+        ("objects: [{id: a, command: mesh, file: x, cut: ['plan:0']}]\n", "'plan:0'"),
         ("objects: [{id: a, command: mesh, file: x, count: many}]\n", "count"),
         ("objects: [{id: a, command: mesh, file: x, out: y}]\n", "out"),
         ("objects: [{id: a, command: crop, file: x, pick: true}]\n", "pick: set by build"),
