@@ -92,12 +92,14 @@ def _write(path: Path, scene: Scene, cleaned: Cleaned) -> tuple[str, ...]:
     import torch
 
     from gscomplete.splats.formats.any_file import format_of, write_any_splats
+    from splatcomplete_data.framing import y_up_turn
     from splatcomplete_data.multiview.crop import write_rows
 
     if format_of(path) == "ply":
         write_rows(path, scene.file, cleaned.keep)
         return ()
-    return write_any_splats(path, scene.file.splats.select(torch.from_numpy(cleaned.keep)))
+    kept = scene.file.splats.select(torch.from_numpy(cleaned.keep))
+    return write_any_splats(path, kept, y_up=y_up_turn(scene.up_axis))
 
 
 def _sheet(scene: Scene, cleaned: Cleaned) -> Any:

@@ -11,6 +11,7 @@ import torch
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, concatenate, read_splats, write_splats
+from gscomplete.splats.formats import glb
 from splatcomplete_data.clean.rules import DEFAULT_RULES, clean_rows, islands, limits_at
 from splatcomplete_data.cli import main
 from splatcomplete_data.multiview.propose_box import focus_of_splats
@@ -150,3 +151,15 @@ def test_the_command_copies_records_and_tells_counts(tmp_path, monkeypatch, caps
     assert "--strength: expected 0 to 1, found 2" in capsys.readouterr().err
     assert main(["clean", "a.ply", "--out", "c.sog", "--rules", "haze", "--strength", "0.4"]) == 0
     assert "lost: values are quantised" in capsys.readouterr().out
+
+
+def test_what_is_up_is_y_in_a_glb(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    tall = BALL.select(BALL.means[:, 2] > 0)
+    write_splats(tmp_path / "a.ply", tall)
+    for up, expected in (("Z", (0.0, 0.5)), ("-Z", (-0.5, 0.0))):
+        words = ["clean", "a.ply", "--strength", "0", f"--up={up}", "--out", f"up{up}.glb"]
+        assert main(words) == 0
+        found, _ = glb.read_glb_splats(tmp_path / f"up{up}.glb")
+        y = found.means[:, 1]
+        assert (float(y.min()), float(y.max())) == pytest.approx(expected, abs=0.03)
