@@ -42,18 +42,17 @@ def doubts_of_partial(partial: Splats) -> tuple[str, ...]:
     Args:
         partial: P; its frame does not matter.
     """
-    found = []
     if len(partial) < FEWEST:
-        found.append(
-            f"P has {len(partial)} splats, of which at least {FEWEST} are needed to tell what it is"
-        )
-    elif (pieces := _shares_of_pieces(partial))[1:2] > [_LEAST_PIECE]:
-        shares = " and ".join(f"{share:.0%}" for share in pieces if share > _LEAST_PIECE)
-        found.append(
-            f"P is in pieces that are far apart ({shares} of it) and is completed as one object: "
-            "if it is several, complete each (splatcomplete-data crop)"
-        )
-    return tuple(MARK + reason for reason in found)
+        count = len(partial)
+        return (f"{MARK}P has {count} splats, at least {FEWEST} are needed to tell what it is",)
+    pieces = [share for share in _shares_of_pieces(partial) if share > _LEAST_PIECE]
+    if len(pieces) < 2:
+        return ()
+    shares = " and ".join(f"{share:.0%}" for share in pieces)
+    return (
+        f"{MARK}P is in pieces that are far apart ({shares} of it) and is completed as one object: "
+        "if it is several, complete each (splatcomplete-data crop)",
+    )
 
 
 def doubts_of_guess(partial: Splats, guess: Splats, views: ViewDistribution) -> tuple[str, ...]:

@@ -21,7 +21,7 @@ from torch import Tensor
 from gscomplete.shape.ask import ask, mean_answer
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter, ShapeOutput
-from gscomplete.shape.outline.lattice import in_lattice_holes
+from gscomplete.shape.outline.lattice import off_lattice
 from gscomplete.shape.outline.one_view import ONE_VIEW_SHARE, beside_scan
 from gscomplete.shape.outline.scorer import MOST_LOGITS, doubts_beside_outlines
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs, voxelize_partial
@@ -124,7 +124,7 @@ def _doubted_beside(
     if not ends_in_plane:
         doubts[beside_scan(points, distribution, places)] = MOST_LOGITS
     toward_c = distribution.direction()
-    doubts[in_lattice_holes(points, toward_c, places, is_scan=is_scan)] = MOST_LOGITS
+    doubts[off_lattice(points, toward_c, places, is_scan=is_scan)] = MOST_LOGITS
     lowered = logits.clone()
     lowered[possible] -= torch.from_numpy(doubts)
     return dataclasses.replace(answer, occupancy=lowered.reshape(answer.occupancy.shape))

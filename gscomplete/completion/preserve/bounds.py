@@ -36,7 +36,7 @@ import dataclasses
 import functools
 import math
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import torch
@@ -45,6 +45,7 @@ from torch import Tensor
 from gscomplete.completion.preserve.fit import (
     MARGIN,
     RoundProblem,
+    are_promising,
     fit_round,
     masked_errors,
     outside_cameras,
@@ -88,8 +89,6 @@ _WATCHED_SHARE = 0.5
 """Refitting watches errors above this share of what is aimed at, not only those above it."""
 _FAINT = 0.05
 """Opacity at which it is found out where backing helps."""
-_FAR_ABOVE = 2.0
-"""Share of what is aimed at above which fading has nearly all of the work left."""
 _CLOSE_SHARE = 0.85
 """Errors above this share of what is aimed at are near enough to it."""
 _WANTED_SHARE = 0.93
@@ -185,20 +184,6 @@ def preserve_hard(
             ),
         ),
     )
-
-
-def are_promising(largest: Sequence[float], rounds: int) -> bool:
-    """Say whether so many rounds will bring errors near the bounds, going on as the last two did.
-
-    Args:
-        largest: error before each round so far and before the next, in units of what is aimed at.
-        rounds: most of them.
-    """
-    done = len(largest) - 1
-    if done < 2:
-        return True
-    of_one_round = math.sqrt(largest[-1] / largest[-3])
-    return bool(largest[-1] * of_one_round ** (rounds - done) <= _FAR_ABOVE)
 
 
 def are_within_bounds(

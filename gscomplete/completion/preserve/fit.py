@@ -1,4 +1,4 @@
-"""One round of refitting new splats to P's appearance from V, with everything else kept as it was.
+"""Rounds of refitting new splats to P's appearance from V, with everything else kept as it was.
 
 Conventions
 -----------
@@ -12,7 +12,8 @@ Conventions
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection
+import math
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +36,8 @@ _OUTSIDE_VIEWS = 8
 """Views from outside V whose pictures are kept."""
 _OUTSIDE_RISE_DEG = 25.0
 """Every other view from outside V looks from this much higher."""
+_FAR_ABOVE = 2.0
+"""Share of what is aimed at above which fading has nearly all of the work left."""
 _VIEWS_PER_STEP = 2
 """Views of V, and as many from outside V, of one step."""
 _OPACITY_RATE = 0.3
@@ -117,6 +120,20 @@ class RoundProblem:
         inside = views[views < within]
         open_[: len(inside)] = 1.0 - self.target.alpha[inside]
         return fixed_mean(open_ * change)
+
+
+def are_promising(largest: Sequence[float], rounds: int) -> bool:
+    """Say whether so many rounds will bring errors near the bounds, going on as the last two did.
+
+    Args:
+        largest: error before each round so far and before the next, in units of what is aimed at.
+        rounds: most of them.
+    """
+    done = len(largest) - 1
+    if done < 2:
+        return True
+    of_one_round = math.sqrt(largest[-1] / largest[-3])
+    return bool(largest[-1] * of_one_round ** (rounds - done) <= _FAR_ABOVE)
 
 
 def fit_round(

@@ -1,4 +1,4 @@
-"""Places in the holes of a lattice: what shows through a fence or a ladder is nothing of it.
+"""Places off the bars of a lattice: what shows through a fence or a ladder is nothing of it.
 
 At the size of the network's cells a lattice is nearly a wall, and the network makes one of it.
 Where, of the views about c, the one with P's largest outline has several holes, these are much of
@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 from gscomplete.shape.outline.views import Mask, axes_of_views
 from gscomplete.shape.voxels import FloatArray
 
-_STEP_DEG, _ELEVATIONS_DEG = 15.0, (-40.0, -20.0, 0.0, 20.0, 40.0, 60.0, 80.0)
+_STEP_DEG, _ELEVATIONS_DEG = 15.0, tuple(range(-80, 81, 20))
 _LEAST_COSINE = 0.75
 """Between a view and c."""
 _POINTS = 8000
@@ -43,20 +43,20 @@ _LEAST_SHARE, _LEAST_SHARE_FROM_C = 0.2, 0.1
 """Of holes in what a lattice's outline encloses: a scan of a plate has up to .18."""
 
 
-def in_lattice_holes(
+def off_lattice(
     points: FloatArray,  # [N, 3] P, z up
     toward_c: FloatArray,  # [3] unit
     places: FloatArray,  # [M, 3] in the same frame
     *,
     is_scan: bool,
 ) -> Mask:  # [M]
-    """Mark places in the holes of P if it is a lattice; none if it is not.
+    """Mark places off P's bars if it is a lattice; none if it is not.
 
     Args:
         points: P.
         toward_c: from the object to the input view.
         places: which are asked about.
-        is_scan: one view shows P, which was not cut: what lies beside its outline counts, too.
+        is_scan: one view shows P, which was not cut: what lies beside its outline is marked, too.
     """
     if not len(points):
         return np.zeros(len(places), np.bool_)
@@ -66,15 +66,14 @@ def in_lattice_holes(
     views = axes_of_views(_STEP_DEG, _ELEVATIONS_DEG).astype(np.float32)
     cosines = views[:, 2] @ toward_c
     closed_px = _gap_px(points)
-    _, share_from_c = _holes(_picture(points, views[cosines.argmax()]), closed_px)
+    from_c = _outline(_picture(points, views[cosines.argmax()]), closed_px)
     axes = _broadest(points, views[cosines >= _LEAST_COSINE])
-    holes, share = _holes(_picture(points, axes), closed_px)
-    if share < _LEAST_SHARE or share_from_c < _LEAST_SHARE_FROM_C:
+    outline = _outline(_picture(points, axes), closed_px)
+    holes, share = _holes(outline)
+    if share < _LEAST_SHARE or _holes(from_c)[1] < _LEAST_SHARE_FROM_C:
         return np.zeros(len(places), np.bool_)
-    if is_scan:
-        outline = _outline(_picture(points, axes), closed_px)
-        holes = ~maximum_filter(outline, _RIM_PX)
-    found: Mask = holes[_pixels(places, axes)]
+    marked = ~maximum_filter(outline, _RIM_PX) if is_scan else holes
+    found: Mask = marked[_pixels(places, axes)]
     return found
 
 
@@ -115,9 +114,8 @@ def _gap_px(points: FloatArray) -> int:  # [N, 3]
     return round(min(max(gap, _LEAST_CLOSED_PX), _MOST_CLOSED_PX))
 
 
-def _holes(picture: Mask, closed_px: int) -> tuple[Mask, float]:  # [P, P]
+def _holes(outline: Mask) -> tuple[Mask, float]:  # [P, P]
     """Return holes, and their share of what the outline encloses; 0 where they are no lattice's."""
-    outline = _outline(picture, closed_px)
     whole = binary_fill_holes(outline)
     numbers, count = label(whole & ~outline)
     areas = np.bincount(numbers.ravel(), minlength=count + 1)

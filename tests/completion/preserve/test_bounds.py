@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from gscomplete.completion.preserve import bounds as hard_preservation
-from gscomplete.completion.preserve.bounds import are_promising, preserve_hard
+from gscomplete.completion.preserve.bounds import preserve_hard
 from gscomplete.completion.preserve.fit import MARGIN, masked_errors, outside_cameras
 from gscomplete.completion.rings import inside_distribution
 from gscomplete.completion.settings import HardPreservationSettings
@@ -190,21 +190,6 @@ def test_v_all_round_leaves_no_view_outside():
     all_round = dataclasses.replace(VIEWS, azimuth_range_deg=180.0)
     result = preserve_hard(IN_FRONT, PARTIAL, all_round, dataclasses.replace(SMALL, rounds=2))
     assert result.report.met
-
-
-@pytest.mark.parametrize(
-    ("largest", "rounds", "expected"),
-    [
-        ([9.0, 8.5], 10, True),  # one round tells too little
-        ([6.0, 5.9, 5.5], 10, False),  # 5.5 x .957^8 = 3.9
-        ([12.0, 6.0, 3.0], 10, True),  # halved by every round
-        ([6.0, 5.9, 5.5, 2.0], 10, True),  # the last two alone count
-        ([1.5, 1.6, 1.7], 4, True),  # 1.7 x 1.065^2 = 1.93
-        ([1.5, 1.6, 1.7], 6, False),
-    ],
-)
-def test_rounds_that_get_nowhere_end(largest, rounds, expected):
-    assert are_promising(largest, rounds) == expected
 
 
 def test_what_rounds_cannot_mend_is_faded_at_once():

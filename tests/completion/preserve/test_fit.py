@@ -1,11 +1,11 @@
-"""One round of refitting: what it weighs, and what it may not do."""
+"""Rounds of refitting: what one weighs, what it may not do, and when no other follows."""
 
 import dataclasses
 
 import pytest
 import torch
 
-from gscomplete.completion.preserve.fit import RoundProblem, fit_round
+from gscomplete.completion.preserve.fit import RoundProblem, are_promising, fit_round
 from gscomplete.completion.settings import HardPreservationSettings
 from gscomplete.evaluate.metrics import MID_GREY
 from gscomplete.render import Render, prepare_frozen, render
@@ -72,3 +72,18 @@ def test_splats_may_shrink_but_never_grow(wish, monkeypatch):
     assert (float(fitted.scales.max()) < 0.09) == (wish < 1)
     assert torch.equal(fitted.sh, splats.sh)
     assert torch.equal(fitted.quaternions, splats.quaternions)
+
+
+@pytest.mark.parametrize(
+    ("largest", "rounds", "expected"),
+    [
+        ([9.0, 8.5], 10, True),  # one round tells too little
+        ([6.0, 5.9, 5.5], 10, False),  # 5.5 x .957^8 = 3.9
+        ([12.0, 6.0, 3.0], 10, True),  # halved by every round
+        ([6.0, 5.9, 5.5, 2.0], 10, True),  # the last two alone count
+        ([1.5, 1.6, 1.7], 4, True),  # 1.7 x 1.065^2 = 1.93
+        ([1.5, 1.6, 1.7], 6, False),
+    ],
+)
+def test_rounds_that_get_nowhere_end(largest, rounds, expected):
+    assert are_promising(largest, rounds) == expected

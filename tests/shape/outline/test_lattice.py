@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from gscomplete.shape.outline.lattice import in_lattice_holes
+from gscomplete.shape.outline.lattice import off_lattice
 
 
 def bars(*boxes: tuple[float, float, float, float]) -> np.ndarray:
@@ -48,18 +48,27 @@ def test_what_is_between_rungs_is_in_holes(angle_deg, scale):
     before = places_between_rungs() + np.array([0, 0.05, 0])
     beside = np.array([[0.3, 0, 0], [0, 0, 0.6], [5.0, 0, 0]])
     for inside, expected in ((places_between_rungs(), True), (before, True), (beside, False)):
-        found = in_lattice_holes(placed(LADDER), toward_c, placed(inside), is_scan=False)
+        found = off_lattice(placed(LADDER), toward_c, placed(inside), is_scan=False)
         assert (found == expected).all()
-        assert in_lattice_holes(placed(LADDER), toward_c, placed(inside), is_scan=True).all()
+        assert off_lattice(placed(LADDER), toward_c, placed(inside), is_scan=True).all()
     for is_scan in (False, True):
         of_itself = placed(LADDER[::50])
-        assert not in_lattice_holes(placed(LADDER), toward_c, of_itself, is_scan=is_scan).any()
+        assert not off_lattice(placed(LADDER), toward_c, of_itself, is_scan=is_scan).any()
 
 
 def test_a_ladder_that_lies_down_is_one_too():
     lying, from_above = LADDER[:, [0, 2, 1]], np.array([0.0, 0.6, 0.8])
     between = places_between_rungs()[:, [0, 2, 1]]
-    assert in_lattice_holes(lying, from_above, between, is_scan=False).all()
+    assert off_lattice(lying, from_above, between, is_scan=False).all()
+
+
+@pytest.mark.parametrize("height", [-1.0, 1.0])
+def test_c_may_be_right_above_or_below(height):
+    from_there = np.array([0.0, 0.0, height])
+    between = places_between_rungs()
+    assert not off_lattice(LADDER, from_there, between, is_scan=False).any()
+    lying, between = LADDER[:, [0, 2, 1]], between[:, [0, 2, 1]]
+    assert off_lattice(lying, from_there, between, is_scan=False).all()
 
 
 @pytest.mark.parametrize("points", [BOARD, FRAME, np.zeros((0, 3)), np.zeros((5, 3))])
@@ -68,4 +77,4 @@ def test_boards_and_frames_are_no_lattices(points):
     grid = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, 12)] * 3), -1).reshape(-1, 3)
     for is_scan in (False, True):
         toward_c = np.array([0.0, 1.0, 0.0])
-        assert not in_lattice_holes(points, toward_c, grid, is_scan=is_scan).any()
+        assert not off_lattice(points, toward_c, grid, is_scan=is_scan).any()
