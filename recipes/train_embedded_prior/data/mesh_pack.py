@@ -26,7 +26,8 @@ from gscomplete.errors import UserError
 from recipes.train_embedded_prior.procedural.quads import FloatArray
 
 MANIFEST = "MANIFEST.tsv"
-_STEPS = 4095
+STEPS = 4095
+"""Of a box side, from corner to corner."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +121,7 @@ def read_mesh(folder: Path, entry: PackEntry) -> PackMesh:
     try:
         with np.load(path) as stored:
             extent = stored["ext"]
-            vertices = (stored["v"].astype(np.float32) / _STEPS - 0.5) * extent
+            vertices = (stored["v"].astype(np.float32) / STEPS - 0.5) * extent
             faces = stored["f"].astype(np.int64)
             if "tex" in stored:
                 picture = Image.open(io.BytesIO(stored["tex"].tobytes())).convert("RGB")

@@ -100,6 +100,20 @@ class Mesh:
         corners = np.concatenate([part.vertices.reshape(-1, 3) for part in self.parts])
         return corners.min(axis=0).astype(np.float64), corners.max(axis=0).astype(np.float64)
 
+    def colors_at(
+        self,
+        triangle: NDArray[np.int64],  # [N] index into all parts' triangles
+        weights: FloatArray,  # [N, 3] barycentric
+    ) -> FloatArray:  # [N, 4]
+        """Return sRGB and alpha at surface points."""
+        rgba, first = np.empty((len(triangle), 4), np.float32), 0
+        for part in self.parts:
+            last = first + len(part.vertices)
+            inside = (triangle >= first) & (triangle < last)
+            rgba[inside] = part.colors_at(triangle[inside] - first, weights[inside])
+            first = last
+        return rgba
+
 
 def load_mesh(
     path: Path,
@@ -181,13 +195,7 @@ def mesh_to_discs(
     vertices = np.concatenate([part.vertices for part in mesh.parts])
     triangle, weights = sample_triangles(vertices, count, seed)
     areas, normals = triangle_areas_and_normals(vertices.astype(np.float64))
-    rgba = np.empty((len(triangle), 4), np.float32)
-    first = 0
-    for part in mesh.parts:
-        last = first + len(part.vertices)
-        inside = (triangle >= first) & (triangle < last)
-        rgba[inside] = part.colors_at(triangle[inside] - first, weights[inside])
-        first = last
+    rgba = mesh.colors_at(triangle, weights)
     kept = rgba[:, 3] >= 0.5
     if not kept.any():
         raise UserError("mesh_to_discs: the mesh is transparent everywhere")

@@ -1,0 +1,260 @@
+"""Reduce a mesh to what a pack holds of an object, and write it; ``mesh_pack`` says what that is.
+
+Conventions
+-----------
+* A mesh of few enough faces keeps them. Others are decimated (MeshLab, quadric errors); a point of
+  a new face has the mean colour of the nearest samples of the old surface that face alike.
+* Faces that are all but transparent are left out and counted.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from scipy.spatial import cKDTree
+
+from gscomplete.errors import UserError
+from gscomplete.util.atomic import atomic_path
+from gscomplete.util.optional import import_optional
+from recipes.train_embedded_prior.data.mesh_pack import STEPS
+from recipes.train_embedded_prior.procedural.quads import FloatArray
+from splatcomplete_data.mesh.discs import sample_triangles, triangle_areas_and_normals
+from splatcomplete_data.mesh.files.load import Mesh
+from splatcomplete_data.mesh.files.parts import GREY
+
+MOST_FACES = 8000
+"""With more, the block of the texture that two faces share would be smaller than 4 px."""
+_TEXTURE_PX, _LARGEST_BLOCK_PX = 256, 64
+_MERGED = 2e-5
+"""Corners in the same cell of a grid of this side are one vertex, object sizes."""
+_LEAST_ALPHA = 0.1
+_SAMPLES, _NEAREST, _MEAN_OF = 200_000, 6, 3
+"""Of the nearest samples, those that are nearest once facing counts are averaged."""
+_FACING = 0.01
+"""A sample that is turned by a right angle counts as this much farther away, object sizes."""
+_FLAT = 0.02
+"""A face whose colours differ from their mean by less has one colour."""
+_JPEG_QUALITY = 92
+
+
+@dataclass(frozen=True, slots=True)
+class PackedMesh:
+    """The fields of an object's file, and what the manifest says of it."""
+
+    fields: dict[str, Any]
+    """Arrays by name, as ``mesh_pack`` reads them."""
+    colour: str
+    """``texture``, ``flat`` (several plain colours), ``single``, or ``none``: the file has none."""
+    faces: int
+    faces_source: int
+    see_through: int
+    """Faces of the source that were left out."""
+    side: float
+    """Longest side in the file's units."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Texels:
+    """The texels of all faces: N of them."""
+
+    face: NDArray[np.int64]  # [N]
+    weights: FloatArray  # [N, 3] barycentric
+    row: NDArray[np.int64]  # [N] in the picture
+    column: NDArray[np.int64]  # [N]
+    block_px: int
+    side_px: int
+
+
+def packed(
+    mesh: Mesh,
+    upright: NDArray[np.float64],  # [3, 3] turns the file's axes into z-up ones
+    most_faces: int,
+) -> PackedMesh:
+    """Reduce a mesh: z up, box centred, longest side 1, few faces, a small texture or a palette.
+
+    Args:
+        mesh: the surface, as read.
+        upright: a rotation.
+        most_faces: a mesh of more is decimated to about so many.
+
+    Raises:
+        UserError: nothing of it can be seen, or it cannot be decimated to ``MOST_FACES``.
+    """
+    source = np.concatenate([part.vertices for part in mesh.parts]).astype(np.float64) @ upright.T
+    seen = np.flatnonzero(_alphas(mesh) >= _LEAST_ALPHA)
+    if not len(seen):
+        raise UserError("expected a surface, found a transparent one")
+    low, high = source[seen].min(axis=(0, 1)), source[seen].max(axis=(0, 1))
+    side = float((high - low).max())
+    source = (source - (low + high) / 2) / side
+    vertices, faces, kept = _merged(source[seen])
+    reduced = len(faces) > most_faces
+    if reduced:
+        vertices, faces = _decimated(vertices, faces, most_faces)
+    if not 0 < len(faces) <= MOST_FACES:
+        raise UserError(f"expected at most {MOST_FACES:,} faces, could not reduce {len(faces):,}")
+    texels = _texels(len(faces))
+    if reduced:
+        colors = _nearest_colors(mesh, source, seen, vertices[faces], texels)
+    else:
+        colors = mesh.colors_at(seen[kept][texels.face], texels.weights)[:, :3]
+    colour, stored = _stored_colors(np.clip(colors, 0.0, 1.0), texels, len(faces))
+    if all(part.texture is None and (part.colors == GREY).all() for part in mesh.parts):
+        colour = "none"
+    extent = np.ptp(vertices, axis=0)
+    steps = (vertices - vertices.min(axis=0)) / np.maximum(extent, 1e-9) * STEPS
+    fields = {
+        "v": np.rint(steps).astype(np.uint16),
+        "ext": (extent / extent.max()).astype(np.float32),
+        "f": faces.astype(np.uint16),
+        **stored,
+    }
+    return PackedMesh(fields, colour, len(faces), len(source), len(source) - len(seen), side)
+
+
+def write_packed(path: Path, mesh: PackedMesh, *, unit_m: float, made_of: str) -> None:
+    """Write an object's file, whole or not at all.
+
+    Args:
+        path: of the file; its folder is made.
+        mesh: the object.
+        unit_m: metres of the mesh file's unit; NaN = not known.
+        made_of: kept with it.
+
+    Raises:
+        UserError: it cannot be written.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    told = {"colour": mesh.colour, "faces_source": mesh.faces_source, "made_of": made_of}
+    size_m = np.float32(mesh.side * unit_m)
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, **mesh.fields, **told, size_m=size_m)
+
+
+def _alphas(mesh: Mesh) -> FloatArray:  # [T]
+    """Return the mean alpha of every face."""
+    faces = np.arange(mesh.triangles)
+    weights = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]], np.float32)
+    weights /= weights.sum(axis=1, keepdims=True)
+    every = [mesh.colors_at(faces, np.tile(row, (len(faces), 1)))[:, 3] for row in weights]
+    mean: FloatArray = np.mean(every, axis=0)
+    return mean
+
+
+def _merged(
+    corners: NDArray[np.float64],  # [T, 3, 3]
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:  # [V, 3], [F, 3], [F]
+    """Join corners that are in one place; return vertices, faces, and of which triangles they are.
+
+    Triangles that lose a corner by it are left out.
+    """
+    places = np.rint(corners.reshape(-1, 3) / _MERGED).astype(np.int64)
+    _, first, index = np.unique(places, axis=0, return_index=True, return_inverse=True)
+    faces = index.reshape(-1, 3)
+    whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    return corners.reshape(-1, 3)[first], faces[whole], np.flatnonzero(whole)
+
+
+def _decimated(
+    vertices: NDArray[np.float64],  # [V, 3]
+    faces: NDArray[np.int64],  # [F, 3]
+    count: int,
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Reduce a mesh to about so many faces.
+
+    Raises:
+        UserError: pymeshlab is missing or failed.
+    """
+    meshlab = import_optional("pymeshlab", "the decimation of meshes")
+    meshes = meshlab.MeshSet()
+    meshes.add_mesh(meshlab.Mesh(vertices, faces))
+    try:
+        meshes.apply_filter(
+            "meshing_decimation_quadric_edge_collapse",
+            targetfacenum=count,
+            preserveboundary=True,
+            preservenormal=True,
+            planarquadric=True,
+        )
+        meshes.apply_filter("meshing_remove_unreferenced_vertices")
+    except meshlab.PyMeshLabException as error:
+        raise UserError(f"MeshLab cannot decimate it ({str(error).strip()})") from error
+    mesh = meshes.current_mesh()
+    return mesh.vertex_matrix(), mesh.face_matrix().astype(np.int64)
+
+
+def _texels(faces: int) -> _Texels:
+    """Lay out a picture for so many faces, two to a block, as ``mesh_pack`` reads it."""
+    columns = math.ceil(math.sqrt(math.ceil(faces / 2)))
+    block = min(_TEXTURE_PX // columns, _LARGEST_BLOCK_PX)
+    y, x = (axis.reshape(-1) for axis in np.mgrid[:block, :block])
+    is_upper = x + y >= block
+    across, down = (np.where(is_upper, block - 1 - axis, axis) / (block - 2) for axis in (x, y))
+    weights = np.clip(np.stack([1 - across - down, across, down], axis=1), 0, None)
+    weights /= weights.sum(axis=1, keepdims=True)
+    number = np.arange(math.ceil(faces / 2))
+    face = 2 * number[:, None] + is_upper
+    corner_row, corner_column = (n[:, None] * block for n in np.divmod(number, columns))
+    used = face < faces
+    every = (np.broadcast_to(a, face.shape)[used] for a in (corner_row + y, corner_column + x))
+    row, column = every
+    shape = (*face.shape, 3)
+    spread = np.broadcast_to(weights, shape)[used].astype(np.float32)
+    return _Texels(face[used], spread, row, column, block, columns * block)
+
+
+def _nearest_colors(
+    mesh: Mesh,
+    source: NDArray[np.float64],  # [T, 3, 3] its triangles, as packed
+    seen: NDArray[np.int64],  # [S] those that can be seen
+    corners: NDArray[np.float64],  # [F, 3, 3] of the faces that stand for them
+    texels: _Texels,
+) -> FloatArray:  # [N, 3]
+    """Return the colours of the nearest places of the old surface that face alike."""
+    triangle, weights = sample_triangles(source[seen].astype(np.float32), _SAMPLES, 1)
+    colors = mesh.colors_at(seen[triangle], weights)[:, :3]
+    places = np.einsum("nk,nkc->nc", weights, source[seen[triangle]])
+    facing = _units(source[seen])[triangle]
+    asked = np.einsum("nk,nkc->nc", texels.weights, corners[texels.face])
+    distance, index = cKDTree(places).query(asked, k=_NEAREST)
+    cosine = np.einsum("nkc,nc->nk", facing[index], _units(corners)[texels.face])
+    order = np.argsort(distance + _FACING * (1 - cosine), axis=1)[:, :_MEAN_OF]
+    mean: FloatArray = colors[np.take_along_axis(index, order, axis=1)].mean(axis=1)
+    return mean
+
+
+def _units(corners: NDArray[np.float64]) -> NDArray[np.float64]:  # [F, 3, 3] -> [F, 3]
+    """Return the unit normals of triangles; zero where there is no area."""
+    _, normals = triangle_areas_and_normals(corners)  # type: ignore[arg-type]
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.asarray(normals / np.maximum(length, 1e-30), np.float64)
+
+
+def _stored_colors(
+    colors: FloatArray,  # [N, 3] of the texels
+    texels: _Texels,
+    faces: int,
+) -> tuple[str, dict[str, Any]]:
+    """Return what kind of colours they are, and the fields that hold them."""
+    counts = np.bincount(texels.face, minlength=faces)
+    sums = [np.bincount(texels.face, channel, minlength=faces) for channel in colors.T]
+    means = np.stack(sums, axis=1) / counts[:, None]
+    if float(np.abs(colors - means[texels.face]).max()) < _FLAT:
+        if float(np.ptp(means, axis=0).max()) < _FLAT:
+            means = np.broadcast_to(means.mean(axis=0), means.shape)
+        rounded = np.rint(means * 255).astype(np.uint8)
+        palette, index = np.unique(rounded, axis=0, return_inverse=True)
+        fields = {"pal": palette, "fc": index.reshape(-1).astype(np.uint16)}
+        return ("single" if len(palette) == 1 else "flat"), fields
+    picture = np.full((texels.side_px, texels.side_px, 3), 128, np.uint8)
+    picture[texels.row, texels.column] = np.rint(colors * 255).astype(np.uint8)
+    stored = io.BytesIO()
+    Image.fromarray(picture).save(stored, "JPEG", quality=_JPEG_QUALITY, subsampling=0)
+    return "texture", {"tex": np.frombuffer(stored.getvalue(), np.uint8), "s": texels.block_px}
