@@ -52,9 +52,14 @@ class PreparedFrozen:
         return len(self.views)
 
     def __getitem__(self, index: int | slice) -> PreparedFrozen:
-        """Return the chosen views (an int gives one view); nothing is copied."""
+        """Return the chosen views (an int gives one view); nothing is copied.
+
+        Raises:
+            IndexError: there is no such view.
+        """
         if isinstance(index, int):
-            index = slice(index, index + 1) if index != -1 else slice(-1, None)
+            place = range(len(self))[index]
+            index = slice(place, place + 1)
         return dataclasses.replace(self, cameras=self.cameras[index], views=self.views[index])
 
     @property

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -55,15 +55,24 @@ class Cameras:
         return int(self.camera_from_world.shape[0])
 
     def __getitem__(self, index: int | slice | Tensor | Sequence[int]) -> Cameras:
-        """Return a batch with the chosen cameras (an int gives a batch of one)."""
+        """Return a batch with the chosen cameras (an int gives a batch of one).
+
+        Raises:
+            IndexError: there is no such camera.
+        """
         if isinstance(index, int):
-            index = slice(index, index + 1) if index != -1 else slice(-1, None)
+            place = range(len(self))[index]
+            index = slice(place, place + 1)
         return dataclasses.replace(
             self,
             camera_from_world=self.camera_from_world[index],
             focal_px=self.focal_px[index],
             center_px=self.center_px[index],
         )
+
+    def __iter__(self) -> Iterator[Cameras]:
+        """Yield every camera as a batch of one."""
+        return (self[index] for index in range(len(self)))
 
     @property
     def positions(self) -> Tensor:  # [V, 3]
