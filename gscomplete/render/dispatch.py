@@ -9,7 +9,7 @@ from torch import Tensor
 
 from gscomplete.errors import UserError
 from gscomplete.render.frozen import PreparedFrozen, PreparedView
-from gscomplete.render.record import Render
+from gscomplete.render.record import Background, Render
 from gscomplete.render.settings import RenderSettings
 from gscomplete.splats import Splats
 from gscomplete.views import Cameras
@@ -21,7 +21,7 @@ Backend = Literal["auto", "cpu", "cuda", "reference"]
 def render(
     splats: Splats,
     cameras: Cameras,
-    background: Tensor | None = None,  # [3] or broadcastable to [V, H, W, 3]; None = black
+    background: Background | None = None,  # [3] or broadcastable to [V, H, W, 3]; None = black
     *,
     frozen: Splats | PreparedFrozen | None = None,
     screen_offsets: Tensor | None = None,  # [V, N, 2] pixels
@@ -47,9 +47,14 @@ def render(
 
     Raises:
         UserError: the backend is not available on this machine.
-        ValueError: ``frozen`` was prepared for other cameras or settings.
+        ValueError: ``frozen`` was prepared for other cameras or settings, or the offsets are not
+            one for every view and splat.
     """
     settings = settings or RenderSettings()
+    if screen_offsets is not None:
+        shape, found = (len(cameras), len(splats), 2), tuple(screen_offsets.shape)
+        if found != shape:
+            raise ValueError(f"screen_offsets: expected shape {shape}, found {found}")
     chosen = _choose(backend, splats)
     if isinstance(frozen, PreparedFrozen):
         frozen.check(cameras, settings)

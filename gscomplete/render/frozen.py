@@ -19,9 +19,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import torch
-from torch import Tensor
 
-from gscomplete.render.record import Render, join_renders
+from gscomplete.render.record import Background, Render, join_renders
 from gscomplete.render.settings import RenderSettings
 from gscomplete.splats import Splats
 from gscomplete.views import Cameras, join_cameras
@@ -68,7 +67,7 @@ class PreparedFrozen:
         lists = sum(view.lists.nbytes for view in self.views if view.lists is not None)
         return lists + sum(view.picture.nbytes for view in self.views)
 
-    def picture(self, background: Tensor | None = None) -> Render:  # [3] or to [V, H, W, 3]
+    def picture(self, background: Background | None = None) -> Render:
         """Return the set's own render, without drawing it again."""
         if not self.views:
             shape = 0, self.cameras.height, self.cameras.width

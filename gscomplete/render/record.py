@@ -9,6 +9,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+Background = Tensor | Sequence[float]
+"""A colour [3], or colours that spread to [V, H, W, 3]."""
+
 
 @dataclass(frozen=True, slots=True)
 class Render:
@@ -27,11 +30,12 @@ class Render:
         """Memory that the images take, in bytes."""
         return self.color.nbytes + self.alpha.nbytes + self.depth.nbytes
 
-    def over(self, background: Tensor | None) -> Render:  # [3] or to [V, H, W, 3]; None = black
+    def over(self, background: Background | None) -> Render:  # None = black
         """Put what is drawn over black over a background."""
         if background is None:
             return self
-        color = self.color + (1.0 - self.alpha)[..., None] * background.to(self.color)
+        behind = torch.as_tensor(background, dtype=self.color.dtype, device=self.color.device)
+        color = self.color + (1.0 - self.alpha)[..., None] * behind
         return dataclasses.replace(self, color=color)
 
 

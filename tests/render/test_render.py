@@ -271,3 +271,51 @@ def test_a_faint_splat_is_as_far_away_as_it_is():
         picture = render(round_splats(torch.zeros(1, 3), scale=0.5, opacity=opacity), view)
         assert float(picture.alpha[0, 4, 4]) < opacity
         assert float(picture.depth[0, 4, 4]) == pytest.approx(2.5, abs=1e-4)
+
+
+def test_splats_changed_before_the_way_back_are_noticed():
+    splats = leaves(random_splats(20))
+    drawn = render(splats, cameras(16)).color.sum()
+    with torch.no_grad():
+        splats.scales.mul_(2.0)
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        drawn.backward()
+
+
+def test_second_derivatives_are_refused_by_name():
+    splats = leaves(random_splats(20))
+    drawn = render(splats, cameras(16)).color.square().sum()
+    (gradient,) = torch.autograd.grad(drawn, splats.sh, create_graph=True)
+    with pytest.raises(RuntimeError, match="once_differentiable"):
+        gradient.sum().backward()
+
+
+@pytest.mark.parametrize("backend", ["cpu", "reference"])
+@pytest.mark.parametrize("shape", [(4, 19, 2), (4, 21, 2), (3, 20, 2), (20, 2)])
+def test_offsets_that_do_not_fit_are_refused(shape, backend):
+    """A kernel would read beyond their end."""
+    with pytest.raises(ValueError, match=r"screen_offsets: expected shape \(4, 20, 2\)"):
+        render(random_splats(20), cameras(16), screen_offsets=torch.zeros(shape), backend=backend)
+
+
+@pytest.mark.parametrize("name", ["float64", "meta"])
+def test_pictures_are_float32_on_the_cpu_whatever_the_default(name):
+    splats, views = random_splats(20), cameras(16)
+    expected = render(splats, views).color
+    try:
+        if name == "meta":
+            torch.set_default_device(name)
+        else:
+            torch.set_default_dtype(torch.float64)
+        found = render(splats, views).color
+    finally:
+        torch.set_default_device(None)
+        torch.set_default_dtype(torch.float32)
+    assert found.dtype == torch.float32
+    assert torch.equal(found, expected)
+
+
+def test_a_background_may_be_three_numbers():
+    splats, views = random_splats(20), cameras(16)
+    expected = render(splats, views, torch.tensor([0.5, 0.25, 1.0])).color
+    assert torch.equal(render(splats, views, (0.5, 0.25, 1.0)).color, expected)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from gscomplete.render.cpu import view as one_view
 from gscomplete.render.frozen import PreparedFrozen, PreparedView
@@ -58,13 +59,16 @@ class _Rasterize(torch.autograd.Function):
             views.append(one_view.draw(lists, kept, camera, settings, picture))
         ctx.arrays, ctx.views, ctx.settings = arrays, views, settings
         ctx.wants_offsets = offsets is not None
-        ctx.save_for_backward(drawn.color, drawn.depth, drawn.alpha)
+        # The arrays share the splats' memory: saved as well, PyTorch notices if they are changed.
+        splats_read = means, quaternions, scales, opacities, sh
+        ctx.save_for_backward(drawn.color, drawn.depth, drawn.alpha, *splats_read)
         ctx.set_materialize_grads(False)
         return drawn.color, drawn.depth, drawn.alpha
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *upstream: Tensor | None) -> Any:
-        color, depth, alpha = ctx.saved_tensors
+        color, depth, alpha, *_ = ctx.saved_tensors
         pictures = _arrays(Render(color, alpha, depth))
         given = [None if part is None else part.contiguous().numpy() for part in upstream]
         make = np.empty if ctx.views else np.zeros
@@ -94,7 +98,10 @@ class _Rasterize(torch.autograd.Function):
 def _blank(cameras: Cameras) -> Render:
     """Return images of every view to write to."""
     shape = len(cameras), cameras.height, cameras.width
-    return Render(torch.empty(*shape, 3), torch.empty(shape), torch.empty(shape))
+    color, alpha, depth = (
+        torch.empty((*shape, *last), dtype=torch.float32, device="cpu") for last in ((3,), (), ())
+    )
+    return Render(color, alpha, depth)
 
 
 def _arrays(drawn: Render) -> one_view.Picture:  # each [V, ...]
@@ -124,7 +131,7 @@ def rasterize(
             frozen = frozen.splats
     color, depth, alpha = _Rasterize.apply(
         *(value for _, value in splats.to("cpu", torch.float32).fields()),
-        offsets,
+        None if offsets is None else offsets.to("cpu", torch.float32),
         None if frozen is None else frozen.to("cpu", torch.float32),
         prepared,
         cameras.to("cpu"),
