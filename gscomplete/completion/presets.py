@@ -166,13 +166,18 @@ def preset(name: PresetName, prior: Prior, *, text_only: bool = False) -> Comple
         text_only: withhold P from the prior.
 
     Raises:
-        UserError: there is no such preset, or a name was given for the prior itself.
+        UserError: there are no such preset or settings, or a name was given for the prior itself.
     """
     if isinstance(prior, str):
         raise UserError(f"preset: expected a prior (load_prior), found the text {prior!r}")
     table = getattr(prior, "presets", ANY_PRIOR)
     if name not in table:
         raise UserError(f"preset: expected one of {', '.join(table)}, found {name!r}")
+    if table[name] not in SETTINGS:
+        raise UserError(
+            f"presets of the prior {prior.name}: {name}: expected one of {', '.join(SETTINGS)}, "
+            f"found {table[name]!r}"
+        )
     chosen = SETTINGS[table[name]]
     if not text_only:
         return chosen

@@ -19,7 +19,14 @@ from gscomplete.errors import UserError
 from gscomplete.framing.guess import guess_framing
 from gscomplete.splats import Similarity, Splats, transform_splats
 from gscomplete.util.parse import require_positive
-from gscomplete.views import FrameOrigin, ObjectFrame, UpAxis, ViewDistribution, up_rotation
+from gscomplete.views import (
+    FrameOrigin,
+    ObjectFrame,
+    UpAxis,
+    ViewDistribution,
+    parse_up,
+    up_rotation,
+)
 from gscomplete.views.distribution import AZIMUTH_RANGE_DEG, ELEVATION_RANGE_DEG, FOV_DEG, RADIUS
 
 _STEEPEST_DEG = 75.0
@@ -55,8 +62,21 @@ class FramingRequest:
         """Check what the user gives.
 
         Raises:
-            UserError: the size is no length, or the centre is not finite.
+            UserError: the size is no length, the centre is not finite, up is no direction, or an
+                angle is out of range.
         """
+        parse_up(self.up)
+        view = self.view_deg
+        if view is not None and not (len(view) == 2 and abs(view[0]) < 1e6 and abs(view[1]) <= 90):
+            raise UserError(
+                "view_deg: expected an azimuth and an elevation of -90 to 90 degrees, found "
+                + ",".join(f"{angle:g}" for angle in view)
+            )
+        for name, most in (("azimuth_range_deg", 180), ("elevation_range_deg", 90)):
+            if not 0 <= getattr(self, name) <= most:
+                raise UserError(
+                    f"{name}: expected 0 to {most} degrees, found {getattr(self, name):g}"
+                )
         require_positive(self.size_file, "--object-size")
         if self.center_file is not None and not all(map(math.isfinite, self.center_file)):
             found = ",".join(f"{value:g}" for value in self.center_file)

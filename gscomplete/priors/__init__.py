@@ -115,7 +115,22 @@ def _load_callable(name: str, device: torch.device | str) -> Prior:
             f"--prior {name}: expected MODULE:FUNCTION, found no such ({error})"
         ) from error
     prior: Prior = make(device)
+    require_prior(prior, f"--prior {name}")
+    return prior
+
+
+def require_prior(prior: object, what: str) -> None:
+    """Check that an object has all that a prior has.
+
+    Args:
+        prior: what was given for one.
+        what: where it comes from, for the message.
+
+    Raises:
+        UserError: it is a class, or lacks something.
+    """
+    if isinstance(prior, type):
+        raise UserError(f"{what}: expected a prior, found the class {prior.__name__} itself")
     lacking = [part for part in _PARTS if not hasattr(prior, part)]
     if lacking:
-        raise UserError(f"--prior {name}: expected a prior, found one without {', '.join(lacking)}")
-    return prior
+        raise UserError(f"{what}: expected a prior, found one without {', '.join(lacking)}")

@@ -23,3 +23,10 @@ def test_the_name_of_a_prior_is_no_prior() -> None:
 def test_an_unknown_name_is_refused() -> None:
     with pytest.raises(UserError, match="expected one of default"):
         preset("best", OraclePrior(ball(10)))  # type: ignore[arg-type]
+
+
+def test_settings_that_a_prior_names_and_nobody_knows_are_refused() -> None:
+    prior = OraclePrior(ball(10))
+    prior.presets = {"default": "destill"}  # type: ignore[attr-defined]
+    with pytest.raises(UserError, match=r"default: expected one of paper, .*found 'destill'"):
+        preset("default", prior)

@@ -22,6 +22,21 @@ def test_a_centre_that_is_nowhere_is_refused(odd: float) -> None:
         FramingRequest(center_file=(0.0, odd, 1.0))
 
 
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"up": "W"}, "up: expected one of Z, .*found 'W'"),
+        ({"view_deg": (5.0,)}, "view_deg: expected an azimuth and an elevation .*found 5"),
+        ({"view_deg": (5.0, 91.0)}, "view_deg: expected .*found 5,91"),
+        ({"azimuth_range_deg": 181.0}, "azimuth_range_deg: expected 0 to 180 degrees, found 181"),
+        ({"elevation_range_deg": math.nan}, "elevation_range_deg: expected 0 to 90 .*found nan"),
+    ],
+)
+def test_angles_and_directions_out_of_range_are_refused(given, message) -> None:
+    with pytest.raises(UserError, match=message):
+        FramingRequest(**given)
+
+
 @pytest.mark.parametrize(("count", "message"), [(0, "P has no splat"), (1, "framing: .*")])
 def test_a_part_of_next_to_nothing_is_refused(count: int, message: str) -> None:
     part = ball(100).select(torch.arange(count))
