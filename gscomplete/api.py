@@ -11,17 +11,17 @@ from gscomplete.completion.optimise import StepReport
 from gscomplete.completion.presets import PresetName, preset
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.framing.decide import FramingRequest
-from gscomplete.priors import load_prior
+from gscomplete.priors import load_prior, require_prior
 from gscomplete.priors.base import Prior
 from gscomplete.render.dispatch import choose_render_device
-from gscomplete.splats import Splats
+from gscomplete.splats import SplatFile, Splats
 from gscomplete.util.device import choose_device
 from gscomplete.views import UpAxis
 from gscomplete.views.distribution import AZIMUTH_RANGE_DEG, ELEVATION_RANGE_DEG
 
 
 def complete(
-    partial: Splats | str | Path,
+    partial: SplatFile | Splats | str | Path,
     prompt: str,
     *,
     prior: Prior | str = "embedded",
@@ -41,7 +41,8 @@ def complete(
     """Complete a partial object made of Gaussian splats (the paper's O from P, y and V).
 
     Args:
-        partial: P: a splat file, or splats in the file frame (any scale; ``up`` points up).
+        partial: P: a splat file, read (``read_splats``) or its path, or splats in the file frame
+            (any scale; ``up`` points up).
         prompt: what the complete object is, such as "a red mug".
         prior: a loaded prior (``load_prior``; load it once to complete many), or what ``--prior``
             takes: ``embedded``, ``mvdream``, or the path of weights.
@@ -68,6 +69,7 @@ def complete(
     render_device, _ = choose_render_device(device, chosen_device)
     if isinstance(prior, str):
         prior = load_prior(prior, chosen_device)
+    require_prior(prior, "prior")
     if settings is None:
         settings = dataclasses.replace(preset(preset_name, prior), seed=seed)
     framing = FramingRequest(

@@ -19,6 +19,7 @@ from splatcomplete_data.cli.common import ObjectDraft, ObjectOptions, store_obje
 from splatcomplete_data.objects import StepRecord, read_record
 from splatcomplete_data.points import points_to_splats
 from tests.builders.objects import ball
+from tests.builders.toy_prior import BallPrior
 
 TRUTH = ball(1500)
 PARTIAL = TRUTH.select(TRUTH.means[:, 0] > 0)
@@ -52,6 +53,15 @@ def test_a_prior_of_ones_own_completes_an_object():
 def test_what_is_no_prior_is_refused(name, why):
     with pytest.raises(UserError, match=why):
         load_prior(name)
+
+
+@pytest.mark.parametrize(
+    ("prior", "why"),
+    [(BallPrior, "found the class BallPrior itself"), (object(), "without name, views")],
+)
+def test_what_is_no_prior_is_refused_as_an_object_too(prior, why):
+    with pytest.raises(UserError, match=f"prior: expected a prior, .*{why}"):
+        gscomplete.complete(PARTIAL, "anything", prior=prior)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -35,6 +35,7 @@ from gscomplete.priors.base import Conditioning, FourViews, Guidance, Prior
 from gscomplete.render import Render
 from gscomplete.render.partial_views import PartialViews
 from gscomplete.splats import Splats
+from gscomplete.util.device import plain_torch
 from gscomplete.util.randomness import generator_for, uniform
 from gscomplete.util.stages import stage
 from gscomplete.views import Cameras, ViewDistribution
@@ -132,6 +133,7 @@ class Optimisation:
         """The current new splats, object frame, without P."""
         return self.parameters.splats().detach()
 
+    @plain_torch()
     def step(self) -> StepReport:
         """Take one optimiser step.
 

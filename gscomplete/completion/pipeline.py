@@ -8,7 +8,8 @@ Conventions
 -----------
 * P comes in the file frame and is never rewritten; ``partial``, ``new`` and V are in the object
   frame, and :attr:`Completed.new_in_file` is what was added in the file frame.
-* A result is a function of (P, request, prior): the device and the threads do not matter.
+* A result is a function of (P, request, prior): the device, the threads and PyTorch's settings
+  (default type and device, gradients, autocast) do not matter.
 """
 
 from __future__ import annotations
@@ -53,6 +54,7 @@ from gscomplete.splats.oklab import color_spread
 from gscomplete.splats.slits import slit_splats
 from gscomplete.splats.suspects import describe_suspects
 from gscomplete.splats.working_set import WorkingSet, without_strays, working_set
+from gscomplete.util.device import plain_torch
 from gscomplete.util.jsonio import to_json
 from gscomplete.util.stages import stage
 from gscomplete.views import ObjectFrame, ViewDistribution, radius_to_fit
@@ -138,6 +140,7 @@ class Completed:
     """From P to the new splats."""
 
     @property
+    @plain_torch()
     def new_in_file(self) -> Splats:
         """The new splats in the file frame."""
         return transform_splats(self.new, self.frame.file_from_object)
@@ -177,8 +180,9 @@ class Completed:
         write_splats(path, self.new_in_file, (f"gscomplete version {gscomplete.__version__}",))
 
 
+@plain_torch()
 def complete(
-    partial: Splats | str | Path,
+    partial: SplatFile | Splats | str | Path,
     request: Request,
     prior: Prior,
     device: torch.device | str = "cpu",
@@ -187,7 +191,7 @@ def complete(
     """Complete a partial object made of Gaussian splats (the paper's O from P, y and V).
 
     Args:
-        partial: P: a splat file, or splats in the file frame.
+        partial: P: a splat file, read or its path, or splats in the file frame.
         request: what to make of it.
         prior: the model that guides.
         device: where splats are rendered and moved; the prior may run on another.
@@ -200,7 +204,7 @@ def complete(
         UserError: the file or the request is wrong, or the prior cannot start.
     """
     started = time.perf_counter()
-    given = partial if isinstance(partial, Splats) else read_splat_file(partial)
+    given = partial if isinstance(partial, Splats | SplatFile) else read_splat_file(partial)
     prepared = prepare(given, request, prior, device)
     while not prepared.steps.finished:
         report = prepared.steps.step()
@@ -209,6 +213,7 @@ def complete(
     return dataclasses.replace(finish(prepared, given), seconds=time.perf_counter() - started)
 
 
+@plain_torch()
 def prepare(
     given: SplatFile | Splats, request: Request, prior: Prior, device: torch.device | str = "cpu"
 ) -> Prepared:
@@ -235,7 +240,8 @@ def prepare(
         notes += tuple(f"{name}: {warning}" for warning in given.warnings)
     else:
         splats, name = given, "P"
-    working = working_set(splats, MAX_WORKING_SPLATS, name)
+    drawable = splats.detach().to(dtype=torch.float32)
+    working = working_set(drawable, MAX_WORKING_SPLATS, name)
     notes += describe_suspects(working.splats)
     with stage("frame"):
         framing = framing_for(working.splats, framing_request, prior)
@@ -313,6 +319,7 @@ def framing_for(splats: Splats, request: FramingRequest, prior: Prior) -> Framin
     return decide_framing(splats, request, radius=radius, fov_deg=lens.fov_deg)
 
 
+@plain_torch()
 def finish(prepared: Prepared, given: SplatFile | Splats) -> Completed:
     """Do what follows the last step: match colours, close slits, hold P's appearance to bounds.
 

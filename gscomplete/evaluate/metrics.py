@@ -11,7 +11,8 @@ Conventions
       E = sum(M_c * e) / sum(M_c),   e = squared difference (mean over the colour channels),
 
   so it does not depend on how much of the image the object fills. ``color_image_mean`` is the
-  other reading, mean((M_c * difference)^2) over all pixels and channels: the value of L_p.
+  other reading, mean((M_c * difference)^2) over all pixels and channels: L_p, which is a sum over
+  them, divided by their number.
 * Depth is the expected camera-space z. Where O shows nothing in front of P's mask, its depth is
   undefined and the error counts as one object size.
 * ``silhouette_iou`` compares complete silhouettes, P's part included, view by view: the input alone
@@ -32,6 +33,7 @@ from torch import Tensor
 from gscomplete.errors import UserError
 from gscomplete.render import Render, render
 from gscomplete.splats import Splats
+from gscomplete.util.device import plain_torch
 from gscomplete.util.same_bits import fixed_mean, fixed_sum
 from gscomplete.views import Cameras
 
@@ -50,7 +52,7 @@ class PreservationErrors:
     color: float
     """E_color: masked mean squared error of the colours in [0, 1]."""
     color_image_mean: float
-    """Mean over all pixels of the squared masked difference (L_p)."""
+    """Mean over pixels and channels of the squared masked difference: L_p over their number."""
     depth: float
     """E_depth: masked mean squared error of the depth, in squared object sizes."""
     mask_fraction: float
@@ -87,6 +89,7 @@ class TruthErrors:
     """Number of views averaged over."""
 
 
+@plain_torch()
 def preservation(
     completed: Splats,
     partial: Splats,
@@ -115,6 +118,7 @@ def preservation(
         )
 
 
+@plain_torch()
 def against_truth(
     completed: Splats,
     partial: Splats,

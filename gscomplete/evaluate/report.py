@@ -29,6 +29,7 @@ from gscomplete.evaluate.perceptual import Unavailable, clip_similarity, lpips_e
 from gscomplete.evaluate.ssim import ssim_map
 from gscomplete.render import Render, render
 from gscomplete.splats import Splats
+from gscomplete.util.device import plain_torch
 from gscomplete.views import ViewDistribution
 
 
@@ -78,6 +79,7 @@ class EvaluationReport:
     """Distances of the new surface to it; None also where P shows all of it."""
 
 
+@plain_torch()
 def evaluate(
     completed: Splats,
     partial: Splats,

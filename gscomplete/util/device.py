@@ -1,9 +1,17 @@
-"""Choose the device that a run computes on."""
+"""Choose the device that a run computes on, and have PyTorch as it comes.
+
+Conventions
+-----------
+* Gradients, inference mode, autocast and the default device are the calling thread's. The default
+  type is one for all threads: it is changed only where it is not float32.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import logging
+from collections.abc import Iterator
 
 import torch
 
@@ -56,3 +64,21 @@ def peak_gpu_bytes() -> int | None:
     """Return the most memory that tensors held on a GPU; None where there is none."""
     count = torch.cuda.device_count() if torch.cuda.is_available() else 0
     return max((torch.cuda.max_memory_allocated(index) for index in range(count)), default=None)
+
+
+@contextlib.contextmanager
+def plain_torch() -> Iterator[None]:
+    """Have gradients, float32 on the CPU by default, and no autocast in the block."""
+    dtype = torch.get_default_dtype()
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(torch.inference_mode(False))
+        stack.enter_context(torch.enable_grad())
+        for device in ("cpu", "cuda"):
+            if torch.is_autocast_enabled(device):
+                stack.enter_context(torch.autocast(device, enabled=False))
+        if torch.get_default_device().type != "cpu":
+            stack.enter_context(torch.device("cpu"))
+        if dtype != torch.float32:
+            stack.callback(torch.set_default_dtype, dtype)
+            torch.set_default_dtype(torch.float32)
+        yield

@@ -21,6 +21,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from gscomplete.util.device import plain_torch
+
 
 @dataclass(frozen=True, slots=True)
 class Cameras:
@@ -154,6 +156,7 @@ def radius_to_fit(extent: float, fov_deg: float) -> float:
     return 0.5 * extent / math.tan(math.radians(fov_deg) / 2)
 
 
+@plain_torch()
 def orbit_cameras(
     azimuths_deg: Tensor,  # [V]
     elevations_deg: Tensor,  # [V]

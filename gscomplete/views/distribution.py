@@ -137,7 +137,7 @@ class ViewDistribution:
             radius=self.radius,
             fov_deg=self.fov_deg,
             size_px=size_px,
-            target=torch.tensor(self.target, dtype=torch.float64),
+            target=torch.tensor(self.target, dtype=torch.float64, device="cpu"),
         )
 
     def input_camera(self, size_px: int) -> Cameras:

@@ -31,8 +31,10 @@ def test_a_file_and_its_splats_are_completed_alike_and_a_run_folder_holds_the_sa
     reports = []
     of_file = complete(path, "a ball", prior=prior, settings=QUICK, on_step=reports.append, **KNOWN)
     of_splats = complete(read_splats(path).splats, "a ball", prior=prior, settings=QUICK, **KNOWN)
-    for (name, a), (_, b) in zip(of_file.new.fields(), of_splats.new.fields(), strict=True):
-        assert torch.equal(a, b), name
+    of_read = complete(read_splats(path), "a ball", prior=prior, settings=QUICK, **KNOWN)
+    for other in (of_splats, of_read):
+        for (name, a), (_, b) in zip(of_file.new.fields(), other.new.fields(), strict=True):
+            assert torch.equal(a, b), name
     assert [report.step for report in reports] == [0, 1, 2, 3]
     of_file.save(tmp_path / "saved.ply")
     framing = FramingRequest(**KNOWN)
@@ -42,6 +44,21 @@ def test_a_file_and_its_splats_are_completed_alike_and_a_run_folder_holds_the_sa
     written = (tmp_path / "run" / run_folder.OUTPUT_FILE).read_bytes()
     assert written == (tmp_path / "saved.ply").read_bytes()
     assert len(of_splats.splats) == len(PARTIAL) + len(of_splats.new)
+
+
+@pytest.mark.parametrize("kind", ["trainable", "float64"])
+def test_splats_of_another_kind_are_completed_as_float32_and_kept(kind):
+    given = PARTIAL.to(dtype=torch.float64)
+    if kind == "trainable":
+        given = dataclasses.replace(PARTIAL, means=PARTIAL.means.clone().requires_grad_())
+    prior = OraclePrior(TRUTH)
+    expected = complete(PARTIAL, "a ball", prior=prior, settings=QUICK, **KNOWN)
+    found = complete(given, "a ball", prior=prior, settings=QUICK, **KNOWN)
+    for (name, a), (_, b) in zip(found.new.fields(), expected.new.fields(), strict=True):
+        assert torch.equal(a, b), name
+        assert a.dtype == torch.float32
+    assert found.given is given
+    assert torch.equal(found.splats.means[: len(given)], given.means)
 
 
 def test_what_is_added_lies_in_the_file_frame():
