@@ -64,6 +64,37 @@ def test_what_is_no_prior_is_refused_as_an_object_too(prior, why):
         gscomplete.complete(PARTIAL, "anything", prior=prior)
 
 
+class Odd(BallPrior):
+    """Returns its pictures and losses changed by a function."""
+
+    def __init__(self, change):
+        self.change = change
+
+    def distill(self, *given, **named):
+        return self.change(super().distill(*given, **named))
+
+    def reconstruct(self, *given, **named):
+        color, alpha = super().reconstruct(*given, **named)
+        return self.change(color), alpha
+
+
+@pytest.mark.parametrize(
+    ("mode", "change", "message"),
+    [
+        ("distill", torch.Tensor.detach, "distill: expected a loss with gradients to the renders"),
+        ("distill", float, "distill: expected a tensor, found float"),
+        ("distill", lambda x: x.repeat(3), r"distill: expected one number, found shape \(3,\)"),
+        ("reconstruct", lambda x: x.permute(0, 3, 1, 2), r"reconstruct: expected colours \[4, h"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:Converting a tensor")
+def test_what_a_prior_must_not_return_is_told(mode, change, message):
+    """The steps of the warm-up would pass without guidance, for the preservation loss has some."""
+    settings = dataclasses.replace(DISTILL, mode=mode, steps=4, new_splats=40, warmup_steps=4)
+    with pytest.raises(UserError, match=f"prior ball: {message}"):
+        gscomplete.complete(PARTIAL, "anything", prior=Odd(change), settings=settings)
+
+
 @dataclasses.dataclass(frozen=True)
 class GridOptions(ObjectOptions):
     """A new source: a text file that says how many points a cube's side has."""

@@ -22,6 +22,7 @@ from gscomplete.completion.losses import fit_loss, preservation_loss, random_bac
 from gscomplete.completion.rings import Ring, RingMemory, inside_distribution, random_ring
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.completion.start import scale_bounds
+from gscomplete.errors import UserError
 from gscomplete.fitting.densify import (
     FINAL_OPACITY,
     PRUNE_OPACITY,
@@ -139,6 +140,7 @@ class Optimisation:
 
         Raises:
             NonFiniteError: a loss, gradient or parameter is not finite.
+            UserError: the prior returned something else than it should.
         """
         started = time.perf_counter()
         settings, step = self.settings, self.step_number
@@ -274,6 +276,7 @@ class Optimisation:
                 self._guidance_scales(),
                 settings.denoise_steps,
             )
+            _require_targets(color, alpha, f"prior {self._prior.name}: reconstruct")
             targets = {
                 "colour of the prior's targets": color,
                 "alpha of the prior's targets": alpha,
@@ -329,14 +332,16 @@ class Optimisation:
         if ring is not None:
             color, alpha = ring.resized(cameras.width)
             return fit_loss(drawn, color, alpha, background)
-        return self._prior.distill(
+        loss = self._prior.distill(
             FourViews.from_render(drawn, cameras),
             timestep,
             self._conditioning,
             generator_for(self.settings.seed, self.step_number, "noise"),
             self._input_views(cameras),
             self._guidance_scales(),
-        ).to(self._device)
+        )
+        _require_loss(loss, f"prior {self._prior.name}: distill")
+        return loss.to(self._device)
 
     def _edit_splats(self, step: int) -> None:
         """Subdivide and prune when the schedule says so; statistics start anew."""
@@ -357,6 +362,27 @@ class Optimisation:
 def _stays_on_cpu(name: str) -> bool:
     """Whether a tensor of a checkpoint is a camera, or a count that Adam keeps there."""
     return name.endswith(("step", "_px", "camera_from_world"))
+
+
+def _require_loss(loss: object, what: str) -> None:
+    """Refuse a loss that would not move the splats, at the first step rather than silently."""
+    if not isinstance(loss, Tensor):
+        raise UserError(f"{what}: expected a tensor, found {type(loss).__name__}")
+    if loss.numel() != 1:
+        raise UserError(f"{what}: expected one number, found shape {tuple(loss.shape)}")
+    if not loss.requires_grad:
+        raise UserError(f"{what}: expected a loss with gradients to the renders, found none")
+
+
+def _require_targets(color: Tensor, alpha: Tensor, what: str) -> None:
+    """Refuse targets that are not four square pictures."""
+    side = alpha.shape[-1] if alpha.ndim else 0
+    found = tuple(color.shape), tuple(alpha.shape)
+    if found != ((4, side, side, 3), (4, side, side)):
+        raise UserError(
+            f"{what}: expected colours [4, h, h, 3] and alphas [4, h, h], found shapes "
+            f"{list(found[0])} and {list(found[1])}"
+        )
 
 
 def _gradient(value: Tensor) -> Tensor:
