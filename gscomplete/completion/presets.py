@@ -5,7 +5,7 @@ Conventions
 * ``PAPER`` has the paper's settings to the letter; the others differ from what they are made of
   only in what they list. One thing is no setting: the sphere of the start is about the origin of
   the object frame, the guessed centre of the complete object; the paper's (section 3.3) is about
-  the centre of P's box.
+  the centre of P's box. ``docs/mvdream.md`` lists what the paper leaves open, and what is taken.
 """
 
 from __future__ import annotations
