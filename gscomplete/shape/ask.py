@@ -3,8 +3,9 @@
 Conventions
 -----------
 * The network is not told which way an object faces, so the same object turned by quarter turns
-  about z, or mirrored, should get the same answer. The mean of a few answers, carried back, is
-  better than any one of them. (Frames moved by half a cell or more are not: thin parts blur.)
+  about z, or mirrored, should get the same answer. The mean of a few such answers, each turned
+  back, is better than any one of them. (Averaging over grids shifted by half a cell or more does
+  not help: it blurs thin parts.)
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from gscomplete.shape.network import ShapeCompleter, ShapeOutput
 from gscomplete.shape.partial_voxels import ShapeInputs
 
 ORIENTATIONS = 2
-"""Of the eight, which are four quarter turns, each mirrored or not. All eight are no better."""
+"""How many orientations the answer is averaged over. There are eight, four quarter turns with and
+without a mirroring; averaging over all of them is no better."""
 
 
 @torch.no_grad()
@@ -27,7 +29,7 @@ def ask(
     model: ShapeCompleter,
     seen: ShapeInputs,
     tokens: Tensor,  # [L]
-    orientation: int = 0,  # of the eight
+    orientation: int = 0,  # 0 to 7
     *,
     bfloat16: bool = False,
 ) -> ShapeOutput:
@@ -35,10 +37,11 @@ def ask(
 
     Args:
         model: in evaluation mode, on the CPU.
-        seen: what it is given.
+        seen: the network's inputs.
         tokens: the prompt.
-        orientation: in which it is given; the answer is turned back.
-        bfloat16: precision of the network.
+        orientation: in which the object is given: quarter turns, plus 4 if it is mirrored. The
+            answer is turned back.
+        bfloat16: whether the network runs in bfloat16.
 
     Returns:
         The answer for a batch of one.
@@ -60,11 +63,11 @@ def mean_answer(
     """Ask the network about one object in as many orientations as there are prompts.
 
     Args:
-        model: the network.
-        seen: what it is given.
-        prompts: what it is told in each orientation, at most eight.
-        first: its answer to the first of them, where that is known already.
-        bfloat16: precision of the network.
+        model: in evaluation mode, on the CPU.
+        seen: the network's inputs.
+        prompts: one for each orientation, at most eight.
+        first: the answer to the first prompt, if the network has given it already.
+        bfloat16: whether the network runs in bfloat16.
 
     Returns:
         The answer for a batch of one.
@@ -90,7 +93,7 @@ def answer_in(
     evidence: Tensor,  # [B, 3, C/2, C/2, C/2]
     scores: Tensor,  # [B, COPIES]
     tokens: Tensor,  # [B, L]
-    orientation: int,  # of the eight
+    orientation: int,  # 0 to 7
     *,
     bfloat16: bool,
 ) -> ShapeOutput:

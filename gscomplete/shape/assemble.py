@@ -2,7 +2,10 @@
 
 Conventions
 -----------
-* Lengths are in object sizes. "New" is what P does not have.
+* Lengths are in object sizes. What P does not have is called new. "Copies" are P's splats,
+  mirrored.
+* Copies are left out where something contradicts them: the views of V, the network's answer or
+  known shapes of the prompt's noun. The last two can mark copies of a handle as a second handle.
 """
 
 from __future__ import annotations
@@ -36,45 +39,51 @@ from gscomplete.views import ViewDistribution
 
 _LEAST_SPACING = 0.002
 _MOST_SPACING = 0.03
-"""Of the surface beside mirrored splats, which is that of the mirrored splats between the two."""
+"""Bounds of the spacing of the network's surface beside copies; between them it is the copies' own
+median spacing."""
 _MOST_LOOKED_AT = 20_000
-"""Splats of P that tell where P is."""
+"""Most splats of P that copies are compared with, to tell where P is."""
 _SEAM_SPACINGS, _ONE_SIDED_COPY = 0.5, 0.55
-"""Copies beyond P's rim count as new from so many of P's spacings on, where P's nearest splats lie
-to one side by so much: else a dark line is left along a cut."""
+"""A copy beyond P's rim counts as new if it is at least so many of P's spacings from P and P's
+nearest splats are at least this one-sided; stricter limits leave a dark line along a cut."""
 _LEAST_COPY_LOGIT = -2.0
-"""Copies in cells that the network finds emptier than this are left out, unless the plane is
-certain: of half a cow it takes the other side's legs for cut off, as P's views show none, ..."""
-_DOUBTED_LOGIT, _FEWEST_KNOWN, _UNLIKE_KNOWN = 0.0, 2, 0.08
-"""Copies in cells emptier than this are left out, too, where so many known shapes suit P and none
-is this near, object sizes; ..."""
+"""Copies in cells with a lower logit are left out, unless the plane is certain: given half a cow,
+the network doubts the legs on the other side, because no view shows them."""
+_DOUBTED_LOGIT = 0.0
+"""Copies in cells with a lower logit are doubted: known shapes decide about them."""
 _FEW_DOUBTED = 0.02
-"""Known shapes are not looked for where no more of the copies are doubted."""
+"""If a smaller share of the copies is doubted, known shapes are not asked."""
+_FEWEST_KNOWN = 2
+"""Fewer known shapes contradict nothing."""
+_UNLIKE_KNOWN = 0.08
+"""Known shapes contradict a doubted copy that is farther than this from all of them."""
 _BESIDE, _OFF_KNOWN = 0.12, 0.03
-"""... within the first of these such that none is nearer than the second ..."""
+"""Within the first distance of such a copy, they also contradict those doubted copies that are
+farther than the second from all known shapes, ..."""
 _OTHER_COLOR = 0.2
-"""... and those of their colour, where it is so far from that of the others there (sRGB); ..."""
+"""... and all copies of the contradicted ones' colour, if the median colours of contradicted and
+other copies there differ by at least this (Euclidean, sRGB)."""
 _MOST_IN_FRONT = 0.5
-"""... and those that more than this share of the views sees to be in front of P."""
+"""Splats that a larger share of the views finds in front of P are left out: they would hide P."""
 _LEAST_SYMMETRY_SCORE = 0.75
-"""Score of the first mirror image, by the network's output, from which on its splats are used;
-below it the network's surface is all there is."""
+"""Copies are used if the network's answer gives their plane at least this score; otherwise the
+network's surface alone completes P."""
 _LITTLE = 0.1
-"""Where P lacks less of the network's surface, mirrored splats would only stand beside P's own: of
-parts of 60 unseen objects, complete ones alone are below .12."""
+"""If P lacks a smaller share of the network's surface, copies would only double P's own splats. Of
+the parts of 60 unseen objects, only complete ones lack less than .12."""
 _LOGIT_BESIDE = 0.0
-"""Cells of the network's surface beside mirrored splats count as filled from this logit on."""
+"""Cells count as filled from this logit on where the network's surface goes beside copies."""
 _SYMMETRY_SCORES = (0.1, 0.3)
-"""Little is missing where no mirror image of P scores more than the first: none adds anything
-that the network predicts. From the second on that says nothing."""
+"""If the best plane scores less than the first, mirror images add nothing that the network
+predicts: little is missing. From the second on the score no longer suggests that."""
 _GAP_SPACINGS = 3.0
-"""Where P and mirrored splats leave gaps wider than so many spacings of splats, the network's
-surface closes them."""
+"""The network's surface closes gaps between P and copies that are wider than so many spacings."""
 _NEARLY_ALL = 0.9
-"""Share of P's splats whose mirror image is all that is added; where fewer are left, they would
-have hidden P."""
+"""If at least this share of P's splats has a copy, copies may be all that is added
+(``AssembleSettings.image_is_all``); where fewer are left, the others would have hidden P."""
 _NEXT_TO_NOTHING = 0.02
-"""Share of the filled cells below which what the prompt changes is not to be seen."""
+"""If the prompt changes a smaller share of the filled cells, users are told that it has no visible
+effect."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,35 +91,37 @@ class AssembleSettings:
     """How the first guess is put together."""
 
     count: int = 20_000
-    """Most splats of the network's surface. Mirrored ones are as many as P has: between fewer,
-    however wide, what lies behind them shows."""
+    """Most splats of the network's surface. Copies are not limited: there are as many as P has
+    splats, because fewer, however wide, would let what lies behind them show through."""
     occupancy_threshold_low: float = -1.0
-    """Without mirrored splats: from this logit on where much is missing (of what one view shows, a
-    whole side); the network is never confident of thin walls there, and some excess is accepted
-    for them ..."""
+    """Without copies, cells count as filled from this logit on where much is missing, such as the
+    whole far side of a scan. The network is never confident of thin walls there; the price of
+    keeping them is some excess."""
     occupancy_threshold_high: float = 0.25
-    """... and from this one on where little is missing, so that what is complete stays as it is. On
-    135 parts of 15 real objects that no benchmark uses, IoU is .009 above that of -1 everywhere:
-    .023 on those that lack little, .001 on the others."""
+    """The same where little is missing, so that a complete P stays as it is. On 135 parts of 15
+    real objects that no benchmark uses, using both levels raises IoU by .009 over -1 everywhere:
+    by .023 on parts that lack little, by .001 on the others."""
     occupancy_threshold_piece: float = -0.5
-    """From this one on where P is a piece, cut off by a box or a plane, however much is missing:
-    what scanners or cameras saw shows more of itself at once. On 48 such parts of 29 validation
-    objects outside the 48, on which it was chosen, IoU is .009 above that of the other two."""
+    """The same where P is a piece cut off by a box or a plane, however much is missing. On 48 such
+    parts of 29 validation objects, other than those it was chosen on, IoU is .009 above that of
+    the other two levels."""
     shown_of_piece: float = 0.8
-    """P is a piece where no view shows more of it at once."""
+    """P is a piece if no single view shows more than this share of it; scans and captures show
+    more of themselves at once."""
     threshold_missing_shares: tuple[float, float] = (0.2, 0.3)
-    """Little is missing, too, where no more of the surface than the first share lies beyond P's
-    cells and those beside them (were more counted as P's, scattered splats would pass for a
-    surface); from the second on that says nothing. Between them levels are interpolated; the
-    higher one counts."""
+    """Little is missing if no more than the first share of the network's surface lies beyond P's
+    cells and their neighbours, much if at least the second does; between them the level is
+    interpolated. Of this level and that of ``_SYMMETRY_SCORES`` the higher counts. (A wider
+    neighbourhood would take scattered splats for a surface.)"""
     near_partial: float = 0.03
-    """Without mirrored splats: surface this near to P's splats is P's own, as
+    """Without copies, surface this near to P's splats is P's own, as
     ``SurfaceSettings.near_partial`` says."""
     image_is_all: bool = False
-    """Nothing of the network's surface counts beside P's own splats, mirrored, where nearly all of
-    them do: what P lacks was cut away along the plane."""
+    """Whether P was cut along the mirror plane. Then, if nearly all of P's splats have a copy, the
+    copies are all that is added and the network's surface is not used."""
     reach: float = 1.5 * CELL_SIDE
-    """Surface this near to P's splats or mirrored ones is theirs; cells blur it by as much."""
+    """With copies, surface this near to P's splats or to copies is theirs: the grid's cells blur
+    the surface by as much."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,9 +131,9 @@ class AssembledSplats:
     splats: Splats
     """The new splats."""
     mirrored: int
-    """How many of them, the first, are P's own, mirrored."""
+    """How many of them are copies; these come first."""
     contradicted: int = 0
-    """How many mirrored ones known shapes contradict."""
+    """How many further copies were left out because known shapes contradict them."""
 
 
 def assemble_splats(
@@ -139,8 +150,8 @@ def assemble_splats(
         partial: P in the object frame.
         settings: knobs.
         generator: chooses where splats sit.
-        known: finds shapes that suit P, which may contradict mirror images; called where the
-            network doubts a part of them.
+        known: finds known shapes that suit P; called only if the network doubts enough copies for
+            known shapes to decide about them.
     """
     copies, contradicted = mirrored_copies(prediction, partial, generator, known)
     covering = surface_settings(prediction, settings, copies)
@@ -161,10 +172,13 @@ def mirrored_copies(
     generator: torch.Generator,
     known: Callable[[], Sequence[FittedShape]] = tuple,
 ) -> tuple[Splats | None, Splats]:
-    """Return P's splats through the first mirror image, where P has none and nothing is against.
+    """Mirror P's splats through the first plane; leave out what P has or something contradicts.
 
-    The second value are those that known shapes alone are against. None = P's own splats are not
-    to be mirrored, or none of them is left. Arguments are those of :func:`assemble_splats`.
+    Arguments are those of :func:`assemble_splats`.
+
+    Returns:
+        The copies to add (None = P's splats are not to be mirrored, or no copy is left), and those
+        left out because known shapes, and nothing else, contradict them.
     """
     if not is_mirrored_by_splats(prediction):
         return None, partial.select(torch.arange(0))
@@ -208,7 +222,7 @@ def is_mirrored_by_splats(prediction: Prediction) -> bool:
 
 
 def _is_certain(prediction: Prediction) -> bool:
-    """Say whether the plane is taken without a doubt: users and square cuts are."""
+    """Say whether the plane is taken as given: a user chose it, or P was cut squarely along it."""
     return prediction.symmetry_score >= 1.0
 
 
@@ -220,7 +234,7 @@ def _missing_share(prediction: Prediction) -> float:  # in [0, 1]
 
 
 def _surface_logit(prediction: Prediction, settings: AssembleSettings) -> float:
-    """Return the logit from which on cells count as filled, by how P was cut and what it lacks."""
+    """Return the logit from which on cells count as filled (see ``AssembleSettings``)."""
     if _is_scan(prediction):
         return settings.occupancy_threshold_low
     if prediction.voxels.shown_at_once < settings.shown_of_piece:
@@ -237,7 +251,7 @@ def _surface_logit(prediction: Prediction, settings: AssembleSettings) -> float:
 
 
 def _is_scan(prediction: Prediction) -> bool:
-    """Say whether P is what one view shows: a whole side is missing, however little it seems."""
+    """Say whether P is a scan from one view, which always lacks a whole side."""
     return not prediction.ends_in_plane and prediction.voxels.shown_at_once >= ONE_VIEW_SHARE
 
 
@@ -287,13 +301,13 @@ def image_of_half(
     views: ViewDistribution,
     generator: torch.Generator,
 ) -> Splats:
-    """Return P's image through a plane, without what V's views do not allow or P has.
+    """Return P's mirror image, without splats that would hide P in V's views or that P has already.
 
     Args:
         partial: one half of an object, in the object frame.
-        plane: that it was cut along.
+        plane: the plane that it was cut along.
         views: V.
-        generator: chooses the splats of P that tell where P is.
+        generator: chooses the splats of P that copies are compared with, if there are too many.
     """
     symmetry = mirror(math.radians(plane.azimuth_deg), plane.offset, 1.0)
     copies = mirror_image(partial, symmetry)
@@ -302,7 +316,7 @@ def image_of_half(
 
 
 def _beyond(copies: Splats, partial: Splats, generator: torch.Generator) -> Splats:
-    """Return the mirrored splats that lie where P has none, up to its rim."""
+    """Return the copies that lie where P has no surface, as close to its rim as the seam allows."""
     if not len(copies):
         return copies
     axes = rotation_matrices(copies.quaternions)
@@ -332,10 +346,11 @@ def contradicted_by(
     copies: Splats,
     doubted: Tensor,  # [N] bool by the network
 ) -> Tensor:  # [N] bool
-    """Mark the copies that the network doubts and no known shape has: a mug's second handle.
+    """Mark the copies that known shapes contradict, such as a mug's second handle.
 
-    Beside those what stands off them at all is marked, too, and what is of their colour rather than
-    of the others': the handle's ends.
+    Doubted copies far from all known shapes come first. Near them, doubted copies that are only a
+    little off the known shapes are marked too, and copies whose colour is nearer to that of the
+    marked ones than to that of the others: these are the ends of the handle.
     """
     if len(known) < _FEWEST_KNOWN or not bool(doubted.any()):
         return torch.zeros_like(doubted)
@@ -358,7 +373,7 @@ def contradicted_by(
 
 
 def stands_off(known: Sequence[FittedShape], splats: Splats, contradicted: Splats) -> Tensor:
-    """Mark the splats beside contradicted copies that no known shape has: a second handle's stumps.
+    """Mark the splats near contradicted copies that are off all known shapes: stumps of a handle.
 
     Args:
         known: shapes, at least one.

@@ -1,16 +1,16 @@
-"""Whether completing P is better than leaving it as it is: a small network over what tells.
+"""Whether completing P is better than leaving it as it is, by a small network.
 
-Where P is complete but thin wings or an open base show both sides of its surface, it does not pass
-for closed (``framing.extent``), and the network adds what is not there: a second pair of heads. How
-much of the surface is exposed on both sides and what the network's answers add tell such parts from
-those that lack something. The scorer has learned that from parts and complete objects whose truth
-is known (``recipes/train_embedded_prior``).
+If thin wings or an open base show both sides of a complete P's surface, P does not pass for closed
+(``framing.extent``), and the shape network adds what is not there, such as a second pair of heads.
+Two things tell such a P from one that lacks something: how much of its surface is exposed on both
+sides, and how much the network's answers add. The scorer has learned this from parts and complete
+objects whose truth is known (``recipes/train_embedded_prior``).
 
 Conventions
 -----------
-* The chosen answer is the one that ``planes.answer_scorer`` puts first; means and the least are
-  over all answers.
-* Cells of P and those beside them are P's; only what lies elsewhere counts as new.
+* The chosen answer is the one that ``planes.answer_scorer`` ranks first. Names that end in
+  ``_mean`` and ``_least`` are over all answers.
+* P's cells and their neighbours count as P's; only what lies elsewhere is new.
 """
 
 from __future__ import annotations
@@ -52,10 +52,11 @@ OF_ANSWERS = (
 )
 FEATURES = (*OF_ENDING, *OF_ANSWERS)
 _FILLED, _POSSIBLE = 0.5, 0.35
-"""Cells with at least these probabilities count as filled."""
+"""Cells with larger probabilities count as filled, and as possibly filled."""
 LEFT_BELOW = -2.0
-"""Score, in log odds, below which P is left as it is: of what the scorer learned from a quarter is
-complete, of what users bring perhaps a twentieth. Half a captured biker scores -.9."""
+"""P is left as it is if its score, the log odds that completing helps, is lower. The limit is not 0
+because a quarter of the scorer's training examples are complete, but perhaps a twentieth of what
+users bring. Half a captured biker scores -.9."""
 _GRID = (1, 2, 3)
 
 
@@ -69,7 +70,7 @@ def is_better_left(
     of_ending: FloatArray | None,  # [len(OF_ENDING)]
     of_answers: FloatArray | None,  # [len(OF_ANSWERS)]
 ) -> bool:
-    """Say whether what the network would add makes P worse; not where either is not asked for."""
+    """Say whether what the network would add makes P worse; False if either argument is None."""
     if of_ending is None or of_answers is None:
         return False
     features = np.concatenate([of_ending, of_answers])
@@ -77,7 +78,7 @@ def is_better_left(
 
 
 def features_of_answers(answers: Answers, chosen: int) -> FloatArray:  # [len(OF_ANSWERS)]
-    """Return what the network's answers tell."""
+    """Return the features of the network's answers; columns as ``OF_ANSWERS``."""
     own = answers.partial > 0
     elsewhere = grown(answers.partial[None]) <= 0
     filled, possible = answers.filled > _FILLED, answers.filled > _POSSIBLE
@@ -108,7 +109,7 @@ def _share_new(cells: Tensor, elsewhere: Tensor) -> Tensor:  # bool [K, C, C, C]
 
 
 def _shadows_new(filled: Tensor, own: Tensor) -> Tensor:  # bool [K, C, C, C], [C, ...] -> [5, K]
-    """Return the share of shadows that are not P's."""
+    """Return, for five directions, the share of every answer's shadow that P does not cast."""
     shares = []
     for all_of, of_partial in zip(shadows(filled | own), shadows(own[None]), strict=True):
         new = (all_of & ~of_partial).flatten(1).sum(dim=1)

@@ -2,9 +2,9 @@
 
 Conventions
 -----------
-* P is rendered from a few views of V. A point in front of P's surface was seen to be empty, else
-  it would hide P; behind it, nothing is known; on a ray that misses P there may be something that
-  was cut away.
+* P is rendered from a few views of V. A point in front of P's surface is known to be empty:
+  otherwise it would hide P. About a point behind P's surface nothing is known. On a ray beside P
+  there may be something that was cut away.
 * Depth is camera-space z; pixels as in ``views.cameras``.
 """
 
@@ -47,7 +47,7 @@ class Evidence:
 
 
 def gather_evidence(partial: Splats, distribution: ViewDistribution) -> Evidence:
-    """Render P's depth from c and to both sides of it."""
+    """Render P's depth from the input view c and from views to both sides of it."""
     cameras = distribution.sides(SIZE_PX)
     with torch.no_grad():
         seen = render(partial.with_sh_degree(0), cameras)
@@ -89,7 +89,7 @@ def _kinds_of(
     m: FloatArray,  # [4, 4] camera from world
     focal_px: float,
 ) -> NDArray[np.int64]:  # [N]
-    """Return ``kind_of`` of every point, in numpy: the few points do not pay for compiling."""
+    """Return ``kind_of`` of every point; in NumPy, because so few points do not repay compiling."""
     size = depth.shape[0]
     x, y, z = points.T
     right, down, far = (row[0] * x + row[1] * y + row[2] * z + row[3] for row in m[:3])

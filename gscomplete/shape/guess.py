@@ -1,10 +1,13 @@
 """The guess of the complete object, from P and the prompt to new splats.
 
-The network is asked (``predict``). Where P is not to be mirrored, known shapes of the prompt's noun
-are fitted to it (``bank.fit``), and the network is asked again with them (``bank.shown``), in the
-object frame or in one that has room for them (``bank.wider``). The answer becomes splats
-(``assemble``). Where the user lets the prompt decide, the known shape that suits P best is the
-answer itself (``bank.as_answer``), in the colour that the prompt names (``colors.prompt``).
+1. The network is asked (``predict``).
+2. If P's own splats are not to be mirrored, known shapes of the prompt's noun are fitted to P
+   (``bank.fit``) and the network is asked again with them (``bank.shown``), in the object frame or
+   in a wider one that has room for them (``bank.wider``).
+3. The answer becomes splats (``assemble``).
+
+If the user lets the prompt decide, the known shape that suits P best takes the place of the answer
+(``bank.as_answer``), in the colour that the prompt names (``colors.prompt``).
 """
 
 from __future__ import annotations
@@ -62,38 +65,38 @@ class Guess:
     splats: Splats
     """New splats in the object frame."""
     known: tuple[FittedShape, ...]
-    """Known shapes that had a part in it."""
+    """Known shapes that the guess is made with."""
     notes: tuple[str, ...]
-    """What decided it, for the user."""
+    """What the guess was decided by, for the user."""
 
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """The network and how it is asked."""
+    """The network, and what is the same in every question to it."""
 
     model: ShapeCompleter
     """In evaluation mode, on the CPU."""
     tokens: Tensor  # [L] the prompt
     no_tokens: Tensor  # [L] no prompt
     bfloat16: bool
-    """Precision of the network."""
+    """Whether the network runs in bfloat16."""
     ends_in_plane: bool
     """Whether P was cut along a plane, as far as found (``framing.cut_plane``)."""
 
 
 @dataclass(frozen=True, slots=True)
 class KnownShapes:
-    """Known shapes that may help."""
+    """Access to the known shapes that the prompt names."""
 
     bank: Path | None
     """File of the bank; None = no shape is known."""
     prompt: str
-    """Names the noun."""
+    """Text whose noun names the shapes."""
     decide: bool = False
-    """The one that suits P best is the answer, whatever the network's is."""
+    """Whether the shape that suits P best is taken in place of the network's answer."""
 
     def fitted(self, partial: Splats, views: ViewDistribution) -> tuple[FittedShape, ...]:
-        """Return those that suit P, in place, the best first."""
+        """Return the shapes that suit P, fitted to it, the best first."""
         if self.bank is None:
             return ()
         points, toward_c = partial.means.double().numpy().tobytes(), views.direction().tobytes()
@@ -101,14 +104,14 @@ class KnownShapes:
         return _fitted(self.bank, self.prompt, points, toward_c, limits)
 
     def may_agree(self) -> bool:
-        """Return whether shapes of two packs are called so: of each pack one may suit P."""
+        """Return whether two packs have shapes of that name; at most one per pack is fitted."""
         if self.bank is None:
             return False
         bank = read_bank(self.bank)
         return len({bank.names[k].pack for k in bank.named(self.prompt, len(bank))}) > 1
 
     def notes(self, used: tuple[FittedShape, ...]) -> tuple[str, ...]:
-        """Say which of them helped, or why none did."""
+        """Say which shapes were used, or why none were."""
         noun = head_noun(self.prompt)
         if self.bank is None or noun is None:
             return ()
@@ -124,7 +127,7 @@ class KnownShapes:
         return (f"{noun}: no known shape is called so",)
 
     def contradiction(self, shapes: tuple[FittedShape, ...], count: int) -> str:
-        """Say how many mirrored splats shapes contradict."""
+        """Say how many mirrored splats were left out because known shapes contradict them."""
         names = ", ".join(shape.name.id for shape in shapes)
         left_out = f"{count:,} mirrored splats left out that no known shape has ({names})"
         return f"{head_noun(self.prompt)}: {left_out} (--no-known-shapes: with them)"
@@ -159,13 +162,16 @@ def guess_complete(
         asked: the network.
         partial: P in the object frame.
         views: V.
-        mirror: the plane of symmetry.
-        known: shapes that may help.
-        count: most new splats beside P's own mirrored ones.
+        mirror: the plane to mirror P through, or how it is chosen.
+        known: access to known shapes.
+        count: most new splats, not counting P's own mirrored ones.
         generator: chooses where splats sit.
-        mirror_is_cut: whether P was cut along the plane, and meets it squarely.
-        of_ending: what P itself tells of whether it lacks anything; None = it is completed in any
-            case.
+        mirror_is_cut: whether P was cut squarely along that plane.
+        of_ending: features that tell whether P lacks anything (``benefit.OF_ENDING``); None = P is
+            completed in any case.
+
+    Returns:
+        The new splats, object frame, with what decided them; none if P is better left as it is.
     """
     settings = AssembleSettings(count=count, image_is_all=mirror_is_cut)
     plain = ask_about(asked, partial, views, mirror)
@@ -201,7 +207,7 @@ def _by_known_shapes(
     settings: AssembleSettings,
     generator: torch.Generator,
 ) -> Guess | None:
-    """Guess with known shapes, where they have room; None where their answers do not count."""
+    """Guess with known shapes, in a frame that has room for them; None = they do not count."""
     shapes = known.fitted(partial, views)[: 1 if known.decide else _MOST_SHOWN]
     if len(shapes) < (1 if known.decide else LEAST_SHOWN):
         return None
@@ -248,7 +254,7 @@ def _by_known_shapes(
 
 
 def ask_about(asked: Asked, partial: Splats, views: ViewDistribution, mirror: Mirror) -> Prediction:
-    """Ask the network; arguments as :func:`guess_complete`."""
+    """Ask the network about P; arguments are those of :func:`guess_complete`."""
     return predict(
         asked.model,
         partial,
@@ -262,7 +268,7 @@ def ask_about(asked: Asked, partial: Splats, views: ViewDistribution, mirror: Mi
 
 
 def _carried(prediction: Prediction, frame: Similarity) -> Prediction:
-    """Return a prediction whose mirror images are told in another frame."""
+    """Return a prediction whose mirror planes are expressed in another frame."""
     maps = tuple(symmetry_in(symmetry, frame) for symmetry in prediction.seen.symmetries)
     seen = dataclasses.replace(prediction.seen, symmetries=maps)
     return dataclasses.replace(prediction, seen=seen)

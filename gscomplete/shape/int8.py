@@ -1,7 +1,7 @@
-"""The shape network for processors that multiply bytes in hardware: blocks in 8 bits.
+"""The shape network with 8-bit convolutions, for processors that multiply bytes in hardware.
 
-Convolutions of residual blocks and the last one are of bytes (``networks.byte_convolution``),
-everything else is in bfloat16 under autocast, else in float32.
+The convolutions of the residual blocks and the last convolution run in 8 bits
+(``networks.byte_convolution``); everything else runs in bfloat16 under autocast, or in float32.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from gscomplete.shape.network import Level, ResidualBlock, ShapeCompleter, laid_
 
 
 class ByteBlock(nn.Module):
-    """A residual block whose convolutions are of bytes."""
+    """A residual block whose convolutions run in 8 bits."""
 
     def __init__(self, block: ResidualBlock) -> None:
         super().__init__()
@@ -32,10 +32,10 @@ class ByteBlock(nn.Module):
 
 
 class ByteShapeCompleter(ShapeCompleter):
-    """A shape network in 8 bits; gradients have to be off when it is asked."""
+    """A shape network in 8 bits, for inference only: gradients have to be off."""
 
     def __init__(self, given: ShapeCompleter) -> None:
-        """Share all that is not of bytes with one in floats, which stays as it is."""
+        """Share all layers that stay in floating point with ``given``, which is not changed."""
         nn.Module.__init__(self)
         self.config = given.config
         for name, part in given.named_children():
@@ -50,7 +50,7 @@ class ByteShapeCompleter(ShapeCompleter):
 
 
 def _in_bytes(levels: nn.ModuleList) -> nn.ModuleList:
-    """Return levels whose blocks are of bytes."""
+    """Return levels whose blocks run in 8 bits."""
     found = nn.ModuleList()
     for level in levels:
         assert isinstance(level, Level)

@@ -14,7 +14,7 @@ class MirrorPlane:
     """An upright plane of symmetry in the object frame."""
 
     azimuth_deg: float
-    """Of its normal, as of views: 0 = +x, 90 = +y."""
+    """Azimuth of its normal, counted as for views: 0 = +x, 90 = +y."""
     offset: float
     """How far along its normal it is from the frame's centre, in object sizes."""
 
@@ -38,10 +38,10 @@ class MirrorPlane:
 
 @dataclass(frozen=True, slots=True)
 class HalfCut:
-    """P is one half: the other is its mirror image through the plane that P ends at."""
+    """P is one half of the object, whose other half is P mirrored through the plane P ends at."""
 
     toward_deg: float | None = None
-    """Azimuth of the other half, roughly; None = found (``framing.end_plane``)."""
+    """Rough azimuth of the other half, degrees; None = it is found (``framing.end_plane``)."""
 
     def __post_init__(self) -> None:
         """Check the azimuth.

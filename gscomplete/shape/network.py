@@ -1,10 +1,10 @@
 """The shape network: a three-dimensional U-Net from P's voxels to the complete object's.
 
-It predicts whether the object fills each fine cell (solid, or a thin wall passes) and, for each
-coarse cell, where its colour comes from: P nearby, one of the mirror images of P, or a colour of
-the network's own. So patterns are continued by pointing at them rather than by painting them; and
-so are fine cells: what P or a mirror image fills adds to the answer as much as the coarse cell
-trusts that source.
+It predicts for each fine cell whether the object fills it (it is solid, or a thin wall passes it),
+and for each coarse cell where its colour comes from: from P nearby, from one of P's mirror images,
+or from a colour of the network's own. So it continues patterns by pointing at them rather than by
+painting them. Occupancy works likewise: what P or a mirror image fills is added to the logits,
+weighted by how much the coarse cell trusts that source.
 
 Conventions
 -----------
@@ -146,7 +146,7 @@ class ShapeCompleter(nn.Module):
         place = positions(evidence.shape[-1], evidence.device).expand(len(volumes), -1, -1, -1, -1)
         x = torch.cat([fold(volumes.flatten(1, 2)), evidence, place], dim=1)
         x = self.stem(x.contiguous(memory_format=torch.channels_last_3d))
-        x = x.contiguous(memory_format=torch.channels_last_3d)  # which one thread does not keep
+        x = x.contiguous(memory_format=torch.channels_last_3d)  # lost where one thread convolves
         kept = []
         for level in range(3):
             x = self.down[level](x, embedding)
@@ -172,7 +172,7 @@ class ShapeCompleter(nn.Module):
 
 
 def laid_out(network: Network) -> Network:
-    """Lay kernels out in memory, in place, as convolutions read them."""
+    """Store convolution kernels channels last, the layout that convolutions read; in place."""
     return network.to(memory_format=torch.channels_last_3d)  # type: ignore[call-overload]
 
 

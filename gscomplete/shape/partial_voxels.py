@@ -1,4 +1,4 @@
-"""What the shape network is given of P: its voxels, its mirror images' voxels, the views' evidence.
+"""The shape network's inputs: voxels of P and of its mirror images, and the views' evidence.
 
 Conventions
 -----------
@@ -37,9 +37,9 @@ from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution
 
 _SHAPE_REACH = 0.008
-"""Points of a surface count this far to their sides, too, object sizes."""
+"""Standard deviation, in object sizes, of the discs that stand for points of a known shape."""
 _SHAPE_SCORE = 0.5
-"""Belief in a known shape, on the scale of planes' scores."""
+"""Score of a known shape as an input, on the scale of the planes' scores."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,17 +70,17 @@ class PartialVoxels:
         return best_view_share(self.positions)
 
     def samples(self) -> PartSamples:
-        """Return P as planes are scored on it."""
+        """Return the samples of P that planes are scored on."""
         return part_samples(self.positions, self.tangents, self.colors, self.volume)
 
     def input_symmetries(
         self, planes: Sequence[SymmetryMap], first: int
     ) -> tuple[SymmetryMap, ...]:  # COPIES
-        """Return what the network is given: one of the planes, and what goes with it."""
+        """Return the network's mirror images: one plane, a second one, and their composition."""
         return with_composition(planes[first], second_symmetry(planes, first, self.positions))
 
     def with_copies(self, symmetries: tuple[SymmetryMap, ...]) -> ShapeInputs:
-        """Return what the network is given with these mirror images."""
+        """Return the network's inputs with these mirror images."""
         volumes = [self.volume]
         for symmetry in symmetries:
             turned = np.ascontiguousarray(self.tangents @ symmetry.matrix.T)
@@ -94,10 +94,10 @@ class PartialVoxels:
         seen: ShapeInputs,
         points: NDArray[np.float64],  # [M, 3]
     ) -> ShapeInputs:
-        """Return inputs with a surface, in the colours of P's nearest splats, as the first copy.
+        """Return inputs with a surface as the first mirror image, in P's nearest colours.
 
         Args:
-            seen: what :meth:`with_copies` returned, whose last copy gives way.
+            seen: inputs from :meth:`with_copies`; their last mirror image is dropped.
             points: of the surface, object frame.
         """
         places = np.ascontiguousarray(points, np.float32)
@@ -114,7 +114,7 @@ class PartialVoxels:
 
 
 def voxelize_partial(partial: Splats, distribution: ViewDistribution) -> PartialVoxels:
-    """Look at P.
+    """Voxelise P and gather what the views V tell about the space around it.
 
     Args:
         partial: P in the object frame.

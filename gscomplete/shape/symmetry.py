@@ -1,9 +1,9 @@
 """Mirror images of P that may show what is missing.
 
-Most objects have an upright plane of symmetry, and many have two: on real objects the copy of P
+Most objects have an upright plane of symmetry, and many have two. On real objects P's mirror image
 through one well-chosen plane holds most of what is missing. ``planes.proposals`` finds likely
-planes, ``symmetry_choice`` chooses among them; the shape network is given the copies through two
-that differ and their composition, and decides what to take.
+planes and ``symmetry_choice`` chooses among them. The shape network is given P's images through two
+differing planes and through both in turn, and decides what to take from them.
 
 Conventions
 -----------
@@ -27,9 +27,10 @@ from gscomplete.splats.transform import multiply_quaternions, quaternion_from_ro
 
 COPIES = 3
 SOURCES = 1 + COPIES
-"""P and its mirror images."""
+"""Number of mirror images, and of sources: P and its mirror images."""
 _ALIKE = 0.08
-"""Maps that carry P's points to places nearer than this (mean, object sizes) show the same."""
+"""Two maps are alike if they carry P's points to places at most this far apart on average, object
+sizes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +58,7 @@ class SymmetryMap:
 def second_symmetry(
     planes: Sequence[SymmetryMap], first: int, points: FloatArray
 ) -> SymmetryMap:  # points [N, 3] of P
-    """Return the first of the other planes that shows something else, or else the first other."""
+    """Return the first other plane that is not like the first one, or else simply the next."""
     others = [plane for index, plane in enumerate(planes) if index != first]
     for other in others:
         if not other.is_like(planes[first], points):
@@ -66,7 +67,7 @@ def second_symmetry(
 
 
 def with_composition(one: SymmetryMap, other: SymmetryMap) -> tuple[SymmetryMap, ...]:
-    """Return what the shape network is given: two mirror images, and one after the other."""
+    """Return the shape network's maps: two mirror images, and one followed by the other."""
     both = SymmetryMap(
         other.matrix @ one.matrix,
         other.matrix @ one.shift + other.shift,
@@ -76,7 +77,7 @@ def with_composition(one: SymmetryMap, other: SymmetryMap) -> tuple[SymmetryMap,
 
 
 def no_symmetries() -> tuple[SymmetryMap, ...]:  # COPIES
-    """Return what the shape network is given where no mirror image is right: P itself."""
+    """Return the shape network's maps if no mirror image is right: the identity, score 0."""
     nothing = SymmetryMap(np.eye(3, dtype=np.float32), np.zeros(3, np.float32), 0.0)
     return (nothing,) * COPIES
 
@@ -103,9 +104,9 @@ def mirror(angle: float, offset: float, score: float) -> SymmetryMap:
 def mirror_image(splats: Splats, symmetry: SymmetryMap) -> Splats:
     """Return the image of splats under a map.
 
-    An ellipsoid is symmetric about its centre, so its mirror image is a turn of it: by the map's
-    matrix, or by its negative where that mirrors. Colours are base colours: what shines stays where
-    it is.
+    An ellipsoid is symmetric about its centre, so its mirror image is a rotation of it: by the
+    map's matrix, or by the negative of that if it mirrors. Only base colours are kept, because
+    highlights are not mirrored with an object.
 
     Args:
         splats: N splats in the object frame.

@@ -1,9 +1,9 @@
 """Which mirror images of P the shape network is given: those consistent with its own answers.
 
-Planes are proposed by P's appearance through them. The network knows more of objects, so it is
-asked once per likely plane and once without any, and the answer that ``planes.answer_scorer`` puts
-first is taken. A part that ends in a plane lacks what lies beyond: there, no mirror image is no
-choice.
+Planes are proposed from P alone. The network knows more about objects, so it is asked once per
+likely plane and once without any, and the answer that ``planes.answer_scorer`` ranks first is
+taken. If P ends in a plane, something beyond it is missing, so the question without any is left
+out.
 """
 
 from __future__ import annotations
@@ -37,47 +37,47 @@ CANDIDATES = 8
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """What the network is given."""
+    """The inputs chosen for the network."""
 
     seen: ShapeInputs
     symmetry_score: float
-    """Of the first mirror image by the network's answer; 0 where none is given, 1 where users chose
+    """Score of the first mirror image by the network's answer; 0 = there is none, 1 = a user chose
     it."""
     answer: ShapeOutput | None = None
-    """The network's, for a batch of one; None = it was not asked."""
+    """The network's answer to these inputs, for a batch of one; None = it was not asked."""
     added: FloatArray | None = None  # [len(benefit.OF_ANSWERS)]
-    """What all its answers add to P; None = it was not asked."""
+    """Features of what all its answers add to P; None = it was not asked."""
 
 
 @dataclass(frozen=True, slots=True)
 class AskedPlanes:
-    """Questions about likely planes, in the order in which those were proposed."""
+    """The questions about likely planes, in the order in which the planes were proposed."""
 
     answers: Answers
     shown: tuple[tuple[SymmetryMap, ...], ...]
-    """What the network was given at each question."""
+    """The mirror images in each question."""
     outputs: tuple[ShapeOutput, ...]
-    """All that it answered, for batches of one."""
+    """The full answers, for batches of one."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScoredPlanes:
-    """Likely planes, by what the network's answers make of them, the best first."""
+    """Likely planes, ranked by the network's answers to them, the best first."""
 
     planes: tuple[SymmetryMap, ...]
     symmetry_scores: tuple[float, ...]
-    """Of each by the answer to it."""
+    """Score of each plane by the network's answer to it."""
     none_is_best: bool
-    """Whether the network's answer to no mirror image is ranked before those to all others."""
+    """Whether the answer without any mirror image is ranked first."""
     seen: ShapeInputs
-    """What the network is given: the best plane, or no mirror image."""
+    """Inputs of the answer ranked first: with the best plane, or without mirror image."""
     answer: ShapeOutput
-    """Its answer to that."""
+    """The answer ranked first."""
     added: FloatArray  # [len(benefit.OF_ANSWERS)]
-    """What all its answers add to P."""
+    """Features of what all answers add to P."""
 
     def distinct(self, points: FloatArray) -> tuple[SymmetryMap, ...]:  # points [N, 3] of P
-        """Return the planes that show something else than those before them."""
+        """Return the planes that are not like any plane before them."""
         found: list[SymmetryMap] = []
         for plane in self.planes:
             if not any(plane.is_like(other, points) for other in found):
@@ -94,15 +94,15 @@ def choose_symmetries(
     bfloat16: bool = False,
     mirror_plane: Mirror = "guess",
 ) -> Choice:
-    """Choose what the network is given.
+    """Choose the mirror images that the network is given.
 
     Args:
         model: in evaluation mode, on the CPU.
         voxels: P.
         tokens: the prompt.
         ends_in_plane: whether P was cut along a plane, as far as found (``framing.cut_plane``).
-        bfloat16: precision of the network.
-        mirror_plane: which one to show first.
+        bfloat16: whether the network runs in bfloat16.
+        mirror_plane: the plane of the first mirror image, "none", or "guess" = chosen here.
     """
     if mirror_plane == "none":
         return Choice(voxels.with_copies(no_symmetries()), 0.0)
@@ -124,7 +124,7 @@ def score_planes(
     ends_in_plane: bool,
     bfloat16: bool = False,
 ) -> ScoredPlanes:
-    """Ask the network about every likely plane; arguments as of :func:`choose_symmetries`."""
+    """Rank the likely planes by the network's answers; arguments as :func:`choose_symmetries`."""
     asked = ask_about_planes(model, voxels, tokens, ends_in_plane=ends_in_plane, bfloat16=bfloat16)
     answers, count = asked.answers, len(asked.answers.planes)
     features = answer_features(answers)
@@ -151,7 +151,7 @@ def ask_about_planes(
     ends_in_plane: bool,
     bfloat16: bool = False,
 ) -> AskedPlanes:
-    """Ask the network; arguments as of :func:`choose_symmetries`."""
+    """Ask the network about every likely plane; arguments as :func:`choose_symmetries`."""
     with stage("planes"):
         planes = candidate_planes(voxels, CANDIDATES, bfloat16=bfloat16)
     count = len(planes)
@@ -160,7 +160,7 @@ def ask_about_planes(
         shown.append(no_symmetries())
     copies = torch.empty(count, *(CELLS,) * 3)
     outputs = []
-    for k, symmetries in enumerate(shown):  # one by one: what a question needs stays in the caches
+    for k, symmetries in enumerate(shown):  # one by one, so that a question fits into the caches
         seen = voxels.with_copies(symmetries)
         outputs.append(ask(model, seen, tokens, bfloat16=bfloat16))
         if k < count:

@@ -1,8 +1,9 @@
 """A known shape in the place of the network's answer, where the user lets the prompt decide.
 
-A shape that is turned, scaled and moved still stands off P: a handle is thinner, a seat deeper. It
-is bent to P: near P it is looked up where its own surface nearest to P is, once and smoothly (done
-again until it meets P, as it could be, it tears).
+A shape that was only turned, scaled and moved to fit P still does not meet it: a handle is thinner,
+a seat deeper. So the shape is bent: about each point of P it is displaced by the offset between P
+and its own nearest surface. This is done once, with a smooth fall-off; repeated until the shape
+meets P everywhere, it would tear.
 """
 
 from __future__ import annotations
@@ -19,29 +20,32 @@ from gscomplete.shape.voxels import CELL_SIDE, CELLS, cell_centers
 DECIDING = FitLimits(
     most_cost=0.25, most_growth=200.0, in_front_cost=0.15, synonym_cost=0.02, other_noun_cost=0.04
 )
-"""Of shapes that users ask for by name: P may be a small piece of them, and suit them badly."""
+"""Limits for shapes that users ask for by name. They are wide, because P may be a small piece of
+the shape and fit it badly."""
 LIKE_PARTIAL = 0.08
-"""What of a shape is this near to P, object sizes, stands for what P has."""
+"""Parts of the shape this near to P count as P's own and are left out, object sizes."""
 _STEEPNESS = 8.0
-"""Logits per cell, so that no level that surfaces are taken at moves them."""
+"""Logits per cell across the surface: steep enough that every level in use finds the same
+surface."""
 _MOST_BENT = 0.15
 """Points of P farther than this from the shape do not bend it, object sizes."""
 _WIDTH = 0.08
-"""Over which what a point of P bends falls off."""
+"""Standard deviation of the Gaussian over which a point's effect falls off, object sizes."""
 _FALL_OFF = 0.5
-"""Points of P, at no distance, whose effect "not bent" weighs as much as."""
+"""Weight of "no displacement" in the mean of displacements; a point of P at distance 0 has 1."""
 _POINTS, _NEIGHBOURS = 3000, 24
+"""Most points of P that bend the shape, and how many of them count at each place."""
 
 
 def occupancy_of(
     shape: FittedShape,
     part: FloatArray,  # [N, 3] points of P, at least one
 ) -> Tensor:  # [1, C, C, C] logits
-    """Return what of the grid a shape fills, with a cell round it, as the network fills cells.
+    """Bend a shape to P and return its occupancy, one cell thick beyond it as the network's is.
 
     Args:
-        shape: in the frame of the grid, as P is.
-        part: bends the shape.
+        shape: fitted to P, in the frame of the grid.
+        part: points of P that bend the shape, same frame.
     """
     centers = cell_centers(CELLS).reshape(-1, 3).astype(np.float64)
     cells = shape.distances(centers + _bending(shape, part, centers)) / CELL_SIDE
@@ -54,7 +58,7 @@ def _bending(
     part: FloatArray,  # [N, 3]
     places: FloatArray,  # [M, 3]
 ) -> FloatArray:  # [M, 3]
-    """Return how far from places the shape's places lie that go there."""
+    """Return, for every place, the offset to where the unbent shape is to be looked up."""
     some = part[np.linspace(0, len(part) - 1, min(len(part), _POINTS)).astype(np.int64)]
     distance, nearest = cKDTree(shape.points).query(some)
     near = distance < _MOST_BENT

@@ -1,14 +1,14 @@
 """Known shapes fitted to P: turned about the vertical, scaled along their axes, and moved.
 
-Poses are tried coarsely (turns, sizes, and P's box against the sides of the shape's box), and the
-best of all shapes refined. A fit is judged by how far P's points are from the shape's surface, how
-much of the shape would hide P from c, how much of what c sees of it P does not have, and how much
-larger than P it is: a large shape has a place for any small part.
+A coarse search over turns, sizes and places of P's box within the shape's box finds poses, and the
+best of all shapes are refined. A fitted shape costs more the farther P's points are from its
+surface, the more of it would hide P from c, the more of what c sees of it P lacks, and the larger
+it is compared with P: any small part fits somewhere in a large shape.
 
 Conventions
 -----------
-* Poses are those of ``pose``. Distances count in P's largest side, up to ``FAR`` of it: what P has
-  and the shape lacks.
+* Poses are those of ``pose``. Distances of P's points from a shape are in units of P's largest side
+  and count up to ``FAR``, because P may have something that the shape lacks.
 """
 
 from __future__ import annotations
@@ -35,31 +35,38 @@ from gscomplete.shape.bank.pose import (
 from gscomplete.shape.bank.store import BANK_CELLS, Naming, ShapeBank, ShapeName
 
 _MOST_SHAPES = 80
-"""Shapes of the prompt's noun that are looked at."""
+"""Most shapes of the prompt's noun that are tried."""
 _MOST_REFINED = 60
-"""Poses of all shapes together."""
+"""Most poses that are refined, over all shapes."""
 _POSES_PER_SHAPE = 6
 _COARSE_POINTS, _FINE_POINTS, _SEEN_POINTS = 150, 300, 6000
+"""Points of P in the coarse search, in refinement, and in the comparison as seen from c."""
 _TURNS = 16
 _SHARES = (1.0, 0.85, 0.72, 0.6, 0.5)
-"""How much of the shape P is along the axis where it is most of it ..."""
+"""Sizes tried: P's box over the shape's box, along the axis where that ratio is largest."""
 _SLACK = 1.08
-"""... of which it may be a little more."""
+"""Factor on these sizes: P may stick out of the shape's box by a little."""
 _MIDDLE = 0.5
 _PLACES = np.array(list(itertools.product((0.0, _MIDDLE, 1.0), repeat=3)))
-"""Places of P's box within the shape's, by the room along each axis ..."""
+"""Places tried: along each axis P's box is at one end of the shape's box, in its middle, or at the
+other end."""
 _NEXT_TO_NO_ROOM = 0.06
-"""... of which less than this, of the shape's side, leaves it in the middle."""
+"""Along axes where P's box has less room than this within the shape's, only the middle is tried
+(in units of the shape's largest side)."""
 _SHARE_COST = 0.03
+"""Cost of a small share in the coarse search, per natural logarithm."""
 _IN_FRONT_COST, _UNSEEN_COST, _GROWTH_COST = 0.15, 0.06, 0.012
+"""Weights of ``FittedShape.in_front``, ``unseen`` and ``growth`` in its cost."""
 _PICTURE_PX = 40
+"""Pixels across P in the pictures from c that P and the shape are compared in."""
 _LEAST_ACROSS = 0.04
-"""P's extent across c counts as no less, of P's and the shape's together: the picture of a rod that
-is seen along its axis would fill the memory."""
+"""P's extent across the picture counts as at least this share of the extent of both. Otherwise a
+rod seen along its axis would make pixels so small that the picture does not fit into memory."""
 _TOLERANCE = 0.06
-"""In front of P by more than this, object sizes, a shape would hide it."""
+"""A shape hides P where it is this much nearer to c than P, in units of P's largest side."""
 _SEEN_DEPTH, _NEAR = 0.03, 0.07
-"""What lies this near behind the nearest part of a shape is seen of it; P has what is this near."""
+"""c sees those points of a shape that lie at most the first behind its nearest one in their pixel;
+P lacks those of them that no point of P is nearer to than the second (same units)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,19 +74,22 @@ class FitLimits:
     """Which fitted shapes suit P."""
 
     most_cost: float = 0.065
-    """Worse shapes are left out; of two random shapes of one noun most are."""
+    """Shapes that cost more are left out. Most pairs of random shapes of one noun fit worse."""
     most_growth: float = 3.0
-    """A shape that needs more than so many times P's box is left out: P is no more than a face of
-    it, and what is behind a face may have any size."""
+    """Shapes are left out if the box of P and the shape has more than so many times the volume of
+    P's box. Then P is little more than one face of the shape, and does not tell how large the rest
+    is."""
     in_front_cost: float = 0.0
-    """More for the share that would hide P: what hides it is cut away."""
+    """Additional cost of the share of a shape that would hide P, for callers that cut that share
+    away."""
     synonym_cost: float = 0.0
-    """More for shapes of another word for the noun: a bird bath for "a bathtub"."""
+    """Additional cost of shapes that another word names: a bird bath for "a bathtub"."""
     other_noun_cost: float = 0.0
-    """More for shapes that only their captions connect with it: a lamp table for "a lamp"."""
+    """Additional cost of shapes that only mention the noun in their captions: a lamp table for
+    "a lamp"."""
 
     def cost_of(self, shape: FittedShape, naming: Naming) -> float:
-        """Return what is added to a shape's cost."""
+        """Return the additional cost of a shape under these limits."""
         by_name = {"noun": 0.0, "synonym": self.synonym_cost, "caption": self.other_noun_cost}
         return self.in_front_cost * shape.in_front + by_name[naming]
 
@@ -93,15 +103,15 @@ class FittedShape:
     pose: Pose
     points: FloatArray  # [M, 3] centres of these cells, object frame
     residual: float
-    """Mean distance of P's points from its surface."""
+    """Mean distance of P's points from its surface, in units of P's largest side."""
     in_front: float
-    """Share of it that would hide P from c."""
+    """Share of the shape's surface that would hide P from c."""
     unseen: float
-    """Share of what c sees of it that P does not have."""
+    """Of the surface that c would see of the shape alone, the share that P lacks."""
     growth: float
-    """Logarithm of the volume of its box and P's together over that of P's."""
+    """Natural logarithm of the ratio of volumes: the common box of P and the shape over P's box."""
     added_cost: float = 0.0
-    """What the limits add to the cost."""
+    """Additional cost under the limits in use (``FitLimits.cost_of``)."""
 
     @property
     def cost(self) -> float:
@@ -110,14 +120,14 @@ class FittedShape:
         return self.residual + contradicted + _GROWTH_COST * self.growth + self.added_cost
 
     def moved(self, scale: float, move: FloatArray) -> FittedShape:  # [3]
-        """Return it in the place of an object whose points p are now ``scale * p + move``."""
+        """Return the shape for an object whose points p have become ``scale * p + move``."""
         pose = self.pose.of_moved(scale, move)
         return dataclasses.replace(self, pose=pose, points=scale * self.points + move)
 
     def distances(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N]
-        """Return how far points of the object frame are from the shape; 0 within a closed one.
+        """Return the distances of points from the shape, object frame; 0 inside a closed shape.
 
-        Where the shape is scaled differently along its axes the mean scale counts.
+        They are approximate where the pose scales axes differently: the mean scale is used.
         """
         solid = binary_fill_holes(self.cells)
         place = self.pose.to_shape(points)
@@ -137,13 +147,14 @@ def fit_known_shapes(
     count: int,
     limits: FitLimits,
 ) -> list[FittedShape]:
-    """Return the shapes of the prompt's noun that suit P, the best first, one from each pack.
+    """Return the shapes of the prompt's noun that suit P, the best first, at most one per pack.
 
-    Shapes of one maker are alike, so their agreement says little.
+    Shapes in one pack come from one maker and resemble each other, so two of them agreeing is
+    little evidence.
 
     Args:
         bank: known shapes.
-        prompt: names the noun.
+        prompt: text whose noun names the object.
         points: of P, object frame.
         toward_c: unit vector from the object towards the input view.
         count: most shapes.
@@ -189,7 +200,7 @@ def _coarse(
     surface: NDArray[np.bool_],  # [C, C, C]
     points: FloatArray,  # [N, 3]
 ) -> list[tuple[float, Pose]]:
-    """Try poses; return the best with their costs."""
+    """Search poses of one shape coarsely; return the best few with their costs, the best first."""
     half = BANK_CELLS // 2
     cells = np.asarray(surface.reshape(half, 2, half, 2, half, 2).any(axis=(1, 3, 5)))
     field = distance_field(cells)

@@ -1,8 +1,8 @@
 """Poses of known shapes improved, all at once: P's points come nearer to the shapes' surfaces.
 
-Minimised is the sum of distances up to ``FAR``, plus a price for turning and stretching, by
-Gauss-Newton steps on squares that touch it from above (iteratively reweighted least squares),
-damped after Levenberg and Marquardt: a step is taken where it lowers the sum.
+The objective is the sum of P's distances from the shape, each at most ``FAR``, plus a penalty on
+turning and stretching. It is minimised by iteratively reweighted least squares with
+Levenberg-Marquardt damping: a step is taken if it lowers the objective.
 """
 
 from __future__ import annotations
@@ -15,16 +15,18 @@ from gscomplete.shape.bank.pose import MARGIN, FloatArray, Pose, turn_about_z
 from gscomplete.shape.bank.store import BANK_CELLS
 
 FAR = 0.12
-"""Points of P farther than this from a shape count as if they were this far, P's largest sides."""
+"""Larger distances of P's points from a shape count as this one, in units of P's largest side."""
 _TURN_STEP, _SCALE_STEP, _STIFFNESS = 0.5, 0.2, 0.03
-"""Radians and logarithms by which a pose changes at the price of ``_STIFFNESS``, per point."""
+"""A turn by the first (radians), or a change of a log scale by the second, has a penalty of
+``_STIFFNESS`` squared per point of P."""
 _WEIGHT = 0.3
-"""Of a point's distance, beside that price squared."""
+"""Weight of a point's distance in the objective."""
 _STEPS = 24
 _LEAST_DISTANCE = 0.02
-"""A cell of the bank, sizes: smaller distances weigh as this one does in a step."""
+"""Smaller distances get the weight of this one when least squares are reweighted: about a cell of
+the bank, in units of the shape's side."""
 _DAMPING, _LESS, _MORE = 1e-2, 0.3, 8.0
-"""At first, after a step that is taken, after one that is not."""
+"""Initial damping; its factor after a step that is taken; its factor after one that is refused."""
 
 
 def improve_poses(
@@ -32,12 +34,15 @@ def improve_poses(
     begun: Sequence[tuple[int, Pose]],
     points: FloatArray,  # [N, 3]
 ) -> list[tuple[float, Pose]]:
-    """Improve poses; return mean distances of the points and poses.
+    """Improve poses of shapes.
 
     Args:
-        fields: distances from shapes.
-        begun: which of the shapes, and where it is.
-        points: of P, which is 1 in size.
+        fields: distances from each shape's surface (``pose.distance_field``).
+        begun: for every pose the index of its shape's field, and the pose to start from.
+        points: P's points, scaled so that P's largest side is 1.
+
+    Returns:
+        For every pose the mean distance of the points, at most ``FAR`` each, and the improved pose.
     """
     if not begun:
         return []
@@ -56,7 +61,7 @@ def improve_poses(
 
 
 class _Problem:
-    """What is minimised; changes of a pose are [yaw, shift (3), log scales (3)]."""
+    """The objective; a change of a pose is the vector [yaw, shift (3), log scales (3)]."""
 
     def __init__(
         self,
@@ -77,19 +82,19 @@ class _Problem:
         self._stiffness *= _STIFFNESS * np.sqrt(len(points))
 
     def pose(self, k: int, change: FloatArray) -> Pose:  # [7]
-        """Return pose k, changed."""
+        """Return the k-th pose after a change."""
         given = self._poses[k]
         scales = given.scales * np.exp(change[4:])
         return Pose(given.yaw_rad + float(change[0]), scales, given.shift + change[1:4])
 
     def value(self, change: FloatArray) -> FloatArray:  # [P, 7] -> [P]
-        """Return what is minimised."""
+        """Return the objective of every pose."""
         price = ((self._stiffness * change) ** 2).sum(axis=1)
         total: FloatArray = _WEIGHT * self.distances(change).sum(axis=1) + price
         return total
 
     def distances(self, change: FloatArray) -> FloatArray:  # [P, 7] -> [P, N]
-        """Return the distances that count."""
+        """Return the points' distances from the shapes, at most ``FAR``."""
         turned, scales = self._turned(change)
         at = scales[:, None] * turned + (self._shift + change[:, 1:4])[:, None]
         found, _ = self._looked_up(at)
@@ -116,13 +121,13 @@ class _Problem:
         return found_step
 
     def _turned(self, change: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return turned points [P, N, 3] and scales [P, 3], those of too long steps cut short."""
+        """Return turned points [P, N, 3] and scales [P, 3]; log scales change by at most 3."""
         turns = np.stack([turn_about_z(float(yaw)) for yaw in self._yaw + change[:, 0]])
         turned: FloatArray = np.einsum("pij,nj->pni", turns, self._points)
         return turned, self._scales * np.exp(np.clip(change[:, 4:], -3, 3))
 
     def _looked_up(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:  # [P, N, 3]
-        """Return distances [P, N] at places and how they change [P, N, 3], linear between cells."""
+        """Return distances [P, N] at places, by trilinear interpolation, and slopes [P, N, 3]."""
         last = self._fields.shape[1] - 1
         place = (at + 0.5 + MARGIN) * BANK_CELLS - 0.5
         inside = np.clip(place, 0.0, last - 1e-9)

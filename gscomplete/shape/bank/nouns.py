@@ -29,8 +29,8 @@ _AMOUNTS = frozenset(("pair", "set", "piece", "part", "couple", "half", "rest"))
 def head_noun(prompt: str) -> str | None:
     """Return the word of a prompt that says what the object is; None = there is no such word.
 
-    It is the last one before the first preposition that is no colour, unless there are colours
-    alone: "a blue mug with a handle" is a mug, and "an orange" an orange.
+    It is the last word before the first preposition, colours skipped: "a blue mug with a handle" is
+    a mug. If there are only colours, it is the last of them: "an orange" is an orange.
     """
     words = _description(prompt)
     plain = [word for word in words if word not in _COLORS] or words
@@ -38,7 +38,7 @@ def head_noun(prompt: str) -> str | None:
 
 
 def adjectives_of(prompt: str) -> list[str]:
-    """Return what describes the noun: dark and red of "a dark red mug with a blue handle"."""
+    """Return the words that describe the noun: "dark" and "red" of "a dark red mug on a table"."""
     words = _description(prompt)
     plain = [k for k, word in enumerate(words) if word not in _COLORS] or range(len(words))
     return words[: plain[-1]] + words[plain[-1] + 1 :] if words else []

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 MARGIN = 1 / 6
-"""Of the shape's side: more than any distance that counts in a fit, of a part that fits into it."""
+"""Share of the shape's side. It exceeds ``FAR``, the largest distance that counts in a fit, for any
+part that fits into the shape."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +62,8 @@ def surface_centers(cells: NDArray[np.bool_]) -> FloatArray:  # [C, C, C] -> [N,
 def distance_field(cells: NDArray[np.bool_]) -> FloatArray:  # [C, C, C] -> [F, F, F]
     """Return the distance from a surface in the shape's cube and ``MARGIN`` round it.
 
-    Squared distances are taken along one axis after another, which in so small a grid takes a third
-    of the time of SciPy's transform.
+    The squared distance transform runs along one axis after another; on so small a grid this takes
+    a third of the time of SciPy's.
     """
     marked = np.pad(cells, round(MARGIN * len(cells)))
     count = len(marked)

@@ -1,7 +1,9 @@
 """What the network answers when it is shown known shapes in the place of a mirror image.
 
-Each answer to a known shape is often wrong. They count beside the plain answer, that to none, where
-they agree about as much among themselves as with it, and not too little with it.
+The "plain" answer is the one without a known shape. A single answer to a known shape is often
+wrong. Such answers are averaged with the plain one only if they agree among themselves about as
+much as with the plain answer, and if they agree with that neither too little nor so much that they
+add nothing.
 """
 
 from __future__ import annotations
@@ -17,16 +19,18 @@ from gscomplete.shape.network import ShapeCompleter
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs
 
 LEAST_SHOWN = 2
-"""Fewer known shapes do not agree among themselves."""
+"""Agreement among known shapes takes at least two of them."""
 _LEAST_PLAIN_AGREEMENT = 0.4
-"""Of the plain answer with those to known shapes (IoU of filled cells). Below it they are of
-another object ..."""
+"""Least agreement of the plain answer with those to known shapes (mean IoU of filled cells). Below
+it, the known shapes are probably of another object."""
 _MOST_PLAIN_AGREEMENT = 0.75
-"""... and above it the plain answer is taken: it is like them, and mirrors P itself."""
+"""Above this agreement the plain answer is taken as it is: it hardly differs from the others, and
+it has P's own mirror image."""
 _LEAST_LEAD = -0.05
-"""How much more the answers to known shapes must agree among themselves than with the plain one."""
+"""Agreement of the answers to known shapes among themselves less that with the plain answer, at
+least."""
 _LIKELY = -0.5
-"""Cells are compared where they are filled from this logit on."""
+"""A cell counts as filled in these comparisons from this logit on."""
 
 
 def occupancy_by_shapes(
@@ -39,16 +43,16 @@ def occupancy_by_shapes(
     *,
     bfloat16: bool,
 ) -> Tensor | None:  # [1, C, C, C] logits
-    """Return what is filled by the answers that count; None where the plain one stays as it is.
+    """Return the mean logits of the answers that count; None = the plain answer stays as it is.
 
     Args:
         model: in evaluation mode, on the CPU.
         voxels: P.
-        seen: what the plain answer was given.
+        seen: the inputs that the plain answer was given to.
         plain: the plain answer.
-        shapes: known shapes in place, the best first.
+        shapes: known shapes fitted to P, the best first.
         tokens: the prompt.
-        bfloat16: precision of the network.
+        bfloat16: whether the network runs in bfloat16.
     """
     if len(shapes) < LEAST_SHOWN:
         return None
@@ -65,11 +69,11 @@ def answers_that_count(
     shown: Sequence[Tensor],  # logits, answers to known shapes, the best first
     plain: Tensor,  # logits, the answer to none
 ) -> list[Tensor]:
-    """Return the answers that the guess is the mean of; none = the plain one as it is.
+    """Return the answers to average, the plain one first; none of them = it stays as it is.
 
     Args:
-        shown: answers to known shapes.
-        plain: answer to none.
+        shown: answers to known shapes, at least two.
+        plain: the plain answer.
     """
     among, with_plain = _mean_overlap(shown[0], shown[1:]), _mean_overlap(plain, shown)
     is_like_them = with_plain > _MOST_PLAIN_AGREEMENT
@@ -79,7 +83,7 @@ def answers_that_count(
 
 
 def _mean_overlap(one: Tensor, others: Sequence[Tensor]) -> float:
-    """Return the mean overlap (IoU) of the cells that answers fill, as counted here."""
+    """Return the mean IoU of the cells that one answer and each of the others fill."""
     return sum(_overlap(one > _LIKELY, other > _LIKELY) for other in others) / len(others)
 
 

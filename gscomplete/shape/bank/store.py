@@ -33,8 +33,8 @@ BANK_FILE = "shapes.safetensors"
 BANK_CELLS = 48
 _BITS = BANK_CELLS**3 // 8
 _HEAD_SCORE, _SYNONYM_SCORE, _WORD_SCORE, _OTHER_SCORE = 3.0, 2.5, 2.0, 0.3
-"""A shape of that very noun, of a synonym, one that is also called so, and each further word in
-common."""
+"""Scores, which add up: the shape's noun is the prompt's, or else a synonym; the prompt's noun is
+among the words of its noun or caption; each further word that they share with the prompt."""
 
 
 Naming = Literal["noun", "synonym", "caption"]
@@ -50,7 +50,7 @@ class ShapeName:
 
     @property
     def pack(self) -> str:
-        """Return whose shape it is: the first part of its id."""
+        """The pack that the shape comes from, all by one maker: the first part of its id."""
         return self.id.split("/")[0]
 
 
@@ -123,9 +123,9 @@ class ShapeBank:
         return [int(k) for k in order if scores[k] > 0]
 
     def plainest(self, prompt: str) -> int | None:
-        """Return the shape of the prompt's noun whose name says least beside it; None = none is.
+        """Return the shape whose name adds least to the prompt's noun; None = none has the noun.
 
-        A pumpkin is no carriage of one, and a cushion no armchair with cushions.
+        So "a pumpkin" does not get a pumpkin carriage, nor "a cushion" an armchair with cushions.
         """
         told = frozenset(words_of(prompt)) | forms_of(head_noun(prompt) or "")
 
@@ -136,7 +136,7 @@ class ShapeBank:
         return min(self.named(prompt, len(self)), key=unasked, default=None)
 
     def naming(self, index: int, prompt: str) -> Naming:
-        """Return what of a shape's name the prompt's noun is, if it is any."""
+        """Return how the prompt names a shape: by its noun, a synonym, or a word of its caption."""
         noun = head_noun(prompt)
         if noun is None:
             return "caption"

@@ -1,7 +1,7 @@
-"""A frame that has room for the known shapes, where the guessed one has not.
+"""A frame that has room for the known shapes, for when the guessed object frame has not.
 
-P's box tells little of what stands below or behind it: a chair's seat and back leave no room for
-legs. Known shapes that suit P tell more.
+P's box tells little of what stands below or behind P: a frame about a chair's seat and back leaves
+no room for legs. Known shapes that suit P tell more.
 
 Conventions
 -----------
@@ -25,7 +25,7 @@ from gscomplete.splats.transform import Similarity
 from gscomplete.views import ViewDistribution
 
 _LEAST_OUTSIDE = 0.05
-"""Share of the best known shape outside of the grid, from which on there is no room for it."""
+"""The frame has no room for the best known shape if at least this share of it is off the grid."""
 
 
 def wider_from_object(

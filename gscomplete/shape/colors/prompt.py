@@ -2,8 +2,8 @@
 
 Conventions
 -----------
-* Oklab (``splats.oklab``): hue and saturation become those of the colour named, and the mean
-  lightness; how much lighter or darker than the mean a splat is stays.
+* Colours change in Oklab (``splats.oklab``): hue, saturation and mean lightness become those of the
+  colour named; each splat stays as much lighter or darker than the mean as it was.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _HUES = {
     "turquoise": "35b1ab",
     "teal": "217a7c",
 }
-"""sRGB. Black, white and grey are none: a part without colour has its own shade of these."""
+"""sRGB. Black, white and grey are left out: a part without colour has its own shade of grey."""
 _COLOURLESS = 0.04
 """Mean distance from grey below which a part has no colour (Oklab)."""
 
@@ -63,7 +63,7 @@ def with_prompt_color(new: Splats, partial: Splats, prompt: str) -> tuple[Splats
 
 
 def _recolored(colors: Tensor, color: str) -> Tensor:  # [N, 3], six hexadecimal digits -> [N, 3]
-    """Return colours of one hue, as light and dark about it as they were about their mean."""
+    """Give colours one hue and mean lightness; their differences in lightness stay."""
     target = torch.tensor([[int(color[k : k + 2], 16) / 255 for k in (0, 2, 4)]])
     lab, wanted = oklab_from_srgb(colors), oklab_from_srgb(target)
     lightness = wanted[:, 0] + lab[:, 0] - lab[:, 0].mean()

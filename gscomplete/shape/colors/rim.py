@@ -1,9 +1,10 @@
-"""Colours that mirror images give, checked against those at P's rim, carried round the object.
+"""Colours that mirror images give, checked against the colours at P's rim.
 
-A mirror image shows again what an object has once: a face, a label, a lens. Where its colours are
-unlike the rim's on average about a splat, the rim's count. They are the shares that P's main
-colours have at the rim, spread over the surface as heat is (Laplace's equation on a graph of
-neighbouring splats) and sharpened, so that what is black below and white above stays so.
+A mirror image repeats what an object has only once: a face, a label, a lens. Where the colours
+about a splat differ on average from what the rim suggests, the rim's colours are used. To carry
+them over the new surface, P's colours at the rim are grouped into a few main colours; the share of
+each spreads as heat does (Laplace's equation on a graph of neighbouring splats), and the shares are
+then sharpened, so that an object that is black below and white above stays so.
 
 Conventions
 -----------
@@ -29,25 +30,27 @@ from gscomplete.splats.oklab import oklab_from_srgb
 from gscomplete.splats.thinning import thinned
 
 _NEIGHBOURS = 8
-"""Splats that a colour goes to directly."""
+"""Neighbours of a splat in the graph."""
 _RIM_REACH = 0.05
-"""Splats of P this near to new ones, across the surface, are P's rim."""
+"""Splats of P within this distance of a new splat, across the surface, are P's rim."""
 _RIM_SPLATS = 20_000
 """Most splats of P among which the rim is looked for."""
 _MAIN_COLORS = 8
-"""Most of them."""
+"""Most main colours at the rim."""
 _MOST_CLUSTERED = 4000
-"""Colours at the rim that decide the main ones."""
+"""About how many of the rim's colours the clustering into main colours looks at."""
 _SHARES_SHARPENED = 2.0
-"""Power of the shares of main colours."""
+"""Power to which the shares of main colours are raised."""
 _HEIGHT_WEIGHT = 8.0
-"""How much less a colour goes up or down than round."""
+"""Factor on heights in distances between splats: colours spread round the object rather than up or
+down."""
 _ACROSS = 0.03
-"""Weight of neighbours that face another way, so that edges are passed."""
+"""Least weight of neighbours, whichever way they face, so that colours pass edges."""
 _ALIKE = 0.1
-"""Distance of colours, in Oklab, at which the mirror image's count for 1/e."""
+"""Root mean square difference from the rim's colour, in Oklab, at which the weight of the mirror
+image's colour is 1/e."""
 _AVERAGED_STEPS = 20
-"""Steps to neighbours over which that distance is averaged."""
+"""Averaging steps over neighbours that make that mean."""
 _TINY = 1e-6
 
 
@@ -58,14 +61,17 @@ def checked_by_rim(
     partial: Splats,
     generator: torch.Generator,
 ) -> Tensor:  # [N, 3]
-    """Return the colours of new splats, the rim's where a mirror image's are unlike them.
+    """Replace colours that a mirror image gives by the rim's where the two differ.
 
     Args:
-        colors: in [0, 1].
-        points: where the new splats are.
-        normals: of the surface there.
+        colors: from the mirror image, in [0, 1].
+        points: centres of the new splats.
+        normals: of the surface at the centres.
         partial: P in the object frame.
-        generator: chooses the splats of P looked at, if there are too many.
+        generator: chooses the splats of P that are looked at, if there are too many.
+
+    Returns:
+        The new splats' colours in [0, 1]; a smooth mix where the difference is in between.
     """
     places = points.double().numpy()
     if len(places) <= _NEIGHBOURS:
@@ -89,7 +95,7 @@ def _neighbour_weights(
     places: NDArray[np.float64],  # [N, 3]
     facing: NDArray[np.float64],  # [N, 3]
 ) -> csr_array:  # [N, N], symmetric
-    """Return how well colours go from splat to splat."""
+    """Return the weights of the graph: large between near splats that face alike."""
     _, index = cKDTree(places).query(places, k=_NEIGHBOURS + 1)
     rows, columns = np.repeat(np.arange(len(places)), _NEIGHBOURS), index[:, 1:].reshape(-1)
     alike = np.maximum((facing[rows] * facing[columns]).sum(axis=1), 0.0) + _ACROSS
@@ -110,7 +116,7 @@ def _rim_colors(
     partial: Splats,
     colors: Tensor,  # [N, 3] of what the rim does not reach
 ) -> Tensor | None:  # [N, 3]
-    """Return the colours at P's rim, carried round; None where no splat of P is near."""
+    """Return the rim's colours, spread over the new splats; None = no splat of P is near."""
     means, base = partial.means.double().numpy(), partial.base_colors.float().clamp(0, 1)
     near = range(1, min(_NEIGHBOURS, len(means)) + 1)
     distance, index = cKDTree(means).query(places, k=near, distance_upper_bound=_RIM_REACH)

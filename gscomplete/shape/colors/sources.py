@@ -1,10 +1,10 @@
-"""Colours of new splats: taken from P and its mirror images, where the network points.
+"""Colours of new splats, taken from P or one of its mirror images as the network points.
 
 Where mirrored splats are used as they are, gaps beside them take the nearest colours instead.
 
-The network also has a colour of its own to mix in, which training needs (without it, colours that
-P does not show would push the pointing astray); mixed into a picture it appears as dirt beside P's
-colours, and so does a mean of two patterns. So new splats take the colour of one source.
+The network also predicts a colour of its own. Training needs it: otherwise colours that P does not
+show would lead the pointing astray. But mixed in, it looks like dirt beside P's colours, and so
+does a mean of two patterns. So every new splat takes the colour of one source.
 
 Conventions
 -----------
@@ -27,29 +27,28 @@ from gscomplete.splats import Splats
 from gscomplete.splats.thinning import thinned
 
 _SHARPNESS = 8.0
-"""Factor on the network's logits: mixing happens only where sources change."""
+"""Factor on the network's logits, so that sources mix only where one gives way to another."""
 _NO_SHARE = 3.0
-"""Logits behind another source at which a source's share is below float32's last digit."""
+"""A source this many logits behind another has a share below float32's precision."""
 _PREFERENCE = 1.0
-"""What each mirror image is behind the likelier one before it, in logits: where the network
-cannot tell two of them apart, a mean of both is the one colour that is surely wrong."""
+"""Logits that each mirror image loses against the likelier one before it: where the network cannot
+tell two of them apart, the mean of both is the one colour that is surely wrong."""
 _NEIGHBOURS = 8
-"""A colour is a mean over this many splats of a source: scans are noisy."""
+"""A colour is a mean over this many splats of a source, because scans are noisy."""
 _OUTWARD = 2.0 * CELL_SIDE
-"""So far outside new splats the nearest colours are searched: icing, not the dough under it."""
-
-
+"""The nearest colours are searched from a point this far outside a new splat, so that the outer
+layer is found: icing rather than the dough under it."""
 _REACH = 0.06
-"""A source counts in full where it has a splat this near, object sizes; beyond it loses, the
-farther the more, so that the nearest is taken where none is near."""
+"""A source counts in full where it has a splat within this distance, object sizes. Beyond, it loses
+logits with distance, so that the nearest source is taken where none is near."""
 _FAR_PENALTY = 3.0
 """Logits lost per ``_REACH`` beyond it."""
 _MOST_SEARCHED = 40_000
-"""Splats of a source."""
+"""Most splats of a source among which the nearest are searched."""
 _HEIGHT_WEIGHT = 3.0
-"""How much farther away a splat counts for being higher or lower than for being beside: rims,
-bands and stripes go round what stands upright, and go on round it. On most objects it makes no
-difference; a striped lantern gains 1.9 dB."""
+"""Factor on heights when the nearest splats are searched: rims, bands and stripes go round upright
+objects, so colours do too. On most objects it makes no difference; a striped lantern gains
+1.9 dB."""
 
 
 def source_colors(
@@ -91,7 +90,7 @@ def nearest_colors(
     normals: Tensor,  # [N, 3] outward
     generator: torch.Generator,
 ) -> Tensor:  # [N, 3]
-    """Return the colours of what lies about ``points``, outer layers before inner ones.
+    """Return the colours nearest to ``points``, those of outer layers before inner ones.
 
     Args:
         colored: splats to take colours from, object frame.
@@ -115,9 +114,10 @@ class _Known:
         self._nearest = range(1, min(_NEIGHBOURS, len(looked_at)) + 1)
 
     def near(self, places: NDArray[np.float32]) -> tuple[Tensor, Tensor]:  # [N, 3] -> [N, 3], [N]
-        """Return the mean colour of the nearest splats, near ones first, and how far the first is.
+        """Return the mean colour of the nearest splats, weighted by nearness, and a distance.
 
-        Heights count ``_HEIGHT_WEIGHT`` times for which ones are near, once for how far it is.
+        The nearest splats are chosen with heights scaled by ``_HEIGHT_WEIGHT``; the distance to the
+        first of them, in object sizes, is not scaled.
         """
         distance, index = self._tree.query(places * self._stretch, k=self._nearest)
         weight = torch.from_numpy(1.0 / (distance + 0.2 * CELL_SIDE) ** 2).float()

@@ -1,18 +1,18 @@
-"""Holes of thin walls by their rims: surfaces that face each other across a hole are bridged.
+"""Find holes in thin walls by their rims, and bridge surfaces that continue across a hole.
 
-Through a hole in a thin wall the inside shows, as through an opening that is meant. What tells them
-apart is the rim: about a hole the surface runs towards the other side of it, about the mouth of a
-vessel it runs past.
+The inside shows through a hole in a thin wall just as through an intended opening. The rim tells
+them apart: about a hole the surface heads for the opposite side of the hole; about the mouth of a
+vessel it heads past it.
 
 Conventions
 -----------
 * The object frame; lengths are in object sizes.
 * Nodes are P's points thinned to about one per spacing, on each side of a wall. A node is on a rim
-  if its neighbours along the surface leave a wide angle free; the middle of that angle is the way
-  that the surface would go on.
-* Two nodes of rims face each other if each goes on towards the other. A bridge is the cubic curve
-  that leaves both as their surfaces do. Bridges make up a lid where it meets P all round: two edges
-  side by side, as of slats, are not a hole.
+  if its neighbours along the surface leave a wide angle free; the middle of that angle is the
+  direction in which the surface would continue.
+* Two rim nodes face each other if each one's surface would continue towards the other. A bridge is
+  the cubic curve between them that continues both surfaces. Connected bridges form a patch. It is a
+  lid if it meets P all round; a patch between two parallel edges, as of slats, is not.
 """
 
 from __future__ import annotations
@@ -37,32 +37,33 @@ _NEIGHBOURS = 32
 _REACH = 2.6
 """Neighbours that tell whether a node is on a rim, in spacings."""
 _FREE_ANGLE = 2.3
-"""Radians that the neighbours of a node on a rim leave free; 1.6 are free on a straight grid, and
-pi at a straight edge."""
+"""A node is on a rim if its neighbours leave a larger angle free, radians. On a straight grid 1.6
+is free, at a straight edge pi."""
 _ALIKE = 0.3
-"""Cosine between normals of one side of a wall."""
+"""Least cosine between normals on the same side of a wall."""
 _SURE = 0.3
-"""Normals as sure as this have a sign."""
+"""Normals at least this long, that is, this sure, have a known sign."""
 _TOWARDS = 0.6
-"""Cosine between the way that a surface goes on and the bridge."""
+"""Least cosine between a bridge and the direction in which the surface would continue."""
 _LEAST_GAP = 1.5
 """Shorter bridges are not built, in spacings."""
 _LEAST_WIDTH = 3.0
-"""Narrower patches are places where splats are sparse, in spacings."""
+"""Narrower patches are only places where splats are sparse, in spacings."""
 _ROUND = 0.15
-"""Least ratio of the second moments of the bridges' directions at a place: strays have one."""
+"""Least ratio of the second moments of bridge directions at a place. Across a hole bridges run in
+many directions; stray bridges run in one."""
 _NARROW = 0.03
-"""Where a place is bridged by less, one direction is enough: slits."""
+"""A place with a shorter bridge than this may be bridged in one direction only: it is in a slit."""
 _STEPS = 12
 _MOST_RIM = 6000
 _MOST_EDGES = 0.1
-"""Share of a lid that may be left on a rim: it meets P all round."""
+"""Largest share of a lid's points that may still be on a rim: a lid meets P all round."""
 _LONGEST_EDGE = 0.5
-"""Longest piece of a lid's own edge, over its width: an open end between slats is as wide as it."""
+"""Longest free edge of a lid over its width. Between slats the open end is as long as the width."""
 _JOINED = 1.8
-"""Points of a patch are this near, in spacings."""
+"""Points this near to each other belong to one patch, in spacings."""
 _FEWEST = 6
-"""Smaller patches are specks of noise."""
+"""Patches of fewer points are specks of noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,12 +89,12 @@ class _Nodes:
 
 
 def bridged(points: Tensor, normals: Tensor, spacing: float) -> list[Patch]:  # [M, 3], [M, 3]
-    """Return patches for the holes that surfaces face each other across, the widest first.
+    """Return patches that close holes across which surfaces face each other, the widest first.
 
     Args:
-        points: on the surface.
-        normals: there, outward, as long as they are sure.
-        spacing: of P's splats.
+        points: on the surface, object frame.
+        normals: outward, as long as they are sure (0 to 1).
+        spacing: of P's splats, object sizes.
     """
     nodes = _thinned(points, normals, max(spacing, _LEAST_SPACING))
     if len(nodes.places) < _FEWEST:
@@ -110,7 +111,7 @@ def bridged(points: Tensor, normals: Tensor, spacing: float) -> list[Patch]:  # 
 
 
 def _meets_all_round(patch: Patch, nodes: _Nodes) -> bool:
-    """Tell whether a patch has no edge of its own, as it has between two slats."""
+    """Tell whether a patch meets P all round; between two slats it would have free edges."""
     reach = 2 * _REACH * nodes.spacing
     places, normals = patch.points.numpy().astype(np.float64), patch.normals.numpy()
     inside = (nodes.places >= places.min(axis=0) - reach).all(axis=1)
@@ -135,7 +136,7 @@ def _meets_all_round(patch: Patch, nodes: _Nodes) -> bool:
 
 
 def _thinned(points: Tensor, normals: Tensor, spacing: float) -> _Nodes:
-    """Keep the mean of every cell's points, of each side of a wall."""
+    """Reduce the points in every grid cell to their mean, apart for each side of a wall."""
     places, ways = points.numpy().astype(np.float64), normals.numpy().astype(np.float64)
     length = np.linalg.norm(ways, axis=1)
     units = ways / np.maximum(length, 1e-12)[:, None]
@@ -174,7 +175,7 @@ def _units(vectors: FloatArray) -> FloatArray:  # [N, 3]
 
 
 def _rim(nodes: _Nodes) -> tuple[IntArray, FloatArray]:  # [R], [R, 3]
-    """Return the nodes on rims, and the way that the surface would go on there."""
+    """Return the nodes on rims, and the unit directions in which the surface would continue."""
     reach = _REACH * nodes.spacing
     number = min(_NEIGHBOURS, len(nodes.places))
     distance, index = cKDTree(nodes.places).query(
@@ -275,7 +276,7 @@ def _curves(nodes: _Nodes, rim: IntArray, onward: FloatArray, pairs: IntArray) -
 
 
 def _in_free_space(samples: _Samples, nodes: _Nodes) -> _Samples:
-    """Keep the bridges that run through no surface, away from their ends."""
+    """Keep the bridges that cross no surface between their ends."""
     per_step = len(samples.places) // (_STEPS - 1)
     middle = slice(per_step * (_STEPS // 4), per_step * (_STEPS - 1 - _STEPS // 4))
     tree = cKDTree(nodes.places)
@@ -286,7 +287,7 @@ def _in_free_space(samples: _Samples, nodes: _Nodes) -> _Samples:
 
 
 def _patches(samples: _Samples, spacing: float) -> list[Patch]:
-    """Gather points of bridges in patches."""
+    """Group the points of bridges into connected patches."""
     if not len(samples.places):
         return []
     cell, counts = _cells(samples.places, samples.normals, spacing)

@@ -33,7 +33,7 @@ from gscomplete.splats.rotations import quaternions_facing, rotation_matrices
 
 _POINTS_PER_CELL = 40
 _SEAM_SPACINGS = 0.8
-"""New splats begin so many spacings from P's."""
+"""New splats keep at least so many spacings away from P's."""
 _LEAST_SPACING, _MOST_SPACING = 0.003, 0.012
 _OVERLAP = 0.8
 """Tangent standard deviation per spacing, so that neighbours overlap into a closed surface."""
@@ -187,7 +187,7 @@ def _splats_at(
 
 
 def _spread(points: Tensor, spacing: float, most: int) -> tuple[Tensor, float]:  # [N, 3], [M]
-    """Keep the middlemost point of every cube of a grid, as coarse as it takes; return the side."""
+    """Keep one central point per cube of a grid, coarse enough for ``most``; return the side."""
     while True:
         place = (points + 1.0) / spacing
         cells = torch.floor(place)
@@ -202,18 +202,18 @@ def _spread(points: Tensor, spacing: float, most: int) -> tuple[Tensor, float]: 
 
 @dataclass(frozen=True, slots=True)
 class _Rim:
-    """The points of P's cover about new ones, the near ones weighing most."""
+    """For every new point the nearest points of P's cover, weighted by nearness."""
 
     index: Tensor  # [N, K]
     weight: Tensor  # [N, K] of sum 1
 
     def mean(self, values: Tensor) -> Tensor:  # [M, C] -> [N, C]
-        """Return means of what the cover's points have."""
+        """Return weighted means of values that the cover's points have."""
         return (self.weight[:, :, None] * values[self.index]).sum(dim=1)
 
 
 def _rim_of(points: Tensor, normals: Tensor, cover: Cover) -> _Rim:  # [N, 3], [N, 3]
-    """Return what of P's surface is about new points, and faces as they do."""
+    """Return the cover's points about new ones; those that face the same way count most by far."""
     number = min(_RIM_NEIGHBOURS, len(cover.points))
     distance, index = cover.tree.query(points.numpy(), k=number)
     near = torch.from_numpy(np.asarray(index).reshape(len(points), -1))

@@ -2,8 +2,9 @@
 
 Conventions
 -----------
-* The object frame. A splat faces the side that it is seen from most, weighted by how squarely;
-  what is seen from both sides alike (a sheet) has a weight near 0.
+* The object frame. A splat faces the side from which it is seen more, weighted by how squarely. The
+  length of its normal, 0 to 1, says how sure that is: a sheet, seen from both sides alike, has a
+  length near 0.
 """
 
 from __future__ import annotations
@@ -29,16 +30,17 @@ _FOV_DEG = 30.0
 _REACH = 1.6
 """Extent that a view shows, object sizes."""
 TOLERANCE = 0.015
-"""What lies no deeper behind the seen surface than this is of that surface, object sizes."""
+"""What lies at most this far behind the surface seen belongs to it, object sizes."""
 _WALL = 0.004
-"""A splat so far behind the seen surface is seen, if it faces the camera; an oblique one may be
-behind it by what the surface falls within a pixel and a splat, for a splat is drawn at the depth of
-its centre. Thicker walls have two sides."""
+"""A splat that faces the camera is seen if it lies at most this far behind the surface seen, object
+sizes; so walls thicker than this have two sides. Oblique splats get more: a splat is drawn at the
+depth of its centre, so the tolerance grows by what the surface falls within a pixel and a splat."""
 _PIXEL = _REACH / _SIZE_PX
 _SQUARE = 0.3
-"""Cosine of the angle beyond which obliqueness excuses no more."""
+"""Least cosine used for that growth: beyond this obliqueness it stays the same."""
 _FLAT = 0.5
-"""A splat whose smallest scale is less than this share of the middle one has a normal."""
+"""A splat has a normal of its own if its smallest scale is less than this share of its middle
+scale."""
 _NEIGHBOURS = 12
 _ROUNDS = 6
 
@@ -116,7 +118,7 @@ def pictures_of_normals(splats: Splats, normals: Tensor, around: Around) -> Tens
 
 
 def outward_normals(splats: Splats, around: Around) -> Tensor:  # [N, 3]
-    """Return the normal of every splat, pointing outward, as long as that is sure (0 to 1).
+    """Return the outward normal of every splat, whose length is how sure it is (0 to 1).
 
     Args:
         splats: P in the object frame.
@@ -140,7 +142,7 @@ def outward_normals(splats: Splats, around: Around) -> Tensor:  # [N, 3]
 
 
 def _axes(splats: Splats) -> Tensor:  # [N, 3]
-    """Return unit normals of unknown sign: the thinnest axis, or that of the neighbourhood."""
+    """Return unit normals of unknown sign: a flat splat's thin axis, else its neighbourhood's."""
     order = splats.scales.argsort(dim=1)
     matrices = rotation_matrices(splats.quaternions)
     axes = matrices.gather(2, order[:, :1, None].expand(-1, 3, 1))[:, :, 0]
@@ -165,7 +167,7 @@ def _passed_on(
     *,
     known: Tensor,  # [N] bool
 ) -> Tensor:  # [N, 3]
-    """Give splats that are seen from nowhere the side of their neighbours."""
+    """Give splats that no camera sees the side that their neighbours face."""
     if bool(known.all()) or not bool(known.any()):
         return normals
     _, index = cKDTree(points).query(points, k=min(_NEIGHBOURS, len(points)))

@@ -3,8 +3,8 @@
 Conventions
 -----------
 * Lengths are in object sizes. A region is a connected part of the surface that P does not cover.
-* Closing a gap hides the back of what lies behind it, which nobody is meant to see. A region that
-  would hide the front of a surface, or free space that is seen through, is an opening.
+* Through a gap one sees the backs of surfaces, which are not meant to be seen. A region through
+  which one sees mostly the fronts of surfaces, or free space, is an opening.
 """
 
 from __future__ import annotations
@@ -32,35 +32,38 @@ _COVER_SIGMAS = 1.2
 """A splat covers the surface out to so many standard deviations."""
 _NEIGHBOURS = 16
 _USUAL_QUANTILE, _USUAL_FACTOR = 0.8, 2.4
-"""A surface point is not covered if it is this many times as far from the nearest splat, along the
-surface and in spacings of splats, as what is usual at this quantile of the surface ..."""
+"""A surface point is uncovered if its distance from the nearest splat, along the surface and in
+spacings of splats, exceeds a limit: the given quantile of these distances times the factor, ..."""
 _LEAST_SPACINGS, _MOST_SPACINGS = 1.0, 2.5
-"""... within these bounds: splats on a grid leave smaller holes than scattered ones ..."""
+"""... kept within these bounds. The limit adapts because scattered splats leave larger holes than
+splats on a grid."""
 _LEAST_GAP = 0.004
-"""... and points nearer than this are always covered."""
+"""Spacings count as at least this, so points nearer than this to a splat are always covered."""
 _CERTAIN_GAP = 3.0
-"""Points so many spacings away lie in gaps and tell nothing of what is usual."""
+"""Points at least so many spacings away lie in gaps and do not count for that quantile."""
 _JOINED = 1.5 * CELL_SIDE
 _FEWEST = 6
 """Smaller regions are specks of noise."""
 _SAMPLES = 400
 _OBLIQUE = 0.2
 _UPRIGHT = 0.7
-"""A region faces up or down if the mean of its normals rises or falls more than this."""
+"""A region faces up or down if the z component of its mean normal exceeds this, up or down."""
 _SIDE = 0.15
+"""Least component of a seen normal towards (front) or away from (back) the camera."""
 _MOST_AWAY = 0.03
-"""A region whose rim is no nearer to P does not belong to it."""
+"""A region that is nowhere nearer to P than this does not belong to P."""
 _MOST_BELOW_SHARE = 0.5
-"""The side that the object stands on, which captures and scans cannot see, may be this share of the
-surface and still a gap."""
+"""Largest share of the surface that a region facing down may have and still be a gap: captures and
+scans cannot see the side that an object stands on."""
 _NARROW = 0.03
-"""Narrower slits are closed whatever is seen through them, if anything is."""
+"""Narrower regions are slits; they are closed whatever is seen through them."""
 _MOST_ABOVE = 0.2
 """Wider regions that face up are mouths of vessels: tops are what captures see best."""
 _MOST_FRONTS = 0.4
-"""Of what is seen through a hole, at most this share may be fronts near behind: a niche's floor."""
+"""Largest share of fronts close behind in what is seen through a hole; with more, it is a niche and
+they are its floor."""
 _LEAST_BACKS = 0.5
-"""Of what is seen through a wider region, at least this share must be backs of surfaces."""
+"""Least share of backs in what is seen through a region that is closed, unless it is a slit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,16 +78,16 @@ class FillSettings:
 
 @dataclass(frozen=True, slots=True)
 class Cover:
-    """Points that P's splats cover, dense enough to see gaps between them."""
+    """Points sampled on P's splats, dense enough for gaps between splats to be found."""
 
     points: Tensor  # [M, 3]
     normals: Tensor  # [M, 3] outward, as long as they are sure
     owners: Tensor  # [M] index of the splat
-    spacing: Tensor  # [M] mean distance of the nearest ones
+    spacing: Tensor  # [M] mean distance to the six nearest points
     tree: cKDTree
 
     def areas(self) -> Tensor:  # [M]
-        """Return the surface that each point stands for."""
+        """Return the area of the surface that each point stands for."""
         return self.spacing.square()
 
 
@@ -95,13 +98,13 @@ class Region:
     points: Tensor  # [K, 3]
     normals: Tensor  # [K, 3]
     width: float
-    """Twice the distance of its middle from P's splats."""
+    """Twice the largest distance of its points from P's splats."""
     share: float
-    """Of the surface."""
+    """Its share of the surface."""
     is_below: bool
-    """Whether it faces down: the side that the object stands on."""
+    """Whether it faces down, as the side that the object stands on does."""
     backs: float | None
-    """Share of backs in what is seen through it; None = nothing is."""
+    """Share of backs of surfaces in what is seen through it; None = it is seen from nowhere."""
     verdict: Verdict
 
 
@@ -158,7 +161,7 @@ def distances(
 
 
 def _spacings_of_gaps(in_spacings: Tensor) -> float:  # [N]
-    """Return from how many spacings on a surface point is not covered, by what is usual."""
+    """Return the number of spacings beyond which a surface point is uncovered."""
     usual = in_spacings[in_spacings < _CERTAIN_GAP]
     if not len(usual):
         return _LEAST_SPACINGS
@@ -173,13 +176,13 @@ def find_regions(
     facing: Tensor,  # [V, S, S, 3] as pictures_of_normals gives
     settings: FillSettings,
 ) -> list[Region]:
-    """Return the regions of the surface that P does not cover, judged, the largest first.
+    """Return the regions of the surface that P does not cover, with verdicts, the largest first.
 
     Args:
-        solid: whose surface follows P.
-        cover: of P.
-        around: P from all round.
-        facing: the normals that are seen there.
+        solid: a solid whose surface follows P.
+        cover: points on P's splats.
+        around: P's pictures from all round.
+        facing: the normals seen in these pictures.
         settings: what counts as a gap.
     """
     cells = solid.crossed_cells()
@@ -233,7 +236,7 @@ def _share_of_backs(
     around: Around,
     facing: Tensor,  # [V, S, S, 3]
 ) -> float | None:
-    """Return the share of backs in what is seen through a region from outside; None = nothing."""
+    """Return the share of backs in what is seen through a region; None = no camera sees it."""
     step = max(1, len(points) // _SAMPLES)
     points, normals = points[::step], normals[::step]
     backs = others = 0
@@ -256,14 +259,14 @@ def is_hidden_or_recess(
     around: Around,
     facing: Tensor,  # [V, S, S, 3]
 ) -> bool:
-    """Tell whether a lid would be hidden itself, or hide fronts that lie no deeper than it is wide.
+    """Tell whether a lid would be hidden by P, or cover a recess no deeper than its own width.
 
     Args:
         points: of the lid.
-        normals: there.
-        width: of the lid.
-        around: P from all round.
-        facing: the normals that are seen there.
+        normals: of the lid's points.
+        width: of the lid, object sizes.
+        around: P's pictures from all round.
+        facing: the normals seen in these pictures.
     """
     step = max(1, len(points) // _SAMPLES)
     points, normals = points[::step], normals[::step]

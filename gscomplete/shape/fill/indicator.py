@@ -1,8 +1,8 @@
 """A smooth solid whose surface follows splats: Poisson reconstruction, solved by Fourier transform.
 
-Kazhdan et al. 2006 look for the function whose slopes are the surface's normals; on a periodic grid
-its Laplace equation is a division in the frequency domain (as in Peng et al. 2021). Where there are
-no splats the surface goes on smoothly.
+Kazhdan et al. 2006 look for the function whose gradient matches the surface's normals. On a
+periodic grid the Poisson equation for it becomes a division in the frequency domain (Peng et al.
+2021). Where there are no splats, the surface continues smoothly.
 
 Conventions
 -----------
@@ -42,7 +42,7 @@ class Solid:
         return found[0, :, 0, 0].T
 
     def height(self, points: Tensor) -> Tensor:  # [N, 3] -> [N]
-        """Return how far outside the surface points near it are, at most two cells."""
+        """Return signed distances from the surface, positive outside, at most two cells."""
         found = self.sample(points)
         steep = found[:, 1:].norm(dim=1).clamp_min(1e-6)
         return (-found[:, 0] / steep).clamp(-2 * CELL_SIDE, 2 * CELL_SIDE)

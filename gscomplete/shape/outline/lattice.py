@@ -1,14 +1,14 @@
-"""Places off the bars of a lattice: what shows through a fence or a ladder is nothing of it.
+"""Find places between the bars of a lattice, such as a fence or a ladder, which must stay empty.
 
-At the size of the network's cells a lattice is nearly a wall, and the network makes one of it.
-Where, of the views about c, the one with P's largest outline has several holes, these are much of
-what the outline encloses, and c has some, too, the holes are the object's own. From elsewhere what
-no scanner saw looks like holes.
+At the size of the network's cells a lattice is nearly a wall, and the network completes it to one.
+P is taken for a lattice if, in the view near c in which its outline is largest, it has several
+holes that make up much of the area that the outline encloses, and if c shows some holes too. Views
+far from c do not count: from there, what no scanner saw looks like holes.
 
 Conventions
 -----------
-* Views are along parallel rays; P is given about the middle of its box, whose largest side is 1.
-* Gaps no wider than those between P's samples, where these are sparsest, are no holes.
+* Views are orthographic; P is moved and scaled so that its box is centred and its largest side 1.
+* Gaps up to the width of those between P's samples, where these are sparsest, are not holes.
 """
 
 from __future__ import annotations
@@ -23,24 +23,27 @@ from gscomplete.shape.voxels import FloatArray
 
 _STEP_DEG, _ELEVATIONS_DEG = 15.0, tuple(range(-80, 81, 20))
 _LEAST_COSINE = 0.75
-"""Between a view and c."""
+"""Least cosine between the directions of a view and of c for the view to count as near c."""
 _POINTS = 8000
-"""Drawn to find the view."""
+"""About how many points are drawn to find the view with the largest outline."""
 _PX_PER_SIDE, _PICTURE_PX = 133, 240
-"""A picture has room for a cube's diagonal."""
+"""Pixels per side of P, and of a whole picture, which has room for a cube's diagonal."""
 _LEAST_CLOSED_PX, _MOST_CLOSED_PX = 5, 41
+"""Bounds of the width up to which gaps are closed."""
 _NEIGHBOUR, _SPARSE = 4, 0.98
-"""A gap between samples is as wide as twice the distance to this neighbour, nearly everywhere."""
+"""That width is twice the distance to this neighbour, at this quantile over P's points."""
 _ASKED = 2000
-"""Points whose neighbours are looked for."""
+"""About how many points that quantile is taken over."""
 _RIM_PX = 3
-"""Side of the square that an outline's pixels grow to."""
+"""Width of the square by which a scan's outline is grown before places off it are marked."""
 _SMALLEST_PX = 8
-"""Area of a hole."""
+"""Least area of a hole, pixels."""
 _FEWEST_HOLES, _LARGEST = 3, 0.5
-"""Of a lattice, and the share of them that one may be: a table's top that is missing is more."""
+"""A lattice has at least so many holes, and the largest of them has at most this share of their
+area; the hole of a missing table top has more."""
 _LEAST_SHARE, _LEAST_SHARE_FROM_C = 0.2, 0.1
-"""Of holes in what a lattice's outline encloses: a scan of a plate has up to .18."""
+"""Least share of holes in the area that a lattice's outline encloses, in the view with the largest
+outline and in that from c. A scan of a plate reaches .18."""
 
 
 def off_lattice(
@@ -50,13 +53,14 @@ def off_lattice(
     *,
     is_scan: bool,
 ) -> Mask:  # [M]
-    """Mark places off P's bars if it is a lattice; none if it is not.
+    """Mark the places between P's bars if P is a lattice; mark none otherwise.
 
     Args:
-        points: P.
-        toward_c: from the object to the input view.
-        places: which are asked about.
-        is_scan: one view shows P, which was not cut: what lies beside its outline is marked, too.
+        points: P's points.
+        toward_c: direction from the object to the input view.
+        places: points to be marked or not.
+        is_scan: whether P is a scan from one view, not cut; then places outside P's outline are
+            marked as well as those in its holes.
     """
     if not len(points):
         return np.zeros(len(places), np.bool_)
@@ -78,7 +82,7 @@ def off_lattice(
 
 
 def _broadest(points: FloatArray, views: FloatArray) -> FloatArray:  # [N, 3], [V, 3, 3] -> [3, 3]
-    """Return the axes of the view in which P covers most."""
+    """Return the axes of the view in which P covers the most pixels."""
     few = points[:: max(1, -(-len(points) // _POINTS))]
     best: FloatArray = max(views, key=lambda axes: int(_picture(few, axes).sum()))
     return best
@@ -94,8 +98,8 @@ def _picture(points: FloatArray, axes: FloatArray) -> Mask:  # [N, 3], [3, 3] ->
 def _pixels(
     points: FloatArray,  # [N, 3]
     axes: FloatArray,  # [3, 3]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:  # rows, columns [N]; outside: on the border
-    """Return the pixels of points."""
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:  # rows, columns [N]
+    """Return the pixels of points; those outside the picture are put on its border."""
     right, up = (_PICTURE_PX / 2 + _PX_PER_SIDE * (axes[:2] @ points.T)).clip(0, _PICTURE_PX - 1)
     return up.astype(np.int64), right.astype(np.int64)
 
@@ -107,7 +111,7 @@ def _outline(picture: Mask, closed_px: int) -> Mask:  # [P, P]
 
 
 def _gap_px(points: FloatArray) -> int:  # [N, 3]
-    """Return how wide gaps between samples are, in pixels."""
+    """Return the width up to which gaps lie between samples rather than in P, in pixels."""
     asked = points[:: max(1, -(-len(points) // _ASKED))]
     distance, _ = cKDTree(points).query(asked, k=[min(_NEIGHBOUR + 1, len(points))])
     gap = 2.0 * _PX_PER_SIDE * float(np.quantile(distance, _SPARSE))
@@ -115,7 +119,7 @@ def _gap_px(points: FloatArray) -> int:  # [N, 3]
 
 
 def _holes(outline: Mask) -> tuple[Mask, float]:  # [P, P]
-    """Return holes, and their share of what the outline encloses; 0 where they are no lattice's."""
+    """Return the holes, and their share of the enclosed area; 0 if they are not a lattice's."""
     whole = binary_fill_holes(outline)
     numbers, count = label(whole & ~outline)
     areas = np.bincount(numbers.ravel(), minlength=count + 1)

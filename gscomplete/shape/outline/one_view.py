@@ -1,14 +1,16 @@
-"""What one view shows of P, and what lies beside P as its scanner saw it.
+"""Whether P is a scan from one view, and what lies outside its silhouette from there.
 
-A scan has what one view shows, half an object its inside, too. A part that one view shows nearly
-all of was scanned from there, or from somewhere beside. From that view the object's silhouette is
-P's: nothing lies beside it. Which view it was is not known for sure, so a place counts as beside P
-only where every view that may have been the scanner's finds it there.
+A scan consists of what one view sees. (Half an object does not: it shows its inside as well.) So if
+one view shows nearly all of P, P was scanned from there or from nearby. In that view the
+silhouettes of P and of the complete object are the same, and nothing lies beside P. Since the exact
+view is unknown, a place counts as beside P only if it is outside P's silhouette in every view that
+may have been the scanner's.
 
 Conventions
 -----------
-* How much of any part one view shows is counted with parallel rays, in sides of P.
-* Depth cameras lose dark surfaces: what lies beside P is unlikely, not impossible.
+* ``best_view_share`` uses orthographic views and lengths in units of P's largest side;
+  ``beside_scan`` uses perspective views at V's distance and object sizes.
+* Depth cameras miss dark surfaces: what lies beside P is unlikely, not impossible.
 """
 
 from __future__ import annotations
@@ -21,33 +23,33 @@ from gscomplete.shape.voxels import FloatArray
 from gscomplete.views import ViewDistribution
 
 ONE_VIEW_SHARE = 0.97
-"""A part of which one view shows this much is a scan from there, if it does not end in a plane."""
+"""A part of which one view shows at least this share is a scan, unless it ends in a plane."""
 _SHARE_POINTS = 6000
 _SHARE_STEP_DEG, _SHARE_ELEVATIONS_DEG = 20.0, (0.0, 15.0, 30.0, 45.0)
 _SHARE_PX, _SHARE_DEPTH = 48, 0.06
-"""What is so near behind the nearest of a pixel is seen, in sides of P."""
+"""Side of a picture for that share; a point is seen if it lies less than the second behind the
+nearest one in its pixel, in units of P's largest side."""
 
 _SCAN_POINTS = 2000
 _SCAN_STEP_DEG = 10.0
 _SCAN_ELEVATIONS_DEG = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 75.0)
 _SHOWN_PX, _SEEN_DEPTH = 77, 0.05
-"""Of a picture that tells how much of P a view shows; what is this near behind the nearest of a
-pixel is seen, object sizes."""
+"""The same for finding the scanner's view, in object sizes."""
 _LEAST_SHOWN = 0.965
-"""Share of P that the scanner's view shows ..."""
+"""Least share of P that the best view has to show for P to be a scan."""
 _NEARLY_AS_MUCH = 0.02
-"""... and how much less another may show that may have been the scanner's as well."""
+"""Views that show at most this much less than the best may have been the scanner's as well."""
 _MOST_VIEWS = 60
-"""Of 288. Flat parts show all of themselves to more: most of them are no scans ..."""
+"""If more of the 288 views may have been the scanner's, P is flat and probably not a scan."""
 _STEEP_SINE = 0.85
-"""... and nor are those, such as plates, that show all of themselves from above: from a view whose
-elevation has a larger sine."""
+"""Nor is P taken for a scan if such a view's elevation has a larger sine: things such as plates
+show all of themselves from above."""
 _SILHOUETTE_PX, _GROWN_PX = 128, 5
-"""Side of a picture of P's silhouette, and of the square that each of its pixels grows to."""
+"""Side of a picture of P's silhouette, and of the square that each of its pixels is grown to."""
 
 
 def best_view_share(points: NDArray[np.floating]) -> float:  # [N, 3] z up, in [0, 1]
-    """Return how much of P is seen from where most of it is, by parallel rays."""
+    """Return the largest share of P that a single orthographic view shows; 1 for no points."""
     if not len(points):
         return 1.0
     chosen = points[:: max(1, -(-len(points) // _SHARE_POINTS))]
@@ -69,12 +71,12 @@ def beside_scan(
     views: ViewDistribution,
     places: FloatArray,  # [M, 3]
 ) -> NDArray[np.bool_]:  # [M]
-    """Mark places beside P from every view that may have been its scanner's; none if none may.
+    """Mark places beside P in every view that may have been its scanner's; none if P is no scan.
 
     Args:
-        points: P's splats.
-        views: V, whose distance and target count.
-        places: which are asked about.
+        points: centres of P's splats.
+        views: V, whose distance and target are used.
+        places: points to be marked or not, object frame.
     """
     target = np.array(views.target, np.float32)
     points, places = points - target, places - target
@@ -94,7 +96,7 @@ def beside_scan(
 
 
 def _shown(view: View, points: FloatArray) -> float:
-    """Return the share of points [N, 3] that no others hide."""
+    """Return the share of points [N, 3] that no other points hide."""
     pixel, depth = view.pixels(points, _SHOWN_PX)
     nearest = np.full(_SHOWN_PX**2, np.inf)
     np.minimum.at(nearest, pixel, depth)

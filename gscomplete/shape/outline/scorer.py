@@ -1,16 +1,17 @@
-"""Which views show the whole outline of the object: a small network over P from all sides.
+"""From which views P's outline is that of the whole object, by a small network.
 
-From where P was scanned, and from between, P's outline is the object's: nothing lies beside it.
-Where something was cut away it is not. Surfaces that turn away along an outline, and rims that do
-not, tell the two apart, most of all seen together with neighbouring views. The scorer has learned
-that from parts of meshes whose truth is known (``recipes/train_embedded_prior``).
+From where P was scanned, and from views between several such places, P's outline is the complete
+object's: nothing lies beside it. From where something was cut away it is not. What tells the two
+apart is how P ends along the outline, especially over neighbouring views: at a true outline the
+surface turns away from the viewer, at a cut it ends in a rim. The scorer has learned this from
+parts of meshes whose truth is known (``recipes/train_embedded_prior``).
 
 Conventions
 -----------
-* Points of P are thinned and given about V's target, z up, object sizes.
+* Points of P are thinned and relative to V's target, z up, object sizes.
 * A point is seen if nothing of P lies much nearer in its pixel; it is seen from behind if nothing
   lies much farther.
-* Depth cameras lose dark surfaces: what lies beside an outline is unlikely, not impossible.
+* Depth cameras miss dark surfaces: what lies beside an outline is unlikely, not impossible.
 """
 
 from __future__ import annotations
@@ -52,7 +53,8 @@ OF_VIEW = (
     "rim",
     "area",  # of the outline, over the largest
 )
-"""Known of a view, and of those beside it, opposite, and of the best one."""
+"""Features of one view. They are given for the view itself, for views beside it and opposite, and
+for the best view, the one that sees most of P."""
 OF_PLACE = (
     "sine_elevation",
     "cosine_to_c",
@@ -67,25 +69,28 @@ OF_PLACE = (
     "ends_in_plane",
 )
 _STEPS = (1, 2, 4, 6)
-"""So many views to either side tell, too: the lesser and the greater of both."""
+"""Of the two views this many steps to either side, the lesser and the greater value are
+features."""
 _BESIDE = tuple(f"{which}_{step}" for step in _STEPS for which in ("lesser", "greater"))
 _AROUND = (*_BESIDE, "opposite", "at_best", "least", "most", "mean")
 FEATURES = (*OF_VIEW, *OF_PLACE, *(f"{name}_{where}" for where in _AROUND for name in OF_VIEW))
 MOST_LOGITS = 6.0
-"""What a place loses beside an outline that is whole: only what the network is sure of stays ..."""
+"""Most logits that a place loses for lying beside a whole outline; only cells that the shape
+network is very sure of stay filled after that."""
 DOUBTED_FROM, _LOGITS_PER_SCORE = 2.0, 3.0
-"""... which the scorer says in log odds: from the first on, the surer the more."""
+"""The loss starts where the scorer's log odds that an outline is whole reach the first, and grows
+by the second with each unit above it."""
 _BESIDE_PX = 7
-"""Side of the square that points grow to, for what lies beside them: P is sparse where it turns
-away."""
+"""Side of the square that points are grown to before places beside them are marked; it is large
+because P is sparse where its surface turns away."""
 _POINTS, _NEIGHBOURS, _NORMAL_NEIGHBOURS = 4000, 24, 16
 _SEEN_DEPTH = 0.05
 _FACING = 0.6
-"""Cosine from which on a surface faces the viewer."""
+"""A surface faces the viewer if the cosine between its normal and the view is larger."""
 _EDGE_PX = 9
-"""Side of the square that lies within the outline of points that are not along it."""
+"""A point is along the outline if the square of this side about its pixel reaches beyond it."""
 _UNIONS = (3, 6)
-"""Views to either side of the unions of what is seen."""
+"""Steps to either side for the features ``seen_within``: 45 and 90 degrees of azimuth."""
 
 
 @functools.cache
@@ -101,12 +106,14 @@ def doubts_beside_outlines(
     *,
     ends_in_plane: bool,
 ) -> FloatArray:  # [M] logits
-    """Return what places lose that lie beside P's outline, by the surest view they are beside in.
+    """Return the logits that places lose for lying beside whole outlines of P.
+
+    Of the views in which a place lies beside P, the one that takes the most counts.
 
     Args:
-        points: P's splats.
-        views: V, whose distance, target and c count.
-        places: which are asked about.
+        points: centres of P's splats.
+        views: V, whose distance, target and c are used.
+        places: points of the object frame.
         ends_in_plane: whether P was cut along a plane, as far as found.
     """
     features = outline_features(points, views, ends_in_plane=ends_in_plane)
@@ -152,7 +159,7 @@ class _Surface:
         self.on_rim: Mask = one_sidedness(points[index[:, 1:]] - points[:, None]) > ON_RIM
 
     def seen_from(self, view: View) -> tuple[list[float], Mask]:  # [len(OF_VIEW)], [N]
-        """Return what is known of one view, the area in pixels, and which points are seen."""
+        """Return the features of one view, with the area in pixels, and which points are seen."""
         pixel, depth = view.pixels(self.points)
         seen = depth < _nearest(pixel, depth)[pixel] + _SEEN_DEPTH
         behind = -depth < _nearest(pixel, -depth)[pixel] + _SEEN_DEPTH
@@ -177,7 +184,7 @@ class _Surface:
 
 
 def _nearest(pixel: NDArray[np.int64], depth: FloatArray) -> FloatArray:  # [N], [N] -> [P]
-    """Return the least depth in and beside every pixel."""
+    """Return the least depth over every pixel and its eight neighbours."""
     nearest = np.full(SIDE_PX**2, np.inf, np.float32)
     np.minimum.at(nearest, pixel, depth)
     return minimum_filter(nearest.reshape(SIDE_PX, SIDE_PX), 3).ravel()
@@ -196,7 +203,7 @@ def _of_place(
     best: int,
     ends_in_plane: bool,
 ) -> FloatArray:  # [V, len(OF_PLACE)]
-    """Return where views are, and what is known of P as a whole; columns as ``OF_PLACE``."""
+    """Return features of where views are and of P as a whole; columns as ``OF_PLACE``."""
     toward = np.stack([view.toward for view in grid])
     c = math.radians(views.azimuth_deg)
     sides = np.ptp(surface.points, axis=0)
@@ -218,7 +225,7 @@ def _of_place(
 
 
 def _seen_within(seen: Mask, reach: int) -> FloatArray:  # [V, N] -> [V]
-    """Return the share of points that is seen from views or any of so many to either side."""
+    """Return the share of points seen from each view or from one at most ``reach`` steps aside."""
     rings = seen.reshape(len(ELEVATIONS_DEG), AZIMUTHS, -1)
     union = rings.copy()
     for step in range(1, reach + 1):
@@ -227,7 +234,7 @@ def _seen_within(seen: Mask, reach: int) -> FloatArray:  # [V, N] -> [V]
 
 
 def _around(local: FloatArray, best: int) -> list[FloatArray]:  # [V, L] -> each [V, L]
-    """Return what is known of other views, in the order of ``_AROUND``."""
+    """Return the features of other views that go with each view, in the order of ``_AROUND``."""
     rings = local.reshape(len(ELEVATIONS_DEG), AZIMUTHS, -1)
     found = []
     for step in _STEPS:

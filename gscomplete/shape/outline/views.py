@@ -2,9 +2,11 @@
 
 Conventions
 -----------
-* A view is three axes: to the right, up, and towards the viewer. Views are at V's distance and look
-  at its target, which points are given about; their pictures are planes through the target.
-* The grid is ``ELEVATIONS_DEG`` by ``AZIMUTHS``, azimuths in turn; arrays over it are [V, ...].
+* A view is three axes: right, up, and towards the viewer. Views are perspective, at V's distance
+  from its target, and look at it; the picture plane passes through the target. Points are relative
+  to the target.
+* The grid has the elevations ``ELEVATIONS_DEG`` and, for each, ``AZIMUTHS`` azimuths in turn;
+  arrays over it are [V, ...].
 """
 
 from __future__ import annotations
@@ -22,13 +24,14 @@ from gscomplete.shape.voxels import FloatArray
 
 ELEVATIONS_DEG = (0.0, 15.0, 30.0, 45.0)
 AZIMUTHS = 24
-"""Evenly round the object; even, so that every view has an opposite."""
+"""Views at each elevation, evenly round the object; an even number, so that each has an
+opposite."""
 SIDE_PX = 96
-"""Of a picture of the grid's."""
+"""Side of a picture from a view of the grid."""
 _HALF_WIDTH = 0.9
-"""Of a picture, object sizes."""
+"""Half the side of a picture, object sizes."""
 _GROWN_PX = 5
-"""Side of the square that each point of an outline grows to."""
+"""Side of the square that each point of an outline is grown to."""
 
 Mask = NDArray[np.bool_]
 
@@ -50,7 +53,7 @@ class View:
         points: FloatArray,  # [N, 3] about the target
         side_px: int = SIDE_PX,
     ) -> tuple[NDArray[np.int64], FloatArray]:  # [N], [N]
-        """Return the pixels of points, numbered row by row, and how far away they are."""
+        """Return the pixels of points, numbered row by row, and the points' depths."""
         right, up, toward = self.axes @ points.T
         depth = self.distance - toward
         scale = self.distance / np.maximum(depth, 1e-3)
@@ -79,7 +82,7 @@ def outline(
     side_px: int = SIDE_PX,
     grown_px: int = _GROWN_PX,
 ) -> Mask:  # [side_px, side_px]
-    """Return the outline of points, filled, without gaps between them."""
+    """Return the pixels that points cover, grown so that gaps between points close."""
     covered = np.zeros(side_px**2, np.bool_)
     covered[pixels] = True
     return maximum_filter(covered.reshape(side_px, side_px), grown_px)
@@ -98,7 +101,7 @@ def _grid_axes() -> FloatArray:  # [V, 3, 3]
 def axes_of_views(
     step_deg: float, elevations_deg: Sequence[float]
 ) -> NDArray[np.float64]:  # [V, 3, 3]
-    """Return the axes of views from all sides, at some elevations, azimuths in turn."""
+    """Return the axes of views all round at the given elevations; azimuths change fastest."""
     found = []
     for elevation in np.deg2rad(elevations_deg):
         for azimuth in np.deg2rad(np.arange(0.0, 360.0, step_deg)):

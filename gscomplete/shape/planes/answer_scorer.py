@@ -1,16 +1,17 @@
-"""Which answer of the shape network is the best: a small network over what is known of each.
+"""Which of the shape network's answers is the best, by a small network.
 
-The shape network is asked once per likely plane and once without any. Its answer to a copy of P in
-the wrong place, such as a second head, is doubtful, leaves the copy empty or is unlike the others;
-how much each of these tells depends on how P was cut and on how much is missing. The scorer has
-learned that from parts of meshes whose truth is known (``recipes/train_embedded_prior``).
+The shape network is asked once per likely plane, given P's copy (mirror image) through it, and once
+without any copy. If a copy is in the wrong place, such as a second head, the answer to it is
+unsure, leaves the copy's cells empty, or differs from the other answers; how much each of these
+signs tells depends on how P was cut and on how much is missing. The scorer has learned this from
+parts of meshes whose truth is known (``recipes/train_embedded_prior``).
 
 Conventions
 -----------
-* Cells of P and those beside them are P's; only what lies elsewhere counts as new.
-* New surface is counted against the mean over the answers where an answer has less of it: one that
-  adds next to nothing covers it easily.
-* The mean answer is the mean of those to copies.
+* P's cells and their neighbours count as P's; only what lies elsewhere is new.
+* An answer with less new surface than the mean over the answers is scored as if it had the mean:
+  a copy covers next to no new surface easily.
+* The mean answer is the mean of the answers to copies.
 """
 
 from __future__ import annotations
@@ -57,13 +58,14 @@ FEATURES = (
     *OF_PART,
 )
 _POSSIBLE = 0.1
-"""Cells with at least this probability count for how sure an answer is."""
+"""Cells with at least this probability count towards how sure an answer is."""
 _FILLED = 0.35
 """Cells with at least this probability count as filled."""
 _LEAST_BELIEF = 1e-4
 _LEAST_WIDTH = 0.02
 WRONG_WEIGHT = 0.5
-"""Of the share of a copy that is new and wrong, beside the share of the missing that it shows."""
+"""Weight of the share of a copy that is new and wrong, against the share of what is missing that
+the copy shows."""
 _GRID = (1, 2, 3)
 
 
@@ -75,13 +77,13 @@ def packaged_answer_scorer() -> Perceptron:
 
 @dataclass(frozen=True, slots=True)
 class Answers:
-    """What the network was asked about one part, and what it answered."""
+    """The questions to the network about one part, and its answers."""
 
     planes: tuple[SymmetryMap, ...]  # K
     """What P was mirrored through."""
     copies: Tensor  # [K, C, C, C] occupancies of P's mirror images
     filled: Tensor  # [K, C, C, C] or [K + 1, C, C, C]
-    """Probabilities of the network's answers; the one after those to copies is that to none."""
+    """Probabilities of the answers to the K copies, then of the answer to none if it was asked."""
     partial: Tensor  # [C, C, C] occupancy of P
     shown_at_once: float
     """Share of P that its best view shows."""
@@ -136,7 +138,7 @@ def answer_features(answers: Answers) -> FloatArray:  # [K, F] or [K + 1, F]
 
 
 def _with_none(of_copies: Tensor, no_copy: Tensor) -> Tensor:  # [K], [N] -> [N]
-    """Let the answer to no copy have 0."""
+    """Append 0 for the answer to no copy, if there is one."""
     return torch.cat([of_copies, torch.zeros(len(no_copy) - len(of_copies))])
 
 
@@ -159,7 +161,7 @@ def _of_plane(
     plane: SymmetryMap,
     places: FloatArray,  # [N, 3] P's cells
 ) -> tuple[float, float, float]:
-    """Return how much of a copy is outside, P's share on the smaller side, and the growth."""
+    """Return ``outside_grid``, ``smaller_side`` and ``growth`` of ``OF_ANSWER``."""
     if not len(places):
         return 0.0, 0.0, 0.0
     angle, offset = plane_of(plane)
@@ -174,7 +176,7 @@ def _of_plane(
 def sureness(
     filled: Tensor,  # [K, C, C, C] probabilities of the network's answers
 ) -> Tensor:  # [K] in [0, 1]
-    """Return how far answers are from one half, on average over the cells that may be filled."""
+    """Return how far probabilities are from one half, as a mean over cells that may be filled."""
     possible = filled > _POSSIBLE
     far = (2 * filled - 1).abs() * possible
     return far.sum(dim=_GRID) / possible.sum(dim=_GRID).clamp_min(1)
@@ -184,7 +186,7 @@ def missing_share(
     filled: Tensor,  # [K, C, C, C] probabilities of the network's answers
     partial: Tensor,  # [C, C, C] occupancy of P
 ) -> float:  # in [0, 1]
-    """Return how much of the surface that the answers have on average is not P's."""
+    """Return the share of the mean answer's surface that P lacks."""
     surface = surface_cells(filled.mean(dim=0, keepdim=True) > _FILLED)
     away = surface & (grown(partial[None]) <= 0)
     return float(away.sum()) / max(float(surface.sum()), 1.0)
@@ -195,9 +197,10 @@ def symmetry_scores_of_answers(
     copies: Tensor,  # [K, C, C, C] occupancies of the mirror images it was given first
     partial: Tensor,  # [C, C, C] occupancy of P
 ) -> Tensor:  # [K]
-    """Return the share of new surface that copies cover, less half of what is new and left empty.
+    """Score copies by the answers to them.
 
-    The latter is a share of the copy.
+    A copy's score is the share of the answer's new surface that it covers, less ``WRONG_WEIGHT``
+    times the share of the copy's cells that are new but left empty by the answer.
     """
     elsewhere = grown(partial[None]) <= 0
     new = (copies > 0) & elsewhere

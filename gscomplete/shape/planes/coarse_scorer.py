@@ -1,11 +1,12 @@
-"""Which plane of symmetry is the right one: a small network over the evidence for each.
+"""Which plane of symmetry is the right one, by a small network over the evidence for each plane.
 
-It was trained on procedural objects whose truth is known (``recipes/train_embedded_prior``) to
-prefer planes whose copy of P covers much of what is missing and little that is not there.
+It was trained on procedural objects whose truth is known (``recipes/train_embedded_prior``). It
+prefers planes whose copy of P covers much of what is missing and little that is empty in truth.
 
 Conventions
 -----------
-* Scores are logits over all planes of ``planes.features``: their softmax is the belief in each.
+* Scores are logits; their softmax over all planes of ``planes.features`` is the belief in each
+  plane.
 """
 
 from __future__ import annotations

@@ -63,7 +63,7 @@ _AT_PLANE = 0.03
 
 @dataclass(frozen=True, slots=True)
 class PartSamples:
-    """P, as planes are scored on it."""
+    """The samples of P that planes are scored on."""
 
     points: FloatArray  # [N, 3]
     colors: FloatArray  # [N, 3]
@@ -147,7 +147,7 @@ def _every(count: int, most: int) -> NDArray[np.int64]:
 
 
 def _rim(points: FloatArray) -> tuple[FloatArray, float]:  # [N, 3] -> [R, 3], share
-    """Return the points whose neighbours lie to one side, or the most one-sided few."""
+    """Return the points whose neighbours lie to one side, at least the most one-sided few."""
     tested = points[_every(len(points), _RIM_TESTED)]
     neighbours = min(_RIM_NEIGHBOURS + 1, len(points))
     _, index = cKDTree(points).query(tested, k=range(1, neighbours + 1))
@@ -241,7 +241,7 @@ def _count_rim(
     plane_normals: FloatArray,  # [A, 2]
     offsets: FloatArray,  # [O]
 ) -> FloatArray:  # [A, O, 4]
-    """Return where the rim's copy lies."""
+    """Measure the features of the rim's copy, ``rim_on`` to ``rim_closed``."""
     nx, ny = plane_normals.T[:, :, None, None]
     away = offsets[:, None] - rim[:, 0] * nx - rim[:, 1] * ny  # [A, O, R]
     twice = 2 * away.astype(np.float64)

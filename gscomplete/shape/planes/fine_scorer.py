@@ -1,9 +1,8 @@
-"""What a plane's copy of P scores by the truth, from P on both sides of the plane.
+"""Predict how well a plane's copy of P matches the truth, from P's voxels folded about the plane.
 
-``coarse_scorer`` reads 21 numbers per plane and can afford all 1,332 planes. This scorer takes
-the voxels themselves, folded about the plane, for the few planes that the coarse one prefers, and
-corrects its scores. It was trained on procedural objects whose truth is known
-(``recipes/train_embedded_prior``).
+``coarse_scorer`` reads 21 numbers per plane and can afford all 1,332 planes. This scorer reads the
+voxels themselves, for the few planes that the coarse one prefers, and corrects its scores. It was
+trained on procedural objects whose truth is known (``recipes/train_embedded_prior``).
 
 Conventions
 -----------
@@ -58,7 +57,7 @@ class FoldedVolumes:
 
 
 class ResidualBlock(nn.Module):
-    """Two convolutions beside the identity."""
+    """Two convolutions added to the identity."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -114,7 +113,7 @@ class FineSymmetryScorer(nn.Module):
         return answer[:, 0] + self.trust * ranked, answer[:, 1]
 
     def digest(self) -> str:
-        """Name the weights: data made with other ones is other data."""
+        """Return a digest of the weights, which identifies data sets that were made with them."""
         return hashlib.sha256(save(self._stored())).hexdigest()[:12]
 
     def save(self, path: Path) -> None:
@@ -156,7 +155,7 @@ def folded_volumes(
     angles: FloatArray,  # [K] radians, azimuths of the planes' normals
     offsets: FloatArray,  # [K]
 ) -> FoldedVolumes:
-    """Put P into the frames of planes."""
+    """Resample P's cells and evidence into the frame of each plane."""
     fine = torch.from_numpy(_folded(cells, angles, offsets))
     return FoldedVolumes(fine, _folded_evidence(evidence, angles, offsets))
 

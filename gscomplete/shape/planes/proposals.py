@@ -1,8 +1,7 @@
-"""Likely planes of symmetry, in three steps of rising cost.
+"""Likely planes of symmetry, found in three steps of rising cost.
 
-All planes are ranked by what is evidence for them (``coarse_scorer``), the best that differ are
-scored by their voxels (``fine_scorer``), and the best of those are moved to where P and its copy
-agree.
+All planes are ranked by the evidence for them (``coarse_scorer``); the best ones that differ are
+scored on voxels (``fine_scorer``); the best of those are moved to where P and its copy agree.
 
 Conventions
 -----------
@@ -41,18 +40,19 @@ from gscomplete.shape.symmetry import SymmetryMap, mirror
 from gscomplete.shape.voxels import CELL_SIDE, FloatArray
 
 FINELY_SCORED = 48
-"""Planes that the fine scorer ranks: on 45 cuts of 15 real objects the best of them scores .68 by
-the truth, the best of 8 .63, the best of all planes .72."""
+"""How many planes the fine scorer ranks. On 45 cuts of 15 real objects the true score of the best
+of 48 planes is .68 on average, of the best of 8 .63, of the best of all planes .72."""
 APART_DEG = 11.0
 APART_OFFSET = 0.05
-"""These planes differ by at least one of these."""
+"""Planes that the fine scorer ranks differ from each other by at least one of these."""
 _NEAR_DEG = 15.0
 _NEAR_OFFSET = 0.1
-"""Planes that differ by less than both say nearly the same: their beliefs add up."""
+"""Planes that differ by less than both are nearly the same: the beliefs in them add up."""
 _REFINEMENTS = 6
 _FEWEST_MATCHES = 40
 _LARGEST_TURN = math.radians(8.0)
 _LARGEST_MOVE = 0.05
+"""Most that refinement may turn a plane, and move it in object sizes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ class RankedPlanes:
 def ranked_planes(
     part: PartSamples, evidence: Evidence, scorer: Perceptron, count: int
 ) -> RankedPlanes:
-    """Return the planes unlike each other that the scorer puts first."""
+    """Return the planes that the scorer ranks first and that differ from each other."""
     features = plane_features(part, evidence)
     logits = scorer(features)
     planes = distinct_planes(logits, count)
@@ -78,7 +78,7 @@ def ranked_planes(
 def distinct_planes(
     symmetry_scores: FloatArray, count: int
 ) -> NDArray[np.intp]:  # [A, O] -> [K, 2]
-    """Return the best planes that differ, the best first; fewer where there are not as many."""
+    """Return at most ``count`` planes that differ from each other, the best first."""
     left = symmetry_scores.astype(np.float64)
     found: list[tuple[int, int]] = []
     while len(found) < count and np.isfinite(left).any():
@@ -121,9 +121,9 @@ def candidate_planes(
 def refined(
     part: PartSamples, tree: cKDTree, angle: float, offset: float
 ) -> tuple[float, float]:  # radians, object sizes
-    """Move a plane to where P's copy fits P best: Gauss-Newton, point to surface.
+    """Move a plane to where P's copy fits P best, by point-to-plane Gauss-Newton steps.
 
-    Only samples that land within a cell and a half of P count; with few of them the plane stays.
+    Only samples whose copy is within a cell and a half of P count; with too few the plane stays.
     """
     found = angle, offset
     for _ in range(_REFINEMENTS):
@@ -133,7 +133,7 @@ def refined(
         along = part.points @ normal
         copies = part.points + 2 * (found[1] - along)[:, None] * normal
         distance, index = tree.query(copies)
-        # Samples in the plane are their own copies: they say nothing of where it is.
+        # Samples in the plane are their own copies, so they do not tell where it is.
         use = (distance < 1.5 * CELL_SIDE) & (np.abs(found[1] - along) > 1.5 * CELL_SIDE)
         if use.sum() < _FEWEST_MATCHES:
             break
@@ -156,9 +156,9 @@ def refined(
 def _alike(
     angle_index: int, offset_index: int, apart_deg: float, apart_offset: float
 ) -> NDArray[np.bool_]:  # [A, O]
-    """Mark the planes that differ from one by less than both, itself included."""
+    """Mark the planes that differ from one plane, itself included, by less than both limits."""
     turn = np.abs(np.arange(ANGLES) - angle_index) * (180.0 / ANGLES)
-    # Half a turn further, the same plane has the other sign.
+    # A normal turned by half a turn describes the same plane with the opposite offset.
     sign = np.where(turn > 90.0, -1.0, 1.0)[:, None]
     apart = np.abs(sign * np.array(OFFSETS) - OFFSETS[offset_index])
     near_turn = np.minimum(turn, 180.0 - turn)[:, None] < apart_deg
