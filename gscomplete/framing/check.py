@@ -1,4 +1,4 @@
-"""Check a frame against P: what is odd about one that is given, what a decided one means.
+"""Check a frame that the user gives against P, and describe the frame and view that are used.
 
 Conventions
 -----------
@@ -19,13 +19,14 @@ from gscomplete.views import ObjectFrame, ViewDistribution
 
 _LEAST_SHARE = 0.01
 _LARGEST_SHARE = 10.0
-"""A P whose largest side is less, or more, of the complete object's is a mistake, mostly of
-units; P may bring some of what stands around it."""
+"""Bounds of P's largest side over the complete object's. Outside them the frame is a mistake,
+mostly of units. The upper one exceeds 1 because P may include some of what stands around the
+object."""
 _SMALL_SHARE = 0.05
-"""One with less is reported."""
+"""Users are told if P's share is smaller."""
 _COARSE_SHARE = 1e-3
-"""A spacing of float32 coordinates above this share of the object's size is reported: less than
-a third of a pixel where the object fills 256."""
+"""Users are told if float32 coordinates at the object are farther apart than this share of its
+size. The limit is about a quarter of a pixel where the object fills 256."""
 _VISIBILITY_PX = 128
 """Side of the picture in which P must be seen."""
 
@@ -33,17 +34,18 @@ _VISIBILITY_PX = 128
 def largest_side(splats: Splats) -> float:
     """Return the largest side of the splats' box (``_middle_box``).
 
-    Where splats are larger than their box, their median size: one alone may be of any size.
+    If the splats are larger than this box, return their median size instead: a single splat may
+    have any size.
     """
     low, high = _middle_box(splats)
     return max(float((high - low).max()), splats.typical_size)
 
 
 def check_given_frame(partial: Splats, frame: ObjectFrame, name: str) -> tuple[str, ...]:
-    """Check that a frame which the user gives may be that of the complete object.
+    """Check that a frame given by the user may be that of the complete object.
 
-    A wrong unit is the usual mistake: the run would add a few splats, or specks on the surface of
-    P, and measure no fault.
+    The usual mistake is a wrong unit. The run would then add only a few splats, or specks on P's
+    surface, and its metrics would not show that anything is wrong.
 
     Args:
         partial: P, in the file frame.
@@ -51,10 +53,10 @@ def check_given_frame(partial: Splats, frame: ObjectFrame, name: str) -> tuple[s
         name: P's file, for errors.
 
     Returns:
-        What is odd about it.
+        Warnings for the user.
 
     Raises:
-        UserError: P is next to nothing in it, many times as large, or lies outside.
+        UserError: P is tiny in the frame, many times as large as it, or lies outside it.
     """
     near, _ = near_rows(partial)  # one splat may be astronomically far away
     side, size = largest_side(partial.select(near)), frame.size_file

@@ -1,9 +1,9 @@
 """Find the upright plane that P was cut along, if it was, and whether P is symmetric about it.
 
-A surface that is symmetric about a plane meets it at a right angle, wherever it is smooth. So
-where P's surface meets the plane of its cut squarely all along, the plane is likely one of symmetry
-(or the object is a prism across it), and P's mirror image is what was cut away. Rims that a scanner
-leaves behind, and those of sheets, lie along their planes instead.
+A smooth surface that is symmetric about a plane meets the plane at a right angle. So if P's surface
+meets the plane of its cut squarely all along, the plane is probably one of symmetry (or the object
+is a prism across it), and P's mirror image is what was cut away. At the rims that a scan ends in,
+and at those of sheets, the surface runs along the plane instead.
 
 Conventions
 -----------
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gscomplete.splats.neighbourhood import ON_RIM, normals_of, one_sidedness
+from gscomplete.splats.thinning import every_nth
 
 FloatArray = NDArray[np.float64]
 
@@ -38,21 +39,24 @@ _TOLERANCE = 0.012
 _MOST_BEYOND = 0.02
 """Share of P beyond the plane: floaters."""
 _SQUARE = 0.3
-"""Cosine between the plane's normal and a surface normal below which they meet squarely."""
+"""A surface meets the plane squarely where the cosine between their normals is smaller."""
 _LEAST_SHARE = 0.5
-"""Share of the rim that lies in the plane of a cut, however the surface meets it ..."""
+"""A plane is that of a cut if at least this share of the rim lies in it, ..."""
 _LEAST_SQUARE_SHARE = 0.15
 _LEAST_SQUARENESS = 0.5
 _FEWEST_SQUARE = 16
-"""... or a smaller one where so many points of it and such a share meet the plane squarely. Of 30
-unseen objects each, next to no scan or complete object has such a rim."""
+"""... or if at least the first share lies in it, and of that rim at least the second share and so
+many points meet the plane squarely. Of the scans and the complete objects of 30 unseen objects,
+next to none has such a rim."""
 _LEAST_MET = 0.08
-"""Of 295 cuts of halves 93 % have at least this squareness, of the rims of 83 scans 29 %."""
+"""Least squareness for P's surface to run into the plane: 93 % of 295 cuts that leave half an
+object reach it, and 29 % of the rims of 83 scans."""
 _SYMMETRIC_SQUARENESS = 0.78
 _SYMMETRIC_SHARE = 0.35
 _SYMMETRIC_COSINE = 0.2
-"""From the first two on and up to the third, P is taken to be symmetric about its cut: a round cup
-that is cut beside its axis is not, though its wall leans by little."""
+"""P is taken to be symmetric about its cut if squareness and share of the rim reach the first two
+and the mean cosine does not exceed the third. The third rules out a round cup cut beside its axis,
+whose wall meets the plane nearly squarely but leans to one side."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +64,7 @@ class UprightPlane:
     """The points x with ``normal . x = offset``."""
 
     azimuth_deg: float
-    """Of its normal, to the side that was cut away."""
+    """Azimuth of its normal, which points to the side that was cut away."""
     offset: float
 
     @property
@@ -96,13 +100,13 @@ class CutPlane(UprightPlane):
 
     @property
     def meets_surface(self) -> bool:
-        """Whether P's surface runs into the plane somewhere, as where something was cut away."""
+        """Whether P's surface runs into the plane somewhere, as it does where it was cut."""
         return self.squareness >= _LEAST_MET
 
 
 def find_cut(points: FloatArray) -> CutPlane | None:  # [N, 3] z up
-    """Return the upright plane that holds most of the rim, P on one side; None = none does."""
-    chosen = points[:: max(1, -(-len(points) // _MOST_POINTS))]
+    """Return the upright plane that P was cut along, P on one side of it; None = there is none."""
+    chosen = every_nth(points, _MOST_POINTS)
     if len(chosen) <= _NEIGHBOURS:
         return None
     middle, side = chosen.mean(axis=0), max(float(np.ptp(chosen, axis=0).max()), 1e-12)
@@ -122,7 +126,7 @@ def find_cut(points: FloatArray) -> CutPlane | None:  # [N, 3] z up
     if share < (_LEAST_SQUARE_SHARE if is_square else _LEAST_SHARE):
         return None
     azimuth_deg = math.degrees(math.atan2(normal[1], normal[0])) % 360.0
-    # Rim points lie up to a spacing inside of where P ends.
+    # Rim points may lie up to a spacing inside the plane that P ends at.
     offset = float(np.quantile(in_plane @ normal, 0.9))
     return CutPlane(
         azimuth_deg,
@@ -159,11 +163,11 @@ def _best_plane(
 
 
 def _refined(normal: FloatArray, in_plane: FloatArray) -> FloatArray:  # [3], [K, 3] -> [3]
-    """Return the horizontal normal that points in a plane vary least along."""
+    """Return the horizontal direction along which points of a plane vary least."""
     flat = in_plane[:, :2] - in_plane[:, :2].mean(axis=0)
     values, vectors = np.linalg.eigh(flat.T @ flat)
     if values[0] > 0.1 * values[1]:
-        return normal  # a rim as thin as that does not say how the plane is turned
+        return normal  # so narrow a rim does not determine the plane's azimuth
     x, y = vectors[:, 0]
     sign = math.copysign(1.0, x * normal[0] + y * normal[1])
     return np.array([sign * x, sign * y, 0.0])
@@ -180,8 +184,8 @@ def normals_at(
 
 
 def _rim(points: FloatArray, tree: cKDTree) -> FloatArray:  # [N, 3] -> [R, 3]
-    """Return rim points of a surface; none if it has next to no rim."""
-    tested = points[:: max(1, -(-len(points) // _TESTED))]
+    """Return the rim points of a surface; none if hardly any of its points are on a rim."""
+    tested = every_nth(points, _TESTED)
     _, index = tree.query(tested, k=_NEIGHBOURS + 1)
     on_rim = one_sidedness(points[index[:, 1:]] - tested[:, None]) > ON_RIM
     if on_rim.mean() < _LEAST_RIM_SHARE:

@@ -30,7 +30,7 @@ from gscomplete.views import (
 from gscomplete.views.distribution import AZIMUTH_RANGE_DEG, ELEVATION_RANGE_DEG, FOV_DEG, RADIUS
 
 _STEEPEST_DEG = 75.0
-"""From steeper above no side is behind."""
+"""From a steeper elevation no side of P counts as the one behind."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,13 +50,13 @@ class FramingRequest:
     camera_position_file: tuple[float, float, float] | None = None
     """Where the source was seen from: the input view, unless another one is given."""
     is_one_camera: bool = False
-    """Whether all of the part was seen from there: the complete object then lies behind it."""
+    """Whether all of the part was seen from there; what is missing then lies behind it."""
     elevation_range_deg: float = ELEVATION_RANGE_DEG
     """V reaches this far above and below c."""
     is_half: bool = False
     """Whether the part is one half of a symmetric object, cut along its plane of symmetry."""
     half_toward_deg: float | None = None
-    """Azimuth of the other half, roughly; None = found."""
+    """Rough azimuth of the other half, degrees; None = it is found."""
 
     def __post_init__(self) -> None:
         """Check what the user gives.
@@ -91,7 +91,7 @@ class Framing:
     origin: FrameOrigin
     views: ViewDistribution
     notes: tuple[str, ...]
-    """Reasons of the parts that were guessed."""
+    """Reasons for what was guessed, for the user."""
 
 
 def decide_framing(
@@ -112,7 +112,7 @@ def decide_framing(
         fov_deg: their vertical field of view.
 
     Returns:
-        The frame, V, and the reasons of what was guessed.
+        The frame, V, and the reasons for what was guessed.
 
     Raises:
         UserError: a guess is needed and the part has no finite splat or no extent.

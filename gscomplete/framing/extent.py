@@ -1,11 +1,12 @@
-"""How far the complete object reaches beyond P: not at all where P's surface is closed.
+"""How far the complete object reaches beyond P: not at all if P's surface is closed.
 
-The inside of a closed surface cannot be seen from anywhere. A scan's back, and the inside behind a
-cut, can: there both sides of a surface element are exposed.
+The inside of a closed surface cannot be seen from anywhere. The back of a scan, or the inside
+behind a cut, can be seen: there a surface element is exposed on both sides.
 
 Conventions
 -----------
-* Directions are level or from above: what only shows from below (a missing base) counts as closed.
+* Only views from the sides and from above count: a hole that shows only from below, such as a
+  missing base, does not make a surface open.
 * Points are thinned; their spacing is the side of the square of surface that each stands for.
   Surfaces nearer to each other than about one spacing are not told apart.
 """
@@ -27,25 +28,30 @@ from gscomplete.splats.neighbourhood import normals_of
 FloatArray = NDArray[np.float64]
 
 CLOSED_BELOW, CLOSED_BELOW_FINELY = 0.008, 0.005
-"""P's surface counts as closed where a smaller share of it is exposed on both sides, looked at
-with few points or, where that leaves it open by a little, with many. Of 90 objects of the train
-split 59 are closed, of their parts of five kinds 6 of 450."""
+"""P's surface is closed if a smaller share of it is exposed on both sides: less than the first
+measured with few points or, if that is exceeded only a little, less than the second measured with
+many. Of 90 objects of the train split 59 are found closed, of 450 parts of them (five kinds) 6."""
 _CONTRADICTED_FROM = 0.012
-"""With many points a larger share contradicts the look with few: of 160 closed objects none."""
+"""If the share measured with many points is larger, P is open whatever few points say. No object of
+160 closed ones is."""
 _OPEN_FROM, _CUT_OPEN_FROM = 0.04, 0.06
-"""From here on more points are not asked, of parts without a cut and with one."""
+"""If the share measured with few points reaches this (without a cut, with a cut), P is open and
+many points are not tried."""
 _THIN = 0.15
-"""Nor are they where P is thinner than this, sizes: halves of plates and pallets show no inside."""
+"""The same goes for an uncut P whose thickness over its largest side is less: halves of plates and
+pallets show no inside, so many points would find them closed."""
 _EDGE_SQUARENESS = 0.25
-"""Edges of what is not thin are met at a slant: of seven closed objects .24 at most."""
+"""A "cut" with less squareness may be a mere edge of a closed thing that is not thin, met at a
+slant: on seven closed objects it is at most .24."""
 _FLAT = 0.015
-"""Both sides of what is thinner than this cannot be told apart."""
+"""If P has a cut and is thinner than this, it is open: its two sides cannot be told apart."""
 _LITTLE_EXPOSED = (0.0008, 0.01)
-"""With few points: what is closed shows less, blades and rods that pass for closed show more ..."""
+"""Parts of objects with double walls expose a share between these, measured with few points. Closed
+objects expose less; blades and rods that pass for closed expose more."""
 _MOST_OPENNESS = 0.3
-"""... than parts of what has two walls, which are open to one side by more than this. Of 241
-objects that it was chosen on it opens 13 halves and boxes (.653 to .782 IoU) and three complete
-ones (1.000 to .994), of 233 others 8 (.679 to .775) and three (1.000 to .902)."""
+"""A P in that range is open if it is more one-sided than this. On the 241 objects that this was
+chosen on it opens 13 halves and boxes (their IoU rises from .653 to .782) and three complete
+objects (1.000 to .994); on 233 others 8 (.679 to .775) and three (1.000 to .902)."""
 _FEW_POINTS, _MOST_POINTS = 8000, 24_000
 _NEIGHBOURS = 10
 _AZIMUTHS = 12
@@ -54,12 +60,12 @@ _STEEP = 0.35
 """Least cosine between a direction and a normal for that side to count as seen."""
 _TOLERANCE_SPACINGS = 0.9
 _REACH_SPACINGS = 1.6
-"""Half the side of the square that a point covers in a depth image."""
+"""Half the side of the square that a point covers in a depth image, spacings."""
 _PX_PER_SPACING = 2.0
 
 
 class Exposure:
-    """Shares of P's surface that can be seen from both sides, found out when asked for."""
+    """Share of P's surface that is exposed on both sides, computed when it is first asked for."""
 
     def __init__(self, points: FloatArray) -> None:  # [N, 3] z up
         """Take P's points."""
@@ -67,12 +73,12 @@ class Exposure:
 
     @functools.cached_property
     def with_few(self) -> float:
-        """The share, looked at with few points."""
+        """The share, measured with few points."""
         return share_exposed_twice(self._points, _FEW_POINTS)
 
     @functools.cached_property
     def with_many(self) -> float:
-        """The share, looked at with many points."""
+        """The share, measured with many points."""
         return share_exposed_twice(self._points)
 
 
@@ -84,17 +90,17 @@ def is_closed(
 ) -> bool:
     """Say whether P's surface is closed as far as it can be seen from the sides and from above.
 
-    Half a cup of two walls shows neither wall's inside but through its rim: what ends squarely in a
-    plane is not closed, nor is what shows a little of it and is open to one side. Edges of blades
-    and boards pass for cuts that are met at any angle, those of thicker things for cuts that are
-    met at a slant, so where next to nothing of P is exposed on both sides such a cut does not
-    count.
+    The share that is exposed on both sides does not suffice. Half a cup with a double wall shows
+    the space between its walls only through the cut. So a P that ends squarely in a plane is open,
+    and so is one of which a small share is exposed while it is open to one side. On the other hand,
+    edges may pass for cuts: those of blades and boards for cuts met at any angle, those of thicker
+    things for cuts met at a slant. Such a cut is ignored if hardly any of P is exposed.
 
     Args:
-        points: P.
-        cut: what ``find_cut`` finds of them.
-        openness: how one-sided P is (``guess.ViewScores.openness``), asked where it counts.
-        exposure: of P; None = it is found out here.
+        points: P's points.
+        cut: the cut that ``find_cut`` finds in them.
+        openness: how one-sided P is (``guess.ViewScores.openness``); called only if it matters.
+        exposure: of P; None = it is computed here.
     """
     little, much = _LITTLE_EXPOSED
     exposure = exposure or Exposure(points)
@@ -114,7 +120,7 @@ def _hides_its_inside(
     cut: CutPlane | None,
     exposure: Exposure,
 ) -> bool:
-    """Say whether next to nothing of P is exposed on both sides."""
+    """Say whether hardly any of P is exposed on both sides, and no cut shows that P is open."""
     thickness = thickness_of(points)
     is_thin = thickness < _THIN
     if cut is not None:
@@ -139,9 +145,15 @@ def extended_box(
     """Grow the box of P towards its open side to where the complete object probably ends.
 
     Along the open direction the complete object is taken to be as deep as it is wide, but at most
-    twice as deep as P: a cut or a scan that keeps less than half is rare. The size is that of the
-    box of P and its reflection through the new centre. Returns the centre [3], the size, and the
-    reason in words.
+    twice as deep as P: a cut or a scan that keeps less than half is rare.
+
+    Args:
+        points: P's points.
+        toward_deg: azimuth of the open side.
+
+    Returns:
+        The centre [3]; the largest side of the box of P and of P's reflection through that centre;
+        and the reason in words.
     """
     angle = math.radians(toward_deg)
     along = np.array([math.cos(angle), math.sin(angle), 0.0])
@@ -165,14 +177,15 @@ def share_exposed_twice(
     points: FloatArray,  # [N, 3] z up
     most_points: int = _MOST_POINTS,
 ) -> float:
-    """Return the share of surface points that can be seen from both sides of their surface."""
+    """Return the share of surface points that are exposed on both sides of their surface."""
     step = max(1, -(-len(points) // most_points))
     chosen = np.ascontiguousarray(points[::step])
     if len(chosen) <= _NEIGHBOURS:
         return 1.0
     tree = cKDTree(chosen)
     distance, index = tree.query(chosen, k=_NEIGHBOURS + 1)
-    # A disc to the k-th neighbour holds k points of one spacing squared each.
+    # A disc that reaches to the k-th neighbour holds k points, each of which stands for the square
+    # of one spacing.
     spacing = float(np.median(distance[:, -1])) * math.sqrt(math.pi / _NEIGHBOURS)
     if not spacing > 0:
         return 1.0
@@ -203,7 +216,7 @@ def _seen_from(
     direction: FloatArray,  # [3] to the viewer
     spacing: float,
 ) -> NDArray[np.bool_]:  # [N]
-    """Return which points lie on the nearest surface, seen from far away."""
+    """Mark the points that lie on the surface nearest to a distant viewer."""
     helper = np.array([0.0, 0.0, 1.0]) if abs(direction[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
     right = np.cross(helper, direction)
     right /= np.linalg.norm(right)

@@ -136,10 +136,10 @@ def guess_framing(
     Args:
         partial: P in z-up axes.
         settings: knobs; None = defaults.
-        seen_from_deg: azimuth that all of P was seen from, where one scanner made it: what is
-            missing lies behind P, whatever the scores say. None = unknown.
+        seen_from_deg: azimuth that all of P was seen from, if a single scanner recorded it. What
+            is missing then lies behind P, whatever the scores say. None = unknown.
         is_half: whether what is missing is P's mirror image through the plane that P ends at.
-        half_toward_deg: azimuth of what is missing then, roughly; None = found.
+        half_toward_deg: rough azimuth of the other half; None = it is found.
 
     Raises:
         UserError: P has no finite splat, or all are at one place.
@@ -235,7 +235,7 @@ def object_splats(partial: Splats) -> tuple[Splats, list[str]]:
 
 
 def score_views(centered: Splats, settings: FramingSettings) -> ViewScores:
-    """Render P from every candidate view and score what is seen.
+    """Render P from every candidate view and score the views.
 
     Args:
         centered: P with its box centred at the origin and of largest side 1.

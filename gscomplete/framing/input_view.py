@@ -1,19 +1,19 @@
-"""Refine a guessed input view c by the prior's guess of the complete object.
+"""Correct a guessed input view c, using the prior's guess of the complete object.
 
-P was seen from c, so the complete object hides next to nothing of P there. Looking at P alone,
-``framing`` sometimes takes the inside of a cut or scanned part for its outside. Once there is a
-guess of the complete object, that is seen: from a wrong c it stands before P, and keeping P's
-appearance would tear it apart.
+P was seen from c, so from c the complete object hides next to nothing of P. ``guess``, which looks
+at P alone, sometimes takes the inside of a cut or scanned part for its outside. A guess of the
+complete object reveals such a mistake: from the wrong c the object stands in front of P, and
+preserving P's appearance there would tear the object apart.
 
 Conventions
 -----------
 * Object frame. A pixel of P is hidden where the complete object is nearer than P by more than a
   tolerance.
 * Shares of hidden pixels are means over c and views to both sides of it within V.
-* Of 180 parts of 15 real objects that no benchmark uses, random cuts turned at random
-  (``recipes.real_objects.validation --random 12``), the views of 9 gave way. From the new views the
-  truth hides less of each, in the mean 3 % for 64 %, and the IoU of a default run is about .06
-  higher there. Guessing the complete object anew from the new view is worse, by .03.
+* On 180 parts of 15 real objects that no benchmark uses, cut and turned at random
+  (``recipes.real_objects.validation --random 12``), 9 views are replaced. From each new view the
+  true object hides less of P, on average 3 % instead of 64 %, and the IoU of a default run is about
+  .06 higher. Guessing the complete object again from the new view is worse by .03.
 """
 
 from __future__ import annotations
@@ -30,15 +30,14 @@ from gscomplete.splats.thinning import thinned
 from gscomplete.views import ViewDistribution
 
 _MOST_HIDDEN = 0.1
-"""A view from which the complete object hides no more than this share of P's pixels stays,
-..."""
+"""A view is kept if the complete object hides no more than this share of P's pixels from it, ..."""
 _LEAST_HIDDEN = 0.05
-"""... and so it does if the best other one (by score and hidden share) hides more than this:
-then it is rather the guess of the complete object that is wrong."""
+"""... or if the best other view (by score and hidden share) hides more than this: then probably not
+the view but the guess of the complete object is wrong."""
 DEPTH_TOLERANCE = 0.03
-"""In object sizes: hidden is what lies this much behind the complete object."""
+"""P is hidden where it lies more than this behind the complete object, object sizes."""
 _LEAST_SCORE = 0.5
-"""Views that show P worse than this share of the best one's score are not asked."""
+"""Only views with at least this share of the best score are tried."""
 _SIZE_PX = 48
 """Side of the renders."""
 _MAX_SPLATS = 20_000
@@ -54,7 +53,7 @@ def refine_input_view(
 
     Args:
         partial: P in the object frame.
-        new: what the prior guesses to be missing.
+        new: the splats that the prior guesses to be missing.
         guessed: V about the view that was guessed from P alone.
 
     Returns:
@@ -87,7 +86,10 @@ def refine_input_view(
 
 
 def hidden_share(partial: Splats, completed: Splats, views: ViewDistribution) -> float:
-    """Return the share of P's pixels that the complete object hides from about c; 0 without P."""
+    """Return the share of P's pixels that the complete object hides from c and views beside it.
+
+    It is 0 if no pixel shows P.
+    """
     cameras = views.sides(_SIZE_PX)
     with torch.no_grad():
         alone, together = render(partial, cameras), render(completed, cameras)

@@ -31,7 +31,7 @@ from gscomplete.shape.surface import (
     surface_splats,
 )
 from gscomplete.shape.symmetry import SymmetryMap, mirror, mirror_image, plane_of
-from gscomplete.shape.voxels import CELL_SIDE, grown, sample_volume, surface_cells
+from gscomplete.shape.voxels import CELL_SIDE, missing_surface_share, sample_volume
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.splats.thinning import thinned
@@ -228,9 +228,8 @@ def _is_certain(prediction: Prediction) -> bool:
 
 def _missing_share(prediction: Prediction) -> float:  # in [0, 1]
     """Return how much of the network's surface P does not have."""
-    surface = surface_cells(prediction.output.occupancy > 0)
-    away = surface & (grown(torch.from_numpy(prediction.voxels.volume[:1])) <= 0)
-    return float(away.sum()) / max(float(surface.sum()), 1.0)
+    partial = torch.from_numpy(prediction.voxels.volume[:1])
+    return missing_surface_share(prediction.output.occupancy > 0, partial)
 
 
 def _surface_logit(prediction: Prediction, settings: AssembleSettings) -> float:

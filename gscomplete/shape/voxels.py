@@ -133,6 +133,16 @@ def surface_cells(filled: Tensor) -> Tensor:  # bool [K, C, C, C] -> bool [K, C,
     return filled & (grown((~filled).float()) > 0)
 
 
+def missing_surface_share(filled: Tensor, partial: Tensor) -> float:  # [1, C, C, C] each
+    """Return the share of the surface of filled cells (bool) that P (occupancy) does not have.
+
+    P's cells and their neighbours count as P's.
+    """
+    surface = surface_cells(filled)
+    away = surface & (grown(partial) <= 0)
+    return float(away.sum()) / max(float(surface.sum()), 1.0)
+
+
 def shadows(filled: Tensor) -> list[Tensor]:  # bool [K, C, C, C] -> 5 of bool [K, C or 2 C, C]
     """Return shadows along x, y, z and the two level diagonals."""
     count, cells = filled.shape[:2]

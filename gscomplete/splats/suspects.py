@@ -28,6 +28,7 @@ from torch import Tensor
 
 from gscomplete.splats.filters import middle_and_extent
 from gscomplete.splats.record import Splats
+from gscomplete.splats.thinning import every_nth
 
 Reason = Literal["floaters", "giants", "haze", "needles"]
 
@@ -151,7 +152,7 @@ def _floaters(
         return floating
     points = np.clip((means - middle) / extent, -_FARTHEST, _FARTHEST)
     tree = cKDTree(points, balanced_tree=False)
-    sample = points[:: -(-len(points) // _MOST_SAMPLED)]
+    sample = every_nth(points, _MOST_SAMPLED)
     sampled = tree.query(sample, k=_NEIGHBOURS + 1)[0][:, -1]
     if not sampled.any():
         return floating

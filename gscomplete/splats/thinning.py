@@ -1,4 +1,4 @@
-"""Fewer splats that show nearly the same: an even choice in space, widths grown to match.
+"""Fewer splats that show nearly the same, widths grown to match; and fewer rows of an array.
 
 Splats are put in order along a space-filling curve, which keeps neighbours together, and one is
 drawn of every run of them: a third of the splats of a ball shows it at 30.9 dB, a third drawn at
@@ -8,6 +8,7 @@ random, whose holes show what lies behind, at 28.6.
 from __future__ import annotations
 
 import dataclasses
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -26,6 +27,15 @@ _SPREADS = (
     (2, 0x1249249249249249),
 )
 """Shifts and masks that put two empty bits after each bit of a number."""
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+
+def every_nth(rows: NDArray[Scalar], most: int) -> NDArray[Scalar]:  # [N, ...] -> [M, ...]
+    """Return every n-th row from the first on, with the least n that leaves at most ``most``.
+
+    All rows are returned if there are no more than ``most``, which is at least 1.
+    """
+    return rows[:: max(1, -(-len(rows) // most))]
 
 
 def thinned(splats: Splats, limit: int, generator: torch.Generator) -> Splats:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from gscomplete.errors import UserError
+from gscomplete.splats.thinning import every_nth
 from gscomplete.views import UpAxis
 from splatcomplete_data.objects import StepRecord
 from splatcomplete_data.pictures import UNREADABLE, read_mask
@@ -123,7 +124,7 @@ def load_single_view(
     cloud = PointCloud(points, color[keep])
     known = np.flatnonzero(np.isfinite(z) & (z > 0))
     thinned = np.zeros(z.shape, np.bool_)
-    thinned.flat[known[:: max(1, -(-len(known) // _SCENE_POINTS))]] = True
+    thinned.flat[every_nth(known, _SCENE_POINTS)] = True
     scene = unproject(z, camera, thinned)
     return SingleView(cloud, camera, keep, color, tuple(steps), tuple(notes), scene, fitting.up)
 

@@ -6,7 +6,7 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from gscomplete.render import render
-from gscomplete.splats.thinning import space_filling_order, thinned
+from gscomplete.splats.thinning import every_nth, space_filling_order, thinned
 from gscomplete.views import ViewDistribution
 from tests.builders.objects import ball
 
@@ -33,6 +33,14 @@ def test_it_is_a_function_of_splats_and_seed():
     first, again, other = (thinned(splats, 300, generator(seed)) for seed in (1, 1, 2))
     assert torch.equal(first.means, again.means)
     assert not torch.equal(first.means, other.means)
+
+
+@hypothesis_settings(max_examples=60, deadline=None)
+@given(st.integers(0, 200), st.integers(1, 60))
+def test_every_nth_row_is_kept_with_the_least_step_that_suffices(count, most):
+    rows = np.arange(2 * count).reshape(count, 2)
+    step = next(n for n in range(1, count + 2) if len(range(0, count, n)) <= most)
+    assert every_nth(rows, most).tolist() == [rows[k].tolist() for k in range(0, count, step)]
 
 
 def test_an_even_choice_shows_more_than_a_random_one():

@@ -27,7 +27,7 @@ from torch import Tensor
 from gscomplete.shape.voxels import CELL_SIDE
 from gscomplete.splats import Splats
 from gscomplete.splats.oklab import oklab_from_srgb
-from gscomplete.splats.thinning import thinned
+from gscomplete.splats.thinning import every_nth, thinned
 
 _NEIGHBOURS = 8
 """Neighbours of a splat in the graph."""
@@ -150,7 +150,7 @@ def _rim_colors(
 
 def _main_color(colors: NDArray[np.float64]) -> NDArray[np.intp]:  # [N, 3] Oklab -> [N]
     """Return which of the main colours each is nearest to."""
-    some = colors[:: -(-len(colors) // _MOST_CLUSTERED)]
+    some = every_nth(colors, _MOST_CLUSTERED)
     count = min(_MAIN_COLORS, len(np.unique(some, axis=0)))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # fewer clusters than asked for will do

@@ -20,6 +20,7 @@ from scipy.spatial import cKDTree
 
 from gscomplete.shape.outline.views import Mask, axes_of_views
 from gscomplete.shape.voxels import FloatArray
+from gscomplete.splats.thinning import every_nth
 
 _STEP_DEG, _ELEVATIONS_DEG = 15.0, tuple(range(-80, 81, 20))
 _LEAST_COSINE = 0.75
@@ -83,7 +84,7 @@ def off_lattice(
 
 def _broadest(points: FloatArray, views: FloatArray) -> FloatArray:  # [N, 3], [V, 3, 3] -> [3, 3]
     """Return the axes of the view in which P covers the most pixels."""
-    few = points[:: max(1, -(-len(points) // _POINTS))]
+    few = every_nth(points, _POINTS)
     best: FloatArray = max(views, key=lambda axes: int(_picture(few, axes).sum()))
     return best
 
@@ -112,7 +113,7 @@ def _outline(picture: Mask, closed_px: int) -> Mask:  # [P, P]
 
 def _gap_px(points: FloatArray) -> int:  # [N, 3]
     """Return the width up to which gaps lie between samples rather than in P, in pixels."""
-    asked = points[:: max(1, -(-len(points) // _ASKED))]
+    asked = every_nth(points, _ASKED)
     distance, _ = cKDTree(points).query(asked, k=[min(_NEIGHBOUR + 1, len(points))])
     gap = 2.0 * _PX_PER_SIDE * float(np.quantile(distance, _SPARSE))
     return round(min(max(gap, _LEAST_CLOSED_PX), _MOST_CLOSED_PX))

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from gscomplete.shape.outline.views import View, axes_of_views
 from gscomplete.shape.voxels import FloatArray
+from gscomplete.splats.thinning import every_nth
 from gscomplete.views import ViewDistribution
 
 ONE_VIEW_SHARE = 0.97
@@ -52,7 +53,7 @@ def best_view_share(points: NDArray[np.floating]) -> float:  # [N, 3] z up, in [
     """Return the largest share of P that a single orthographic view shows; 1 for no points."""
     if not len(points):
         return 1.0
-    chosen = points[:: max(1, -(-len(points) // _SHARE_POINTS))]
+    chosen = every_nth(points, _SHARE_POINTS)
     side = max(float(np.ptp(points, axis=0).max()), 1e-12)
     best = 0.0
     for axes in axes_of_views(_SHARE_STEP_DEG, _SHARE_ELEVATIONS_DEG):
@@ -80,7 +81,7 @@ def beside_scan(
     """
     target = np.array(views.target, np.float32)
     points, places = points - target, places - target
-    few = points[:: max(1, -(-len(points) // _SCAN_POINTS))]
+    few = every_nth(points, _SCAN_POINTS)
     every = axes_of_views(_SCAN_STEP_DEG, _SCAN_ELEVATIONS_DEG)
     found = (View(axes.astype(np.float32), views.radius) for axes in every)
     tried = [(_shown(view, few), view) for view in found]

@@ -37,6 +37,7 @@ from gscomplete.shape.outline.views import (
 )
 from gscomplete.shape.voxels import FloatArray
 from gscomplete.splats.neighbourhood import ON_RIM, normals_of, one_sidedness
+from gscomplete.splats.thinning import every_nth
 from gscomplete.views import ViewDistribution
 
 OUTLINE_SCORER_FILE = "outlines.safetensors"
@@ -135,7 +136,7 @@ def outline_features(
     ends_in_plane: bool,
 ) -> FloatArray:  # [V, F]
     """Return what the scorer reads of each view of the grid; columns as ``FEATURES``."""
-    chosen = points[:: max(1, -(-len(points) // _POINTS))] - np.array(views.target)
+    chosen = every_nth(points, _POINTS) - np.array(views.target)
     grid = views_at(views.radius)
     if len(chosen) <= _NEIGHBOURS:
         return np.zeros((len(grid), len(FEATURES)), np.float32)

@@ -27,7 +27,15 @@ from torch import Tensor
 from gscomplete.networks.perceptron import Perceptron
 from gscomplete.shape.network import PACKAGED_WEIGHTS
 from gscomplete.shape.symmetry import SymmetryMap, plane_of
-from gscomplete.shape.voxels import CELLS, HALF_SIDE, FloatArray, cell_centers, grown, surface_cells
+from gscomplete.shape.voxels import (
+    CELLS,
+    HALF_SIDE,
+    FloatArray,
+    cell_centers,
+    grown,
+    missing_surface_share,
+    surface_cells,
+)
 from gscomplete.util.same_bits import fixed_sum
 
 ANSWER_SCORER_FILE = "answers.safetensors"
@@ -187,9 +195,7 @@ def missing_share(
     partial: Tensor,  # [C, C, C] occupancy of P
 ) -> float:  # in [0, 1]
     """Return the share of the mean answer's surface that P lacks."""
-    surface = surface_cells(filled.mean(dim=0, keepdim=True) > _FILLED)
-    away = surface & (grown(partial[None]) <= 0)
-    return float(away.sum()) / max(float(surface.sum()), 1.0)
+    return missing_surface_share(filled.mean(dim=0, keepdim=True) > _FILLED, partial[None])
 
 
 def symmetry_scores_of_answers(
