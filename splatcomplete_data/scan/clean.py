@@ -4,16 +4,16 @@ Conventions
 -----------
 * Lengths are multiples of the cloud's spacing (median distance to the nearest neighbour) unless
   their name ends in ``_file``: the same settings fit metres and millimetres.
-* Planes are looked for in the complete scene (``support``), everything else in what boxes keep.
-  What lies below a level plane goes with it.
-* A step returns what it keeps; ``clean`` strings them together and remembers for every point which
-  step removed it. Nothing is changed in place.
-* Outliers: mean distance to k neighbours beyond mean + ratio x standard deviation over the cloud,
-  and beyond what it is at a corner of the object.
-* Neighbours: where there are boxes and a plane to stand on, objects most of which lie outside the
-  boxes (``segments``).
-* Clutter: connected clusters (``clusters``), of which one, or the largest few, stay; with a seed
-  point the object that it lies on (``segments``), which may touch others.
+* Planes are looked for in the complete scene (``support``); all other steps see only the points
+  that boxes keep. The points below a plane are removed with it, unless they are the larger part.
+* A step returns a mask of what it keeps; ``clean`` runs the steps in order and records for every
+  point which step removed it. Nothing is changed in place.
+* Outliers are points whose mean distance to k neighbours exceeds mean + ratio x standard deviation
+  over the cloud, and also exceeds what is normal at a corner of the object.
+* Neighbours are objects most of which lie outside the boxes (``segments``). They are removed only
+  if there are boxes, and a plane that the objects stand on.
+* Clutter is all but the largest, or the largest few, connected clusters (``clusters``). With a seed
+  point it is all but the object at that point (``segments``), even where the object touches others.
 """
 
 from __future__ import annotations
@@ -36,17 +36,19 @@ BoolArray = NDArray[np.bool_]
 Points = NDArray[np.float64]
 
 _SEED_REACH = 0.1
-"""Of the diagonal of all points: a seed point farther from all of them is a mistake."""
+"""A seed point farther than this from every point is a mistake, in diagonals of the points' box."""
 DOUBTFUL_SHARE = 0.5
-"""Cleaning that keeps less of what the boxes keep is warned about."""
+"""Users are warned if cleaning keeps a smaller share of the points than this."""
 
 _VICINITY = 0.5
-"""How far about the boxes neighbours are looked for, in diagonals of what the boxes keep."""
+"""Neighbours are looked for within this distance of the points in the boxes, in diagonals of their
+common box."""
 _OUTLIER_NEIGHBOURS = 16
-"""Neighbours whose mean distance is judged."""
+"""How many neighbours the mean distance is taken over."""
 _CORNER = 2.0
-"""Mean distance, over the median one, that is none of an outlier: about a surface's corner lies a
-quarter of the neighbours, twice as far."""
+"""A point is no outlier if its mean distance is at most this many times the median one: at the
+corner of a surface only a quarter of the surroundings has points, so neighbours are twice as
+far."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,9 +58,9 @@ class CleanSettings:
     planes: int = 1
     """Most planes (floor, walls, table) to remove; 0 = none."""
     plane: PlaneSettings = field(default_factory=PlaneSettings)
-    """How they are found."""
+    """How planes are found."""
     outlier_ratio: float | None = 2.5
-    """Standard deviations from which a point is an outlier; None = keep all."""
+    """Standard deviations above the mean from which a point is an outlier; None = keep all."""
     clusters: int = 1
     """Clusters to keep, largest first; 0 = do not cluster."""
     cluster_radius: float = 5.0
@@ -69,24 +71,24 @@ class CleanSettings:
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What is known of the scene beside its points, file frame."""
+    """What is known about the scene besides the points to be cleaned, file frame."""
 
     viewpoint: tuple[float, float, float] | None = None
-    """Where the scanner stood; None = unknown."""
+    """Position of the scanner; None = unknown."""
     up: tuple[float, float, float] | None = None
-    """What is up; None = unknown."""
+    """Direction that is up; None = unknown."""
     scene: NDArray[np.float64] | None = None  # [M, 3]
-    """All that was scanned, where the points are a choice of it; None = they are all there is."""
+    """All points scanned, if those to be cleaned are a selection of them; None = they are not."""
     is_picture_up: bool = False
-    """Whether ``up`` is a picture's: the camera that took it may look down."""
+    """Whether ``up`` is only the up direction of a picture, whose camera may look down."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cleaned:
-    """What cleaning keeps, and why the rest went."""
+    """Which points cleaning keeps, and why the others were removed."""
 
     keep: BoolArray  # [N]
-    reason: NDArray[np.int8]  # [N] index into ``reasons`` of the removed, -1 for the kept
+    reason: NDArray[np.int8]  # [N] index into ``reasons`` of removed points, -1 for kept ones
     reasons: tuple[str, ...]
     steps: tuple[StepRecord, ...]
     planes: tuple[SupportPlane, ...] = ()
@@ -106,14 +108,14 @@ def clean(
     Args:
         cloud: the complete scene, M finite points.
         settings: which steps, and knobs; None = defaults.
-        wanted: which points boxes keep, N of them; None = all.
-        around: viewpoint and up, as far as they are known.
+        wanted: mask of the N points that boxes keep; None = all.
+        around: viewpoint and up direction, as far as they are known.
 
     Returns:
-        Masks over the N points that are wanted.
+        Masks over the N points in the boxes, with steps and counts.
 
     Raises:
-        UserError: nothing is left.
+        UserError: a step keeps no point, or the seed point is far from all points.
     """
     chosen, known = settings or CleanSettings(), around or Surroundings()
     up = None if known.up is None else np.asarray(known.up, np.float64)
@@ -159,7 +161,7 @@ def _require_near(
     seed: NDArray[np.float64],  # [3]
     points: NDArray[np.floating],  # [N, 3]
 ) -> None:
-    """Refuse a seed point that no object is at.
+    """Refuse a seed point that is far from every point.
 
     Raises:
         UserError: the nearest point is far away.
@@ -175,7 +177,7 @@ def _require_near(
 
 
 class _Log:
-    """Which points are still kept, and why the others went."""
+    """Records which points are still kept, and which step removed each of the others."""
 
     def __init__(self, count: int) -> None:
         self.keep = np.ones(count, np.bool_)
@@ -185,10 +187,10 @@ class _Log:
         self.last_kept = self.keep
 
     def apply(self, name: str, kept: BoolArray, note: str) -> None:
-        """Remove what a step does not keep of the points that are left.
+        """Remove, of the points that are left, those that a step does not keep.
 
         Raises:
-            UserError: that is all of them.
+            UserError: the step keeps none of them.
         """
         where = np.flatnonzero(self.keep)
         removed, before = where[~kept], len(where)
@@ -203,7 +205,7 @@ class _Log:
             raise UserError(f"scan: {name}: expected something to stay, all {before} points went")
 
     def warnings(self) -> tuple[str, ...]:
-        """Say with numbers that little is left."""
+        """Warn, with counts, if less than ``DOUBTFUL_SHARE`` of the points is left."""
         kept, count = int(self.keep.sum()), len(self.keep)
         if kept >= DOUBTFUL_SHARE * count:
             return ()
@@ -243,7 +245,7 @@ def _neighbours(
 
 
 def _refusal(plane: SupportPlane) -> str:
-    """Say why a plane stays."""
+    """Say why a plane is not removed."""
     return f"a plane of {int(plane.inside.sum()):,} points is not removed: {plane.refusal}"
 
 
@@ -273,12 +275,12 @@ def level_rotation(
     toward: NDArray[np.float64],  # [3] or [N, 3]
     right: tuple[float, float, float] = (1.0, 0.0, 0.0),
 ) -> NDArray[np.float64]:  # [3, 3]
-    """Return the rotation that makes a plane horizontal: z up, ``right`` as near +x as it can.
+    """Return the rotation that makes a plane horizontal: z up, ``right`` as near +x as possible.
 
     Args:
         plane: a, b, c, d of ax + by + cz + d = 0.
-        toward: a point on the plane's upper side, or points most of which are.
-        right: what is to point along +x.
+        toward: a point on the plane's upper side, or points most of which are on that side.
+        right: direction that is to point along +x.
     """
     normal = plane[:3] / np.linalg.norm(plane[:3])
     up = normal if np.median(toward @ normal + plane[3]) > 0 else -normal

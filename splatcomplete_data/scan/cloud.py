@@ -45,8 +45,9 @@ def grey_colors(count: int) -> NDArray[np.float32]:  # [N, 3]
 def unit_colors(values: NDArray[Any]) -> NDArray[np.float32]:
     """Scale colours of any type to [0, 1].
 
-    Bytes are shares of 255 and 16-bit integers of 65535. What wider integers and floats are shares
-    of is told by the largest among them: 1 (floats only), 255 or 65535. What is not finite is 0.
+    Bytes are divided by 255, 16-bit integers by 65535. For wider integers and floats the largest
+    value tells whether to divide by 1 (floats only), 255 or 65535. Values that are not finite
+    become 0.
     """
     if np.issubdtype(values.dtype, np.integer) and values.dtype.itemsize <= 2:
         top = float(np.iinfo(values.dtype).max)

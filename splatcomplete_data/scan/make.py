@@ -6,12 +6,11 @@ Conventions
 -----------
 * Boxes and ``seed_point`` are in the source's frame, before levelling.
 * Planes are looked for in the complete cloud; boxes then say what is kept of it.
-* Levelling turns the cloud so that the first plane removed, else the floor or table of the scene,
-  lies horizontally (z up, origin where it was); the rotation is returned and recorded, never
-  silent. It is told when the object then hangs below that plane, or when what was up before is
-  turned down.
-* A cloud too far from the origin for float32 has an offset taken away before it is turned
-  (``points``); that too is returned and recorded.
+* Levelling rotates the cloud about its origin so that the first plane removed, or else the floor or
+  table of the scene, is horizontal (z up). The rotation is returned and recorded. Users are warned
+  if the object then hangs below that plane, or if the rotation turns it upside down.
+* If the cloud is too far from the origin for float32, an offset is subtracted before the rotation
+  (``points``); it is returned and recorded as well.
 """
 
 from __future__ import annotations
@@ -57,15 +56,16 @@ _UNLEVELLED = (
 
 @dataclass(frozen=True, slots=True)
 class PartSettings:
-    """What happens to the points."""
+    """Steps from points to splats, and their knobs."""
 
     boxes: tuple[CropBox, ...] = ()
     """Boxes that keep or remove, source frame."""
     cleaning: CleanSettings | None = None
     """Planes, outliers and clutter; None = nothing is cleaned."""
     level: Level = "auto"
-    """Turn the cloud so that the first plane found is horizontal: where up is a picture's and there
-    is a plane, always (or fail), or never."""
+    """When to rotate the cloud so that the first plane found is horizontal. ``auto``: if up is
+    known only from a picture, and if there is a plane. ``always``: fails without a plane.
+    ``never``."""
     count: int | None = None
     """Thin to at most this many points; None = keep all."""
     spacing: float | None = None
@@ -73,26 +73,26 @@ class PartSettings:
     sigma: float | None = None
     """Standard deviation of the splats, source units; None = from the spacing."""
     sigma_per_spacing: float = 0.6
-    """Standard deviation over spacing, where that decides."""
+    """Standard deviation over spacing, if ``sigma`` is None."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """The part, and what became of every point."""
+    """The finished part, and what happened to every point."""
 
     splats: Splats
     sigma: float
     steps: tuple[StepRecord, ...]
     offset: Offset | None
-    """Taken from the source's coordinates; None = nothing."""
+    """Subtracted from the source's coordinates; None = nothing."""
     turn: Similarity | None
-    """Rotation of what is left to the splats' frame; None = identity."""
+    """Rotation from the source's frame without offset to the splats' frame; None = identity."""
     cloud: PointCloud
     """All points within the boxes, source frame."""
     reason: NDArray[np.int8]  # [N] of ``cloud``: why a point was removed, -1 = kept
     reasons: tuple[str, ...]
     warnings: tuple[str, ...] = ()
-    """What makes the part doubtful, with numbers."""
+    """Why the part may be wrong, with numbers, for the user."""
 
     @property
     def file_from_source(self) -> Similarity | None:
@@ -115,11 +115,11 @@ def make_part(
         cloud: finite points.
         settings: the steps.
         source: the file named in errors.
-        around: where the scanner stood, which tells a plane's upper side from its lower, and what
-            is up. Without a scanner the upper side is where most of the points that stay lie.
+        around: position of the scanner, which is on a plane's upper side, and the up direction.
+            Without a position, the upper side is the one that most of the kept points lie on.
 
     Raises:
-        UserError: a step keeps nothing, or levelling is asked for and no plane was found.
+        UserError: a step keeps no point, or levelling is asked for and no plane was found.
     """
     known = around or Surroundings()
     steps: list[StepRecord] = []
@@ -193,7 +193,7 @@ def _levelled(
     kept: NDArray[np.float64],  # [N, 3]
     known: Surroundings,
 ) -> tuple[Similarity, tuple[str, ...]]:
-    """Return the turn that makes a plane level, and what to tell of it."""
+    """Return the rotation that makes a plane level, and warnings about it."""
     above = kept if known.viewpoint is None else np.asarray(known.viewpoint, np.float64)
     rotation = level_rotation(plane.plane, above)
     height = kept @ rotation[2] - float(plane.foot @ rotation[2])

@@ -2,13 +2,14 @@
 
 Conventions
 -----------
-* Points keep the file's frame and units, those with a coordinate that is not finite too.
+* Points keep the file's frame and units; points with a coordinate that is not finite are kept, too.
 * ``rgb`` and ``rgba`` are one 32-bit word per point, 0xAARRGGBB, whatever scalar type the header
   gives it; or there are fields ``r``, ``g``, ``b``. Colours become sRGB in [0, 1]. A cloud without
   colour is grey, and ``is_colored`` says so.
-* ``VIEWPOINT`` is where the sensor stood, in the points' own frame (as PCL's normals take it), and
-  how it was turned. The default, the origin without a turn, is what writers put who know nothing;
-  of an organised cloud (HEIGHT above 1) it is true where columns follow x / z and rows y / z.
+* ``VIEWPOINT`` is the sensor's position, in the points' own frame (as PCL's normals take it), and
+  its rotation. Its default, the origin without rotation, is also what writers put that do not know
+  it. It is believed only for an organised cloud (HEIGHT above 1) whose columns follow x / z and
+  rows y / z.
 * Read: ASCII, binary, and ``binary_compressed`` (LZF, one field after the other).
 """
 
@@ -29,7 +30,8 @@ from splatcomplete_data.scan.cloud import PointCloud, grey_colors, unit_colors
 Position = tuple[float, float, float]
 _NO_VIEWPOINT = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 _PINHOLE = 0.99
-"""Correlation of rays and pixels from which an organised cloud is a picture from the origin."""
+"""Least correlation between rays and pixels for an organised cloud to be a picture taken from the
+origin."""
 _FEWEST_ORGANISED = 100
 _TYPES = {"F": "f", "U": "u", "I": "i"}
 _MAX_POINTS = 2**31
@@ -64,9 +66,9 @@ class PcdPoints:
     cloud: PointCloud
     is_colored: bool
     viewpoint: Position | None = None
-    """Where the sensor stood; None = the file does not say."""
+    """Position of the sensor; None = the file does not say."""
     up: UpAxis | None = None
-    """What is up in the picture of an organised cloud; None = unknown."""
+    """Axis that is up in the picture of an organised cloud; None = unknown."""
 
 
 def read_pcd(path: Path) -> PcdPoints:
@@ -115,7 +117,7 @@ def _up_of_picture(
     points: NDArray[np.float64],  # [N, 3]
     shape: tuple[int, int],
 ) -> UpAxis | None:
-    """Return what is up in an organised cloud taken from the origin along z; None = it is not."""
+    """Return the up axis of an organised cloud if it is a picture from the origin along z."""
     height, width = shape
     if height < 2 or width < 2 or height * width != len(points):
         return None

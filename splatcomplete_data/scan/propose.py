@@ -3,7 +3,7 @@
 Conventions
 -----------
 * Seed points and boxes are in the source's frame, as the command's flags take them.
-* Objects that touch are told apart as for a seed point, but by one vote.
+* Objects that touch are separated as for a seed point (``segments``), but by a single vote.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _LEAST_SHARE = 0.004
 _FEWEST_POINTS = 50
 _MOST_CLUSTERS = 20
 _MARGIN_SPACINGS = 7.0
-"""What a proposed box leaves around its points."""
+"""Margin of a proposed box about its points, in spacings."""
 _MOST_DRAWN = 120_000
 _PALETTE = np.array(
     [(230, 60, 50), (50, 120, 230), (40, 170, 70), (240, 160, 20), (150, 70, 200), (20, 170, 180)]
@@ -41,7 +41,7 @@ _TICKS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 
 @dataclass(frozen=True, slots=True)
 class ProposedCluster:
-    """One object, probably."""
+    """A cluster that is probably one object."""
 
     count: int
     seed: tuple[float, float, float]

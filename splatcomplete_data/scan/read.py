@@ -44,7 +44,7 @@ class Scan:
     viewpoint: Position | None = None
     """Where the scanner stood, in the file's frame; None = the file does not say."""
     up: UpAxis | None = None
-    """What the file says is up; None = nothing."""
+    """Axis that is up according to the file; None = the file does not say."""
 
 
 def read_scan(path: Path) -> Scan:
@@ -149,7 +149,7 @@ def _read_las(path: Path) -> Scan:
 
 
 def _check_las_header(path: Path) -> None:
-    """Refuse counts that the file's size contradicts, before laspy makes room for them.
+    """Refuse counts that the file's size contradicts, before laspy allocates memory for them.
 
     Raises:
         UserError: it is no LAS file, or shorter than its header says.

@@ -1,16 +1,18 @@
-"""Join what concave folds part although it is one object: inner sides of vessels, and fragments.
+"""Join segments that belong to one object although concave folds separate them.
+
+These are the inner sides of vessels, and small fragments.
 
 Conventions
 -----------
 * Segments are numbered from 0; each is a set of cubes (``segments``). Normals face the scanner.
-* A segment is concave if its normals come together: their covariance with its places has a negative
-  trace. Its bend is that trace over the spreads of both, -1 for the inner half of a ball, 0 for a
-  plane, 1 for the outer half.
-* A scanner sees the far inner side of a vessel over the near rim, and nothing that connects it with
-  the near outer side. It is of the same object where each faces the inside of the other, the outer
-  side covers it in the scanner's picture, and both are of like size and near to each other. What
-  stands behind an object and is hidden by it is not concave.
-* A fragment is a small part of what it touches: if it is of another object, little is wrong.
+* A segment is concave if its normals converge, that is, if the covariance of normals and positions
+  has a negative trace. Its bend is that trace over the spreads of both: -1 for the inner half of a
+  ball, 0 for a plane, 1 for the outer half.
+* Over the near rim of a vessel a scanner sees the far inner side, but nothing that connects it with
+  the near outer side. Two such segments belong to one vessel if each faces the inside of the other,
+  if the outer one covers the inner one in the scanner's picture, and if they are of similar size
+  and near to each other. An object that stands behind another and is partly hidden is not concave.
+* A fragment is small compared with the segment it touches, so joining it wrongly does little harm.
 """
 
 from __future__ import annotations
@@ -28,45 +30,46 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _SMOOTH_COSINE = 0.7
-"""Concave segments that meet at less than 45 degrees are looked at as one inner side."""
+"""Segments that may be concave and meet at less than 45 degrees count as one inner side."""
 _CONCAVE, _CONVEX = -0.4, 0.1
-"""Greatest bend of an inner side, and least bend of what is certainly not a part of one."""
+"""Greatest bend of an inner side, and least bend of a segment that cannot be part of one."""
 _FEW_CUBES = 50
-"""Segments of fewer cubes, some six patches, are too small for their bend to say much."""
+"""The bend of a segment with fewer cubes (about six patches) is too uncertain to rule it out."""
 _LEAST_INNER = 15
-"""Least cubes of an inner side."""
+"""Least number of cubes in an inner side."""
 _MOSTLY = 0.9
-"""Share of a side's cubes that face the inside of the other."""
+"""Least share of a side's cubes that face the inside of the other side."""
 _NEAR = 1.0
-"""Greatest distance of both sides, in radii of the outer one: at the rim they touch, but a depth
-camera loses some pixels at every edge; what stands behind is at least a radius away."""
+"""Greatest distance between both sides, in radii of the outer one. They touch at the rim, but a
+depth camera loses some pixels at every edge; an object behind is at least a radius away."""
 _LARGER = 1.5
-"""Greatest radius of an inner side over the outer one's: a room's corner is no vessel."""
+"""Greatest radius of the inner side over that of the outer one, so that the corner of a room behind
+an object is not taken for its inner side."""
 _FRAGMENT = 0.05
-"""Largest fragment, as a share of the segment it joins: what it costs at most if it is wrong."""
+"""Largest size of a fragment over that of the segment it joins, and so the largest error."""
 _GAP = 2.0
-"""Fragments that touch nothing join what is this near, in reaches of neighbours."""
+"""Fragments that touch nothing join a segment within this distance, in reaches of neighbours."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cubes:
-    """What is known of the cubes of a cloud."""
+    """The cubes that the points of a cloud are gathered in."""
 
     means: FloatArray  # [C, 3] means of their points
     normals: FloatArray  # [C, 3]
     counts: FloatArray  # [C] points
     pairs: IntArray  # [P, 2] neighbours
     reach: float
-    """Greatest distance of neighbours, file units."""
+    """Greatest distance between neighbouring cubes, file units."""
 
 
 def rejoin(labels: IntArray, cubes: Cubes, viewpoint: FloatArray | None) -> IntArray:  # [C], [C]
-    """Join inner sides with their vessels, then fragments with what they touch most.
+    """Join inner sides with their vessels, then fragments with the segments that they touch most.
 
     Args:
         labels: the segment of every cube.
-        cubes: places and normals.
-        viewpoint: where the scanner stood, file frame; None = unknown, inner sides stay apart.
+        cubes: positions and normals of the cubes.
+        viewpoint: position of the scanner, file frame; None = unknown, and inner sides stay apart.
 
     Returns:
         The labels after joining.
@@ -104,7 +107,7 @@ def _with_inner_sides(labels: IntArray, cubes: Cubes, viewpoint: FloatArray) -> 
 
 
 def _is_vessel(cubes: Cubes, outer: BoolArray, inner: BoolArray) -> bool:
-    """Tell whether two sides face the inside of each other, and come near at the rim."""
+    """Tell whether two sides face each other's inside, are of similar size and near each other."""
     a, b = cubes.means[outer], cubes.means[inner]
     inwards = ((a.mean(axis=0) - b) * cubes.normals[inner]).sum(axis=1) > 0
     outwards = ((a - b.mean(axis=0)) * cubes.normals[outer]).sum(axis=1) > 0
@@ -138,7 +141,7 @@ def _sums(labels: IntArray, values: FloatArray) -> FloatArray:  # [C], [C, K] ->
 
 
 def _coverings(cubes: Cubes, viewpoint: FloatArray) -> IntArray:  # [K, 2] front, back
-    """Return the pairs of cubes side by side in the scanner's picture, but not in space."""
+    """Return the pairs of cubes that are neighbours in the scanner's picture but not in space."""
     rays = cubes.means - viewpoint
     depths = np.linalg.norm(rays, axis=1)
     angle = cubes.reach / max(float(np.median(depths)), 1e-300)
@@ -154,7 +157,8 @@ def _with_fragments(labels: IntArray, cubes: Cubes) -> IntArray:
     """Give every fragment the label of the segment that it touches most, or that is nearest."""
     contacts, lengths, _ = _contacts(labels, cubes)
     sizes = np.bincount(labels, cubes.counts)
-    # from fragment, to host, how good: the longest contact with what is larger, else the nearest
+    # Candidates (fragment, host, merit): the longest contact with a larger segment comes first,
+    # and for segments that touch nothing larger the nearest host.
     is_up = sizes[contacts[:, 0]] < sizes[contacts[:, 1]]
     touching = np.where(is_up[:, None], contacts, contacts[:, ::-1])
     near, distances = _nearby(labels, cubes, np.setdiff1d(np.arange(len(sizes)), touching[:, 0]))
@@ -169,7 +173,7 @@ def _with_fragments(labels: IntArray, cubes: Cubes) -> IntArray:
 def _nearby(
     labels: IntArray, cubes: Cubes, loose: IntArray
 ) -> tuple[IntArray, FloatArray]:  # [K, 2], [K]
-    """Return pairs of a loose segment and one that it could be a fragment of, with distances."""
+    """Return pairs of a loose segment and a segment it may be a fragment of, with distances."""
     sizes = np.bincount(labels, cubes.counts)
     own = np.flatnonzero(np.isin(labels, loose))
     if len(own) == 0:
@@ -183,7 +187,10 @@ def _nearby(
 
 
 def _contacts(labels: IntArray, cubes: Cubes) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Return the pairs of segments that touch [K, 2], pairs of cubes and their cosines' sums."""
+    """Return the pairs of segments that touch [K, 2], and for each two sums over pairs of cubes.
+
+    These are the number of neighbouring cubes and the sum of the cosines between their normals.
+    """
     ends = labels[cubes.pairs]
     differ = ends[:, 0] != ends[:, 1]
     if not differ.any():

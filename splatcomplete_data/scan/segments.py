@@ -1,18 +1,19 @@
-"""Separate objects that touch: surfaces part where they meet in a fold that opens upwards.
+"""Separate objects that touch, along the concave folds in which their surfaces meet.
 
 Convex parts are joined and concave contacts are cut, as in "Object Partitioning using Local
-Convexity" (Stein et al., CVPR 2014); here patches join in the order of how convex their contact is,
-and a contact is judged over its length, so that a few noisy normals do not join two objects.
+Convexity" (Stein et al., CVPR 2014). Here the most convex contacts are joined first, and a contact
+is scored over its whole length, so that a few noisy normals do not join two objects.
 
 Conventions
 -----------
 * Lengths are multiples of the cloud's spacing unless their name ends in ``_file``.
-* Points are gathered in cubes, cubes in patches of like normal and colour. A normal is the least
-  principal axis about a cube, turned to the scanner; where that is unknown, away from below.
-* A contact's score is 1 where it is flat or convex and falls with the angle of a concave one;
-  unlike colours take a share. Patches join while the score of their contact is above a threshold.
-* Inner sides of vessels and fragments are joined again (``rejoin``).
-* What is of the seed's object is voted on by several sizes of cubes and patches.
+* Points are gathered in cubes, and cubes in patches of similar normal and colour. The normal of a
+  cube is the least principal axis of the points about it. It faces the scanner, or upwards and
+  outwards if the scanner's position is unknown.
+* A contact's score is 1 if it is flat or convex, and falls with the angle of a concave one and with
+  the difference in colour. Patches join while the score of their contact is above a threshold.
+* Inner sides of vessels, and fragments, are joined again afterwards (``rejoin``).
+* Which points belong to an object is decided by a vote over several sizes of cubes and patches.
 """
 
 from __future__ import annotations
@@ -33,26 +34,30 @@ IntArray = NDArray[np.int64]
 _FOLD_DEG = 15.0
 """Concave angle between two patches at which their contact's score is 0."""
 _COLOR_WEIGHT = 1.0
-"""What a difference of two patches' colours beyond 0.15 takes from a contact's score."""
+"""Loss of score per unit (sRGB) by which two patches' colours differ beyond ``_LIKE_COLORS``."""
 _LEAST_CONTACT = -0.3
 """Patches whose contact has a lower score stay apart."""
 
 
 # Chosen on nine labelled table-top scenes (docs/benchmarks.md).
 VOTES = ((3.7, 11.0), (4.3, 12.3), (4.9, 12.3), (4.3, 14.8), (4.0, 13.5))
-"""Sides of cubes and patches of every vote, in spacings."""
+"""For every vote the sides of cubes and of patches, in spacings."""
 _NORMAL_REACH = 2.5
-"""Radius about a cube in which its normal is measured, in cubes."""
+"""Radius about a cube in which its normal is measured, in sides of a cube."""
 _STEP = 1.9
-"""Cubes whose points' means are this near, in cubes, are neighbours."""
+"""Cubes whose points' means are at most this far apart are neighbours, in sides of a cube."""
 _NORMAL_COST, _COLOR_COST = 1.0, 0.5
-"""Length, in patches, that a difference of normals (1 - cosine) or colours adds to a step."""
+"""Cost of a difference in normals (1 - cosine) and in colours (sRGB) on a step from cube to cube,
+in addition to its length in sides of a patch."""
 _LIKE_COLORS = 0.15
 _MOSTLY = 0.5
+"""An object is a neighbour if boxes hold a smaller share of its points than this."""
 _ALMOST_ALL, _LARGE, _CUT = 0.95, 0.25, 0.9
-"""Boxes hold almost all of what they are drawn around; another object that large, against it, of
-which they cut off a tenth is a neighbour. A small part may be a handle that they cut."""
+"""If boxes hold more than the first share of the object they are drawn around, another object that
+has more than the second of its points inside is already a neighbour if less than the third share of
+it is inside. Smaller ones are left: they may be a handle that the boxes cut."""
 _LEAST_SCORE = -3.0
+"""Lowest score of a contact, so that a few very concave places do not decide alone."""
 
 
 def object_at(
@@ -64,15 +69,15 @@ def object_at(
     viewpoint: FloatArray | None = None,  # [3]
     up: FloatArray | None = None,  # [3]
 ) -> BoolArray:  # [N]
-    """Mark the points of the object that the point nearest to ``seed`` is of.
+    """Mark the points of the object that the point nearest to ``seed`` belongs to.
 
     Args:
-        points: finite points, without what the objects stand on.
-        colors: their colours.
+        points: finite points, without the planes that the objects stand on.
+        colors: the points' colours.
         seed: a place on the object.
         spacing_file: the cloud's spacing, file units.
-        viewpoint: where the scanner stood; None = unknown.
-        up: what is up; it turns normals where the viewpoint is unknown; None = +z.
+        viewpoint: position of the scanner; None = unknown.
+        up: the up direction, which orients normals if the viewpoint is unknown; None = +z.
     """
     nearest = int(np.square(points - seed).sum(axis=1).argmin())
     votes = np.zeros(len(points), np.int64)
@@ -91,17 +96,18 @@ def beyond_boxes(
     viewpoint: FloatArray | None = None,
     up: FloatArray | None = None,
 ) -> BoolArray:  # [N]
-    """Mark the points of objects that the boxes are not drawn around.
+    """Mark the points of objects other than the one that the boxes are drawn around.
 
-    The boxes' own object is the one with most points inside, those outside taken off. Where almost
-    all of it lies inside, a large other one goes if some of it lies outside; else, if most does.
+    That one has the most points inside, those outside subtracted. Another object is marked if most
+    of it lies outside. If almost all of the boxes' own object lies inside, a large other object is
+    marked even if only some of it lies outside.
 
     Args:
-        points: finite points of the complete scene, without what the objects stand on.
-        colors: their colours.
-        is_inside: which of them the boxes keep.
+        points: finite points of the complete scene, without the planes that the objects stand on.
+        colors: the points' colours.
+        is_inside: mask of the points that the boxes keep.
         spacing_file: the cloud's spacing, file units.
-        viewpoint: where the scanner stood; None = unknown.
+        viewpoint: position of the scanner; None = unknown.
         up: as for ``object_at``.
     """
     votes = np.zeros(len(points), np.int64)
@@ -130,14 +136,14 @@ def segment(
     viewpoint: FloatArray | None = None,
     up: FloatArray | None = None,
 ) -> IntArray:  # [N]
-    """Number the objects that convexity tells apart, the largest first.
+    """Number the objects that concave folds separate, the largest first.
 
     Args:
-        points: finite points, without what the objects stand on.
-        colors: their colours.
+        points: finite points, without the planes that the objects stand on.
+        colors: the points' colours.
         spacing_file: the cloud's spacing, file units.
         size: sides of cubes and of patches, in spacings.
-        viewpoint: where the scanner stood; None = unknown.
+        viewpoint: position of the scanner; None = unknown.
         up: as for ``object_at``.
     """
     side, patch_side = size[0] * spacing_file, size[1] * spacing_file
@@ -158,7 +164,7 @@ def segment(
 def _cubes(
     points: FloatArray, colors: NDArray[np.floating], side: float
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:  # [N], [C, 3], [C, 3], [C]
-    """Gather points in cubes: each point's cube, and every cube's mean, colour and number."""
+    """Gather points in cubes; return each point's cube, and every cube's mean, colour and count."""
     cells = np.floor((points - points.min(axis=0)) / side)
     cube = np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
     counts = np.bincount(cube).astype(np.float64)
@@ -198,11 +204,12 @@ def _turn_normals(
     viewpoint: FloatArray | None,
     up: FloatArray | None,
 ) -> None:
-    """Turn normals to the scanner or, where it is unknown, outwards along the surface.
+    """Orient normals towards the scanner or, if its position is unknown, consistently outwards.
 
-    Without a scanner the highest cube of every connected piece faces up, and the others follow
-    along the steps that fit a circle's arc best: its normals mirror each other in the plane that
-    halves the chord (Xie et al., "Piecewise C1 continuous surface reconstruction", 2003).
+    Without a scanner the highest cube of every connected piece faces up. Orientation then spreads
+    from cube to cube, first along the steps that best fit an arc of a circle, whose normals at both
+    ends are mirror images of each other in the plane that bisects the chord (Xie et al., "Piecewise
+    C1 continuous surface reconstruction", 2003).
     """
     if viewpoint is not None:
         normals *= np.where(((viewpoint - means) * normals).sum(axis=1) < 0, -1.0, 1.0)[:, None]
@@ -227,7 +234,7 @@ def _turn_normals(
 
 
 def _mirrored(normals: FloatArray, chords: FloatArray) -> FloatArray:  # [K, 3], [K, 3] -> [K, 3]
-    """Mirror normals in the planes across chords."""
+    """Mirror normals in the planes perpendicular to chords."""
     unit = chords / np.maximum(np.linalg.norm(chords, axis=1, keepdims=True), 1e-300)
     mirrored: FloatArray = normals - 2.0 * (normals * unit).sum(axis=1, keepdims=True) * unit
     return mirrored
@@ -236,12 +243,12 @@ def _mirrored(normals: FloatArray, chords: FloatArray) -> FloatArray:  # [K, 3],
 def _patches(
     means: FloatArray, hues: FloatArray, normals: FloatArray, pairs: IntArray, side: float
 ) -> IntArray:  # [C]
-    """Gather cubes in patches: each cube goes to the nearest seed along the surface."""
+    """Gather cubes in patches about seeds; each cube joins the nearest seed along the surface."""
     a, b = pairs.T
     steps = sparse.csr_matrix((np.ones(len(pairs)), (a, b)), shape=(len(means),) * 2)
     piece = csgraph.connected_components(steps, directed=False)[1]
     cells = np.floor((means - means.min(axis=0)) / side)
-    # two pieces that share a cell get a seed each, else one of them would have no source
+    # Disconnected pieces that share a cell get a seed each, else one of them would have no seed.
     keys = np.column_stack([cells, piece])
     cell = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
     middle = _mean(cell, means, np.bincount(cell))
@@ -266,7 +273,7 @@ def _join(
     normals: FloatArray,
     counts: FloatArray,
 ) -> IntArray:  # [patches]
-    """Join patches while contacts are convex enough; return the number of each patch's object."""
+    """Join patches while contacts are convex enough; return the object of every patch."""
     number = int(patch.max()) + 1
     weight = np.bincount(patch, counts, number)
     middle = _mean(patch, counts[:, None] * means, weight)
@@ -294,7 +301,7 @@ def _agglomerate(
     scores: FloatArray,  # [K]
     lengths: IntArray,  # [K]
 ) -> IntArray:  # [number]
-    """Join the pair with the best mean score over its contact, again and again."""
+    """Repeatedly join the pair whose contact has the best mean score; return roots."""
     near: list[dict[int, tuple[float, float]]] = [{} for _ in range(number)]
     for (a, b), score, length in zip(contacts.tolist(), scores, lengths, strict=True):
         near[a][b] = near[b][a] = (float(score * length), float(length))

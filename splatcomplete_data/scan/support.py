@@ -4,13 +4,15 @@ Conventions
 -----------
 * Planes are [a, b, c, d] with a unit normal that points to the upper side: ax + by + cz + d is a
   point's height over the plane.
-* The upper side is the scanner's; where that is unknown, the one that most other points lie on.
-* Planes come from RANSAC, a function of the seed alone (Open3D's runs in parallel and is not). The
-  largest is found first and taken out of the search for the next.
-* Within boxes, a face of the object ends where they do; a plane that bears it goes on beyond. Where
-  there are no boxes, many of the other points stand over a plane that bears them; what is left of
-  an object without one of its faces begins at that face's border. Other points are those in no
-  larger plane, or those in no plane at all.
+* The upper side is the scanner's side; if its position is unknown, the side of most other points.
+* Planes are found by RANSAC whose result depends on the seed alone (Open3D's runs in parallel and
+  does not have this property). The largest plane is found first; its points are left out of the
+  search for the next.
+* A plane is removed if it bears the object, but not if it is a face of it. With boxes, a face lies
+  mostly within them, while a plane that bears the object extends beyond. Without boxes, many of the
+  other points stand over a plane that bears them, while those of an object stand over the border of
+  its face. "Other points" are those in no larger plane or those in no plane at all, whichever gives
+  the larger share.
 """
 
 from __future__ import annotations
@@ -24,19 +26,20 @@ BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float64]
 
 _LEAST_SHARE = 0.12
-"""A plane holds at least this share of the points that no plane holds yet."""
+"""Least share of a plane in the points that are in no plane found before."""
 _SEARCH_POINTS = 6000
-"""Points that RANSAC counts."""
+"""Points that RANSAC counts for every trial."""
 _FURTHER_CANDIDATES = 3
-"""Planes looked at beyond the number wanted: faces and walls may be larger than the table."""
+"""Planes tried beyond the number wanted, because faces and walls may be larger than the table."""
 _LEVEL_COSINE = 0.5
-"""A plane this close to level comes before others; a camera looks down on a table at up to 60
-degrees, and its own up axis is all that is known then."""
+"""Least cosine between a plane's normal and up for the plane to count as level. It allows 60
+degrees, because a camera may look down on a table that steeply when its own up axis is all that is
+known."""
 _NOISE_WIDTHS = 3.2
-"""Half thickness of a plane over the standard deviation of its points."""
+"""Half thickness of a plane in standard deviations of its points' distances."""
 _LEAST_SHARE_OVER = 0.38
-"""Share of the other points that stand over a plane which bears them: 47 % and more on the tables
-and desks of twelve scenes, 30 % and less on the faces of what stands there."""
+"""Least share of the other points that stand over a plane which bears them. It is at least .47 for
+the tables and desks of twelve scenes, and at most .30 for the faces of what stands there."""
 _EXTENT_CELLS = 24
 """Cells along the longer side of a plane's extent."""
 _TRIALS = 400
@@ -64,9 +67,9 @@ class SupportPlane:
     angle_deg: float | None
     """Angle between its normal and up; None = up is unknown."""
     share_over: float
-    """Share of the other points to be kept whose foot lies within its extent."""
+    """Share of the other points, of those to be kept, whose foot lies within the plane's extent."""
     refusal: str | None
-    """Why it is not removed; None = it is."""
+    """Why the plane is not removed; None = it is."""
 
     @property
     def foot(self) -> FloatArray:  # [3]
@@ -94,15 +97,15 @@ def find_support_planes(
 
     Args:
         points: all finite points, before any box.
-        wanted: what the boxes keep; all points where there are none.
-        count: most planes.
-        spacing: the cloud's spacing.
+        wanted: mask of the points that the boxes keep; all points if there are no boxes.
+        count: most planes to remove.
+        spacing: the cloud's spacing, file units.
         settings: knobs.
-        up: what is up, as far as it is known; None = nothing is.
-        viewpoint: where the scanner stood; None = unknown.
+        up: the up direction; None = unknown.
+        viewpoint: position of the scanner; None = unknown.
 
     Returns:
-        The planes to remove, and those that were found and are refused, with reasons.
+        The planes to remove, and those that were found but are kept, with reasons.
     """
     free = np.ones(len(points), np.bool_)
     fits: list[tuple[FloatArray, BoolArray, float, BoolArray]] = []
@@ -120,7 +123,7 @@ def find_support_planes(
         fits.append((plane, inside, thickness, wanted & free))
     found = []
     for plane, inside, thickness, smaller in fits:
-        # beside a wall, what lies in no plane says more; on a bare table, what is not in a larger
+        # Points in no plane tell more beside a wall, points in no larger plane on a bare table.
         over = max(
             _share_over(points[inside], points[m], plane[:3]) for m in (smaller, wanted & free)
         )
@@ -143,7 +146,7 @@ def find_level_plane(
     up: FloatArray | None,  # [3] unit
     viewpoint: FloatArray | None,  # [3]
 ) -> SupportPlane | None:
-    """Find the largest plane that is about level and bears things, a floor or table; or None."""
+    """Find the largest level plane that bears things (a floor, a table); None = there is none."""
     everything = np.ones(len(points), np.bool_)
     planes, _ = find_support_planes(
         points, everything, 1, spacing, settings, up=up, viewpoint=viewpoint
@@ -197,7 +200,7 @@ def _is_level(plane: SupportPlane) -> bool:
 
 
 def _refusal(inside: BoolArray, wanted: BoolArray, over: float) -> str | None:
-    """Say why a plane is a face of the object rather than what bears it; None = it is not."""
+    """Say why a plane is a face of the object and does not bear it; None = it bears it."""
     within, total = int((inside & wanted).sum()), int(inside.sum())
     if not wanted.all():
         is_face = 2 * within > total
@@ -216,7 +219,7 @@ def _to_upper_side(
     thickness: float,
     viewpoint: FloatArray | None,
 ) -> FloatArray:  # [4]
-    """Turn a plane's normal to the scanner or, where that is unknown, to most other points."""
+    """Orient a plane's normal towards the scanner or, if that is unknown, towards most points."""
     if viewpoint is not None:
         return plane if float(viewpoint @ plane[:3] + plane[3]) > 0 else -plane
     heights = points[wanted] @ plane[:3] + plane[3]
@@ -229,10 +232,11 @@ def _share_over(
     others: FloatArray,  # [K, 3]
     normal: FloatArray,  # [3]
 ) -> float:
-    """Return the share of other points whose foot in the plane has plane on all four sides.
+    """Return the share of other points whose foot in the plane has plane points on all four sides.
 
-    A table hidden behind the object has no points there, so its extent is filled row by row and
-    column by column; a face of the object has the other faces' feet on its border.
+    A table has no points where the object hides it, so a foot counts if there are plane points
+    before and behind it in its row and in its column. The feet of the points of an object's other
+    faces lie on the border of a face, and do not count.
     """
     if len(members) == 0 or len(others) == 0:
         return 0.0
@@ -262,7 +266,7 @@ def _share_over(
 
 
 def _shifted(mask: BoolArray, by: int, axis: int) -> BoolArray:
-    """Shift a mask along an axis; what comes in is False."""
+    """Shift a mask along an axis by one cell and fill with False."""
     rolled = np.roll(mask, by, axis=axis)
     edge: list[slice | int] = [slice(None), slice(None)]
     edge[axis] = 0 if by > 0 else -1

@@ -6,11 +6,12 @@ Conventions
   point. Lines that start with ``#`` or ``/`` are comments.
 * A line above the rows that has a name for every column, ``x``, ``y`` and ``z`` among them, is the
   header, with ``#`` or ``//`` in front or without: its names say what the columns are.
-* Without a header the first three columns are the point. Three neighbouring columns of unit length
-  are a normal. Three others are the colour: whole numbers up to 255, or else up to 65535, or else
-  numbers from 0 to 1. Where several fit, the last three are taken: PTS files have the intensity
-  before the colour. Rows of 6 or 7 columns whose last three are not negative end in a colour.
-* A note says what became the colour.
+* Without a header the first three columns are the point. Three adjacent columns of unit length are
+  a normal. Three other adjacent columns are the colour if they hold whole numbers up to 255, or
+  else up to 65535, or else numbers from 0 to 1. If several triples fit, the last is taken, because
+  PTS files have the intensity before the colour. In rows of 6 or 7 columns the last three are the
+  colour unless they hold negative numbers.
+* A note tells the user which columns became the colour.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ _COLOR_NAMES = (("r", "g", "b"), ("red", "green", "blue"), ("rf", "gf", "bf"))
 _COLOR_PREFIX = re.compile(r"^(colou?r|diffuse|rgb|scalar)_")
 _COMMENT = ("#", "/")
 _MOST_HEADER_LINES = 2
-"""A file's number of points and its header: more lines that are neither rows nor comments are no
-scan."""
+"""A file may begin with its number of points and a header; with more lines that are neither rows
+nor comments, it is not a scan."""
 _UNIT_LENGTH_OFF = 0.02
 """A normal's length is this close to 1: two decimals of every coordinate leave 0.01."""
 _SHARE_OF_NORMALS = 0.99
@@ -39,7 +40,7 @@ _BYTE, _WORD = 255, 65535
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """Which columns of a table are what."""
+    """The columns of a table that hold positions and colours."""
 
     point: tuple[int, ...]
     color: tuple[int, ...] | None
@@ -52,8 +53,8 @@ def read_text_scan(path: Path) -> tuple[PointCloud, tuple[str, ...]]:
     Points that are not finite are kept.
 
     Raises:
-        UserError: there are no rows, they differ in length, are shorter than a point, or hold
-            what is no number.
+        UserError: there are no rows; or they differ in length, have fewer than three columns, or
+            hold words that are not numbers.
     """
     text = path.read_text(encoding="utf-8-sig", errors="replace")
     lines = [line for line in map(str.strip, text.splitlines()) if line]
@@ -127,7 +128,7 @@ def _guessed(table: NDArray[np.float64]) -> _Columns:
 
 
 def _are_normals(values: NDArray[np.float64]) -> bool:  # [N, 3]
-    """Tell whether rows have unit length; some may be null, where a program knew no normal."""
+    """Tell whether rows have unit length; some may be zero, written where no normal was known."""
     length = np.linalg.norm(values[np.isfinite(values).all(axis=1)], axis=1)
     length = length[length > 0]
     is_unit = np.abs(length - 1) < _UNIT_LENGTH_OFF
@@ -140,13 +141,14 @@ _KINDS = (
     "numbers from 0 to 1",
     "the last three, not negative",
 )
-"""What colours may be, the likeliest first."""
+"""Value ranges that colours may have, the likeliest first."""
 _NOT_NEGATIVE = 3
-"""The last of them says little: it holds only where rows end in a colour by custom."""
+"""Index of the last of them. So weak a condition counts only for rows that usually end in a
+colour."""
 
 
 def _kind(values: NDArray[np.float64]) -> int:  # [N, 3]
-    """Return which of ``_KINDS`` three columns are; their number for none."""
+    """Return the index in ``_KINDS`` of three columns' range; ``len(_KINDS)`` if none fits."""
     numbers = values[np.isfinite(values)]
     if numbers.size == 0 or (numbers < 0).any():
         return len(_KINDS)
@@ -157,7 +159,7 @@ def _kind(values: NDArray[np.float64]) -> int:  # [N, 3]
 
 
 def _names(line: str) -> list[str]:
-    """Return a header's names in small letters, without quotes and units."""
+    """Return a header's names in lower case, without quotes and units."""
     bare = line.lstrip("#/ \t").rstrip(",; \t").lower()
     cells = re.split(r"[,;\t]", bare) if re.search(r"[,;\t]", bare) else bare.split()
     return [re.sub(r"[^a-z0-9_ ].*$", "", cell.strip(" \"'")).strip() for cell in cells]
