@@ -1,8 +1,8 @@
 """Other complete objects that the same part may be of, for users to choose from.
 
-Which plane P is mirrored through decides most of a completion that starts from a guess, and a look
-tells people what no measure of ours does. So every likely plane's guess is drawn, with the option
-that makes a run take it.
+A completion that starts from a guess depends mostly on the plane that P is mirrored through, and
+people see at a glance which guess is right, while no measure here does. So the guess by every
+likely plane is drawn, with the option that makes a run take it.
 
 Conventions
 -----------
@@ -38,7 +38,7 @@ class Alternative:
 
     @property
     def option(self) -> str:
-        """What makes a run start from this guess."""
+        """The command-line option that makes a run start from this guess."""
         return f"--mirror={self.mirror}"
 
 
@@ -61,8 +61,8 @@ def guess_alternatives(
         count: most planes.
 
     Returns:
-        The likeliest first, then by the plane that P ends at, none at last; nothing if the prior
-        guesses no complete objects.
+        The guesses by the likeliest planes, the likeliest first; then that by the plane that P ends
+        at; last that without mirroring. Nothing if the prior does not guess complete objects.
     """
     if settings.start != "guess" or not isinstance(prior, ShapePrior):
         return []

@@ -1,6 +1,6 @@
-"""The kernels of a completion that another process compiles beside the first run.
+"""The kernels of a completion that a second process compiles during the first run.
 
-They are those that are called late or take longest to compile; ``util.kernels`` says how.
+These are the kernels that are called late or take longest to compile; ``util.kernels`` tells how.
 """
 
 from __future__ import annotations

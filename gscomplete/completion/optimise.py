@@ -42,7 +42,8 @@ from gscomplete.util.stages import stage
 from gscomplete.views import Cameras, ViewDistribution
 
 _CORNER_RADIUS = 0.9
-"""A little more than a unit cube's corners are from its centre: boxes keep them."""
+"""New splats may be at least this far from the origin, so that they reach the unit cube's
+corners."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +60,7 @@ class StepReport:
 
 @dataclass(frozen=True, slots=True)
 class _Pull:
-    """Where the prior moves the pixels of a ring, kept for the steps until it is asked again."""
+    """The prior's gradient at the pixels of a ring, kept for the steps until its next call."""
 
     color: Tensor  # [4, H, W, 3] gradient of the prior's loss
     alpha: Tensor  # [4, H, W]
@@ -118,9 +119,9 @@ class Optimisation:
 
     @property
     def between_updates(self) -> bool:
-        """Whether :meth:`state` is one that a run may go on from.
+        """Whether a run may continue from :meth:`state`.
 
-        False after a step that was broken off (Ctrl-C, an error) while it changed the splats.
+        False after a step that was interrupted (Ctrl-C, an error) while it changed the splats.
         """
         return not self._updating
 
@@ -243,7 +244,7 @@ class Optimisation:
 
     @property
     def heeds_negative_prompt(self) -> bool:
-        """Whether what to lead away from has any effect: steps are taken, and text has a scale."""
+        """Whether a negative prompt has any effect: steps are taken and guidance uses the text."""
         return self.settings.steps > 0 and self._guidance_scales().text_scale != 1.0
 
     def _guidance_scales(self) -> Guidance:
@@ -302,7 +303,7 @@ class Optimisation:
         return ring.cameras.resized(size_px, size_px), ring
 
     def _held_pull(self, view: Render) -> _Pull | None:
-        """Return where the prior last moved the pixels of this ring; None = it is to be asked."""
+        """Return the prior's last gradient for this ring; None = the prior has to be called."""
         pull = self._pull
         if self.step_number % self.settings.prior_every == 0 or pull is None:
             return None

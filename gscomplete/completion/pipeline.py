@@ -1,8 +1,8 @@
 """Complete an object in memory: read, frame, start, refine the view, steps, seam, preservation.
 
-:func:`complete` does all of it. The stages are there one by one for what needs them apart (run
-folders with checkpoints, many objects with one prior): :func:`prepare` up to the first step,
-``Prepared.steps`` for the steps, :func:`finish` for what follows the last one.
+:func:`complete` does all of it. Callers that need the stages apart (run folders with checkpoints,
+many objects with one prior) use :func:`prepare` up to the first step, ``Prepared.steps`` for the
+steps, and :func:`finish` for what follows the last one.
 
 Conventions
 -----------
@@ -65,14 +65,14 @@ MAX_WORKING_SPLATS = 250_000
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What to make of a part."""
+    """What is to be done with a part: prompt, settings, and what is known of its frame."""
 
     prompt: str
     """What the complete object is."""
     settings: CompletionSettings
     """Every knob of the method."""
     framing: FramingRequest = dataclasses.field(default_factory=FramingRequest)
-    """What is known of frame and views; the rest is guessed."""
+    """What the user says about frame and views; the rest is guessed."""
     negative_prompt: str | None = None
     """What guidance leads away from, "" = nothing; None = the prior's default."""
 
@@ -292,7 +292,7 @@ def prepare(
 def _without_idle_steps(
     settings: CompletionSettings, partial: Splats
 ) -> tuple[CompletionSettings, tuple[str, ...]]:
-    """Take no steps where P is of too few colours for them, and say so."""
+    """Drop the steps if P's colours vary too little for them, and tell the user."""
     spread, least = color_spread(partial), settings.least_color_spread
     if spread >= least:
         return settings, ()
@@ -323,10 +323,10 @@ def framing_for(splats: Splats, request: FramingRequest, prior: Prior) -> Framin
 def finish(prepared: Prepared, given: SplatFile | Splats) -> Completed:
     """Do what follows the last step: match colours, close slits, hold P's appearance to bounds.
 
-    What closes P's slits counts as P's own there: it may not give way to what it hides.
+    Splats that close P's slits count as P's own when bounds are enforced, so that they stay.
 
     Args:
-        prepared: its steps are taken.
+        prepared: a completion whose steps are taken.
         given: P as given.
     """
     started = time.perf_counter()
@@ -360,7 +360,7 @@ def finish(prepared: Prepared, given: SplatFile | Splats) -> Completed:
 
 
 def _slits(prepared: Prepared) -> tuple[Splats, tuple[str, ...]]:
-    """Return what closes the slits of a scan, and a note for the user."""
+    """Return the splats that close the slits of a scan, and a note for the user."""
     settings, partial, views = prepared.request.settings, prepared.partial, prepared.views
     nothing = partial.with_sh_degree(0).select(torch.arange(0))
     if not settings.close_slits:
@@ -370,7 +370,7 @@ def _slits(prepared: Prepared) -> tuple[Splats, tuple[str, ...]]:
     if not len(slits):
         return nothing, ()
     bounds = settings.hard_preservation
-    # Bounds that leave out where P is thin leave out its slits.
+    # Bounds that do not apply where P is thin do not apply to its slits either.
     held = None if bounds is None or bounds.mask_from else bounds
     if held is not None and not are_within_bounds(slits, partial, views, held, settings.seed):
         return nothing, ("slits of the scan: left open, as closing them changes P by too much",)

@@ -2,10 +2,10 @@
 
 Conventions
 -----------
-* ``PAPER`` has the paper's settings to the letter; the others differ from what they are made of
-  only in what they list. One thing is no setting: the sphere of the start is about the origin of
-  the object frame, the guessed centre of the complete object; the paper's (section 3.3) is about
-  the centre of P's box. ``docs/mvdream.md`` lists what the paper leaves open, and what is taken.
+* ``PAPER`` has exactly the paper's settings; every other preset lists only what differs from the
+  one it is derived from. One difference is not a setting: here the sphere of the start is centred
+  on the origin of the object frame, the guessed centre of the complete object; in the paper
+  (section 3.3) it is centred on P's box. ``docs/mvdream.md`` lists what the paper leaves open.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from gscomplete.fitting.settings import DensifySettings, LearningRates
 from gscomplete.priors.base import Prior
 
 PresetName = Literal["default", "fast", "reconstruct", "distill", "paper"]
-"""``default``: the best of time and quality for the prior. ``fast``: less care.
+"""``default``: the best compromise of time and quality for the prior. ``fast``: less care.
 ``reconstruct``: iterative reconstruction. ``distill``: score distillation, from the prior's guess
-where it has one, in as many steps as the prior needs. ``paper``: the paper's settings. Which of
-``SETTINGS`` each is, a prior says (``preset``)."""
+where it has one, in as many steps as the prior needs. ``paper``: the paper's settings. The prior
+says which of ``SETTINGS`` each of them stands for (``preset``)."""
 
 PAPER = CompletionSettings()
 """The paper's settings (sections 3.1 to 3.3); where the sphere stands: see above."""
@@ -43,15 +43,16 @@ DISTILL = dataclasses.replace(
     close_slits=True,
     checkpoint_every=100,
 )
-"""The paper's method in fewer and larger steps, sizes bound to a pixel. Noise falls from nearly all
-to little: where a prior keeps what it sees, the paper's first stage keeps the sphere (fog)."""
+"""The paper's method in fewer and larger steps, with scales of at least a pixel. Noise falls from
+nearly full to little: with a prior that keeps what it sees, the paper's first stage, of medium
+noise, would keep the initial sphere as fog."""
 
 LATENT = dataclasses.replace(
     DISTILL, steps=2000, coarse_until=0.5, rescale_about="background", checkpoint_every=500
 )
-"""For priors that see colours alone over black or white. Chosen on priors of known strength
-(``recipes.known_priors``): contrast that is pulled back about zero fills what is empty with fog,
-and steps at half the resolution find the shape in half as many."""
+"""For priors that see only colours over black or white. Chosen on priors of known strength
+(``recipes.known_priors``): guidance rescale about zero fills empty space with fog, and steps at
+half the resolution find the shape in half as many steps."""
 
 RECONSTRUCT = dataclasses.replace(
     DISTILL,
@@ -87,8 +88,9 @@ GUESS = dataclasses.replace(
     new_splats=20_000,
     hard_preservation=HardPreservationSettings(color_bound=8e-4, depth_bound=2e-3, mask_from=0.8),
 )
-"""The first guess of a prior with a shape network, held to P's appearance where P is dense: steps
-of a small denoiser make it no better in shape, and dirtier (the time/quality benchmark)."""
+"""The first guess of a prior with a shape network, held to P's appearance where P is dense. No
+steps follow: those of a small denoiser do not improve the shape and make colours dirtier (the
+time/quality benchmark)."""
 
 REFINE = dataclasses.replace(
     GUESS,
@@ -100,13 +102,13 @@ REFINE = dataclasses.replace(
     timesteps=annealed_timesteps(600.0, 150.0, 50.0),
     learning_rates=LearningRates(sh=1e-2),
 )
-"""Score distillation of colours from the first guess, where P has several: patterns go on, the
-shape stays. All of them are within the warm-up: masked from the start, with more steps or noise, or
-moving shapes, too, they gain less (docs/decisions.md)."""
+"""Score distillation of colours alone, from the first guess, if P has several colours: patterns
+continue and the shape stays. All steps are within the warm-up. They gain less with a masked loss
+from the start, with more steps or noise, or when shapes move too (docs/decisions.md)."""
 
 FILL = dataclasses.replace(GUESS, start="fill", hard_preservation=None)
-"""P's gaps are closed and nothing else is done: what is seen through a gap changes, and is meant
-to."""
+"""P's gaps are closed and nothing else is done. There are no bounds on P's appearance, because what
+is seen through a gap is meant to change."""
 
 SMALL_GUESS = dataclasses.replace(GUESS, new_splats=10_000, hard_preservation=None)
 """The first guess as it is."""

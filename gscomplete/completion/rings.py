@@ -12,8 +12,8 @@ from gscomplete.util.randomness import generator_for, uniform
 from gscomplete.views import Cameras, ViewDistribution, four_view_orbit, radius_to_fit
 
 _ELEVATION_SLACK_DEG = 20.0
-"""Beyond V's elevations a ring still sees P much as V does; from far above or below, what V hides
-shows."""
+"""A ring up to this far beyond V's elevations still sees P much as V does; from farther above or
+below, it would see parts of P that are hidden in V."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +129,7 @@ def random_ring(views: PriorViews, size_px: int, seed: int, step: int) -> Camera
 
 
 def inside_distribution(cameras: Cameras, distribution: ViewDistribution) -> Tensor:  # [V] bool
-    """Whether each camera looks from within V's azimuths, and from no far other elevation."""
+    """Mark the cameras within V's azimuths and at most the slack beyond V's elevations."""
     x, y, z = cameras.positions.unbind(dim=1)
     azimuth_deg = torch.rad2deg(torch.atan2(y, x))
     offset = (azimuth_deg - distribution.azimuth_deg + 180.0) % 360.0 - 180.0

@@ -62,17 +62,17 @@ class RunRequest:
     out: Path
     """The run folder."""
     completion: pipeline.Request
-    """What to make of P."""
+    """Prompt, settings, and what is known of P's frame."""
     resume: bool = False
     """Continue the run in ``out`` from its last checkpoint."""
     alternatives: int = 0
     """Planes of symmetry whose guesses are drawn beside the result."""
     object_folder: Path | None = None
-    """What P belongs to, where that is known."""
+    """Folder of the object that P belongs to; None = unknown."""
     sources: dict[str, str] = field(default_factory=dict)
-    """Which of the givens came from where."""
+    """Where each given value came from, by its name."""
     notes: tuple[str, ...] = ()
-    """What is odd about the request."""
+    """Warnings about the request."""
     new_only: Path | None = None
     """PLY file for the new splats alone, file frame; None = none."""
 
@@ -87,7 +87,7 @@ class Run:
     identity: dict[str, Any]
     notes: tuple[str, ...]
     lock: FolderLock | None = None
-    """No other process works in the run folder; None = as yet, or where there are no locks."""
+    """Keeps other processes out of the run folder; None = not taken yet, or locks do not exist."""
     timings: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -219,7 +219,7 @@ def _take_steps(run: Run, on_step: Callable[[StepReport], None]) -> None:
 
 
 def _way_back(folder: Path) -> str:
-    """Tell which checkpoint a stopped run can go on from."""
+    """Tell the user from which checkpoint a stopped run can continue."""
     state = load_checkpoint(folder)
     if state is None:
         return "; there is no checkpoint yet"

@@ -26,20 +26,20 @@ from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.oklab import oklab_from_srgb, srgb_from_oklab
 
 _LEAST_SHARE = 0.01
-"""Splats get no correction where less than this share of one is left."""
+"""Splats get no correction where it has faded below this share."""
 
 FloatArray = NDArray[np.float64]
 
 _REACH = 0.05
-"""New splats this near to one of P's are at the seam."""
+"""New splats within this distance of one of P's are at the seam."""
 _SMOOTHNESS = 0.05
 """Differences are smoothed along the seam over about this length."""
 _FADE = 0.1
 """The correction falls to 61 % at this distance from the seam, and to 14 % at twice that."""
 _NEIGHBOURS = 16
-"""Colours are means over this many splats: patterns are to stay."""
+"""Colours are means over this many splats, so that patterns are not corrected away."""
 _ANCHORS = 64
-"""Most splats at the seam that decide about one new splat."""
+"""Most splats at the seam that the correction of one new splat is interpolated from."""
 _LEAST_OPACITY = 0.1
 """Fainter splats take no part."""
 

@@ -89,9 +89,9 @@ class HardPreservationSettings:
     depth_bound: float = 5e-4
     """Largest E_depth over V, in squared object sizes."""
     mask_from: float = 0.0
-    """P's alpha from which a pixel is held to its appearance; 0 = all pixels, each by its alpha, as
-    the errors are defined. Where P is a few scattered splats, its appearance is mostly that of what
-    lies behind, and a completion that fills the gaps must change them."""
+    """Least alpha of P at which a pixel is held to P's appearance; 0 = all pixels, each weighted by
+    its alpha, as the errors are defined. Where P consists of a few scattered splats, one mostly
+    sees what lies behind, and a completion that fills the gaps has to change that."""
     rounds: int = 10
     """Most rounds of refitting; what is left then is faded out."""
     steps: int = 12
@@ -121,37 +121,39 @@ class CompletionSettings:
     steps: int = 6000
     """Optimiser steps; 0 = new splats stay as they start."""
     least_color_spread: float = 0.0
-    """Steps are taken only where P's colours are as far from their mean, on average
-    (``splats.oklab.color_spread``); 0 = whatever they are. A small denoiser mends patterns, and
-    shifts an even colour."""
+    """Steps are taken only if the mean distance of P's colours from their mean is at least this
+    (``splats.oklab.color_spread``); 0 = always. A small denoiser continues patterns, but shifts an
+    even colour."""
     moves: Moves = "splats"
     """What steps change."""
     seed: int = 0
     new_splats: int = 5000
-    """New splats at the start, uniform in the sphere about the object (section 3.3);
-    ``start="guess"``: the most beside P's own mirrored ones, which are as many as P has."""
+    """New splats at the start, uniform in the sphere about the object (section 3.3). With
+    ``start="guess"`` it is their largest number, not counting P's own mirrored splats."""
     start: Start = "sphere"
     """Where new splats start."""
     mirror: MirrorWish = "guess"
     """``start="guess"``: the plane of symmetry that P is mirrored through."""
     known_shapes: bool = True
-    """``start="guess"``: known shapes of the prompt's noun that suit P help the guess."""
+    """``start="guess"``: whether known shapes of the prompt's noun that suit P help the guess."""
     prompt_decides: bool = False
-    """``start="guess"``: the known shape of the prompt's noun that suits P best is the guess, in
-    the colour that the prompt names where P has none, even if P is complete without it."""
+    """``start="guess"``: whether the known shape of the prompt's noun that suits P best is the
+    guess, even if P passes for complete. If P has no colour, it gets the one that the prompt
+    names."""
     warmup_steps: int = 50
     """Steps at the start whose preservation loss is unmasked (n_init, section 3.3)."""
     preservation_weight: float = 2.0
-    """lambda of section 3.3; 0 = no preservation loss. That loss is a sum over a render's pixels,
-    the prior's over its own resolution's: renders of half the side weigh P a quarter as much."""
+    """lambda of section 3.3; 0 = no preservation loss. That loss is a sum over the render's pixels,
+    while the prior's is a sum at the prior's own resolution. So renders of half the side give P a
+    quarter of the weight."""
     preservation_every: int = 2
     """The preservation loss joins every k-th step (after the warm-up); 1 = always."""
     preservation_views: int | None = None
-    """Evenly spread views of V that the preservation loss draws from, so that P is prepared for
-    each of them once; None = a new random view every time (the paper)."""
+    """Number of evenly spread views of V that the preservation loss chooses from, for each of which
+    P is drawn only once; None = a new random view every time (the paper)."""
     prior_every: int = 1
-    """``distill``: the prior is asked at every k-th step; steps until the next draw the same ring
-    and move its pixels the same way. 1 = at every step (the paper)."""
+    """``distill``: the prior is called at every k-th step. The steps until its next call render the
+    same ring again and reuse the gradient at its pixels. 1 = at every step (the paper)."""
     timesteps: tuple[TimestepStage, ...] = (
         TimestepStage(0.5, 392.0, 588.0),
         TimestepStage(0.75, 20.0, 343.0),
@@ -159,7 +161,7 @@ class CompletionSettings:
     )
     """Schedule of the diffusion time (section 3.3, with T = 980)."""
     rescale_about: RescaleCenter | None = None
-    """What guidance rescale leaves as it is; None = the prior's own default."""
+    """The value that guidance rescale measures contrast from; None = the prior's own default."""
     see_input: bool = True
     """Show the renders of P to priors that can see them; False = text only."""
     resolution_px: int | None = None

@@ -21,19 +21,23 @@ from gscomplete.views import ViewDistribution
 MARK = "doubtful: "
 """Begins each doubt among the notes of a run."""
 _MOST_HIDDEN = 0.1
-"""Share of P's pixels that a guess may hide from about c."""
+"""A guess is doubtful if it hides more than this share of P's pixels in c and views beside it."""
 _MOST_SPLATS = 20_000
-"""Splats of P that are drawn to tell, chosen at random where it has more."""
+"""Most splats of P that are drawn to measure this share."""
 _CELLS_OF_PIECES = 6
-"""Along P's largest side: what is a cell apart, a sixth and more of it, is in pieces ..."""
+"""P is in pieces if a layer of empty cells separates them, with so many cells along P's largest
+side, ..."""
 _LEAST_PIECE = 0.1
-"""... of which each has more than this share. So are 2 of 240 parts of 48 objects."""
+"""... and if at least two pieces have more than this share of P's splats. This holds for 2 of 240
+parts of 48 objects."""
 _MOST_LOST = 0.5
-"""Share of the new splats that bounds on E_color and E_depth may remove or fade."""
+"""A result is doubtful if bounds on E_color and E_depth removed or faded a larger share of the new
+splats."""
 _OPEN_SIDE = 0.9
-"""P whose largest side is shorter than this was guessed to be open to one side, ..."""
+"""A P with a shorter largest side (object sizes) was guessed to be open to one side. Its result is
+doubtful ..."""
 _LEAST_GROWTH = 0.25
-"""... and of what it lacks of the guessed size at least this share is filled."""
+"""... if the completion grows by a smaller share of what P's side lacks of the guessed size."""
 
 
 def doubts_of_partial(partial: Splats) -> tuple[str, ...]:
@@ -60,8 +64,8 @@ def doubts_of_guess(partial: Splats, guess: Splats, views: ViewDistribution) -> 
 
     Args:
         partial: P.
-        guess: what the prior guesses to be missing.
-        views: V as settled.
+        guess: the splats that the prior guesses to be missing.
+        views: V as the run uses it.
     """
     found = []
     shown = thinned(partial.with_sh_degree(0), _MOST_SPLATS, torch.Generator().manual_seed(0))
@@ -101,7 +105,7 @@ def doubts_of_result(partial: Splats, new: Splats, lost: float | None) -> tuple[
 
 
 def _shares_of_pieces(partial: Splats) -> list[float]:
-    """Return what shares of P's splats are in pieces that no filled cell joins, largest first."""
+    """Return the shares of P's splats in pieces that no filled cell joins, the largest first."""
     means = partial.means.double().numpy()
     low, sides = means.min(axis=0), np.ptp(means, axis=0)
     cell = max(float(sides.max()), 1e-12) / _CELLS_OF_PIECES

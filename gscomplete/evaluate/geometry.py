@@ -1,15 +1,15 @@
-"""How near a completion's new surface is to the true one where P shows nothing.
+"""How near a completion's new surface is to the true surface that P does not show.
 
 Conventions
 -----------
 * Object frame: distances are shares of the object's largest side. Surfaces are the centres of
-  splats with an opacity above ``SOLID``; both are thinned to one per cell of ``SPACING`` first, so
-  that neither how densely a method places its splats nor their order decides anything.
-* Hidden truth: the truth's surface farther than ``OWN`` from P's. New surface: the completion's,
-  farther than ``OWN`` from P's.
-* Chamfer: the mean of the two mean nearest distances, of hidden truth to the completion (with P)
-  and of new surface to the truth. Recall and precision: shares of them within a distance; the
-  F-score is their harmonic mean.
+  splats with an opacity above ``SOLID``. Both surfaces are first thinned to one point per cell of
+  ``SPACING``, so that neither the density nor the order of a method's splats matters.
+* Hidden truth is the true surface farther than ``OWN`` from P's surface; new surface is the
+  completion's surface farther than ``OWN`` from P's.
+* The chamfer distance is the mean of two mean nearest distances: from hidden truth to the
+  completion (with P) and from new surface to the truth. Recall and precision are the shares of
+  hidden truth and of new surface within a distance; the F-score is their harmonic mean.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class HiddenSurfaceErrors:
 def hidden_surface_errors(
     completed: Splats, partial: Splats, truth: Splats
 ) -> HiddenSurfaceErrors | None:
-    """Compare surfaces; None where P shows next to all of the truth.
+    """Compare surfaces; None = P shows nearly all of the truth.
 
     Args:
         completed: O in the object frame.

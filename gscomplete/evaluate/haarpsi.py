@@ -2,11 +2,13 @@
 
 Conventions
 -----------
-* Pictures are [V, H, W, 3] in [0, 1]; 1 = the same, and what people call alike is above about 0.6.
+* Pictures are [V, H, W, 3] in [0, 1]. A score of 1 means identical; pictures that people find
+  similar score above about 0.6.
 * Constants, colour space and subsampling are the paper's (c = 30 and alpha = 4.2 for values to
   255, YIQ, means of 2 x 2 pixels). No weights are needed, unlike for LPIPS.
-* The score is a mean weighted by how much structure is at a pixel. A mask multiplies these weights,
-  so that what lies outside it does not count: an extension of ours; all ones gives the paper's.
+* The score is a mean over pixels, weighted by their structure. As an extension of the paper, a mask
+  multiplies these weights, so that pixels outside it do not count; a mask of ones gives the paper's
+  score.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ _C = 30.0
 _ALPHA = 4.2
 _YIQ = ((0.299, 0.587, 0.114), (0.5959, -0.2746, -0.3213), (0.2115, -0.5227, 0.3112))
 _SCALES = 3
-"""The finest two are compared, the coarsest weighs."""
+"""The two finest scales are compared; the coarsest gives the weights."""
 
 
 def haarpsi(ours: Tensor, theirs: Tensor, mask: Tensor | None = None) -> Tensor:  # [V]
@@ -67,8 +69,9 @@ def _halved(images: Tensor) -> Tensor:  # [V, C, H, W] -> [V, C, H/2, W/2]
 def _haar(luma: Tensor) -> tuple[Tensor, Tensor]:  # [V, 1, h, w] -> [V, 2, h, w], [V, 2, 2, h, w]
     """Return Haar coefficients by direction: the coarsest, and the finer ones (axis 2).
 
-    A coefficient is the difference of two halves of a window, over its side. The sums of windows
-    of 2 x 2 pixels make those of 4 x 4, and so on, in a fraction of the time of convolutions.
+    A coefficient is the difference between the sums of two halves of a window, divided by its side.
+    Sums over windows of 4 x 4 pixels are computed from those over 2 x 2, and so on, in a fraction
+    of the time of convolutions.
     """
     found = []
     largest = 2**_SCALES

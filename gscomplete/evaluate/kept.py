@@ -1,10 +1,11 @@
-"""Keep what was measured of completions, so that a long evaluation goes on where it was stopped.
+"""Store measurements of completions, so that a long evaluation continues where it was stopped.
 
 Conventions
 -----------
-* One JSON file a completion, ``FOLDER/METHOD/OBJECT.json``: its row, and its card if one was drawn.
-* A file counts only for the same bytes of all files measured, the same settings and the same code
-  of this package; else the completion is measured again.
+* There is one JSON file per completion, ``FOLDER/METHOD/OBJECT.json``, with its row and, if one was
+  drawn, its card.
+* A file is used only if the bytes of all measured files, the settings and the code of this package
+  are the same; otherwise the completion is measured again.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ class KeptResults:
         self._made_with = [code_digest(), jsonio.to_json(settings)]
 
     def find(self, method: str, object_id: str, sources: Sequence[Path]) -> Kept | None:
-        """Return what is kept of a completion; None = nothing that is still true.
+        """Return the stored measurement of a completion; None = there is none that is still valid.
 
         Args:
             method: who completed.

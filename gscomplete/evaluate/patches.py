@@ -1,12 +1,12 @@
-"""How alike the small pictures are that two pictures are made of, wherever they lie.
+"""How similar the local patches of two pictures are, wherever in the pictures they lie.
 
 Conventions
 -----------
 * The sliced Wasserstein distance (Rabin et al. 2011; of patches: Karras et al. 2018) between the
   patches round the pixels of a region: their values, projected on fixed directions, are sorted and
-  compared. A pattern that is right but displaced costs little, one that is smeared or of another
-  colour much; PSNR and SSIM tell the other way round.
-* The unit is that of colours: a picture that is brighter by d everywhere is d away.
+  compared. A correct but displaced pattern costs little, a smeared or discoloured one costs much;
+  with PSNR and SSIM it is the other way round.
+* The unit is that of colours: a picture that is brighter by d everywhere has the distance d.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from torch import Tensor
 SIDE_PX = 7
 _DIRECTIONS = 64
 _MOST = 20_000
-"""Of more pixels in the region, every n-th is taken."""
+"""Most patches; if the region has more pixels, every n-th is used."""
 _LEVELS = 512
 """Quantiles that distributions are compared at."""
 

@@ -39,7 +39,7 @@ class Unavailable:
 
 
 def found_here(model: str = CLIP_MODEL) -> tuple[str, ...]:
-    """Name what these metrics need and this machine has, as far as names say; nothing is loaded."""
+    """Name the packages and weights for these metrics that seem to be here, without loading any."""
     needs = {
         "lpips": _is_installed("lpips"),
         ALEXNET_FILE: _alexnet_file().is_file(),

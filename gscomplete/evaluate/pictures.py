@@ -37,7 +37,7 @@ _MARGIN_PX = 4
 _MOST_TITLE_PX = 480
 """A title may make a sheet so wide, not wider."""
 _LONGEST_TITLE = 400
-"""Letters of a title that are looked at."""
+"""Longer titles are cut before they are measured, letters."""
 _FRAME_MS = 80
 """Time for which a picture is shown."""
 _TURN_FRAMES, _TURN_PX = 36, 256

@@ -84,7 +84,7 @@ class Row:
     seconds: float | None = None
     """Time that completing took; None = not recorded."""
     unavailable: dict[str, str] = field(default_factory=dict)
-    """Why a number is missing that the machine, not the object, stands in the way of."""
+    """Reasons why numbers are missing on this machine, such as missing weights, by measure."""
     notes: tuple[str, ...] = ()
     """Warnings of the run, and how another system's result was aligned."""
 

@@ -2,10 +2,10 @@
 
 Conventions
 -----------
-* Where the object folder is known, its frame, V and truth are taken, the same for every method;
-  else the run's own.
-* A run's O holds P's splats. Another system's result, a splat file, is taken as it is; it holds P
-  if its first splats lie where P's do.
+* If the object folder is known, its frame, V and truth are used, the same for every method;
+  otherwise those of the run.
+* A run's O contains P's splats. Another system's result, a splat file, is used as it is; it
+  contains P if its first splats lie where P's do.
 * In a folder of runs, the completion of the object ``ID`` is ``ID`` or ``ID_completed`` (a run
   folder) or ``ID.ply`` (a splat file of any format, in P's file frame).
 """
@@ -31,9 +31,10 @@ from gscomplete.splats.transform import transform_splats
 from gscomplete.views import ObjectFrame, ViewDistribution
 
 _SAME_PLACE = 1e-4
-"""Splats nearer than this, in object sizes, lie at the same place: float32 turned to and fro."""
+"""Splats at most this far apart, in object sizes, are at the same place: float32 coordinates change
+by less when they are transformed back and forth."""
 _TIMINGS = ("prepare_s", "optimise_s", "finish_s")
-"""Stages of a run that completing takes: no files, no pictures."""
+"""Stages of a run that count as completing; writing files and drawing pictures do not."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +58,7 @@ class Subject:
     timings: dict[str, float] = field(default_factory=dict)
     """Seconds by stage, as a run records them."""
     sources: dict[str, str] = field(default_factory=dict)
-    """Which of prompt, up axis, views and frame came from where, as a run records it."""
+    """Where prompt, up axis, views and frame came from, as a run records it."""
     holds_partial: bool = True
     """Whether O begins with P's splats."""
 
@@ -84,7 +85,7 @@ def read_subject(path: Path, method: str, owner: Path | None = None) -> Subject:
 
 
 def find_completion(runs: Path, object_id: str) -> Path | None:
-    """Return what a folder of runs holds for an object; None = nothing that is finished."""
+    """Return the finished completion of an object in a folder of runs; None = there is none."""
     for name in (object_id, f"{object_id}_completed"):
         if (runs / name / RUN_FILE).is_file():
             run = read_run_folder(runs / name)

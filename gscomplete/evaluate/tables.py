@@ -2,11 +2,11 @@
 
 Conventions
 -----------
-* A mean is over the objects for which the number is known, and says how many these are; with it
-  comes its 95 % bootstrap interval over objects. A method that failed on an object is not charged
-  for it but has a smaller count; a group of its own (``compared_rows``) holds the objects that all
-  methods have, over which alone means compare.
-* Numbers that no row has leave their column out.
+* A mean is over the objects for which the number is known; it is given with their count and its 95
+  % bootstrap interval over objects. A failure on an object lowers a method's count, not its mean.
+  So only means over the objects that all methods have are comparable; these form a group of their
+  own (``compared_rows``).
+* A column is left out if no row has its number.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def methods_of(rows: Sequence[Row]) -> list[str]:
 
 
 def unavailable_of(rows: Sequence[Row]) -> list[tuple[str, str]]:
-    """Return which measures the machine, not the object, stands in the way of, and why."""
+    """Return the measures that this machine cannot compute, with the reasons."""
     labels = {m.name: m.label for m in MEASURES}
     pairs = {(labels[name], why) for row in rows for name, why in row.unavailable.items()}
     return sorted(pairs)

@@ -1,33 +1,34 @@
 """Bring the error that new splats cause in P's pictures from V below a bound that the user gives.
 
-The preservation loss of the paper (section 3.2) weighs P's appearance against the prior's wishes
-and leaves what it leaves. Here, after the optimisation, the errors E_color and E_depth of
-``evaluate.metrics`` are brought below bounds, at as little cost to the rest as can be:
+The preservation loss of the paper (section 3.2) weighs P's appearance against the prior, so some
+error remains. Here, after the optimisation, the errors E_color and E_depth of ``evaluate.metrics``
+are brought below bounds while everything else changes as little as possible:
 
-1. Measure over a few check views; far below the bounds: nothing is changed. Else over all of them;
-   below the bounds: nothing is changed.
-2. Back: where P is thin (its silhouette, gaps between its splats) depth and colour of what lies far
-   behind show through it. Copies of P's own splats just behind its surface close it, so that
-   what is behind need not fade.
-3. Refit, a few rounds (``preserving_fit``): the gradient of the errors with respect to opacities
-   says how much each splat contributes. Those that make up nearly all of it may fade, move (a
-   splat in front of P's surface is drawn back behind it by the depth error) and shrink, against
-   a term that keeps the picture from outside V, and within V beside P, as it was. A last round
-   that went farther than it had to is partly taken back. Rounds that would not come near the
-   bounds in the end are not gone on with.
+1. Measure the errors over a few check views. If they are far below the bounds, nothing is changed.
+   Otherwise measure over all check views. If they are below the bounds, nothing is changed.
+2. Back: where P is thin (at its silhouette, in gaps between its splats), colour and depth of what
+   lies far behind show through. Copies of P's own splats just behind its surface close it, so that
+   the splats far behind need not fade.
+3. Refit, a few rounds (``preserve.fit``): the gradient of the errors with respect to opacities
+   tells how much each splat contributes. The splats that make up nearly all of the errors may fade,
+   move (the depth error pulls a splat in front of P's surface back behind it) and shrink, against a
+   term that keeps the pictures from outside V, and beside P within V, as they were. If the last
+   round went farther than necessary, part of it is undone. Rounds stop early if they are not going
+   to come near the bounds.
 4. Fade, while a bound is exceeded: the splats that contribute most lose most of their opacity, as
-   many as the excess asks for.
-5. Remove, as the last resort, what the errors depend on most, again and again. P alone has none,
-   so this ends.
+   many of them as the excess requires.
+5. Remove, as the last resort and repeatedly, the splats that the errors depend on most. This ends,
+   because P alone has no errors.
 
 Conventions
 -----------
-* Object frame. P is read only. Rows that contribute nothing (behind P, or beside its mask from
-  all of V) come back bit for bit.
-* Check views are never fitted to: they are other members of V's low-discrepancy sequence than
-  the views of the rounds, of which every round has its own.
-* Errors over check views are held below ``MARGIN`` times the bounds, for the views in between.
-* All is a function of (splats, P, V, settings, seed).
+* Object frame. P is read only. Splats that contribute nothing (behind P, or beside its mask in all
+  of V) are returned bit for bit.
+* Nothing is fitted to the check views: they and the views of each round are different members of
+  V's low-discrepancy sequence.
+* The aim for the errors over the check views is ``MARGIN`` times the bounds, so that views in
+  between are within the bounds as well.
+* The result is a function of (splats, P, V, settings, seed).
 """
 
 from __future__ import annotations
@@ -66,45 +67,47 @@ from gscomplete.util.randomness import generator_for
 from gscomplete.views import Cameras, ViewDistribution, join_cameras
 
 _CHECK_VIEWS = 24
-"""Views of V that the errors are measured over; never those that splats are fitted to."""
+"""Views of V that the errors are measured over; nothing is fitted to them."""
 _FIRST_VIEWS = 8
-"""The first of them, which are enough where the errors are far below the bounds."""
+"""How many of them are measured first."""
 _FAR_BELOW = 0.25
-"""Share of what is aimed at that errors are far below the bounds up to."""
+"""Errors over these up to this share of the aim are far below the bounds."""
 _CHECK_PX = 256
-"""Side of the check views: that of the evaluation, since errors grow with the resolution."""
+"""Side of the check views. It is that of the evaluation, because errors grow with the
+resolution."""
 _FIRST_CHECK_VIEW = 10_000
-"""Place in V's sequence of the first check view; rounds use the places from 1 on."""
+"""Index in V's sequence of the first check view; rounds use the indices from 1 on."""
 _FIT_VIEWS = 10
-"""Views of V of one round."""
+"""Views of V in one round."""
 _FIT_PX = 128
 """Side of the pictures that splats are fitted to."""
 _MAX_BACKING = 30_000
-"""Most copies of P's splats tried behind its thin places."""
+"""Most copies of P's splats that are tried behind its thin places."""
 _GOING_BACK = 3
-"""How often it is tried to take back a part of what the last round did."""
+"""Most attempts to undo part of the last round."""
 _PRUNE_OPACITY = 0.01
 """Splats faded below this opacity are removed."""
 _WATCHED_SHARE = 0.5
-"""Refitting watches errors above this share of what is aimed at, not only those above it."""
+"""Refitting includes errors above this share of the aim, so that they do not rise beyond it."""
 _FAINT = 0.05
-"""Opacity at which it is found out where backing helps."""
+"""Opacity of the trial copies that show where backing reduces the errors."""
 _CLOSE_SHARE = 0.85
-"""Errors above this share of what is aimed at are near enough to it."""
+"""If the errors are above this share of the aim, no part of the last round is undone."""
 _WANTED_SHARE = 0.93
-"""Share of what is aimed at that going back tries to reach: between the above and 1."""
+"""Share of the aim that undoing tries to reach: between the above and 1."""
 _FADE = 0.5
-"""A fading leaves this share of an opacity."""
+"""Fading multiplies an opacity by this."""
 _FADED_SHARE = 0.8
-"""Splats that make up this share of all contributions may be faded at once."""
+"""At most the splats that make up this share of all contributions are faded at once."""
 _CLEARED_SHARE = 0.9
-"""As the last resort, splats that make up this share of all contributions are removed at once."""
+"""As the last resort, the splats that make up this share of all contributions are removed at
+once."""
 _FADE_SWEEPS = 24
 """Most fadings before the last resort."""
 _BACKING_DISTANCE = 0.01
 """How far behind P's surface the copies are, in object sizes."""
 _ACTIVE_SHARE = 0.99
-"""Splats that make up this share of the errors take part in a round."""
+"""The splats that make up this share of the errors take part in a round."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +127,7 @@ def preserve_hard(
     settings: HardPreservationSettings,
     seed: int = 0,
 ) -> HardPreservation:
-    """Change or remove new splats until P's appearance from V are within the bounds.
+    """Change or remove new splats until the errors of P's appearance from V are within the bounds.
 
     Args:
         new: N new splats in the object frame.
@@ -199,7 +202,7 @@ def are_within_bounds(
 
 
 class _Work:
-    """P, its views and the knobs: what stays the same while the splats change."""
+    """P, its views and the knobs, which stay the same while the splats change."""
 
     def __init__(
         self,
@@ -234,7 +237,7 @@ class _Work:
         return CheckedErrors(float(color), float(depth), len(prepared))
 
     def above(self, found: CheckedErrors, share: float = 1.0) -> dict[str, float]:
-        """Return the errors, in units of what is aimed at, that are above a share of that."""
+        """Return the errors above a share of their aims, each in units of its aim."""
         settings = self._settings
         relative = {
             "color": found.color / (MARGIN * settings.color_bound),
@@ -292,9 +295,10 @@ class _Work:
         after: Splats,
         after_errors: CheckedErrors,
     ) -> tuple[Splats, CheckedErrors]:
-        """Go back from splats within the bounds towards those before, whose errors are too large.
+        """Undo part of the last round: move splats within the bounds back towards those before it.
 
-        Roots of the errors are taken to be straight lines in between.
+        The errors of those before it are too large. The square roots of the errors are assumed to
+        change linearly in between.
         """
         low, high = 0.0, 1.0
         best = after
@@ -311,7 +315,7 @@ class _Work:
         return best, after_errors
 
     def _share_of_way(self, too_large: CheckedErrors, found: CheckedErrors) -> float:  # in (0, 1)
-        """Return how far it is from errors above the bounds to those that are wanted."""
+        """Return the share of the way from the too large errors at which the wanted ones lie."""
         share = 0.1
         for name, value in self.above(too_large).items():
             start, end = math.sqrt(value), math.sqrt(self.above(found, -1.0)[name])
@@ -321,7 +325,7 @@ class _Work:
     def fade(
         self, splats: Splats, found: CheckedErrors, rounds: int, sweep: int, *, entirely: bool
     ) -> tuple[Splats, Tensor]:  # [N] bool: faded
-        """Fade the largest contributors, as many as the excess asks for; or clear them."""
+        """Fade the largest contributors, as many as the excess requires; or clear them entirely."""
         prepared = self._check
         if not entirely:
             views = self._round_views(rounds + sweep, _CHECK_PX)
@@ -332,7 +336,7 @@ class _Work:
             chosen = largest_share(contributions.abs(), _CLEARED_SHARE)
         else:
             excess = sum(value - 1.0 for value in too_large.values())
-            # Estimates of the first order may fall short, so every sweep asks for twice as much.
+            # First-order estimates may fall short, so every sweep fades twice as much as the last.
             chosen = enough_of(contributions, 2.0**sweep * excess / (1.0 - _FADE))
             chosen &= largest_share(contributions.clamp_min(0.0), _FADED_SHARE)
         share = torch.where(chosen, 0.0 if entirely else _FADE, 1.0)

@@ -2,11 +2,10 @@
 
 Conventions
 -----------
-* A round has views of V first and views from outside V after them; the splats that take no part
-  are frozen with P.
+* A round has views of V, then views from outside V. Splats that take no part are frozen with P.
 * Renders are made over black and compared over the given background; ``before`` is over black.
-* Splats may fade, move and shrink. Colours and rotations stay, and no scale grows: a splat that
-  covers what others leave open would be seen from elsewhere.
+* Splats may fade, move and shrink. Colours and rotations stay, and scales do not grow: a splat that
+  grew to cover an opening would be visible from other directions.
 """
 
 from __future__ import annotations
@@ -30,14 +29,14 @@ from gscomplete.views import Cameras, ViewDistribution
 from gscomplete.views.distribution import MAX_ELEVATION_DEG
 
 MARGIN = 0.8
-"""Share of the bounds that errors over the check views are brought below, so that other views of V
-are below the bounds too."""
+"""The aim for errors over the check views is this share of the bounds, so that other views of V are
+within the bounds too."""
 _OUTSIDE_VIEWS = 8
 """Views from outside V whose pictures are kept."""
 _OUTSIDE_RISE_DEG = 25.0
 """Every other view from outside V looks from this much higher."""
 _FAR_ABOVE = 2.0
-"""Share of what is aimed at above which fading has nearly all of the work left."""
+"""Errors above this multiple of the aim leave nearly all of the work to fading."""
 _VIEWS_PER_STEP = 2
 """Views of V, and as many from outside V, of one step."""
 _OPACITY_RATE = 0.3
@@ -123,11 +122,12 @@ class RoundProblem:
 
 
 def are_promising(largest: Sequence[float], rounds: int) -> bool:
-    """Say whether so many rounds will bring errors near the bounds, going on as the last two did.
+    """Say whether further rounds will bring the errors near the bounds, judging by the last two.
 
     Args:
-        largest: error before each round so far and before the next, in units of what is aimed at.
-        rounds: most of them.
+        largest: the largest error before each round so far and before the next, in units of its
+            aim.
+        rounds: most rounds.
     """
     done = len(largest) - 1
     if done < 2:
@@ -149,7 +149,7 @@ def fit_round(
         splats: those that take part.
         problem: the views and what they are to look like.
         settings: bounds and knobs.
-        weight: of the errors, against the change that is measured in units of the colour bound.
+        weight: of the errors, against that of the change, which is in units of the colour bound.
         generator: picks the views of each step.
     """
     logits = torch.logit(splats.opacities.clamp(1e-4, 0.999)).requires_grad_()

@@ -21,14 +21,14 @@ _VISIBLE_MOVE = 0.001
 class CheckedErrors:
     """E_color and E_depth over the check views.
 
-    With ``mask_from`` above 0 only of the pixels that are held, so below what the evaluation finds
-    over all of P.
+    With ``mask_from`` above 0 they cover only the pixels that are held to P's appearance, and are
+    then lower than what the evaluation measures over all of P.
     """
 
     color: float
     depth: float
     views: int
-    """How many views they are of: few where they are far below the bounds."""
+    """How many views they are measured over: few if they are far below the bounds."""
 
 
 @dataclass(frozen=True, slots=True)

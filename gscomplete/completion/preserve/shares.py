@@ -1,4 +1,4 @@
-"""Which of many amounts count, the largest first."""
+"""Choose the largest of many amounts, up to a share or an amount of their sum."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def largest_share(amounts: Tensor, share: float) -> Tensor:  # [N] >= 0 -> [N] b
 
 
 def enough_of(amounts: Tensor, needed: float) -> Tensor:  # [N] -> [N] bool
-    """Mark the fewest positive amounts whose sum is at least ``needed``, all if none are enough."""
+    """Mark the fewest positive amounts whose sum is at least ``needed``; all if they fall short."""
     order = torch.argsort(amounts, descending=True, stable=True)
     positive = amounts[order].clamp_min(0.0).double()
     marked = torch.zeros_like(amounts, dtype=torch.bool)

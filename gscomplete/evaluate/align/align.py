@@ -2,17 +2,18 @@
 
 Conventions
 -----------
-* The result is a complete object in a frame of its own, of any rotation, scale and place; P shows
-  from about a third to all of its surface. Found is ``target_from_result``, in which "target" is
+* The result is a complete object in its own frame, with any rotation, scale and position; P covers
+  from about a third to all of its surface. The answer is ``target_from_result``, where "target" is
   the frame that P is given in.
-* Search: rotations evenly over SO(3), scales between P's diameter being 60 and 97 % of the
-  result's, P's centroid at the result's or on either side of it along its principal axes; ICP from
-  each on a few points. The best go on with more points, the last ones on exact surfaces with
-  normals and colours up to a common brightness (``refine``), and from places and scales beside
-  theirs, until none of these is better.
-* Every point of P is to lie on the result; nothing is asked of the result beyond P, but in the
-  search. What is symmetric in shape and colour is found up to its symmetry.
-* Random numbers depend on the seed alone; the order of points matters no more than their sampling.
+* The search starts from rotations spread evenly over SO(3), from scales at which P's diameter is 60
+  to 97 % of the result's, and with P's centroid at the result's or on either side of it along the
+  result's principal axes. ICP runs from each start on a few points. The best candidates continue
+  with more points, and the last ones with exact nearest points, normals and colours up to a common
+  brightness (``refine``). They are then refined again from positions and scales beside theirs,
+  until this brings no improvement.
+* Every point of P should lie on the result. Only the search also asks the result to lie on P. An
+  object that is symmetric in shape and colour is aligned up to its symmetry.
+* Random numbers depend on the seed alone; the order of points matters only through their sampling.
 """
 
 from __future__ import annotations
@@ -32,34 +33,36 @@ from gscomplete.splats.filters import near_rows
 from gscomplete.splats.transform import Similarity
 
 _DENSE, _MIDDLE, _SPARSE = 4000, 500, 64
-"""Points of either cloud for looking up, and in the second and the first stage of the search."""
+"""Points of each cloud: for exact nearest points, in the second stage of the search, in the
+first."""
 _TRIED, _COMPARED = 400, 1000
-"""Points of P that are aligned from beside a candidate, and by which candidates are compared."""
+"""Points of P that are refined again beside a candidate, and that candidates are compared by."""
 _LOOKED_AT = 30_000
-"""Points that an even choice is made from, themselves chosen at random where there are more."""
+"""Most points that an even choice is made from; of more, so many are drawn at random first."""
 _FEWEST = 50
-"""Points that an alignment needs."""
+"""Fewest points of a cloud that can be aligned."""
 _SCALES = (0.6, 0.97)
-"""P's diameter over the result's, at the ends of the search; ICP goes beyond both."""
+"""Range of starts: P's diameter over the result's."""
 _SCALE_RANGE = (0.4, 1.08)
+"""Range that ICP may move this ratio in."""
 _STARTS = 7
-"""Candidates for a rotation: scales, each at another of seven places."""
+"""Starts for each rotation: as many scales, each at another of seven positions."""
 _ASIDE = 0.24
-"""Places beside the result's centroid, in shares of its extent along a principal axis."""
+"""Distance of positions from the result's centroid over its extent along that principal axis."""
 _SECOND, _THIRD, _FOURTH = 120, 24, 4
-"""Candidates that go on to the second, the third and the last stage."""
+"""Candidates that continue to the second, the third and the last stage."""
 _APART_DEG, _APART_LOG_SCALE = 8.0, 0.05
-"""Candidates nearer than this in both are one."""
+"""Candidates that differ by less than both in rotation and log scale count as one."""
 _GROWTHS, _SHIFT = (0.92, 1.0, 1.08), 0.1
-"""Scales, and shifts in shares of P's longest extent along its principal axes, beside a candidate
-that it is aligned from again."""
+"""Factors on the scale, and shifts along P's principal axes (in shares of P's longest extent), from
+which a candidate is refined again."""
 _MOST_ROUNDS, _LEAST_GAIN = 4, 0.03
-"""Of that, while each gains this share of the cost."""
+"""Most rounds of this; another one follows if a round lowers the cost by at least this share."""
 _LAST_POINT_SHARE = 0.03
-"""Weight of point-to-point residuals in the last steps, where they would hold surfaces back that
-slide over each other."""
+"""Weight of point-to-point residuals in the last steps; a larger one would keep surfaces from
+sliding along each other."""
 _GREY = 0.5
-"""Root mean square that colours of either cloud are brought to before the search."""
+"""Root mean square that the colours of both clouds are scaled to before the search."""
 _SOLID = 0.3
 """Opacity above which a splat counts as surface."""
 
@@ -71,8 +74,8 @@ class AlignmentSettings:
     rotations: int = 1000
     """Rotations tried: 1,000 are 19 degrees apart."""
     covered: float = 0.5
-    """Share of the result's surface that P is taken to show. Too large pulls the result towards P;
-    too small lets P slide along surfaces that repeat."""
+    """Share of the result's surface that P is assumed to cover. Too large a value pulls the result
+    towards P; too small a value lets P slide along repeating surfaces."""
     seed: int = 0
 
 
@@ -84,7 +87,8 @@ class Alignment:
     residual: float
     """Root mean squared distance of P's nearest 90 % to the result, in shares of its diameter."""
     runner_up: float | None
-    """Cost of the best other pose over this one's; near 1 = symmetric, or a guess. None = none."""
+    """Cost of the best other pose over this one's. A value near 1 means that the object is
+    symmetric or the alignment is a guess; None = there is no other pose."""
 
     def warning(self) -> str:
         """Say what is doubtful; empty if nothing is."""
@@ -189,7 +193,7 @@ def align_points(
 def _settled(
     candidates: list[Candidate], part: Surface, target: Target
 ) -> tuple[Candidate, float | None]:
-    """Return the best candidate, and the cost of the next over its own; None = no next.
+    """Return the best candidate, and the cost of the next best over its own; None = only one.
 
     Args:
         candidates: of the search.
@@ -206,7 +210,7 @@ def _settled(
 
 
 def _tried_beside(start: Candidate, part: Surface, target: Target) -> Candidate:
-    """Align from scales and places beside a candidate too, again from the best while that helps."""
+    """Refine from scales and positions beside a candidate; repeat from the best while it helps."""
     middle = part.points.mean(axis=0)
     _, axes = np.linalg.eigh(np.cov(part.points.T))
     shift = _SHIFT * np.ptp(part.points @ axes, axis=0).max() * axes.T
@@ -226,7 +230,7 @@ def _cost(candidate: Candidate) -> float:
 
 
 def _evened(colors: FloatArray) -> FloatArray:  # [n, 3]
-    """Bring colours to a common brightness; black stays black."""
+    """Scale colours to a common brightness; black stays black."""
     return colors * (_GREY / max(float(np.sqrt((colors**2).mean())), 1e-6))
 
 
@@ -242,7 +246,7 @@ def evenly_spread(
         points: to choose from.
         count: most rows.
         rng: draws the order.
-        looked_at: of more points, so many are looked at, chosen at random.
+        looked_at: of more points than this, so many are drawn at random first.
 
     Raises:
         UserError: there are too few points, or they have no extent.
@@ -268,7 +272,7 @@ def evenly_spread(
 
 
 def diameter(points: FloatArray) -> float:  # [n, 3]
-    """Return nearly the largest distance between two points: from one to its farthest, thrice."""
+    """Return about the largest distance between two points, by three hops to the farthest point."""
     at, largest = points.mean(axis=0), 0.0
     for _ in range(4):
         distance = np.linalg.norm(points - at, axis=1)

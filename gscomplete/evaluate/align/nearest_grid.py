@@ -3,8 +3,8 @@
 Conventions
 -----------
 * A cloud lies in ``[-1/2, 1/2]``^3; the cube reaches ``REACH`` to either side along every axis.
-* Cells know the mean of the points in the nearest cell that holds any. So a look-up errs by about
-  a cell; places outside the cube are moved onto its boundary first.
+* Every cell refers to the mean of the points in the nearest cell that holds any. So a look-up is
+  accurate to about a cell. Places outside the cube are first moved onto its boundary.
 """
 
 from __future__ import annotations

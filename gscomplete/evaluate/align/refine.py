@@ -3,12 +3,15 @@
 Conventions
 -----------
 * Candidates as in ``search``: part to complete cloud, in the latter's normalised frame.
-* Pairs are nearest in place, normal and colour together: the rim of a thin plate finds a rim and
-  not the plate's faces, a stripe finds a stripe. Normals have no sign; their outer products count.
+* Partners are nearest in position, normal and colour together: the rim of a thin plate finds a rim
+  rather than the plate's faces, and a stripe finds a stripe. Normals have no sign, so their outer
+  products are compared.
 * Only the part's points have partners: what the part lacks of the complete object costs nothing.
-  A cost is the mean distance of all pairs, the farthest cut off, in the complete cloud's frame.
-* Residuals are taken along normals, so that flat surface slides over itself whatever the sampling,
-  and to a smaller share (``point_share``) from point to point, so that colours can move it.
+  The cost is the mean distance of all pairs, each at most ``_FARTHEST``, in the complete cloud's
+  frame.
+* Residuals are point-to-plane, so that a flat surface can slide along itself however it is sampled,
+  plus a small share (``point_share``) of point-to-point residuals, through which colours can move
+  it.
 """
 
 from __future__ import annotations
@@ -23,19 +26,21 @@ from gscomplete.evaluate.align.nearest_grid import FloatArray
 from gscomplete.splats.neighbourhood import normals_of
 
 _NORMAL_LENGTH, _COLOR_LENGTH = 0.035, 0.05
-"""Lengths that normals at right angles (over the root of 2), and black and white, are apart."""
+"""Lengths that differences stand for: of perpendicular normals (times the root of 2), and of black
+and white."""
 _FARTHEST = 0.06
-"""Distance in place, normal and colour beyond which a pair costs no more."""
+"""Largest distance of a pair, in position, normal and colour, that counts."""
 _AS_GOOD = 1.02
-"""Cost over the lowest met up to which a later step is the better one: samplings differ so."""
+"""A later step replaces the best one if its cost is at most this many times as large: costs vary as
+much with the sampling."""
 _KERNEL = 3.0
-"""Pairs fade beyond so many medians of their distance."""
+"""Pairs farther apart than so many median distances get a decreasing weight."""
 _LARGEST_GROWTH = 0.2
-"""Of the scale's logarithm in one step."""
+"""Largest change of the log scale in one step."""
 _LARGEST_GAIN_STEP = 1.5
-"""Factor of the brightness in one step."""
+"""Largest factor on the brightness in one step."""
 _NEIGHBOURS = 10
-"""Points that a normal is fitted to, itself among them."""
+"""Points that a normal is fitted to, the point itself among them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,12 +63,12 @@ class Candidate:
         return (points - self.translation) @ self.rotation / self.scale
 
     def beside(self, place: FloatArray, offset: FloatArray, growth: float) -> Candidate:
-        """Return the candidate that takes a place of the part to where ``place + offset`` lies.
+        """Return the candidate with a changed position and scale.
 
         Args:
-            place: of the part, which growth leaves where it is.
+            place: point of the part that the change of scale leaves fixed.
             offset: shift, in the part's frame.
-            growth: factor of the scale.
+            growth: factor on the scale.
         """
         at = self.apply((place + offset)[None])[0]
         scale = growth * self.scale
@@ -85,7 +90,7 @@ class Surface:
 
 
 def surface_of(points: FloatArray, colors: FloatArray | None = None) -> Surface:  # [n, 3] both
-    """Fit a normal to every point's neighbourhood; without colours all are of one."""
+    """Fit a normal to every point's neighbourhood; without colours all points get the same one."""
     _, near = cKDTree(points).query(points, k=min(_NEIGHBOURS, len(points)))
     normals = normals_of(points[near])
     return Surface(points, normals, np.ones_like(points) if colors is None else colors)
@@ -106,7 +111,7 @@ class Target:
     def refine(
         self, start: Candidate, part: Surface, iterations: int, point_share: float = 0.3
     ) -> Candidate:
-        """Take ICP steps from a candidate; return the last one met that is as good as any."""
+        """Take ICP steps from a candidate; return the last one about as good as the best."""
         current, best, lowest = start, start, np.inf
         for step in range(iterations + 1):
             moved = current.apply(part.points)
@@ -128,7 +133,7 @@ class Target:
 
 
 def _joint(points: FloatArray, normals: FloatArray, colors: FloatArray) -> FloatArray:  # [n, 12]
-    """Return places whose distances count place, normal (without sign) and colour."""
+    """Return vectors whose distances combine position, normal (without sign) and colour."""
     x, y, z = normals.T
     root = np.sqrt(2.0)
     outer = np.stack([x * x, y * y, z * z, root * x * y, root * x * z, root * y * z], axis=1)

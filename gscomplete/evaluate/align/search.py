@@ -4,12 +4,12 @@ Conventions
 -----------
 * Two clouds in their own normalised frames (``nearest_grid``): ``part`` and ``complete``. A
   candidate maps the first to the second: ``x -> scale * rotation @ x + translation``.
-* Pairs of both directions count: of the part's points to the complete cloud the nearest 90 %, and
-  of the complete cloud's to the part the nearest ``covered`` share, which is how much of it a part
-  is taken to hold. The second kind keeps a part from shrinking into a spot of the complete cloud,
-  where everything is near.
-* Scales are those of Horn's symmetric form, the ratio of the two spreads: with one-sided least
-  squares, wrong pairs shrink.
+* Pairs of both directions count: the nearest 90 % of those from the part to the complete cloud, and
+  the nearest ``covered`` share of those from the complete cloud to the part, the share that the
+  part is assumed to cover. The second kind keeps the part from shrinking into a small region of the
+  complete cloud, where everything is near.
+* Scales follow Horn's symmetric form, the ratio of the two spreads: with one-sided least squares,
+  wrong pairs would shrink the scale.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from gscomplete.evaluate.align.nearest_grid import CELLS, REACH, FloatArray, Nea
 from gscomplete.splats.rotations import matrix_rows
 
 KEPT = 0.9
-"""Share of the part's points that pairs are made of: what another system left out has none."""
+"""Share of the part's points that pairs are made of; the result may lack the rest of the part."""
 
 
 def even_rotations(count: int) -> FloatArray:  # [count, 3, 3]
