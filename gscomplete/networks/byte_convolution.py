@@ -1,12 +1,13 @@
-"""Convolutions in 8 bits and what feeds them, for processors that multiply bytes (VNNI).
+"""Convolutions in 8 bits, and the quantised SiLU of a group norm that feeds them (VNNI).
 
 Conventions
 -----------
-* Weights are bytes of one scale per output channel, as they are stored. What a convolution sees is
-  SiLU of normalised features, in bytes of one step and one zero point per call: SiLU is never below
-  ``SILU_MIN``, and its largest value follows from the channels' extremes, so nothing is clipped.
-* Sums are of integers, hence exact; features between convolutions are float32. Results do not
-  depend on threads: one thread adds up all features of an item of the batch.
+* Weights are bytes with one scale per output channel, as they are stored. The input of a
+  convolution is the SiLU of normalised features, in bytes with one step and one zero point per
+  call. SiLU is never below ``SILU_MIN``, and its largest value follows from the channels' extremes,
+  so nothing is clipped.
+* Sums are over integers and therefore exact; features between convolutions are float32. Results do
+  not depend on the number of threads: one thread sums all features of an item of the batch.
 * Features are [N, C, ...] of two or three dimensions in channels-last memory; kernels see them as
   [N, cells, C].
 """
@@ -27,16 +28,16 @@ from gscomplete.util.kernels import HELPER, KERNEL, run_kernel
 SILU_MIN = -0.2784645
 """The least value of x * sigmoid(x), at x = -1.278."""
 FAST: dict[str, Any] = {"fastmath": {"contract", "nsz", "arcp", "reassoc", "afn"}}
-"""Liberties of kernels whose results are rounded to a byte or to bfloat16."""
+"""Compiler options of kernels whose results are rounded to a byte or to bfloat16 anyway."""
 CHANNELS_LAST = {2: torch.channels_last, 3: torch.channels_last_3d}
-"""Memory of features of so many dimensions."""
+"""Memory format by the number of spatial dimensions."""
 _STEPS = 255.0
 _SMALLEST_STEP = 1e-6
-"""Of features that are zero everywhere."""
+"""Least step of the bytes, used if all features are zero."""
 _ROWS = 64
-"""Cells whose features are added up in float32 before their sums are added in float64."""
+"""Cells whose features are summed in float32 before their sums are added in float64."""
 _SMALL_FEATURES = 50_000
-"""Features that handing to another thread takes the time of."""
+"""Fewest features for which handing work to another thread saves time."""
 
 # exp(-x) on [0, 16] as the 32nd power of a polynomial on [0, 0.5]; relative error below 2e-6, bytes
 # keep 4e-3 of the largest value.
@@ -64,7 +65,7 @@ def norm_lines(
     shift: Any,
     tops: Any,  # [N] float64, written: the largest feature after them, at least 0
 ) -> None:
-    """Find the factor and the term of every channel of a group norm, and what they reach."""
+    """Compute the scale and shift of every channel of a group norm, and the largest result."""
     count, channels = features.shape[1], features.shape[2]
     width = channels // groups
     part = np.empty((2, channels), np.float32)
@@ -190,7 +191,7 @@ def normalised_silu(
 
 
 class ByteConvolution:
-    """A convolution of bytes, 3 cells wide, with the weights of one of floats."""
+    """A convolution in 8 bits, 3 cells wide, made from a floating-point convolution."""
 
     def __init__(self, given: nn.Conv2d | nn.Conv3d) -> None:
         """Quantise the weights, one scale per output channel."""
@@ -224,7 +225,7 @@ class ByteConvolution:
         return result.sub_(self._answer_to_ones(values), alpha=step * zero)
 
     def _answer_to_ones(self, values: Tensor) -> Tensor:  # [N, C, ...] -> [1, O, ...]
-        """Return what the weights make of ones: beyond the border there are none."""
+        """Return the convolution of an input of ones, with zeros beyond the border."""
         size = tuple(values.shape[2:])
         if size not in self._of_ones:
             with torch.autocast("cpu", enabled=False):

@@ -27,8 +27,8 @@ from gscomplete.util.atomic import atomic_path
 
 LAYERS = 3
 _ROWS = 16
-"""Of a product: with a hundred columns and units far below the 262,144 multiplications from which
-on OpenBLAS starts threads."""
+"""Rows of one product. With a hundred columns and units it has far fewer than the 262,144
+multiplications from which on OpenBLAS starts threads."""
 _FARTHEST = 60.0
 """Beyond it a logistic function is 0 or 1 in float32."""
 
@@ -57,7 +57,7 @@ class Perceptron:
         return np.ascontiguousarray(scores, dtype=np.float32)
 
     def digest(self) -> str:
-        """Name the weights: data made with other ones is other data."""
+        """Return a digest of the weights, which identifies data sets that were made with them."""
         return hashlib.sha256(save(self.tensors)).hexdigest()[:12]
 
     def save(self, path: Path) -> None:

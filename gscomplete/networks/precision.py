@@ -1,4 +1,4 @@
-"""In which numbers networks run, by what the device multiplies itself."""
+"""The number format that networks run in, by what the device multiplies in hardware."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Precision = Literal["auto", "int8", "bfloat16", "float32"]
 
 
 def is_bfloat16(precision: Precision, device: torch.device) -> bool:
-    """Whether a network, or what of it is not of bytes, runs in bfloat16 on a device."""
+    """Whether a network, except for its 8-bit layers, runs in bfloat16 on a device."""
     return precision == "bfloat16" or (precision != "float32" and multiplies_bfloat16(device))
 
 
@@ -21,14 +21,14 @@ def is_in_bytes(precision: Precision) -> bool:
 
 
 def multiplies_bfloat16(device: torch.device) -> bool:
-    """Whether a device multiplies bfloat16 itself; emulated, it is slower than float32."""
+    """Whether a device multiplies bfloat16 in hardware; emulated, it is slower than float32."""
     if device.type == "cpu":
         return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())
     return device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)
 
 
 def multiplies_bytes() -> bool:
-    """Whether the CPU multiplies bytes itself and PyTorch has convolutions of them."""
+    """Whether the CPU multiplies bytes in hardware and PyTorch has 8-bit convolutions."""
     return (
         torch.backends.mkldnn.is_available()
         and bool(getattr(torch.cpu, "_is_vnni_supported", bool)())

@@ -82,9 +82,9 @@ class PriorViews:
 
 
 RescaleCenter = Literal["zero", "background"]
-"""``zero``: of the images as the model has them, as published (Lin et al. 2023): what is pulled
-towards it is the background too, and splats answer with fog. ``background``: the colour behind the
-renders, which then stays as it is."""
+"""The value about which guidance rescale reduces contrast. ``zero``: zero in the model's own
+images, as published (Lin et al. 2023); it also pulls the background towards zero, and splats
+imitate that with fog. ``background``: the colour behind the renders, which then stays as it is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,15 +99,15 @@ class Guidance:
     input_scale: float = 1.0  # unused by priors that cannot see the input, and without input
     rescale: float = 0.0  # 0 to 1: pull the contrast back to the conditional image's
     rescale_about: RescaleCenter = "zero"
-    """What contrast is the distance from. ``background`` is heeded by priors that see colours alone
-    (latent diffusion models); those that see alpha have no background."""
+    """The value that contrast is measured from. ``background`` applies to priors that see only
+    colours (latent diffusion models); priors that see alpha have no background."""
 
 
 def prior_identity(prior: Prior) -> str | dict[str, Any]:
-    """Return what of a prior decides a run's result, as JSON values.
+    """Return everything about a prior that decides a run's result, as JSON values.
 
-    A prior may say it by an attribute ``identity`` (digest of its weights, its knobs); for others
-    it is the name.
+    A prior may provide it as an attribute ``identity`` (digest of its weights, its knobs); for
+    other priors it is the name.
     """
     identity = getattr(prior, "identity", None)
     return prior.name if identity is None else {"name": prior.name, **to_json(identity)}
@@ -206,12 +206,12 @@ class Prior(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class FirstGuess:
-    """What a prior guesses to be missing."""
+    """A prior's guess of what is missing."""
 
     splats: Splats
-    """In the object frame, where P has none."""
+    """New splats in the object frame, where P has none."""
     notes: tuple[str, ...]
-    """How it came about, for the user."""
+    """How the guess was made, for the user."""
 
 
 @runtime_checkable
@@ -234,13 +234,13 @@ class ShapePrior(Protocol):
 
         Args:
             partial: P in the object frame.
-            distribution: V: what its views find empty stays empty.
+            distribution: V; space that its views show to be empty stays empty.
             conditioning: from ``condition`` of the same prior.
             generator: chooses where splats sit.
-            count: most splats beside P's own mirrored ones.
-            mirror: the plane of symmetry.
+            count: most splats, not counting P's own mirrored ones.
+            mirror: the plane to mirror P through, or how it is chosen.
             known_shapes: whether known shapes of the prompt's noun may help.
-            prompt_decides: whether the one that suits P best is the guess.
+            prompt_decides: whether the known shape that suits P best is taken as the guess.
 
         Returns:
             None if these weights cannot guess; no splats if nothing seems to be missing.
@@ -250,7 +250,7 @@ class ShapePrior(Protocol):
     def likely_mirrors(
         self, partial: Splats, distribution: ViewDistribution, conditioning: Conditioning
     ) -> tuple[ChosenMirror, ...]:
-        """Return planes of symmetry that differ, the likeliest first, then the cut, none at last.
+        """Return mirrors to choose from: planes that differ, the likeliest first; the cut; "none".
 
         Args:
             partial: P in the object frame.
@@ -265,7 +265,7 @@ class ShapePrior(Protocol):
 
 @runtime_checkable
 class KnowsShapes(Protocol):
-    """A prior that a known shape of the prompt's noun can be shown to in the place of P."""
+    """A prior that can be shown a known shape of the prompt's noun in the place of P."""
 
     def with_known_shape(
         self, conditioning: Conditioning, partial: Splats, distribution: ViewDistribution
@@ -274,7 +274,7 @@ class KnowsShapes(Protocol):
 
         Args:
             conditioning: from ``condition`` of the same prior.
-            partial: P in the object frame, which the shape is placed by.
+            partial: P in the object frame, to which the shape is fitted.
             distribution: V.
 
         Returns:

@@ -64,7 +64,7 @@ def in_words(counts: dict[str, int]) -> str:
 
 
 def near_rows(splats: Splats) -> tuple[Tensor, dict[str, int]]:  # [N] bool
-    """Mark the splats that are not far outside the others: all but floaters, in a sound file.
+    """Mark the splats that are not far outside the others; in a sound file, all but floaters.
 
     Args:
         splats: at least one, all finite.

@@ -1,4 +1,4 @@
-"""What the neighbours of a point tell of its surface: the normal, and whether it ends there."""
+"""The surface about a point, from the point's neighbours: its normal, and whether it ends there."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ ON_RIM = 0.5
 
 
 def one_sidedness(ways: NDArray[np.floating]) -> NDArray[np.floating]:  # [N, K, 3] -> [N]
-    """Say how much of the ways from points to their neighbours leads to one side.
+    """Return how much the neighbours of points lie to one side.
 
     Args:
-        ways: from each of N points to its K nearest neighbours.
+        ways: offsets from each of N points to its K nearest neighbours.
 
     Returns:
-        The length of the mean way as a share of the mean length: near 0 within a surface, about 0.5
-        at a straight rim, and up to 1 beyond it. 0 without neighbours.
+        The length of the mean offset over the mean length of the offsets: near 0 within a surface,
+        about 0.5 at a straight rim, up to 1 beyond it, and 0 without neighbours.
     """
     if ways.shape[1] == 0:
         return np.zeros(len(ways), ways.dtype)
@@ -28,7 +28,7 @@ def one_sidedness(ways: NDArray[np.floating]) -> NDArray[np.floating]:  # [N, K,
 def normals_of(
     neighbours: NDArray[np.float64],  # [N, K, 3]
 ) -> NDArray[np.float64]:  # [N, 3]
-    """Return unit normals, of either sign: the ways that neighbours vary least along.
+    """Return unit normals, of either sign: the directions along which neighbours vary least.
 
     Args:
         neighbours: the K nearest points of each of N places.

@@ -1,10 +1,10 @@
-"""Slits between the samples of a scan, closed by samples in between.
+"""Slits between the samples of a scan, closed by additional samples.
 
-A depth image's pixels stand apart wherever the surface leans away from the camera, the more so as
-depths come in steps: from any other side P is open between them. Two samples belong to one surface
-where they are near each other, no other lies between, and the camera sees next to no gap: they are
-neighbours in its picture, or nearly so and the line from one to the other runs along the surface.
-Where it sees a gap there is one, as between the bars of a rack.
+Where a surface leans away from the camera, the samples of neighbouring pixels are far apart in
+space, all the more because depths are quantised; seen from another side, P has slits between them.
+Two samples belong to one surface if they are near each other, no other sample lies between, and the
+camera sees hardly any gap: they are neighbours in its picture, or nearly so and the line between
+them runs along the surface. A gap that the camera does see is real, as between the bars of a rack.
 
 Conventions
 -----------
@@ -28,30 +28,35 @@ from gscomplete.util.nearest import query_nearest
 FloatArray = NDArray[np.float64]
 
 _ROUND = 0.5
-"""Of a sample's standard deviations the least is at least this share of the largest ..."""
+"""P is a scan if its splats are round, the smallest standard deviation being at least this share of
+the largest, ..."""
 _EVEN_QUANTILES, _MOST_UNEVEN = (0.05, 0.95), 2.2
-"""... and these quantiles of their distances from each other differ by this factor at most: of 11
-captures and scans of SplatComplete-open by 1.1 to 2.0. Trained captures have 22 and more."""
+"""... and evenly spaced: these quantiles of the distances between neighbours differ by at most this
+factor. It is 1.1 to 2.0 for 11 captures and scans of SplatComplete-open, and at least 22 for
+trained captures."""
 _FEWEST = 100
 _NEIGHBOURS = 32
 _LEAST, _MOST = 1.3, 5.0
-"""Samples nearer than the first leave no slit; depth steps are seldom larger than the second."""
+"""Least and largest distance of samples with a slit between them: nearer ones leave no slit, and
+steps in depth are seldom larger."""
 _LARGEST = 0.05
-"""In sides of P's box; wider slits may be gaps of the object."""
+"""Largest width of a slit, in sides of P's box; wider ones may be gaps of the object."""
 _BESIDE, _NEARLY_BESIDE = 1.5, 2.5
-"""Neighbours in the camera's picture are this far apart across its rays, at most; others this."""
+"""Largest distance across the camera's rays of neighbours in its picture, and of near
+neighbours."""
 _ALONG = 0.5
-"""Cosine between a line along the surface and the surface's normal, at most ..."""
+"""A line runs along the surface if the cosine between it and the normal is at most this ..."""
 _PARALLEL = 0.7
-"""... and between the normals at its ends, at least."""
+"""... and that between the normals at its ends at least this."""
 _BETWEEN = 0.98
 _COVERED = 0.7
-"""From this opacity on a place between samples counts as covered."""
+"""A place between samples is covered from this opacity on."""
 _COVERING = 8
-"""Nearest samples that are asked."""
+"""Nearest samples that this opacity is summed over."""
 _APART = 0.85
 _SIGMA = 0.5
-"""A sample's standard deviation: .6 closes no more and changes P's pictures by a quarter more."""
+"""Standard deviation of a new sample; .6 closes no more and changes P's pictures by a quarter
+more."""
 _COLOR_NEIGHBOURS = 4
 
 
@@ -74,11 +79,11 @@ def slit_splats(
     partial: Splats,
     eye: FloatArray,  # [3] in the frame of P
 ) -> Splats:
-    """Return the samples that close P's slits; none where P is no scan.
+    """Return the samples that close P's slits; none if P is not a scan.
 
     Args:
         partial: P.
-        eye: where P was scanned from, about.
+        eye: approximate position that P was scanned from.
     """
     nothing = partial.with_sh_degree(0).select(torch.arange(0))
     samples = _samples_of(partial)
@@ -93,7 +98,7 @@ def slit_splats(
 
 
 def _samples_of(partial: Splats) -> _Samples | None:
-    """Return P's splats where they are samples of a scan: round and evenly spaced."""
+    """Return P's splats if they are samples of a scan, round and evenly spaced; None if not."""
     if len(partial) < _FEWEST:
         return None
     scales = partial.scales
@@ -114,7 +119,7 @@ def _ends(
     samples: _Samples,
     eye: FloatArray,  # [3]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:  # [S], [S]
-    """Return the pairs of samples that a slit is between."""
+    """Return the pairs of samples with a slit between them."""
     points, spacing = samples.points, samples.spacing
     longest = min(_MOST * spacing, _LARGEST * float(np.ptp(points, axis=0).max()))
     is_near = (samples.distance > _LEAST * spacing) & (samples.distance <= longest)
@@ -168,7 +173,7 @@ def _opacity_at(
     partial: Splats,
     tree: cKDTree,
 ) -> FloatArray:  # [M]
-    """Return the sum of opacities of P's splats, taken for balls, at places."""
+    """Return the sum of the opacities of P's splats at places, as if they were balls."""
     distance, index = query_nearest(tree, points, range(1, _COVERING + 1))
     sigmas = partial.scales.double().mean(dim=1).clamp_min(1e-12).numpy()[index]
     falloff = np.exp(-0.5 * (distance / sigmas) ** 2)
@@ -183,7 +188,7 @@ def _thinned(points: FloatArray, side: float) -> FloatArray:  # [M, 3] -> [K, 3]
 
 
 def _like(partial: Splats, points: FloatArray, samples: _Samples) -> Splats:
-    """Return samples like P's in the colours of those about them."""
+    """Return splats of the samples' size, in the colours of the samples about them."""
     distance, index = query_nearest(samples.tree, points, range(1, _COLOR_NEIGHBOURS + 1))
     weights = 1 / (distance + 1e-3 * samples.spacing)
     weights /= weights.sum(axis=1, keepdims=True)

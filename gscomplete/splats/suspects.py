@@ -1,7 +1,8 @@
 """Mark splats that can be drawn but are probably not of the object's surface.
 
-* ``floaters``: fewer than eight others are near. Near is what is as near as in the dense part of
-  the set, times ``floater_spacings``, or within three standard deviations of both splats.
+* ``floaters``: fewer than eight other splats are near. A splat is near if its distance is at most
+  ``floater_spacings`` times what is usual in the dense part of the set, or if both splats reach
+  each other within three standard deviations.
 * ``giants``: larger than a share of the object.
 * ``haze``: large and nearly transparent.
 * ``needles``: long and far thinner.
@@ -35,12 +36,13 @@ Reason = Literal["floaters", "giants", "haze", "needles"]
 FEWEST = 100
 """Smaller sets have no suspects."""
 DOUBTFUL_SHARE = 0.01
-"""From this share of a set on, a result made of it is doubtful."""
+"""If a set has at least this share of suspects, a result made from it is doubtful."""
 _NEIGHBOURS = 8
 _REACH_SIGMAS = 3.0
 """A splat is drawn up to about this many standard deviations from its centre."""
 _DENSE_QUANTILE = 0.05
-"""The dense part of a set: an object is found among nineteen times as many floaters."""
+"""Quantile of distances that stands for the dense part of a set; so an object is still found among
+nineteen times as many floaters."""
 _MOST_SAMPLED = 10_000
 _MOST_CELLS = 1 << 20
 """Cells of the grid along an axis: three numbers of a cell fit into 64 bits."""
@@ -50,11 +52,11 @@ _FARTHEST = 1e3
 
 @dataclass(frozen=True, slots=True)
 class SuspectLimits:
-    """Where a splat stops being usual."""
+    """Thresholds beyond which a splat is suspect."""
 
     floater_spacings: float = 4.0
-    """Distance to the eighth neighbour from which a splat is on its own, in multiples of that in
-    the dense part. On an evenly covered surface it is at most 2.5."""
+    """A splat is a floater if its eighth neighbour is farther than this many times the usual
+    distance in the dense part. On an evenly covered surface the ratio is at most 2.5."""
     giant_size: float = 0.25
     """Standard deviation of a giant, share of the extent."""
     haze_size: float = 0.05
@@ -94,7 +96,7 @@ def suspect_counts(masks: Mapping[Reason, Tensor]) -> dict[Reason, int]:
 
 
 def describe_suspects(splats: Splats) -> tuple[str, ...]:
-    """Tell which suspects a set has so many of that what is made of it is doubtful.
+    """Tell which kinds of suspects are so many that a result made from the set is doubtful.
 
     Args:
         splats: P that can be drawn, in any frame.

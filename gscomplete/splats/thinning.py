@@ -1,8 +1,8 @@
 """Fewer splats that show nearly the same, widths grown to match; and fewer rows of an array.
 
-Splats are put in order along a space-filling curve, which keeps neighbours together, and one is
-drawn of every run of them: a third of the splats of a ball shows it at 30.9 dB, a third drawn at
-random, whose holes show what lies behind, at 28.6.
+Splats are ordered along a space-filling curve, which keeps neighbours together, and one is drawn
+from every run of them. A third of a ball's splats chosen so shows it at 30.9 dB; a third drawn at
+random leaves holes through which one sees what lies behind, and shows it at 28.6 dB.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from torch import Tensor
 from gscomplete.splats.record import Splats
 
 _LEVELS = 2**20
-"""Steps along each axis that places are told apart by."""
+"""Steps that positions are quantised to along each axis."""
 _SPREADS = (
     (32, 0x001F00000000FFFF),
     (16, 0x001F0000FF0000FF),

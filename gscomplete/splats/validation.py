@@ -63,7 +63,7 @@ class ValidationReport:
 
 @dataclass(frozen=True, slots=True)
 class ValidationLimits:
-    """Where a value stops being normal."""
+    """Thresholds beyond which a value is reported."""
 
     quaternion_tolerance: float = 1e-3
     """Largest difference of a quaternion's length from 1 that counts as unit."""

@@ -1,9 +1,9 @@
-"""Which splats of P take part in the optimisation. The output has them all, whatever this says.
+"""Which splats of P take part in the optimisation. The output always has all of them.
 
-Left out are splats that cannot be drawn (not finite, far too large), a few strays far outside the
-object, which would pass for parts of it, and of very large inputs an even choice is drawn with
-widths grown to match: at the resolutions priors see, millions of splats cost time and change
-nothing.
+Splats that cannot be drawn (not finite, far too large) are left out, and so are a few strays far
+outside the object, which would pass for parts of it. Of very large inputs an even choice is drawn,
+with widths grown to match: at the resolutions that priors see, millions of splats cost time and
+change nothing.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ from gscomplete.splats.transform import Similarity
 from gscomplete.util.randomness import generator_for
 
 _FAR = 1.0
-"""Along any axis, object sizes from the object frame's origin: twice as far as its box reaches."""
+"""Splats farther than this from the object frame's origin along any axis are strays, object sizes;
+it is twice as far as the frame's box reaches."""
 _MOST_STRAYS = 0.02
-"""Where more than this share is so far away, P has parts there, and all takes part."""
+"""If a larger share is so far away, they are parts of P, and all splats take part."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +39,7 @@ class WorkingSet:
 
     @property
     def stands_for(self) -> str:
-        """Whose appearance is measured and drawn where these splats are."""
+        """Say in words which splats are measured and drawn: all of P, or a choice of them."""
         if not self.thinned:
             return "P"
         return f"{len(self.splats):,} splats that stand for P's {self.total:,}"

@@ -39,18 +39,19 @@ KERNEL: dict[str, Any] = {
     "error_model": "numpy",
     "no_cfunc_wrapper": True,
 }
-"""Of functions that Python calls."""
+"""Numba options of functions that Python calls."""
 
 HELPER: dict[str, Any] = {
     "error_model": "numpy",
     "no_cfunc_wrapper": True,
     "no_cpython_wrapper": True,
 }
-"""Of functions that only kernels call. They compile in two thirds of the time when Python cannot
-call them and the disk does not keep them."""
+"""Numba options of functions that only kernels call. Without wrappers for Python, and not cached on
+the disk, they compile in two thirds of the time."""
 
 _RUNS_PER_THREAD = 8
-"""Runs that a kernel's tasks are cut into: a thread that is held up leaves the rest to others."""
+"""Runs per thread that a kernel's tasks are cut into, so that other threads can take over the rest
+from one that is held up."""
 
 
 class _Job:
@@ -147,7 +148,7 @@ def run_kernel(kernel: Callable[..., None], count: int, grain: int, *arguments: 
     Args:
         kernel: a ``nogil`` kernel that does the tasks from ``first`` up to ``last``.
         count: number of tasks.
-        grain: fewest tasks that are handing to another thread takes the time of.
+        grain: fewest tasks for which handing work to another thread saves time.
         arguments: what the kernel is given besides.
     """
     if not getattr(kernel, "overloads", True):

@@ -1,4 +1,4 @@
-"""Operations of PyTorch that round as the threads divide the work, here with one rounding for all.
+"""PyTorch operations whose rounding depends on the number of threads, here with a fixed rounding.
 
 Conventions
 -----------
@@ -8,8 +8,8 @@ Conventions
 * Processors that multiply tiles (AMX) add up the long sums of a matrix product in as many parts as
   there are threads, where the product itself is too small to be shared out.
 * Sigmoids, SiLUs, softmaxes over the first dimension and fractional powers of 32,768 elements and
-  more are safe only in one thread: the last elements of every thread's part are rounded in another
-  way than those before them. Exponentials, logarithms and arithmetic are safe.
+  more are safe only in one thread: the last elements of every thread's part are rounded differently
+  from those before them. Exponentials, logarithms and arithmetic are safe.
 """
 
 from __future__ import annotations

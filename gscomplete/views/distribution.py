@@ -5,8 +5,8 @@ Conventions
 * Angles in degrees in the object frame: azimuth 0 looks from +x, 90 from +y; positive elevation
   looks down (see ``cameras``). Azimuths returned here are not wrapped to a period.
 * A distribution is uniform in azimuth and in elevation about the input view c.
-* c itself stands at ``MAX_ELEVATION_DEG`` at most, and views that would lie nearer to a pole turn
-  back as far: a view never crosses a pole, and many do not share one elevation.
+* c is at most at ``MAX_ELEVATION_DEG``. Views beyond this elevation are reflected back by as much,
+  so that no view crosses a pole and views do not pile up at one elevation.
 * Random views are a function of (seed, step): a resumed run draws what the first would have drawn.
 """
 
@@ -44,13 +44,13 @@ FOV_DEG = 40.0
 _PHILOX_STREAM = 0x5649455753
 """Second key word of the generator, so that views share no random numbers with other uses."""
 _FIRST_MEASURED_VIEW = 20_000
-"""Place in the sequence of V's views from which on they are for measuring."""
+"""Views of V's sequence are used for measuring from this index on."""
 _ROOM = 0.75
-"""Object sizes to every side of the target that the usual cameras show, with a margin."""
+"""Distance from the target up to which the usual cameras show everything, object sizes."""
 _STRAYS = 0.001
 """Share of points at either end of an axis that pictures need not show."""
 _LARGEST = 4.0
-"""Pictures are taken from at most so many times V's distance."""
+"""Pictures are taken from at most this many times V's distance."""
 _SIDES = (0.0, -0.6, 0.6)
 """Azimuths of c and of views to both sides of it, in ranges of V about c."""
 _MAX_SIDE_ELEVATION_DEG = 80.0
@@ -122,9 +122,9 @@ class ViewDistribution:
         return self._place((0.5 + index * steps) % 1.0)
 
     def measured(self, count: int) -> Angles:
-        """Return ``count`` evenly spread views of V for measuring: none that anything is fitted to.
+        """Return ``count`` evenly spread views of V for measuring, to which nothing is fitted.
 
-        Fitting and checking take places of the sequence far below these.
+        Fitting and checking use indices of the sequence far below these.
         """
         return self.low_discrepancy(count, _FIRST_MEASURED_VIEW)
 
@@ -159,9 +159,10 @@ class ViewDistribution:
         self,
         points: NDArray[np.floating],  # [N, 3]
     ) -> ViewDistribution:
-        """Return the same directions with room for the points, for pictures; self if there is.
+        """Return views from the same directions, far enough away to show the points, for pictures.
 
-        Strays do not count, nor is anything drawn at less than a quarter of its size.
+        The views are returned as they are if they have room. Strays do not count, and the distance
+        grows at most fourfold.
         """
         if not len(points):
             return self
@@ -178,7 +179,7 @@ class ViewDistribution:
         return dataclasses.replace(self, target=(x, y, z), radius=radius)
 
     def sides(self, size_px: int) -> Cameras:
-        """Place cameras at c and to both sides of it, well within V: what they see V sees."""
+        """Place cameras at c and to both sides of it, well within V."""
         azimuths = self.azimuth_deg + np.array(_SIDES) * self.azimuth_range_deg
         limit = _MAX_SIDE_ELEVATION_DEG
         elevations = np.full(len(_SIDES), np.clip(self.elevation_deg, -limit, limit))

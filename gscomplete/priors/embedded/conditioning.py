@@ -1,7 +1,7 @@
-"""What the denoiser is told of an object in words, and of its noun by a known shape.
+"""The denoiser's conditioning: the words of the prompt, and a known shape of its noun.
 
-Words alone say little to a denoiser of this size; a known shape of the noun, drawn without colours
-from the ring's cameras, says where surfaces are, and the words what colours they have.
+To a denoiser of this size words alone say little. A known shape of the noun, drawn without colours
+from the ring's cameras, tells it where surfaces are, and the words tell it their colours.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""What the way P ends says of what it lacks: nothing, its mirror image, or what is to be guessed.
+"""What P lacks, by how its surface ends: nothing, its mirror image, or what has to be guessed.
 
-Whether P was cut along a plane of symmetry is found where P's rim says so beyond doubt
-(``CutPlane.is_symmetric``), or the user says it.
+P counts as cut along a plane of symmetry if its rim leaves no doubt (``CutPlane.is_symmetric``) or
+if the user says so.
 
 Conventions
 -----------
@@ -39,7 +39,7 @@ _SQUARE_CUT_NOTE = (
 
 @dataclass(frozen=True, slots=True)
 class Ending:
-    """How P ends, as far as found or told."""
+    """How P ends, as far as it was found or the user says."""
 
     mirror: Mirror
     """The plane that it is to be mirrored through."""
@@ -52,18 +52,18 @@ class Ending:
     notes: tuple[str, ...] = ()
     """The reason, for the user."""
     features: Features | None = None  # [len(benefit.OF_ENDING)]
-    """What else tells whether P lacks anything; None = that is known, or the user decides."""
+    """Features that tell whether P lacks anything; None = this is known, or the user decides."""
 
 
 def ending_of(
     partial: Splats,
     wish: Mirror,
 ) -> Ending:
-    """Return how P ends, and what follows from it for what it is mirrored through.
+    """Return how P ends, and through which plane it is to be mirrored.
 
     Args:
-        partial: P.
-        wish: what the user says.
+        partial: P in the object frame.
+        wish: the mirror plane that the user asks for, "guess" or "none".
     """
     points = partial.means.double().numpy()
     cut = find_cut(points)
@@ -84,7 +84,7 @@ def features_of_ending(
     cut: CutPlane | None,
     exposure: Exposure,
 ) -> Features:  # [len(OF_ENDING)]
-    """Return what P itself tells of whether it lacks anything (``shape.benefit``)."""
+    """Return the features of P that tell whether it lacks anything; columns as ``OF_ENDING``."""
     of_cut = (0.0,) * 4
     if cut is not None:
         of_cut = (1.0, cut.squareness, float(cut.meets_surface), cut.offset)
@@ -98,12 +98,12 @@ def mirror_of_half(
     cut: CutPlane | None,
     half: HalfCut,
 ) -> MirrorPlane | None:
-    """Return the plane that P ends at, as one half does; None = it ends at none.
+    """Return the plane that P, one half of an object, ends at; None = none is found.
 
     Args:
-        points: P's splats.
-        cut: what ``find_cut`` finds of them.
-        half: what the user says.
+        points: centres of P's splats.
+        cut: the cut that ``find_cut`` finds in them.
+        half: what the user says about the half.
     """
     end = find_end(points, cut, half.toward_deg)
     return None if end is None or abs(end.offset) > 1 else _mirror_through(end)

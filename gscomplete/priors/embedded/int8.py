@@ -1,11 +1,11 @@
-"""The denoiser for processors that multiply bytes in hardware: convolutions in 8 bits.
+"""The denoiser with 8-bit convolutions, for processors that multiply bytes in hardware.
 
 Conventions
 -----------
-* Convolutions of residual blocks and of P's symmetric copies are of bytes
-  (``networks.byte_convolution``), everything else is in bfloat16, as autocast has it, or in float32
-  where the processor does not multiply bfloat16; answers are about twice as far from float32's as
-  bfloat16's are.
+* The convolutions of residual blocks and of P's symmetric copies run in 8 bits
+  (``networks.byte_convolution``). Everything else runs in bfloat16 under autocast, or in float32 if
+  the processor does not multiply bfloat16. Answers differ from float32's about twice as much as
+  those of bfloat16 do.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from gscomplete.priors.embedded.model import (
 from gscomplete.util.kernels import KERNEL, run_kernel
 
 _MAP_ZERO = 127.0
-"""The byte of zero, and steps per unit, of P's map in [-1, 1]: P out of sight is zero exactly."""
+"""Zero point, and steps per unit, of P's map in [-1, 1] in bytes, so that 0 (no P) is exact."""
 _GRAIN = 256
-"""Rows of scores that handing to another thread takes the time of."""
+"""Fewest rows of scores for which handing work to another thread saves time."""
 _LANES = 16
-"""Maxima that are kept side by side: LLVM does not vectorise a single one."""
+"""Maxima that are kept side by side, because LLVM does not vectorise a single one."""
 
 
 class ByteBlock(nn.Module):
-    """A residual block whose convolutions are of bytes."""
+    """A residual block whose convolutions run in 8 bits."""
 
     def __init__(self, block: ResidualBlock) -> None:
         super().__init__()
@@ -57,7 +57,7 @@ class ByteBlock(nn.Module):
 
 
 class ByteCopies(nn.Module):
-    """The convolution of symmetric copies, of bytes: P's map is within [-1, 1]."""
+    """The convolution of P's symmetric copies in 8 bits; P's map is within [-1, 1]."""
 
     def __init__(self, given: CopiesConvolution) -> None:
         super().__init__()
@@ -71,7 +71,7 @@ class ByteCopies(nn.Module):
 
 
 class RememberedText(nn.Module):
-    """A text encoder that keeps its last answer: a run asks with the same words at every step."""
+    """A text encoder that caches its last answer: all steps of a run have the same words."""
 
     def __init__(self, encoder: TextEncoder) -> None:
         super().__init__()
@@ -128,7 +128,7 @@ def attention(query: Tensor, key: Tensor, value: Tensor, mask: Tensor | None) ->
         query: [B, H, Q, D] bfloat16.
         key: [B, H, K, D] bfloat16.
         value: [B, H, K, D] bfloat16.
-        mask: as PyTorch's operation has it, which then does the work; None = all keys.
+        mask: as for PyTorch's operation, which is called if there is one; None = all keys.
 
     Returns:
         [B, H, Q, D].
@@ -146,8 +146,8 @@ def in_bytes(model: FourViewDenoiser, *, bfloat16: bool) -> FourViewDenoiser:
 
     Args:
         model: the denoiser.
-        bfloat16: put the rest into bfloat16; autocast has to be on when it is asked. Else the rest
-            stays in float32.
+        bfloat16: whether the rest is put into bfloat16, which needs autocast when the network is
+            called; otherwise the rest stays in float32.
     """
     model.requires_grad_(False)
     model.add_module("text", RememberedText(model.text))

@@ -84,7 +84,7 @@ class TextEncoder(nn.Module):
         states = words + self.positions[: tokens.shape[1]]
         for layer in self.layers:
             states = layer(states, src_key_padding_mask=~mask)
-        # the layers alone drift towards one constant state for all prompts: words also pass by
+        # Words also bypass the layers, which alone drift to one constant state for all prompts.
         states = (self.norm(states) + self.words_to_states(words)) * mask[..., None]
         pooled = states.sum(1) / mask.sum(1, keepdim=True).clamp(min=1)
         return states, pooled, mask
@@ -114,8 +114,8 @@ class ResidualBlock(nn.Module):
 class JointTransformer(nn.Module):
     """Attention among the tokens of all four views, to the prompt, then an MLP.
 
-    With ``pool`` 2 the keys and values are averaged over 2 x 2 cells: a quarter of the work where
-    tokens are many, and positions are still told apart by the queries.
+    With ``pool`` 2 the keys and values are averaged over 2 x 2 cells. This takes a quarter of the
+    work where tokens are many; queries still distinguish all positions.
     """
 
     def __init__(self, width: int, config: ModelConfig, *, pool: int, with_text: bool) -> None:
@@ -212,7 +212,7 @@ class Level(nn.Module):
 
 
 class CopiesConvolution(nn.Conv2d):
-    """What P would look like turned or mirrored, folded and convolved."""
+    """A convolution over P's turned and mirrored copies (``symmetric_copies``)."""
 
     def __init__(self, width: int) -> None:
         super().__init__(SYMMETRIES * INPUT_CHANNELS * _PATCH**2, width, 3, padding=1, bias=False)
@@ -303,14 +303,15 @@ def fold_cells(images: Tensor) -> Tensor:  # [B, 4, C, S, S] -> [B, 4, 4C, S/2, 
 
 
 def symmetric_copies(cells: Tensor) -> Tensor:  # [B, 4, 20, s, s] -> [B, 4, 140, s, s]
-    """Show every view what P would look like turned by 90, 180, 270 degrees, or mirrored.
+    """Give every view what it would see of P turned by 90, 180 or 270 degrees, or mirrored.
 
-    The views stand 90 degrees apart at one elevation, so a turn of P about the ring's axis only
-    passes the views on, and a mirror image through the upright plane of a view flips that view:
-    exact, and free. Most things are symmetric, so what is missing is often there, elsewhere.
+    The views are 90 degrees apart at one elevation. So turning P about the ring's axis only
+    permutes the views, and mirroring P through the upright plane of a view flips that view: both
+    are exact and cost nothing. Most objects are symmetric, so what is missing is often there
+    elsewhere.
 
     Args:
-        cells: input maps, folded by :func:`fold_cells`; flipped, a cell's columns change places.
+        cells: input maps, folded by :func:`fold_cells`; flipping also swaps the columns of a cell.
     """
     swapped = torch.arange(cells.shape[2]).bitwise_xor(1)
     rows = cells.permute(0, 1, 3, 4, 2)

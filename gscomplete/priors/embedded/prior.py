@@ -58,14 +58,14 @@ from gscomplete.util.same_bits import fixed_sum
 from gscomplete.views import ViewDistribution
 
 DEFAULT_GUIDANCE = Guidance(text_scale=1.0, input_scale=1.0, rescale=0.0)
-"""With P in sight plain conditional denoising is best, and takes a single pass."""
+"""With P in sight plain conditional denoising is best; it takes a single pass."""
 TEXT_ONLY_GUIDANCE = Guidance(text_scale=3.0, input_scale=1.0, rescale=0.5)
-"""Without P the text must decide more."""
+"""Without P the text needs a larger weight."""
 
 
 @dataclass(frozen=True, slots=True)
 class EmbeddedIdentity:
-    """What of the prior decides a run's result."""
+    """Everything about the prior that decides a run's result."""
 
     weights: str
     """Digest of the files."""
@@ -103,8 +103,9 @@ class EmbeddedPrior:
             model: in evaluation mode, or what makes it when it is first asked.
             config: what goes with it.
             device: where it runs.
-            precision: of the networks; ``int8`` = residual blocks in 8 bits on the CPU, the rest in
-                bfloat16 if it multiplies those, too; ``auto`` = the fastest that the hardware has.
+            precision: of the networks. ``int8``: residual blocks in 8 bits on the CPU, the rest in
+                bfloat16 if the CPU multiplies it in hardware. ``auto``: the fastest on this
+                machine.
             shape: in evaluation mode; None = no first guess of the complete object.
             bank: file of known shapes; None = none is known.
         """

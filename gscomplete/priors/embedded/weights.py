@@ -5,9 +5,9 @@ be absent), ``config.json`` what goes with them, and ``CARD.md`` tells people ab
 package's folder also holds ``planes.safetensors``, ``plane_judge.safetensors`` and
 ``answers.safetensors`` (scorers of ``shape.planes``), ``benefit.safetensors`` (``shape.benefit``),
 ``outlines.safetensors`` (``shape.outline``) and ``surface_depth.safetensors``
-(``shape.surface_depth``), which are not read from any other: like the grid, the first two are part
-of what the shape network was trained with. ``shapes.safetensors`` (``shape.bank.store``) is the
-package's, too, where a folder holds none.
+(``shape.surface_depth``). These are always read from the package's folder: like the grid, the first
+two belong to what the shape network was trained with. ``shapes.safetensors`` (``shape.bank.store``)
+is read from the package's folder if a folder has none.
 
 Conventions
 -----------
@@ -75,7 +75,7 @@ class TrainingRecord:
 
 @dataclass(frozen=True, slots=True)
 class ShapeRecord:
-    """All that goes with the weights of the shape network."""
+    """Configuration that belongs to the weights of the shape network."""
 
     model: ShapeModelConfig
     words: tuple[str, ...]
@@ -84,7 +84,7 @@ class ShapeRecord:
 
 @dataclass(frozen=True, slots=True)
 class PriorConfig:
-    """All that goes with the weights."""
+    """Configuration that belongs to the weights."""
 
     format_version: int
     model: ModelConfig
@@ -161,7 +161,7 @@ def save_weights(
 
 @dataclass(frozen=True, slots=True)
 class StoredWeights:
-    """The networks of a folder as they are stored; what is not asked for is never made."""
+    """The stored networks of a folder; a network is built only when it is asked for."""
 
     folder: Path
     config: PriorConfig
@@ -290,9 +290,9 @@ _FILLING = (Tensor.fill_, Tensor.zero_)
 
 
 class _NoInitialValues(TorchFunctionMode):
-    """Parameters made within are not filled: stored values replace them.
+    """Within it, modules do not initialise their parameters, because stored values replace them.
 
-    On PyTorch's meta device they would not be made at all, but its first use takes a second.
+    PyTorch's meta device would serve the same purpose, but its first use takes a second.
     """
 
     def __torch_function__(
