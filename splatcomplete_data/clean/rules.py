@@ -1,17 +1,17 @@
-"""The rules of ``clean``: which splats go, and which rule says so.
+"""The rules of ``clean``, each of which marks splats to be removed.
 
-* ``floaters``, ``giants``, ``haze``, ``needles``: as ``gscomplete.splats.suspects`` has them.
-* ``islands``: what holds little and touches nothing else.
-* ``background``: planes that bear the object (table, floor, wall) and all that is behind them, as
-  ``propose_box`` finds them; only where it is asked for.
+* ``floaters``, ``giants``, ``haze``, ``needles``: as in ``gscomplete.splats.suspects``.
+* ``islands``: small clusters that touch nothing else.
+* ``background``: planes that bear the object (table, floor, wall) and everything behind them, as
+  ``propose_box`` finds them; only on request.
 
 Conventions
 -----------
 * A rule gives a mask of its own; a splat is counted under the first rule that marks it. Nothing is
   changed here.
-* Strength 0 marks nothing but what cannot be drawn, 0.5 has the limits that ``validate`` warns
-  from, 1 the strictest that leave evenly covered surfaces alone. Between them limits change by
-  factors.
+* Strength 0 marks only what cannot be drawn; 0.5 has the limits at which ``validate`` warns; 1 has
+  the strictest limits that still spare evenly covered surfaces. In between limits are interpolated
+  geometrically.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ _STRICT = SuspectLimits(2.6, 0.1, 0.02, 0.25, 0.02, 6.0)
 _ISLAND_SHARES = (3e-4, 3e-3, 3e-2)
 """Largest share of all that an island holds, at strengths 0, 0.5 and 1."""
 _ISLAND_GAP = 0.03
-"""Islands are at least so far from everything else, shares of the extent."""
+"""Least distance of an island from everything else, share of the extent."""
 _REACH_SIGMAS = 1.5
-"""Splats touch what is within so many of their standard deviations."""
+"""Splats touch each other within this many of their standard deviations."""
 _CLIP_QUANTILE = 0.95
-"""Larger splats count as much as those at this quantile."""
+"""Splats with a larger area count as if their area were that at this quantile."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ def clean_rows(
     focus: Focus | None = None,
     option: str = "--strength",
 ) -> Cleaned:
-    """Mark the splats that rules leave.
+    """Mark the splats that remain after the rules are applied.
 
     Args:
         splats: N splats in any frame, those that cannot be drawn among them.
@@ -135,7 +135,7 @@ def _marks(
         mask[~gone] = behind
         marks.append(("background", mask))
         gone = gone | mask
-    if "islands" in rules:  # last: what the others leave alone in the air is one
+    if "islands" in rules:  # last, because the other rules may leave islands behind
         mask = np.zeros(len(drawn), np.bool_)
         if (~gone).any():
             mask[~gone] = islands(drawn.select(torch.from_numpy(~gone)), strength)
@@ -170,7 +170,7 @@ def islands(splats: Splats, strength: float) -> NDArray[np.bool_]:  # [N]
 
 
 def _reach(splats: Splats) -> tuple[NDArray[np.float64], NDArray[np.int64]]:  # [5 N, 3], [5 N]
-    """Return the places that splats reach, and whose they are: centres and ends of long axes."""
+    """Return the points that splats reach (centres, ends of long axes) and the splat of each."""
     order = splats.scales.argsort(dim=1, descending=True)[:, :2]
     axes = rotation_matrices(splats.quaternions).transpose(1, 2)
     along = axes.gather(1, order[:, :, None].expand(-1, -1, 3))

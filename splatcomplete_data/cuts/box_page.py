@@ -1,11 +1,12 @@
-"""Boxes chosen in a browser: a gizmo moves and turns one, sliders size it, what it keeps is shown.
+"""A page on which boxes are chosen: a gizmo moves and turns a box, and sliders set its size.
 
 Conventions
 -----------
-* The page shows the file's own frame, in its units, with the given direction up; browsers draw in
-  float32, so of far coordinates an offset is taken. Boxes are kept in the file's coordinates.
-* Points that the boxes keep have their own colours, the others a pale blue. Counts are of all
-  points; of many, an even choice is drawn.
+* The page shows the file's own frame, in its units, with the given direction up. Browsers draw in
+  float32, so an offset is subtracted from large coordinates. Boxes are kept in the file's
+  coordinates.
+* Points that the boxes keep have their own colours, the others a pale blue. Counts are over all
+  points; of many points an even choice is drawn.
 * What is saved is text, a box a line, as ``--box`` reads it (``boxes.read_boxes``).
 """
 
@@ -68,11 +69,11 @@ class BoxPage:
     path: Path
     """Where they are saved."""
     command: str
-    """What is typed with them, up to ``--box``."""
+    """Start of the command line that uses the boxes, up to ``--box``."""
     told: Callable[[str], object]
-    """Called with that line when they are saved, or with why they are not."""
+    """Called with that command line when boxes are saved, or with the reason why they are not."""
     offset: NDArray[np.float64]  # [3]
-    """What the page's coordinates lack of the file's."""
+    """File coordinates less page coordinates."""
     chosen: int = 0
     """Index of the box that the gizmo moves."""
     controls: dict[str, Any] = field(default_factory=dict)

@@ -42,7 +42,7 @@ _MAX_SCAN_CELLS = 1024
 """Most cells along a side of the image in which splats are looked up."""
 _SCAN_FOV_DEG = 60.0
 _OBJECT_SHARE = 0.995
-"""A scanner's picture is wide enough for this share of the splats: trained ones have floaters."""
+"""Share of the splats that a scanner's picture is wide enough for; the rest may be floaters."""
 _MOST_REACH = 1.0
 """Object sizes from the centre; the corners of the object's box are nearer."""
 FORMS = "plane:AZIMUTH[,OFFSET], box:LX,LY,LZ,HX,HY,HZ or scan:AZ/EL[,AZ/EL...]"
@@ -93,7 +93,7 @@ class ScanCut:
     def apply(self, complete: Splats) -> PartialCut:
         """Return what is kept of splats in the object frame."""
         eyes = self.eyes
-        # one or two cells a splat: a cell holds few
+        # One or two cells per splat, so that each cell holds only a few.
         typical = float(complete.scales.amax(dim=1).median())
         grid = int(np.clip(_SCAN_WIDTH / max(1.3 * typical, 1e-9), 64, _MAX_SCAN_CELLS))
         middle = np.zeros(3)

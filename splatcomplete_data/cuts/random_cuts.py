@@ -41,7 +41,8 @@ _SLIGHT_VIEWS = (3, 6)
 _SLIGHT_PLANE_SHARE = (0.85, 0.98)
 """Share of splats that planes keep."""
 _SLIGHT_FEWEST_SHARE = 0.35
-"""Of a cut that keeps less, everything is kept instead. Of doubled walls, half is out of sight."""
+"""If a cut keeps a smaller share, everything is kept instead. (Of double walls half is out of
+sight.)"""
 _SLIGHT_VIEW_JITTER_DEG = 25.0
 """Largest difference of a view's azimuth from an even spread."""
 _SLIGHT_VIEW_ELEVATION_DEG = (-10.0, 45.0)
@@ -151,7 +152,7 @@ def random_partial(splats: Splats, seed: int, index: int) -> PartialCut:
 
 
 def slight_partial(splats: Splats, seed: int, index: int) -> PartialCut:
-    """Take little or nothing away, as a capture from all round misses what no camera saw.
+    """Take away little or nothing, as in a capture from all round, which misses what no camera saw.
 
     Args:
         splats: a complete object in the object frame.

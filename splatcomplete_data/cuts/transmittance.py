@@ -1,12 +1,13 @@
-"""Which splats a scanner sees: those that the splats before them let enough light through to.
+"""Which splats a scanner sees: those whose light the splats in front of them let through.
 
 Conventions
 -----------
 * Camera axes: x right, y down, z forward. A splat is a disc in the plane of its two longest axes; a
-  round one faces the scanner.
-* Light from a splat's centre is weakened by every disc that the way to the scanner crosses, by its
-  opacity there, as a renderer does it (``_seen``); nothing is drawn, so no pixel hides its
-  neighbour. Discs nearer before the centre than the slack are of the same surface.
+  round splat faces the scanner.
+* Light from a splat's centre is attenuated by every disc that it crosses on the way to the scanner,
+  by the disc's opacity there, as in a renderer (``_seen``). Nothing is rasterised, so pixels do not
+  hide their neighbours. A disc in front of the centre by less than the slack belongs to the same
+  surface and is ignored.
 """
 
 from __future__ import annotations
@@ -22,25 +23,26 @@ from gscomplete.splats.record import Splats
 from gscomplete.splats.rotations import rotation_matrices
 
 _VISIBLE = 0.55
-"""Transmittance from which a splat is seen."""
+"""A splat is seen if the transmittance to it is at least this."""
 _REACH_SIGMAS = 3.0
-"""Discs end there."""
+"""Radius of a disc in standard deviations."""
 _FLAT = 0.5
 """A splat whose smallest scale is less than this share of the middle one is a disc."""
 _LEAST_SLACK, _SLACK_SIZES = 0.003, 0.5
-"""Slack across a surface, in object sizes and in sizes of splats."""
+"""Slack perpendicular to a surface: a constant in object sizes, plus a multiple of the splat's
+size."""
 _ROUND_SIZES = 3.0
-"""Round splats do not say how the surface slants: they have so many sizes more of it."""
+"""Additional multiple for round splats, which do not tell how the surface slants."""
 _SQUARE = 0.15
-"""Cosine of the angle beyond which obliqueness excuses no more."""
+"""Least cosine used for the slack along an oblique ray: at steeper angles it does not grow."""
 _FAINT = 0.02
-"""Fainter splats weaken nothing."""
+"""Splats with a lower opacity attenuate nothing."""
 _MOST_OPAQUE = 0.999
 _NEAR = 1e-4
-"""What is no farther before the scanner than this hides nothing, and is not seen."""
+"""Splats at most this far in front of the scanner hide nothing and are not seen."""
 
 _ROUNDING = 1e-6
-"""Cells by which a disc's extent is widened: the way to its very edge is rounded."""
+"""Cells by which a disc's extent is widened, because rays to its very edge are rounded."""
 
 FloatArray = NDArray[np.float64]
 
@@ -80,7 +82,7 @@ def seen_splats(
     cosine = np.abs((axes[:, 2] * rays).sum(axis=1))
     slack = max(_LEAST_SLACK, _SLACK_SIZES * typical) / np.maximum(cosine, _SQUARE)
     slack += np.where(is_round, _ROUND_SIZES * scales[:, 0], 0.0)
-    # a disc is of the same surface from this share of the way to the centre on
+    # From this share of the way to the centre on, a disc belongs to the same surface.
     own_from = 1.0 - slack / np.maximum(distance, 1e-12)
     focal = 0.5 * grid / half_width
     sigmas = np.maximum(scales[:, :2], 1e-9)
@@ -99,7 +101,7 @@ def _seen(
     grid: int,
     focal: float,
 ) -> Any:  # [N]
-    """Let every disc weaken the light of the centres behind it."""
+    """Attenuate the light of all centres by the discs in front of them; mark those still seen."""
     first, rows = _by_cell(local, grid, focal)
     light = np.ones(len(local))
     for n in range(len(local)):
@@ -135,7 +137,7 @@ def _seen(
 
 @numba.njit(cache=True)
 def _extent(middle: Any, axes: Any, sigmas: Any, grid: int, focal: float) -> Any:
-    """Return first and last column and row that a disc's part before the scanner reaches."""
+    """Return the columns and rows that the part of a disc in front of the scanner reaches."""
     low_x, high_x, low_y, high_y = np.inf, -np.inf, np.inf, -np.inf
     a, b = _REACH_SIGMAS * sigmas[0] * axes[0], _REACH_SIGMAS * sigmas[1] * axes[1]
     start = middle - a - b

@@ -2,11 +2,11 @@
 
 Conventions
 -----------
-* Counted are the modules of this package and of ``gscomplete`` that a command imports, or starts as
-  a process of its own by ``-m`` and the name, directly or through others, within functions too; so
-  a change of the scan code leaves meshes up to date.
-* Comments, docstrings (of attributes, too) and layout do not count: they change no result.
-* Other packages count by nothing: their versions are the environment's business.
+* The digest covers the modules of this package and of ``gscomplete`` that a command imports or
+  starts as a process (``-m`` and the name), directly or through other modules, inside functions as
+  well. So a change to the scan code leaves meshes up to date.
+* Comments, docstrings (also of attributes) and layout do not count, as they do not change results.
+* Other packages do not count: their versions are a matter of the environment.
 """
 
 from __future__ import annotations

@@ -3,12 +3,14 @@
 Conventions
 -----------
 * A cell of area ``spacing``^2 is what one splat stands for.
-* A triangle gets splats of its own when it is not much smaller than a cell, or longer than the
-  spacing (slivers, wires): at least one, else area / cell, rounded. Along a triangle lower than a
-  row of cells none stands for more than ``SLIVER_WIDTH`` spacings, so that none is a needle.
-* The others are tiny: they are gathered in cubes of side ``spacing``, and every cube that holds
-  any gets at least one splat on one of them, of the size of what it stands for. So the smallest
-  isolated piece of a mesh still shows, and a finely cut surface is not counted twice.
+* A triangle gets splats of its own if it is not much smaller than a cell, or longer than the
+  spacing (slivers, wires): area / cell, rounded, and at least one. Along a triangle lower than a
+  row of cells each splat stands for at most ``SLIVER_WIDTH`` spacings, so that none becomes a
+  needle.
+* All other triangles are tiny. They are gathered in cubes of side ``spacing``, and every cube that
+  holds any gets at least one splat, which lies on one of them and is as large as the surface it
+  stands for. So the smallest isolated piece of a mesh still shows, and finely cut surface does not
+  get more splats than other surface.
 * The spacing for a target count is found by bisection: both counts fall as it grows.
 """
 
@@ -24,13 +26,13 @@ from gscomplete.errors import UserError
 OWN_AREA = 0.4
 """A triangle with at least this share of a cell's area gets splats of its own."""
 OWN_LENGTH = 1.5
-"""So does one whose longest edge is at least this many spacings."""
+"""So does a triangle whose longest edge is at least this many spacings."""
 SLIVER_WIDTH = 1.2
 """Longest cell along a triangle lower than a row of cells, in spacings."""
 _ONE_ROW = 1.5
 """A triangle lower than this, in spacings, is cut into one row of cells."""
 MAX_SPLATS = 20_000_000
-"""More than this is refused: it is a typing error rather than a wish."""
+"""A larger number is refused, since it is probably a typing error."""
 
 
 @dataclass(frozen=True, slots=True)

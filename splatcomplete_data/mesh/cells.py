@@ -29,11 +29,11 @@ IntArray = NDArray[np.int64]
 THINNEST = 0.15
 """Least height of a cell, in spacings; with ``allot.SLIVER_WIDTH`` it bounds a cell's aspect."""
 _POINTED = 1.5
-"""Where the end of the lowest row slants over more cells than this, at the middle of something
-flat, the row is cut into slices of equal area: else the tips of a fan of triangles, all cut off,
-leave a hole at its middle."""
+"""If the end of the lowest row slants over more cells than this, within a flat surface, the row is
+cut into slices of equal area. Otherwise the tips of a fan of triangles would all be cut off and
+leave a hole at the centre of the fan."""
 _MOST_ASPECT = 7.0
-"""Aspect of such a slice: at the tip itself it is wider than the triangle."""
+"""Largest aspect of such a slice. At the very tip a slice is therefore wider than the triangle."""
 _DIRECTIONS = 16
 _COSINES = tuple(math.cos(2.0 * math.pi * k / _DIRECTIONS) for k in range(_DIRECTIONS))
 _SINES = tuple(math.sin(2.0 * math.pi * k / _DIRECTIONS) for k in range(_DIRECTIONS))
@@ -68,10 +68,10 @@ def _inset_triangle(
     depth: float,
     side: float,
 ) -> None:
-    """Move marked edges inwards by ``depth`` or less: never past a third of the inradius each.
+    """Move each marked edge inwards by at most ``depth`` and at most a third of the inradius.
 
-    Triangles thinner than a cell stay: their splats follow the local height anyhow, and moving
-    the edges of an acute corner would shorten them.
+    Triangles thinner than a cell stay as they are: their splats follow the local height anyway, and
+    moving the edges of an acute corner would shorten them.
     """
     inradius = 2.0 * area / (lengths[0] + lengths[1] + lengths[2])
     if inradius <= 0.4 * side:  # equal where the area is rounded to 0
@@ -254,10 +254,10 @@ def _cut_one(
 def _slice(
     piece: int, pieces: int, rise: float, fall: float, rows: int, apex: float
 ) -> tuple[float, float]:
-    """Return where one of the lowest row's slices of equal area begins and ends, over the base.
+    """Return begin and end of one of the lowest row's slices of equal area, as shares of the base.
 
-    The row's height rises over ``rise`` from where the base begins and falls over ``fall`` to its
-    end; where one is 0 the row ends upright, in the middle of its slanting end.
+    The row's height rises over the length ``rise`` at the start of the base and falls over ``fall``
+    at its end. Where one of them is 0, the row ends upright, in the middle of its slanting end.
     """
     low = 0.5 * apex / rows if rise == 0.0 else 0.0
     high = 1.0 - (0.5 * (1.0 - apex) / rows if fall == 0.0 else 0.0)
@@ -291,8 +291,8 @@ def keep_within(
 ) -> None:
     """Shorten cells whose splats would reach beyond a marked edge by more than a limit.
 
-    A splat's rim is looked at in ``_DIRECTIONS`` directions. Where the nearest point of its
-    triangle lies on an edge that other triangles go on from, it is covered by theirs.
+    A splat's rim is tested in ``_DIRECTIONS`` directions. Where the nearest point of its triangle
+    lies on an edge that other triangles continue from, those triangles cover it.
     """
     for n in numba.prange(len(triangle)):
         t = triangle[n]
@@ -319,7 +319,7 @@ def keep_within(
                     worst, at_x, at_y = beyond, x, y
             if worst <= limit:
                 break
-            # the axis that carries the rim's farthest point is the one that is too long
+            # The axis that contributes most to the rim's farthest point is the one to shorten.
             axis = 0 if abs(at_x) >= abs(at_y) else 1
             length = max(abs(at_x), abs(at_y))
             sizes[n, axis] *= max(0.4, 1.0 - 1.05 * (worst - limit) / length)

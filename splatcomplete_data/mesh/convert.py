@@ -41,11 +41,12 @@ ConvertMode = Literal["cells", "grid", "random", "poisson"]
 """How splats are placed; see the module's conventions."""
 
 REACH_SIGMAS = 2.0
-"""A splat reaches this many standard deviations far: its opacity is 13 % of the middle's there."""
+"""A splat reaches this many standard deviations, where its opacity is 13 % of that at its
+centre."""
 MOST_OVERHANG = 0.5
-"""Farther than this, in spacings, no splat reaches beyond an edge of its surface."""
+"""Farthest that a splat may reach beyond an edge of its surface, in spacings."""
 INSET = 0.3
-"""How far borders and folds are moved inwards, over the cell's side."""
+"""Distance that borders and folds are moved inwards, over the cell's side."""
 FAINT = 0.02
 """Blended surface with a smaller alpha is dropped."""
 _NORMAL_PER_TANGENT = 0.02
@@ -55,7 +56,7 @@ _FOLD_DEG = 35.0
 
 
 OUTLINE_PX = 512.0
-"""Where splats are to be looked at: pixels that an object's largest side has in a usual picture."""
+"""Pixels that an object's largest side has in a usual picture of its splats."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +72,8 @@ class ConvertSettings:
     """Opacity of every splat, in (0, 1)."""
     outline_px: float = 0.0
     """Pixels of the object's largest side in pictures whose outlines are to be right
-    (``OUTLINE_PX``): ``cells`` puts splats so much below the surface as 3DGS's blur widens these;
-    0 = on the surface."""
+    (``OUTLINE_PX``). ``cells`` puts splats as far below the surface as 3DGS's blur widens outlines
+    in such pictures; 0 = on the surface."""
     seed: int = 0
     """Seed of ``random`` and ``poisson``; the others draw no random numbers."""
 
@@ -271,7 +272,7 @@ def _point_cells(
     cells.triangle[:], cells.weights[:] = triangle, weights
     cells.axes[:], cells.steps[:] = point_frames(vertices, triangle, side)
     if settings.mode == "random":
-        cells.steps[:] = 0  # the naive way looks a colour up once
+        cells.steps[:] = 0  # the naive way takes a single colour sample
     cells.sizes[:] = side
     hit = len(np.unique(triangle))
     missed = {"missed_by_chance": len(areas) - hit} if hit < len(areas) else {}
@@ -303,7 +304,7 @@ def _projected_area(areas: NDArray[np.float64], normals: NDArray[np.float64]) ->
 
 
 def _check_number(number: float) -> None:
-    """Refuse what would fill the memory.
+    """Refuse a number of splats that would not fit into memory.
 
     Raises:
         UserError: there are too many splats.

@@ -1,12 +1,12 @@
-"""The edges of a triangle soup: borders and folds, past which splats must not bulge, and insides.
+"""The edges of a triangle soup: borders and folds, which splats must not bulge past; and insides.
 
 Conventions
 -----------
 * Corners at one place are one vertex, whatever their texture coordinates say.
 * An edge is a border when one triangle has it, a fold when the surface turns there by more than an
   angle (180 degrees at a knife's edge); edges of three and more triangles count as folds.
-* Answers of ``marked_edges`` are bits per triangle: bit e for the edge from corner e to corner
-  e + 1, and bit k for corner k unless the surface goes on all round it, and flatly.
+* ``marked_edges`` returns two bit fields per triangle. In the first, bit e marks the edge from
+  corner e to corner e + 1; in the second, bit k marks corner k unless flat surface surrounds it.
 * Outside is where a triangle's corners run anticlockwise.
 """
 
@@ -22,12 +22,13 @@ from numpy.typing import NDArray
 IntArray = NDArray[np.int64]
 
 FLAT_DEG = 5.0
-"""Two triangles whose planes differ by less lie in one surface as flat as a cap's."""
+"""Two triangles whose planes differ by less belong to one flat surface, such as a cap."""
 _ENCLOSED = 0.01
-"""A piece of surface with borders has an inside where it encloses this share of its area to the
-power of 3/2 (a ball 0.094, a box without lid 0.07, a sheet 0),"""
+"""A piece of surface with borders has an inside if the volume that it encloses is at least this
+share of its area to the power of 3/2 (it is 0.094 for a ball, 0.07 for a box without lid, 0 for a
+sheet), ..."""
 _BORDER = 0.05
-"""or where a circle as long as its borders has less than this share of its area."""
+"""... or if a circle as long as its borders has less than this share of its area."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +70,7 @@ def marked_edges(
     normals: NDArray[np.float64],  # [T, 3] any length
     fold_deg: float,
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:  # [T], [T]
-    """Mark borders and folds, and the corners that the surface does not surround flatly.
+    """Mark borders and folds, and the corners that are not surrounded by flat surface.
 
     Args:
         edges: of the soup.
@@ -102,8 +103,8 @@ def inside_of(
     """Tell on which side of its triangles a surface has its inside.
 
     Returns:
-        -1 behind the triangle (its normal points out), 1 before it (it is turned over), 0 where
-        its piece of surface has no inside: a sheet, or triangles that contradict each other.
+        -1: behind the triangle (its normal points out). 1: in front of it (it is turned over). 0:
+        its piece of surface has no inside (a sheet, or triangles that contradict each other).
     """
     first, second = edges.pairs
     agree = edges.agree

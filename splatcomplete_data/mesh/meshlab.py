@@ -1,12 +1,12 @@
-"""What MeshLab (pymeshlab) does for meshes: thin points to a Poisson-disk set, repair triangles.
+"""Calls of MeshLab (pymeshlab): thin points to a Poisson-disk set, and repair triangles.
 
 Conventions
 -----------
-* Every call runs in a process of its own: MeshLab's random numbers go on from call to call and
-  cannot be seeded, so only a fresh process makes them a function of the input; and whatever a
-  damaged mesh does to it, the caller lives on.
+* Every call runs in a process of its own. MeshLab's random numbers continue from call to call and
+  cannot be seeded, so only in a fresh process are they a function of the input; and if a damaged
+  mesh crashes MeshLab, the caller survives.
 * Points and triangles carry their index as MeshLab's scalar, so results are indices into the
-  caller's arrays and colours never pass through.
+  caller's arrays, and colours are never handed to MeshLab.
 """
 
 from __future__ import annotations

@@ -1,13 +1,15 @@
-"""Splats below the surface of their mesh, by what 3DGS's blur adds to an outline.
+"""How far splats lie below their mesh, to offset what 3DGS's blur adds to an outline.
 
 Conventions
 -----------
-* 3DGS adds 0.3 px^2 to every projected covariance, also to that of a disc seen from its edge, so
-  an outline moves out by 0.6 to 1 pixel whatever the splats' size. Splats sink by ``DEPTH_PX`` of
-  a picture of a given size, and by ``MOST_SPACINGS`` at most: more splats are more exact.
-* Surfaces without an inside (``edges.inside_of``) stay.
-* No splat sinks by more than ``_SHARE`` of the way to where a surface behind it, that faces the
-  other way or that stays, is ``_APART_SPACINGS`` away.
+* 3DGS adds 0.3 px^2 to every projected covariance, also to that of a disc seen from its edge, so an
+  outline moves out by 0.6 to 1 pixel whatever the splats' size. Splats sink by ``DEPTH_PX`` pixels
+  of a picture of a given size, but at most by ``MOST_SPACINGS``, so that more splats are more
+  exact.
+* Splats on surfaces without an inside (``edges.inside_of``) stay on the surface.
+* If there is a surface behind a splat that faces the other way, or whose splats stay, the splat
+  sinks by at most ``_SHARE`` of the way to where it would be ``_APART_SPACINGS`` away from that
+  surface.
 """
 
 from __future__ import annotations
@@ -26,14 +28,14 @@ DEPTH_PX = 0.5
 MOST_SPACINGS = 0.3
 _SHARE = 0.5
 _APART_SPACINGS = 0.5
-"""Closer together the sides of a thin wall show through each other, as 3DGS sorts splats by their
-middles."""
+"""Closer together, the two sides of a thin wall would show through each other, because 3DGS sorts
+splats by their centres."""
 _CUBE_SPACINGS = 2.0
 """Side of the cubes that splats are looked up in; half of it is more than the search reaches."""
 _BESIDE_SPACINGS = 0.75
 """A surface behind a splat has a splat within this distance of the splat's normal."""
 _LEVEL = 1e-3
-"""What lies before a splat by fewer spacings counts as in the same place."""
+"""Surface less than this in front of a splat counts as in the same place, spacings."""
 _LEANS = 1 / 6
 """Component along an axis from which a unit normal leans towards it."""
 

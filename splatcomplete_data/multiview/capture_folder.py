@@ -2,12 +2,12 @@
 
 Conventions
 -----------
-* A new run that replaces an old capture first puts it into ``.previous``. It is put back when the
-  new run fails before its first step, for whatever reason, and removed once that is set up.
-* Files move one by one, but each of these changes happens by one rename: in ``.previous`` lies a
-  whole old capture, and the rest of the folder is the new run's; in ``.previous.moving`` lies a
-  part of it, and the rest of the folder is its other part; ``.previous.dropped`` is to be removed.
-  So what a killed process leaves is understood, and put back by the next run.
+* A new run that replaces an old capture first moves it into ``.previous``. The old capture is put
+  back if the new run fails before it is set up, for whatever reason, and removed afterwards.
+* Files are moved one by one, but the state of a move changes by a single rename, so the next run
+  can interpret what a killed process left. ``.previous`` holds a complete old capture, and the rest
+  of the folder belongs to the new run. ``.previous.moving`` holds a part of the old capture, and
+  the rest of the folder is its other part. ``.previous.dropped`` is to be removed.
 * A folder with anything else in it is never cleared.
 """
 
@@ -36,15 +36,15 @@ _OURS = (*_WRITTEN, PREVIOUS, _MOVING, _DROPPED)
 
 @contextlib.contextmanager
 def capture_folder(out: Path, *, resume: bool, overwrite: bool) -> Iterator[FolderLock | None]:
-    """Have the folder ready for the block that sets a run up, and yield its lock.
+    """Prepare the folder for the block that sets up a run, and yield the folder's lock.
 
-    When the block fails, an old capture that was to be replaced is put back. What a run that was
-    killed before its first file left behind does not count.
+    If the block fails, an old capture that was to be replaced is put back. Leftovers of a run that
+    was killed before it wrote its first file are ignored.
 
     Args:
         out: the folder; created if need be.
-        resume: the block goes on with what is there.
-        overwrite: the block starts anew, whatever is there.
+        resume: whether the block continues with what is there.
+        overwrite: whether the block starts anew, whatever is there.
 
     Raises:
         UserError: it holds something and neither is asked for, there is nothing to resume, it

@@ -4,10 +4,11 @@ Conventions
 -----------
 * Splats count by the area they cover times their opacity, so that a smooth wall of few large
   splats weighs as much as a detailed one of many small ones.
-* Three steps: look within a ball about what the cameras look at; take away planes that the object
-  stands on or hangs at (table, bed, wall), found by RANSAC, with all that lies behind them; take
-  the heaviest cluster. A splat counts the more, the nearer to their middle the photos show it. The
-  box stands on the plane, turned to fit, and holds nearly all of the cluster.
+* There are three steps. Only a ball about what the cameras look at is considered. Planes that the
+  object stands on or hangs at (table, bed, wall) are found by RANSAC and removed with everything
+  behind them. Of the rest the heaviest cluster is taken; the nearer to their centre the photos show
+  a splat, the more it counts. The box stands on the plane, turned to fit, and holds nearly all of
+  the cluster.
 * It is a proposal: ``crop`` draws it, and people correct it.
 * Random numbers come from the seed alone.
 """
@@ -42,13 +43,14 @@ _PLANE_SAMPLES = 1500
 _PLANE_SLACK = 0.03
 """Half thickness of a plane."""
 _PLANE_REACH = 0.06
-"""A plane's upper side is looked for up to this height: walls have reliefs, beds wrinkles."""
+"""A plane's upper side is looked for up to this height, because walls have reliefs and beds have
+wrinkles."""
 _PLANE_SHARE = 0.12
-"""Least share of the weight that a plane holds."""
+"""Least share of the weight in a plane."""
 _LEVEL_SHARE = 0.07
 """The same for a level plane."""
 _FRONT_SHARE = 0.6
-"""Least share of the other weight that lies before a plane that bears the object."""
+"""Least share of the other weight that lies in front of a plane that bears the object."""
 _CELL_SHARE = 0.02
 """Cells lighter than this share of the 99th percentile of cells are empty."""
 _QUANTILE = 0.004
@@ -93,7 +95,7 @@ class Focus:
     cameras: tuple[Cameras, ...] = ()  # none: not known
 
     def attention(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N]
-        """Return how near to their middle the photos show points, 0 to 1; 1 without cameras."""
+        """Return how near to their centre the photos show points, 0 to 1; 1 without cameras."""
         if not self.cameras:
             return np.ones(len(points))
         total = np.zeros(len(points))
@@ -160,7 +162,7 @@ def propose_box(splats: Splats, focus: Focus) -> Proposal:
     weight = weight[near] * focus.attention(points[near])
     free = np.all([plane.before(local) for plane in planes], axis=0) if planes else weight >= 0
     middle = np.zeros(3)
-    for _ in range(3):  # what the cameras look at may lie well before the plane behind it
+    for _ in range(3):  # the object may lie well in front of a plane behind it
         inside = free & (np.linalg.norm(local - middle, axis=1) <= _BALL)
         if inside.sum() < _FEWEST:
             raise UserError("--box auto: found nothing beside a plane; give the box as numbers")

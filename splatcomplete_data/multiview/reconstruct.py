@@ -71,7 +71,7 @@ SCHEMA = "splatcomplete.capture"
 TRIANGULATED = "triangulated with the given poses"
 """Origin of initial points that structure from motion finds for poses that are not its own."""
 _FEWEST_POINTS = 100
-"""With fewer to start from, training starts from random ones."""
+"""If the sparse cloud has fewer points, training starts from random ones."""
 
 Start = Literal["auto", "points", "random"]
 """``points``: the capture's sparse cloud, triangulated with pycolmap if it has none. ``random``:
@@ -114,7 +114,7 @@ class Reconstruction:
     notes: tuple[str, ...]
     timings: dict[str, float]
     lock: FolderLock | None = None
-    """No other process works in the capture folder; None = as yet, or without locks."""
+    """Keeps other processes out of the capture folder; None = not taken yet, or no locks exist."""
 
 
 def prepare(

@@ -273,18 +273,16 @@ def not_outliers(points: Points, neighbours: int, ratio: float) -> BoolArray:  #
 def level_rotation(
     plane: NDArray[np.float64],  # [4]
     toward: NDArray[np.float64],  # [3] or [N, 3]
-    right: tuple[float, float, float] = (1.0, 0.0, 0.0),
 ) -> NDArray[np.float64]:  # [3, 3]
-    """Return the rotation that makes a plane horizontal: z up, ``right`` as near +x as possible.
+    """Return the rotation that makes a plane horizontal: z up, x as near the source's as possible.
 
     Args:
         plane: a, b, c, d of ax + by + cz + d = 0.
         toward: a point on the plane's upper side, or points most of which are on that side.
-        right: direction that is to point along +x.
     """
     normal = plane[:3] / np.linalg.norm(plane[:3])
     up = normal if np.median(toward @ normal + plane[3]) > 0 else -normal
-    hint = np.asarray(right, np.float64)
+    hint = np.array([1.0, 0.0, 0.0])
     if abs(hint @ up) > 0.99:
         hint = np.array([0.0, 0.0, 1.0])
     x = hint - (hint @ up) * up

@@ -2,9 +2,10 @@
 
 Conventions
 -----------
-* What a file holds is ``DepthImage.values``, float64 [H, W], unknown pixels NaN: zeros, negative
-  values, NaN and infinities are unknown, and so is what stands for the latter: 1e9 and more in
-  floats (Blender writes 1e10), the largest value of 16-bit integers. A note counts these.
+* ``DepthImage.values`` holds the file's numbers, float64 [H, W], with unknown pixels as NaN.
+  Unknown are zeros, negative values, NaN and infinities, and also numbers that stand for infinity:
+  1e9 and more in floats (Blender writes 1e10), and the largest value of 16-bit integers. A note
+  counts the latter.
 * ``metric_depth`` turns values into distances along the optical axis (camera-space z):
   ``metric`` value x unit; ``disparity`` focal x baseline / (value x unit + offset);
   ``inverse`` unit / value. Nothing is guessed but the unit of integer images, which is said:

@@ -4,10 +4,10 @@ Conventions
 -----------
 * Points are in camera axes (OpenCV: x right, y down, z forward), in the depth's unit; pixel (0, 0)
   has its centre at (0.5, 0.5).
-* A flying pixel hangs between a near and a far surface: stereo, time of flight and networks all
-  blur depth across edges. It is told from a plain edge by having jumps on both sides: its depth
-  differs from *both* neighbours in a row (or column) by more than a share of its depth, or it has
-  no neighbour at all at its depth. One side of a clean edge stays.
+* A flying pixel hangs between a near and a far surface, because stereo, time of flight and networks
+  all blur depth across edges. Unlike a pixel at a clean edge it has jumps on both sides: its depth
+  differs from *both* neighbours in its row (or column) by more than a share of its depth, or no
+  neighbour at all is at its depth. Pixels at a clean edge are kept.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""What can be told from a mesh file before, or in spite of, what trimesh makes of it.
+"""Checks of mesh files for faults that trimesh does not report.
 
 Conventions
 -----------
-* What would give a wrong surface is refused; what takes only colours away is told in notes.
+* A fault that would give a wrong surface is refused; one that only loses colours is told in a note.
 """
 
 from __future__ import annotations
@@ -53,9 +53,9 @@ def check_not_splats(path: Path) -> None:
 
 
 def refuse_unknown_geometry(path: Path) -> None:
-    """Refuse glTF of which trimesh would read another surface.
+    """Refuse glTF files whose surface trimesh would read wrongly.
 
-    Of Draco or meshopt geometry it reads nothing but zeros, of instances only the first.
+    It reads Draco and meshopt geometry as zeros, and only the first of several instances.
 
     Raises:
         UserError: the file needs a decoder, or its instances written out.
@@ -79,7 +79,7 @@ def refuse_unknown_geometry(path: Path) -> None:
 
 
 def _check_chunks(path: Path) -> None:
-    """Refuse a GLB whose chunks are longer than the file: reading one makes room for it first.
+    """Refuse a GLB whose chunks are longer than the file: memory is allocated for them first.
 
     Raises:
         UserError: one is.

@@ -1,4 +1,4 @@
-"""Numbers of glTF files where they are not those that trimesh reads.
+"""Numbers of glTF files that trimesh does not read as they are meant.
 
 Conventions
 -----------

@@ -44,9 +44,9 @@ def grow(
     seed: int,
     step: int,
 ) -> GrowthReport:
-    """Divide the splats that the picture pulls at most, and remove those that show nothing.
+    """Divide the splats with the largest screen gradients, and remove those that show nothing.
 
-    Where that would remove every splat, none is removed: nothing could grow again.
+    If that would remove every splat, none is removed, because nothing could grow again.
 
     Args:
         parameters: the splats, changed in place.

@@ -12,9 +12,9 @@ import math
 from dataclasses import dataclass, field
 
 LONG_STEPS = 12_000
-"""Runs of at least this many steps do as the original 3DGS does."""
+"""Runs of at least this many steps have the step sizes and resets of the original 3DGS."""
 _LARGEST_FACTOR = 4.0
-"""Steps of the shortest runs are this many times larger."""
+"""Most that step sizes are enlarged by in shorter runs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +37,9 @@ class LearningRates:
     def for_steps(steps: int) -> LearningRates:
         """Return the step sizes of a run: the fewer steps, the larger each.
 
-        By the square root of ``LONG_STEPS`` over ``steps``. Opacities are fast enough, and
-        positions end as precisely as in long runs.
+        They grow with the square root of ``LONG_STEPS`` over ``steps``, except for those of
+        opacities, which are large enough, and those of positions at the end, so that positions
+        become as precise as in long runs.
         """
         factor = min(_LARGEST_FACTOR, max(1.0, math.sqrt(LONG_STEPS / steps)))
         rates = LearningRates()
@@ -71,9 +72,9 @@ class GrowthSettings:
     every: int = 100
     """Steps between two divisions; fewer in runs shorter than 18 times this, but at least 10."""
     reset_share: float | None = 0.1
-    """In runs of ``LONG_STEPS`` or more opacities are lowered every this share of the steps while
-    splats are divided; None = never. What is needed recovers, floaters do not. Shorter runs lose
-    by it."""
+    """In runs of ``LONG_STEPS`` or more, opacities are lowered at intervals of this share of the
+    steps while splats are divided; None = never. Splats that are needed recover, floaters do not.
+    Shorter runs get worse by it."""
 
 
 @dataclass(frozen=True, slots=True)
