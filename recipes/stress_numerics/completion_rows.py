@@ -54,12 +54,10 @@ def _half() -> Splats:
     return complete.select(complete.means[:, 0] > 0)
 
 
-def _request(
-    path: Path, out: Path, settings: CompletionSettings, *, resume: bool = False
-) -> RunRequest:
+def _request(path: Path, out: Path, settings: CompletionSettings) -> RunRequest:
     """Return a request with a frame that needs no guess."""
     framing = FramingRequest("Z", (0.0, 10.0), center_file=(0.0, 0.0, 0.0), size_file=0.85)
-    return RunRequest(path, out, Request("a ball", settings, framing), resume)
+    return RunRequest(path, out, Request("a ball", settings, framing))
 
 
 def _poisoned(base: CompletionSettings, poison: Poison, calls: int, step: int) -> Iterator[Check]:

@@ -11,9 +11,7 @@ from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.views import Cameras, focal_from_fov, four_view_orbit
 
 
-def random_splats(
-    count: int, seed: int = 0, *, scale: float = 0.05, degree: int = 0, spread: float = 0.4
-) -> Splats:
+def random_splats(count: int, seed: int = 0, *, scale: float = 0.05, degree: int = 0) -> Splats:
     """Return splats of one typical scale about the origin, colours within [0, 1]."""
     generator = torch.Generator().manual_seed(seed)
 
@@ -23,7 +21,7 @@ def random_splats(
     higher = 0.1 * normal(count, (degree + 1) ** 2 - 1, 3)
     colors = 0.2 + 0.6 * torch.rand(count, 3, generator=generator)
     return Splats(
-        spread * normal(count, 3),
+        0.4 * normal(count, 3),
         torch.nn.functional.normalize(normal(count, 4), dim=1),
         scale * torch.exp(0.5 * normal(count, 3)),
         0.05 + 0.9 * torch.rand(count, generator=generator),
@@ -36,10 +34,10 @@ def ring(size_px: int = 48, fov_deg: float = 45.0, radius: float = 2.5) -> Camer
     return four_view_orbit(20.0, 15.0, radius=radius, fov_deg=fov_deg, size_px=size_px)
 
 
-def front_camera(width: int, height: int | None = None, fov_deg: float = 60.0) -> Cameras:
+def front_camera(width: int, height: int | None = None) -> Cameras:
     """Return one camera at the origin that looks along +z: depths are z to the last bit."""
     height = width if height is None else height
-    focal = focal_from_fov(fov_deg, max(width, height))
+    focal = focal_from_fov(60.0, max(width, height))
     return Cameras(
         torch.eye(4)[None],
         torch.full((1, 2), focal),

@@ -2,8 +2,8 @@
 
 Conventions
 -----------
-* The score of a copy: the share of the missing surface that it covers, less half its share that is
-  new and not on the complete object's surface: 1 is perfect, 0 is no copy at all.
+* The score of a copy is the share of the missing surface that it covers, less half the share of the
+  copy that is new but not on the complete object's surface. 1 is perfect, 0 is as good as no copy.
 * Distances are in the cells of ``grid``; a surface is met within 1, missed beyond 1.5.
 """
 

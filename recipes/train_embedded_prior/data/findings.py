@@ -1,12 +1,12 @@
-"""What a run finds out about a part before it asks the shape network.
+"""Findings: what a run computes about a part before it asks the shape network.
 
-It takes three quarters of the time of a training set and less than 200 bytes.
-``gpu.make_findings`` makes them ahead.
+Computing them takes three quarters of the time of a training set, storing them less than 200 bytes.
+``gpu.make_findings`` computes them in advance.
 
 Conventions
 -----------
 * Planes are in the frame that the part is posed in.
-* Findings hold for the part that they were made of: it is known again by its number of splats.
+* Findings belong to one part, which is recognised by its number of splats.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Findings:
     """Candidates, the likeliest first."""
 
     def are_of(self, part: Splats) -> bool:
-        """Return whether this is the part, which draws of other library versions may change."""
+        """Return whether they belong to a part; other library versions may draw another one."""
         return self.splats == len(part)
 
     def stored(self, index: int) -> np.ndarray:  # [] of DTYPE

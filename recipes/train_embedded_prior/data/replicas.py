@@ -1,14 +1,16 @@
 """Data-parallel training on one machine: single-threaded replicas that share gradients.
 
-Why not one process with many threads: its threads meet at a barrier in every operation, and one
-busy neighbour on a core made a training step 45 times slower. Replicas meet once per step.
+In one process with many threads, the threads would meet at a barrier in every operation, and a
+single busy neighbour on one core made a training step 45 times slower. Replicas meet only once per
+step.
 
 Conventions
 -----------
 * Every replica holds the whole state and makes the same update from the same summed gradients, in
   replica order, so all stay equal bit for bit.
-* Two sets of buffers are used in turn: who writes the buffers of step s + 2 has passed the meeting
-  of step s + 1, to which everyone came after reading those of step s.
+* Two sets of buffers are used in turn. A replica that writes the buffers for step s + 2 has passed
+  the meeting of step s + 1, which all replicas reach only after they have read the buffers of step
+  s.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Conventions
 -----------
 * Shard k holds sets ``k * shard_sets`` to ``(k + 1) * shard_sets - 1`` in one ``.npy`` file that
   appears atomically; worker w of W makes the shards k with k % W == w.
-* A file is only a buffer of a pure function: the reader deletes what it has passed.
+* A file only buffers the values of a pure function, so the reader deletes files that it has passed.
 * Workers stay at most ``ahead`` shards before the reader and have the lowest priority, so that
   they use the processor when the trainer waits for them and get out of its way otherwise.
 """

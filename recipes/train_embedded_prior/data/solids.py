@@ -2,10 +2,11 @@
 
 Conventions
 -----------
-* Filled are the cells that the surface passes through and those inside it. Inside is what cannot
-  be reached from the grid's border; behind gaps of up to ``2 * _CLOSING`` cells (a bottle's neck,
-  a missing base) it is the room that is out of reach once they are closed, and what is between
-  that room and the surface. So a gap between two legs, however narrow, stays empty.
+* A cell is filled if the surface passes through it or if it is inside. Inside are cells that cannot
+  be reached from the grid's border. Objects may have gaps of up to ``2 * _CLOSING`` cells (a
+  bottle's neck, a missing base): then the space that cannot be reached once the gaps are closed is
+  inside, and so are the cells between that space and the surface. A gap between two legs, however
+  narrow, stays empty.
 * The grid is that of ``gscomplete.shape.voxels``.
 """
 

@@ -93,7 +93,7 @@ def shell_profile(outer: ArrayLike, wall: float, floor: float | None = None) -> 
     return np.concatenate([start, line, inner, end])
 
 
-def loft(sections: FloatArray, feature: float | None = None) -> Quads:
+def loft(sections: FloatArray) -> Quads:
     """Skin closed sections [R, C, 3] (anticlockwise about the direction of travel), with caps.
 
     A section's points are joined to the next section's and the first and last are filled.
@@ -108,7 +108,7 @@ def loft(sections: FloatArray, feature: float | None = None) -> Quads:
         middle = np.broadcast_to(ring[:-1].mean(axis=0), start.shape)
         corners = np.stack([middle, start, end, middle], axis=1)
         caps.append(Quads(corners, corners[..., :2].copy(), None))
-    return replace(join([grid(closed, uv), *caps]), feature=feature)
+    return join([grid(closed, uv), *caps])
 
 
 def tube(
