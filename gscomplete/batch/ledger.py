@@ -1,11 +1,12 @@
-"""What became of a batch's objects: one JSON line each time an object ends, appended.
+"""What became of a batch's objects: one JSON line is appended each time an object ends.
 
 Conventions
 -----------
 * The last line of an object counts. A line that was cut off by a kill, or is damaged otherwise, is
-  left out, and the object's own folder says whether it is finished.
-* ``finished``: completed by this run of the batch. ``found``: was finished already, of the same
-  input, options and weights. ``failed``: ``error`` says why, ``log`` where more is told.
+  ignored; the object's own folder then says whether the object is finished.
+* ``finished``: completed by this run of the batch. ``found``: an earlier run had completed it from
+  the same input, options and weights. ``failed``: ``error`` is the reason, ``log`` names a file
+  with details.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ class Row:
 
 
 def read_ledger(path: Path) -> dict[str, Row]:
-    """Return the last row of each object; none where there is no file yet."""
+    """Return the last row of each object; an empty result where there is no file yet."""
     rows: dict[str, Row] = {}
     names = {item.name for item in dataclasses.fields(Row)}
     if not path.is_file():
@@ -77,7 +78,7 @@ class Ledger:
     """The file, open for more rows."""
 
     def __init__(self, path: Path) -> None:
-        """Open a ledger; a line that was cut off is ended."""
+        """Open a ledger for appending; a last line that was cut off gets its line end."""
         self.path = path
         self._handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
         size = os.fstat(self._handle).st_size
@@ -85,7 +86,7 @@ class Ledger:
             os.write(self._handle, b"\n")
 
     def add(self, row: Row) -> None:
-        """Append a row; other processes see all of it or nothing."""
+        """Append a row; other processes see the whole row or nothing of it."""
         os.write(self._handle, (json.dumps(dataclasses.asdict(row)) + "\n").encode())
 
     def close(self) -> None:

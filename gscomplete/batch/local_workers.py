@@ -4,8 +4,9 @@ Conventions
 -----------
 * Each worker is a pool of one process (``concurrent.futures``): one that is killed takes only its
   own task with it, and the task goes to a new worker.
-* Workers end with the process that started them, however that ends. SIGINT is the starting
-  process's affair: it asks its workers to end by SIGTERM, which a task meets as KeyboardInterrupt.
+* Workers end when the process that started them ends, for whatever reason. Workers ignore SIGINT:
+  the starting process handles it and sends its workers SIGTERM, which raises KeyboardInterrupt in a
+  running task.
 """
 
 from __future__ import annotations
@@ -62,8 +63,8 @@ def run_local(
         tasks: what is to be done, in order.
         plan: how many workers, and how large.
         enter: prepares a new worker; importable; None = nothing.
-        retries: how many more workers a task is given to after one died over it.
-        on_tick: is told several times a second which tasks are being done.
+        retries: how many further workers try a task whose worker died.
+        on_tick: called several times a second with the tasks that are being done.
 
     Raises:
         UserError: there is no memory for a single worker.
@@ -101,7 +102,7 @@ def run_local(
 
 
 def _died(future: Future[R]) -> bool:
-    """Tell whether a task's worker died over it, or was asked to end by somebody else."""
+    """Tell whether a task's worker died during it, or was told to end by another process."""
     return isinstance(future.exception(), BrokenProcessPool | KeyboardInterrupt)
 
 
@@ -113,10 +114,10 @@ class _Worker:
         self._pool: ProcessPoolExecutor | None = None
 
     def has_room(self, *, alone: bool) -> bool:
-        """Tell whether the worker runs or may start.
+        """Tell whether the worker already runs, or enough memory is free to start it.
 
         Raises:
-            UserError: it may not, and no other worker runs that could end and make room.
+            UserError: memory is short, and no other worker runs that could end and free some.
         """
         if self._pool is not None:
             return True
@@ -136,7 +137,7 @@ class _Worker:
             context = get_context("spawn")
             limit = 0 if self._plan.gpus else self._plan.memory_bytes
             self._pool = ProcessPoolExecutor(1, context, enter_worker, (self._enter, limit))
-        with _environment(self._plan.environment(self._number)):  # a process starts with a task
+        with _environment(self._plan.environment(self._number)):  # submit() starts the process
             try:
                 return self._pool.submit(_do, function, task)
             except BrokenProcessPool:  # it died between two tasks
@@ -149,7 +150,7 @@ class _Worker:
         self._pool = None
 
     def end(self) -> None:
-        """Let the process end once its task has."""
+        """Let the process end as soon as its task has ended."""
         if self._pool is not None:
             self._pool.shutdown(wait=False, cancel_futures=True)
 
@@ -204,7 +205,7 @@ def enter_worker(enter: Callable[[], None] | None, memory_bytes: int) -> None:
 
 
 def limit_memory(memory_bytes: int) -> None:
-    """Have requests for more data fail, where the system can: the task fails, not the machine."""
+    """Limit this process's data memory, where the system can: a task fails, not the machine."""
     try:
         import resource
 
@@ -215,7 +216,7 @@ def limit_memory(memory_bytes: int) -> None:
 
 
 def _do(function: Callable[[T], R], task: T) -> R:
-    """Do a task in a worker, where a signal to end may meet it."""
+    """Do a task in a worker, and mark it as running so that ``_stop`` can interrupt it."""
     global _at_work
     _at_work = True
     try:
@@ -225,14 +226,14 @@ def _do(function: Callable[[T], R], task: T) -> R:
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
-    """End a task as Ctrl-C would, and a worker without a task at once."""
+    """Interrupt the running task as Ctrl-C would; end a worker without a task at once."""
     if _at_work:
         raise KeyboardInterrupt
     os._exit(128 + number)
 
 
 def _end_with_parent() -> None:
-    """End this process after its parent: nothing else writes while a next run goes on."""
+    """End this process when its parent ends, so that it never writes during the next run."""
     parent = parent_process()
     if parent is not None:
         parent.join()

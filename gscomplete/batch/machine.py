@@ -1,10 +1,10 @@
-"""How many workers a machine carries: cores, memory, GPUs.
+"""How many workers a machine can run: cores, memory, GPUs.
 
 Conventions
 -----------
 * Threads of all workers together are at most the cores that this process may use.
-* Memory is what the system says can be had without swapping, within the limit of the control group
-  that the process runs in.
+* Available memory is what the system reports as usable without swapping, within the limit of the
+  control group (cgroup) that the process runs in.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ class WorkerPlan:
     threads: int
     """Of each worker."""
     memory_bytes: int
-    """That must be free before a worker starts, and that one on the CPU may take; 0 = no bound."""
+    """Must be free before a worker starts; also a CPU worker's limit; 0 = no bound."""
     gpus: tuple[str, ...] = ()
     """One for each worker in turn; none = the CPU."""
 
     def environment(self, number: int = 0) -> dict[str, str]:
-        """Return the environment variables of a worker, which must be there when it starts."""
+        """Return a worker's environment variables, which must be set before it starts."""
         threads = str(self.threads)
         values = {
             "OMP_NUM_THREADS": threads,
@@ -54,14 +54,15 @@ def plan_workers(
     """Choose workers for this machine.
 
     Args:
-        items: how many there are to do.
+        items: number of objects to do.
         memory_bytes: what a worker needs, positive.
-        count: of workers; None = one per GPU, else one per core, as far as memory reaches.
-        threads: of each worker; None = the cores shared out.
-        gpus: to be used.
+        count: number of workers; None = one per GPU, or without GPUs one per core, as far as the
+            memory suffices.
+        threads: of each worker; None = the cores divided by the number of workers.
+        gpus: names of the GPUs to use.
 
     Raises:
-        UserError: the machine does not carry what was asked for.
+        UserError: the machine cannot run what was asked for.
     """
     cores = usable_cores()
     free = available_bytes()
@@ -86,10 +87,10 @@ def usable_cores() -> int:
 
 
 def available_bytes(proc: Path = Path("/proc"), group: Path = Path("/sys/fs/cgroup")) -> int | None:
-    """Return how much memory can be had; None where the system does not say.
+    """Return how many bytes of memory are available; None where the system does not say.
 
     Args:
-        proc: folder of the system's figures.
+        proc: folder of the system's figures (``/proc``).
         group: folder of the control group's limits.
     """
     found = []
@@ -111,7 +112,7 @@ def available_bytes(proc: Path = Path("/proc"), group: Path = Path("/sys/fs/cgro
 
 
 def _cached_bytes(path: Path) -> int:
-    """Return how much of a control group's memory are files that can be dropped."""
+    """Return how much of a control group's memory is file cache, which can be dropped."""
     for line in path.read_text().splitlines():
         if line.startswith("inactive_file "):
             return int(line.split()[1])

@@ -8,7 +8,8 @@ Conventions
   the name of ``partial``); every other field is an option of that object alone.
 * A dataset is a folder with ``dataset.json``. Of any other folder, the folders in it with an
   ``object.json`` are the objects, and the PLY files in it.
-* Planning opens nothing but the manifest: what is wrong with an object fails that object.
+* Planning opens only the manifest. Whatever is wrong with an object shows when it is done, and
+  fails that object alone.
 """
 
 from __future__ import annotations
@@ -147,7 +148,7 @@ def _json_rows(path: str, text: str) -> Iterator[tuple[int, dict[str, Any]]]:
 
 
 def _table_rows(path: str, text: str, suffix: str) -> Iterator[tuple[int, dict[str, Any]]]:
-    """Yield the rows of a table with their lines; what is empty is not given.
+    """Yield the rows of a table with their line numbers; an empty cell counts as not given.
 
     Raises:
         UserError: a row has more cells than the first line.
@@ -212,10 +213,10 @@ def _value(where: str, key: str, value: Any, fields: Mapping[str, FieldKind]) ->
 
 
 def _checked(where: str, items: Iterable[Item]) -> Iterator[Item]:
-    """Check that names can be names of folders, each once.
+    """Check that every object's name can be a folder's name, and that no two are the same.
 
     Raises:
-        UserError: one cannot, or comes twice.
+        UserError: a name cannot be a folder's, or occurs twice.
     """
     seen: set[str] = set()
     for item in items:

@@ -1,9 +1,9 @@
-"""Workers of a Ray cluster: Ray decides where and how often a task is tried; nothing is kept there.
+"""Workers of a Ray cluster: Ray decides where and how often a task is tried, and keeps no results.
 
 Conventions
 -----------
-* A task asks for cores, memory and, if wanted, one GPU; Ray starts a process for it where these are
-  free, and keeps that process for the next task, so that it stays warm.
+* A task requests cores, memory and, if wanted, one GPU. Ray starts a process for it where these are
+  free, and reuses that process for the next task, so that kernels and weights stay loaded.
 * Every machine of the cluster has GSComplete installed and sees the same paths or stores.
 """
 
@@ -50,8 +50,9 @@ def run_on_ray(
         plan: threads and memory of each task; the number of workers counts for ``local`` only.
         address: of a cluster, ``auto`` = the one of this machine, ``local`` = started here and
             ended with the call.
-        retries: how many more workers a task is given to after one died over it.
-        on_tick: is told several times a second which tasks are being done, or wait for a worker.
+        retries: how many further workers try a task whose worker died.
+        on_tick: called several times a second with the tasks that are being done or wait for a
+            worker.
 
     Raises:
         UserError: Ray is not installed, or there is no such cluster.
@@ -106,7 +107,7 @@ def _connect(plan: WorkerPlan, address: str) -> Any:
         ) from error
     _require_reachable(address)
     variables = plan.environment()
-    variables.pop("CUDA_VISIBLE_DEVICES", None)  # Ray's own affair
+    variables.pop("CUDA_VISIBLE_DEVICES", None)  # Ray sets it itself
     variables |= {name: os.environ[name] for name in _PASSED_ON if name in os.environ}
     runtime = {"env_vars": variables}
     common = {"runtime_env": runtime, "log_to_driver": False, "logging_level": "error"}
@@ -125,7 +126,7 @@ def _connect(plan: WorkerPlan, address: str) -> Any:
         reason = str(error).strip().split("\n")[0]
         raise UserError(f"--ray {address}: cannot connect to a cluster ({reason})") from error
     if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGTERM, before)  # Ray's own ends the process without a word
+        signal.signal(signal.SIGTERM, before)  # Ray's handler ends the process at once
     return ray
 
 

@@ -1,14 +1,15 @@
-"""A batch: what of its objects is to be done, doing it on workers, and the ledger of it.
+"""A batch: find out which objects are to be done, do them on workers, and record them in a ledger.
 
 Conventions
 -----------
 * ``RUNS/ID`` is the run folder of object ID. ``RUNS/.batch`` holds ``batch.json`` (options and
   weights), ``ledger.jsonl``, ``failed/ID.log``, and, where RUNS is on this machine, ``work/``.
-* Where RUNS is in a store, all that is unfinished and the ledger being written are in a folder of
-  this machine, and the ledger is copied to the store now and then.
-* An object is finished if the ledger says so for the same options and weights, its files have the
-  size and time (or tag) that they had then, and its result is there. All others go to workers,
-  which read the files: what is finished without the ledger's knowing costs no more than that.
+* Where RUNS is in a store, unfinished objects and the ledger being written are in a folder of this
+  machine, and the ledger is copied to the store from time to time.
+* An object counts as finished if the ledger says so for the same options and weights, its files
+  still have the size and time (or tag) that they had then, and its result exists. All others go to
+  workers, which read the files; for an object that is finished but missing in the ledger, this read
+  is the only cost.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ _COPY_LEDGER_S = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """A batch that is planned: what is asked for, and where things are."""
+    """A planned batch: its objects and options, and the folders that it uses."""
 
     items: tuple[Item, ...]
     identity: dict[str, Any]
@@ -70,7 +71,7 @@ class Batch:
 
 @dataclass(slots=True)
 class Summary:
-    """What came of a batch."""
+    """How many objects of a batch ended in which way."""
 
     before: int = 0
     """Objects that the ledger had as finished; no worker was given them."""
@@ -132,7 +133,7 @@ def open_batch(
     rows = read_ledger(state / LEDGER_FILE)
     listed = storage.list_folder(runs)
     results = set() if listed is None else listed[1]
-    with ThreadPoolExecutor(_LOOKS) as pool:  # a store answers each look in some milliseconds
+    with ThreadPoolExecutor(_LOOKS) as pool:  # a store takes some milliseconds per request
         far = any(storage.is_url(item.source) for item in items)
         finished = (pool.map if far else map)(
             lambda item: item.id in results and _is_finished(rows.get(item.id), item, identity),
@@ -159,9 +160,9 @@ def run_batch(
         job: what to do with each object.
         plan: the workers.
         ray: address of a Ray cluster; None = processes of this machine.
-        retries: how many more workers an object is given to after one died over it.
-        on_row: is told how each object ended.
-        on_tick: is told several times a second what is being done.
+        retries: how many further workers try an object whose worker died.
+        on_row: called with the ledger row of each object that ended.
+        on_tick: called several times a second with the objects that are being done.
 
     Raises:
         UserError: something that all objects need is wrong, or there is no memory for a worker.
@@ -208,14 +209,14 @@ def run_batch(
 
 
 def _is_finished(row: Row | None, item: Item, identity: dict[str, Any]) -> bool:
-    """Tell whether the ledger has an object as finished, of the same things."""
+    """Tell whether a ledger row says that an object is finished with this input and options."""
     if row is None or row.status == "failed" or row.key != option_key(identity, item):
         return False
     return row.inputs == input_signatures(item.source)
 
 
 def _state_folder(runs: str, scratch: Path | None) -> Path:
-    """Return the folder of this machine for ledger and unfinished work."""
+    """Return the folder on this machine for the ledger and unfinished work."""
     if not storage.is_url(runs):
         return Path(runs) / STATE_FOLDER
     name = hashlib.sha256(runs.encode()).hexdigest()[:16]
@@ -223,7 +224,7 @@ def _state_folder(runs: str, scratch: Path | None) -> Path:
 
 
 def _take_over(runs: str, state: Path) -> None:
-    """Take what a store knows of a batch, where this machine knows less."""
+    """Fetch a store's batch options and ledger where this machine has none, or shorter ones."""
     for name in (BATCH_FILE, LEDGER_FILE):
         path, here = storage.join(runs, f"{STATE_FOLDER}/{name}"), state / name
         there = storage.signature(path)
@@ -239,10 +240,10 @@ def _copy_ledger(batch: Batch) -> None:
 
 
 def _check_identity(path: Path, identity: dict[str, Any], *, redo: bool) -> None:
-    """Check that results that are there were begun with the same options and weights.
+    """Check that the results in the folder were begun with the same options and weights.
 
     Raises:
-        UserError: they were not, and are not to be done again; the message says what differs.
+        UserError: they were not, and ``redo`` is not set; the message says what differs.
     """
     if redo or not path.is_file():
         return

@@ -3,10 +3,10 @@
 Conventions
 -----------
 * A path with ``://`` in it is a URL, and fsspec (an optional dependency) reads and writes it; any
-  other is a path of this machine. Credentials and endpoints are fsspec's own affair
+  other is a path of this machine. fsspec finds credentials and endpoints by itself
   (``AWS_ACCESS_KEY_ID``, ``AWS_ENDPOINT_URL``, ``FSSPEC_S3_...``).
-* A folder is published in one step, as far as its store can: by a rename on this machine; in a
-  store file by file, with a marker file last, so that a folder without it is no result.
+* On this machine, a folder is published in one step, by a rename. A store has no such step: files
+  are copied one by one, a marker file last, and a folder without its marker is not a result.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def folders_with(folder: str, name: str) -> list[str]:
 
 
 def signature(path: str) -> Signature | None:
-    """Return what changes when a file does, without reading it; None where there is no file."""
+    """Return a file's size and time (or tag), to detect changes; None where there is no file."""
     try:
         if is_url(path):
             system, inner = _open(path)
@@ -151,15 +151,15 @@ def put(local: Path, path: str) -> None:
 
 
 def publish(work: Path, folder: str, marker: str) -> None:
-    """Make a finished folder of this machine the result ``folder``, and remove it where it was.
+    """Move a finished folder of this machine to the result ``folder``.
 
     Args:
-        work: what is finished; for a result on this machine, on the same file system.
+        work: the finished folder; for a result on this machine, on the same file system.
         folder: path or URL. A result that is there already is replaced.
         marker: the file of ``work`` that makes a folder a result.
 
     Raises:
-        UserError: it cannot be written, or what stands there is no result.
+        UserError: it cannot be written, or the existing folder is not a result of a batch.
     """
     try:
         if is_url(folder):
@@ -182,7 +182,7 @@ def publish(work: Path, folder: str, marker: str) -> None:
 
 
 def _upload(work: Path, folder: str, marker: str) -> None:
-    """Copy a folder to a store, without a marker until all of it is there."""
+    """Copy a folder to a store; its marker is absent until all other files are there."""
     system, inner = _open(folder)
     if system.exists(inner):
         if not system.exists(f"{inner}/{marker}"):
@@ -199,10 +199,10 @@ def _upload(work: Path, folder: str, marker: str) -> None:
 
 
 def _require_leftover(folder: str, system: Any, inner: str, work: Path) -> None:
-    """Require that a folder without a marker is what a killed upload left of the same files.
+    """Require that a folder without a marker holds only files that an interrupted upload left.
 
     Raises:
-        UserError: it holds something else.
+        UserError: it holds a file that ``work`` does not have.
     """
     ours = {path.relative_to(work).as_posix() for path in work.rglob("*") if path.is_file()}
     found = {str(path).removeprefix(inner).strip("/") for path in system.find(inner)}

@@ -1,14 +1,14 @@
-"""What a worker does with one object of a batch: look whether it is done, do it, publish it.
+"""What a worker does with one object of a batch: check whether it is done, do it, publish it.
 
 Conventions
 -----------
 * A run folder is made in the batch's work folder and becomes the result in one step, together with
-  ``item.json``, which says of which input, options and weights it is. So a result is never half
-  there, and never taken for that of other options.
-* ``WORK/ID.json`` says the same of the unfinished folder ``WORK/ID``, and is there before it: an
-  unfinished run goes on only for what it was begun with.
-* Nothing here depends on which worker does it, or on how often: a worker that dies loses what it
-  did since its last checkpoint, and the next one goes on.
+  ``item.json``, which records the input, options and weights that it was made from. So a result is
+  never incomplete, and never mistaken for one of other options.
+* ``WORK/ID.json`` records the same for the unfinished folder ``WORK/ID`` and is written before it:
+  an unfinished run is continued only with the input, options and weights that it was begun with.
+* A result depends neither on which worker makes it nor on how many tries it takes: a worker that
+  dies loses what it did since its last checkpoint, and the next worker goes on from there.
 """
 
 from __future__ import annotations
@@ -55,10 +55,10 @@ class Job(Protocol):
             resume: whether to go on with it.
 
         Returns:
-            What the ledger tells of the result.
+            Facts of the result that go into the ledger.
 
         Raises:
-            UserError: something of this object is wrong.
+            UserError: something about this object is wrong.
             SetupError: something that all objects need is wrong.
         """
         ...
@@ -91,7 +91,7 @@ class Task:
 
 
 def option_key(identity: dict[str, Any], item: Item) -> str:
-    """Return the digest of what is asked for: the batch's options and weights, the object's own.
+    """Return a digest of the batch's options and weights and the object's own options.
 
     Args:
         identity: of the batch, as JSON values.
@@ -102,7 +102,7 @@ def option_key(identity: dict[str, Any], item: Item) -> str:
 
 
 def input_files(source: str) -> tuple[str, ...]:
-    """Return the files that an object is read from: its splats, and what is beside or in it."""
+    """Return the files that an object is read from: its splats and its ``object.json``."""
     if _is_file(source):
         return source, storage.join(source.rpartition("/")[0], OBJECT_FILE)
     return storage.join(source, PARTIAL_FILE), storage.join(source, OBJECT_FILE)
@@ -120,7 +120,7 @@ def input_signatures(source: str) -> list[Any]:
 
 
 def do(task: Task) -> Row:
-    """Do one object; never raises but for what ends the batch.
+    """Do one object; an error of that object becomes a row, and only a SetupError is raised.
 
     Raises:
         SetupError: something that all objects need is wrong.
@@ -162,7 +162,7 @@ def do(task: Task) -> Row:
 
 
 def died(task: Task, attempts: int) -> Row:
-    """Return the row of an object that every worker died over."""
+    """Return the row of an object during which every worker died that tried it."""
     text = f"{attempts} workers died over it, one after another (killed, or out of memory)"
     log = _write_log(task, text + "\n")
     return Row(
@@ -171,7 +171,7 @@ def died(task: Task, attempts: int) -> Row:
 
 
 def _do(task: Task) -> tuple[bool, dict[str, Any]]:
-    """Do one object; return whether it was done already, and what the ledger tells of it."""
+    """Do one object; return whether it was done already, and its facts for the ledger."""
     work = Path(task.work) / task.item.id
     copies, begun = (work.with_name(f"{work.name}.{kind}") for kind in ("input", "json"))
     forget_leftovers(begun.parent, [begun.name])  # of a worker that was killed
@@ -207,7 +207,7 @@ class _Source:
 
 
 def _local_source(source: str, copies: Path) -> _Source:
-    """Return the input's files that are there, copied from a store if they are in one.
+    """Return those input files that exist, copied to this machine if they are in a store.
 
     Raises:
         UserError: there is none, or it cannot be read.
@@ -237,7 +237,7 @@ def _finished_facts(begun: Path, work: Path, record: dict[str, Any]) -> dict[str
 def _make(
     task: Task, source: Path, work: Path, begun: Path, record: dict[str, Any]
 ) -> dict[str, Any]:
-    """Make the run folder, going on with an unfinished one that was begun with the same."""
+    """Make the run folder, or continue an unfinished one of the same input and options."""
     found = _read(begun)
     if found == record and (work / RUN_FILE).is_file():
         try:
@@ -272,7 +272,7 @@ def _read(path: Path) -> dict[str, Any] | None:
 
 
 def _name_source(path: Path, source: str) -> None:
-    """Have ``run.json`` name the store that the input came from, not this machine's copy."""
+    """Write the input's path in the store, not that of this machine's copy, into ``run.json``."""
     content = read_json(path)
     content["input"]["path"] = input_files(source)[0]
     if content["input"].get("object") is not None:
@@ -297,7 +297,7 @@ def _details(error: Exception) -> str:
 
 
 def _write_log(task: Task, text: str) -> str:
-    """Write what an object said before it failed; return where, "" if it cannot be written."""
+    """Write a failed object's output to its log; return the log's path, "" if that fails."""
     path = _log_path(task)
     local = Path(task.work) / f"{task.item.id}.log"
     try:
