@@ -117,11 +117,11 @@ def rasterize(
 
 
 def _pass_center_gradients(centers: Tensor, offsets: Tensor, first: int) -> None:
-    """Give ``offsets`` the gradient of the projected centres, which gsplat takes no input for."""
+    """Give ``offsets`` the gradient of the projected centres; gsplat has no input for offsets."""
 
     def pass_on(gradient: Tensor) -> None:
         part = gradient[..., first:, :].reshape(offsets.shape)
-        if offsets.grad_fn is not None:  # made of other tensors, whose gradient it is
+        if offsets.grad_fn is not None:  # computed from other tensors, which receive the gradient
             offsets.backward(part)
         else:
             offsets.grad = part if offsets.grad is None else offsets.grad + part

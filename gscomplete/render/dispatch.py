@@ -35,8 +35,8 @@ def render(
         cameras: V views of one image size.
         background: colour behind the splats.
         frozen: splats drawn together with ``splats`` that take part in occlusion but get no
-            gradient, at no backward cost; or the same prepared for these cameras
-            (:func:`prepare_frozen`), which gives the same bits at less cost.
+            gradient, so that they cost no time in the backward pass; or the same splats prepared
+            for these cameras (:func:`prepare_frozen`), which gives the same bits in less time.
         screen_offsets: added to the projected centres. Zeros that require a gradient receive
             dL/d(centre in pixels) of every view, which densification needs.
         settings: constants of the image formation; None = the defaults.
@@ -71,13 +71,13 @@ def prepare_frozen(
     *,
     backend: Backend = "auto",
 ) -> PreparedFrozen:
-    """Draw a frozen set alone and keep what renders of it with other splats can share.
+    """Draw a frozen set alone, and keep all that its later renders with other splats can reuse.
 
     Args:
         frozen: splats that get no gradient, in the cameras' world frame.
         cameras: V views; the prepared value serves renders from exactly these.
         settings: constants of the image formation; None = the defaults.
-        backend: which implementation draws; only the CPU's renders gain.
+        backend: which implementation draws; only renders on the CPU become faster.
 
     Returns:
         What ``render(..., frozen=...)`` takes for these views.

@@ -1,10 +1,10 @@
-"""A frozen splat set prepared for a batch of views: what renders from those views can share.
+"""A frozen splat set prepared for a batch of views: what all renders from those views share.
 
-The partial object P is drawn in every render of a completion, from views that come back again and
-again. Preparing it draws it once per view, alone, and keeps its image and, for the CPU renderer,
-the splats of it that can be seen, in depth order and tile by tile. Renders that are given the
-prepared value then project only the other splats, and draw only the tiles that these change:
-images and gradients keep every bit. On other backends P is drawn anew each time.
+The partial object P is drawn in every render of a completion, and the same views return many times.
+Preparing P draws it once per view, alone, and keeps its image and, for the CPU renderer, its
+visible splats in depth order and tile by tile. Renders that are given the prepared value then
+project only the other splats and draw only the tiles that these change; images and gradients are
+the same bit for bit. On other backends P is drawn anew each time.
 
 One view of 256 x 256 pixels costs 1.3 MB for the image (20 bytes a pixel), 56 bytes for every splat
 that can be seen and 4 for every tile that it is in: 9.6 MB for 148,000 discs of which 132,000 can
@@ -75,7 +75,7 @@ class PreparedFrozen:
         return join_renders([view.picture for view in self.views]).over(background)
 
     def check(self, cameras: Cameras, settings: RenderSettings) -> None:
-        """Make sure that a render is one that this was prepared for.
+        """Check that a render uses the views and settings that this was prepared for.
 
         Raises:
             ValueError: the views or the settings are others.

@@ -1,13 +1,13 @@
-"""P in the views of a run: what depends on P and the view alone is worked out once per view.
+"""P in the views of a run: whatever depends only on P and the view is computed once per view.
 
-Rings of targets and views of V come back many times while splats are fitted to them; P's
+The views of the target rings and of V are rendered many times while splats are fitted to them; P's
 projection, depth order, tile lists and picture are the same each time (``render.PreparedFrozen``).
 
 Conventions
 -----------
-* Batches of views are known by their cameras' values. The batches used longest ago are forgotten
-  when all of them take more than ``max_bytes``; forgetting costs time, never changes a result.
-* Only the CPU's renderer can use more of it than the picture: gsplat draws P anew.
+* Batches of views are identified by their cameras' values. When all of them take more than
+  ``max_bytes``, the least recently used are dropped; that costs time but never changes a result.
+* Only the CPU renderer can use more than the picture: gsplat draws P anew.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ MAX_BYTES = 512 * 2**20
 
 
 class PartialViews:
-    """Draw P alone, or together with other splats, from views that come back."""
+    """Draw P alone, or together with other splats, from views that are used repeatedly."""
 
     def __init__(self, partial: Splats, max_bytes: int = MAX_BYTES) -> None:
         """Start with no view known.
@@ -64,7 +64,7 @@ class PartialViews:
 
         Args:
             splats: the others; gradients reach them alone.
-            batches: views; each batch is known for itself.
+            batches: views; P is prepared for each batch separately.
             screen_offsets: as in ``render``.
         """
         if self._partial.means.device.type == "cpu":

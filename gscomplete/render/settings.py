@@ -1,4 +1,4 @@
-"""Every knob of the renderer, and the definition of the picture that all backends draw.
+"""All settings of the renderer, and the definition of the picture that all backends draw.
 
 Definition (after Kerbl et al. 2023; all backends and the float64 twin follow it)
 ---------------------------------------------------------------------------------

@@ -1,5 +1,5 @@
 """The CPU renderer: projection, tile lists and compositing as Numba kernels.
 
-Kernels whose first arguments are ``first`` and ``last`` do the tasks from the one up to the other,
-which do not depend on each other; ``util.kernels.run_kernel`` shares out all of them.
+A kernel whose first arguments are ``first`` and ``last`` does the tasks numbered first to last - 1,
+which are independent; ``util.kernels.run_kernel`` divides all tasks among threads.
 """

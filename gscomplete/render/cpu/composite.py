@@ -1,4 +1,4 @@
-"""Composite tile lists front to back (one view); ``composite_backward`` is the way back.
+"""Composite tile lists front to back (one view); ``composite_backward`` has the gradients.
 
 Conventions
 -----------
@@ -7,9 +7,9 @@ Conventions
   of a tile beyond the picture are drawn but not stored.
 * A tile's per-pixel state lives in one flat float32 buffer, plane after plane (``B_*``): inner
   loops run over contiguous floats, and LLVM can tell that the planes do not overlap.
-* An entry below the number of frozen rows is a frozen row; others count on into the other rows.
-* Rows are read a batch ahead: a tile's rows are scattered over megabytes, and many reads under way
-  at once take the time of one, while a read in the middle of compositing is waited for.
+* With F frozen rows, an entry e < F refers to frozen row e, any other to row e - F of ``rows``.
+* Rows are read a batch ahead: a tile's rows are scattered over megabytes. Many reads issued at once
+  take the time of one, whereas each read in the middle of compositing would stall it.
 * Only the tiles listed in ``active`` are drawn; tiles do not depend on each other.
 * Inner loops have no branches and no calls: alphas below the threshold are multiplied by zero, and
   ``exp`` is a polynomial, so that LLVM turns them into vector code.
@@ -175,7 +175,8 @@ def composite(
 def read_rows(frozen_rows: Any, rows: Any, entries: Any, first: int, last: int, batch: Any) -> None:
     """Copy the rows of the entries from ``first`` up to ``last`` side by side.
 
-    They are touched before: a loop that only reads has more reads under way than one that copies.
+    A first loop only reads each row, which brings it into the cache: such a loop has more reads in
+    flight at once than one that copies.
     """
     frozen = frozen_rows.shape[0]
     touched = np.float32(0.0)
@@ -185,7 +186,7 @@ def read_rows(frozen_rows: Any, rows: Any, entries: Any, first: int, last: int, 
             touched += frozen_rows[k, 0] + frozen_rows[k, PACKED - 1]
         else:
             touched += rows[k - frozen, 0] + rows[k - frozen, PACKED - 1]
-    batch[0, 0] = touched  # overwritten below; without a use the loop would go
+    batch[0, 0] = touched  # overwritten below; keeps the loop from being removed
     for e in range(first, last):
         k = entries[e]
         if k < frozen:

@@ -1,11 +1,11 @@
-"""Differentiate what ``composite`` draws, tile by tile (one view).
+"""Gradients of what ``composite`` draws, tile by tile (one view).
 
 Conventions
 -----------
 * Upstream gradients are those of the picture; an array [0, ...] stands for zeros. Depth is the sum
   of w * depth over alpha, so dL/dsum = dL/ddepth / alpha, and alpha's own gradient loses
   dL/dsum times depth.
-* The entries that were drawn are walked again in the same order, but for hidden ones
+* The entries that were drawn are visited again in the same order, except hidden ones
   (``contributes``).
 * With w_i = alpha_i T_i and A_i the upstream gradient dotted with splat i's values,
   dL/dalpha_i = T_i A_i - (sum over j > i of w_j A_j) / (1 - alpha_i); the sum behind is the
@@ -68,7 +68,7 @@ def _load_upstream(
     grad_depth: Any,
     grad_alpha: Any,
 ) -> Any:
-    """Write gradients of the sums, and their dot product with them; return 0 if all are 0."""
+    """Write the gradients of the sums and their dot product with them; return 0 if all are 0."""
     top, left = tile // tiles_x * TILE, tile % tiles_x * TILE
     loudest = np.float32(0.0)
     for k in range(B_0, np.uint64(9 * PIXELS)):
@@ -122,7 +122,7 @@ def composite_backward(
     summed: Any,  # [slots] uint8 zeros, 1 is written where sums are
     sums: Any,  # [slots, SUMS] written
 ) -> None:
-    """Write, for (trainable splat, tile) entries, the sums that its gradient is made of."""
+    """Write, for each (trainable splat, tile) entry, the sums from which gradients are computed."""
     buffer = np.empty(9 * PIXELS, np.float32)
     batch = np.empty((BATCH, PACKED), np.float32)
     places, kept = np.empty(BATCH, np.int64), np.empty(BATCH, np.int32)
@@ -171,7 +171,7 @@ def composite_backward(
 
 @numba.njit(**TILE_HELPER)
 def _keep(entries: Any, contributes: Any, following: int, last: int, places: Any, kept: Any) -> Any:
-    """Note the next BATCH entries that are not hidden; return what follows and their number."""
+    """Collect the next BATCH entries that are not hidden; return the next place and how many."""
     count = 0
     while count < BATCH and following <= last:
         places[count], kept[count] = following, entries[following]

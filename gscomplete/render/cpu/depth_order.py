@@ -2,14 +2,14 @@
 
 Conventions
 -----------
-* Depths are positive float64 seen as integers, of which the upper 44 bits are sorted: float32
-  depths would swap neighbours that overlap, which shows in the picture.
-* The order is that of (key, index), whichever way it is found: threads and bounds of parts decide
-  nothing about it.
-* Every thread sorts a range of depths of its own: scattered writes of two threads into one range
-  share cache lines, which costs what they gain.
-* Two sweeps sort by the upper 22 of the bits in which a part's keys differ. Few neighbours are in
-  disorder then, and are put right one by one; where they are many, all bits are sorted by.
+* Keys are the bit patterns of positive float64 depths as integers, of which the upper 44 bits are
+  sorted: float32 depths would swap overlapping neighbours, which changes the picture visibly.
+* The result is the order by (key, index); it does not depend on threads or on how the keys are
+  divided into parts.
+* Every thread sorts its own range of depths: if two threads wrote into one range, they would share
+  cache lines, which costs as much time as the second thread saves.
+* Two passes sort by the upper 22 of the bits in which a part's keys differ. If few neighbours are
+  then still out of order, these are swapped one by one; if many are, all bits are sorted.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def depth_order(visible: Any, depth_bits: Any) -> tuple[Any, Any]:  # [N] uint8,
 
 
 def _bounds(visible: Any, depth_bits: Any, parts: int) -> Any:  # [parts + 1] uint64
-    """Cut the keys into ranges of about the same number of splats."""
+    """Choose keys that divide all keys into ranges of about the same number of splats."""
     bounds = np.zeros(parts + 1, np.uint64)
     bounds[parts] = _NO_BOUND
     if parts > 1:
@@ -83,7 +83,7 @@ def _sort_parts(
         least, most = _NO_BOUND, np.uint64(0)
         for i in range(visible.shape[0]):
             key = depth_bits[i] >> _DROPPED
-            spare[stop], spare_keys[stop] = i, key  # kept if it counts: no branch
+            spare[stop], spare_keys[stop] = i, key  # overwritten unless it counts: saves a branch
             stop += np.uint64((visible[i] != 0) & (key >= bounds[part]) & (key < bounds[part + 1]))
         for j in range(start, stop):
             least, most = min(least, spare_keys[j]), max(most, spare_keys[j])

@@ -3,8 +3,8 @@
 Conventions
 -----------
 * ``camera`` is a tuple of float64: the 3x4 rows of camera_from_world (12 numbers), then
-  fx, fy, cx, cy, width, height, near, blur_px2, alpha_min. A tuple, because what a kernel stores
-  cannot change it: the numbers of an array would be read anew after every store.
+  fx, fy, cx, cy, width, height, near, blur_px2, alpha_min. It is a tuple because a kernel's stores
+  cannot change it; the compiler would read the numbers of an array again after every store.
 * A projected splat is one row of PACKED float32 values (the ``P_*`` columns): screen centre (u, v),
   whitening L = [[LA, LB], [0, LC]], opacity, colour, depth, and the half height and width of its
   pixel box at alpha_min. L^T L is the inverse screen covariance, so with the whitened offset

@@ -2,13 +2,14 @@
 
 Conventions
 -----------
-* Both lists of a tile are in depth order. Joined, they are in the order that one sort of all
-  splats gives: by depth key, frozen first where keys are equal.
+* Both lists of a tile are in depth order. The joined list has the order that one sort of all splats
+  would give: by depth key, frozen splats first where keys are equal.
 * Joined entries number the frozen rows first, then the other rows, as ``composite`` reads them.
 * A frozen list holds the entries up to ``done``, where P alone is opaque, and STOP_EVERY - 1 more.
-  Splats in front of them only lower the transmittance, so the joined list is opaque there too and
-  compositing ends at its next look, at most STOP_EVERY - 1 entries on: what was cut off behind is
-  never reached. A list longer than ``done`` is thus one that P alone finishes.
+  Other splats in front of them only lower the transmittance, so the joined list is opaque there
+  too, and compositing ends at its next check, at most STOP_EVERY - 1 entries later: the entries cut
+  off behind are never reached. A list longer than ``done`` thus belongs to a tile that P alone
+  makes opaque.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 """The geometry of a splat on the screen, shared by projection and its gradient.
 
-Both take LANES splats at a time: a loop reads their fields into the planes of a flat float64 buffer
-(lane p of plane k at k * LANES + p), a second one without branches and calls computes them all,
-which LLVM turns into vector code (a quarter of the time of one splat after another), and a third
-one writes. What the second one calls is inlined; conditions become numbers.
+Both take LANES splats at a time, in three loops. The first reads their fields into the planes of a
+flat float64 buffer (lane p of plane k is at k * LANES + p). The second computes all lanes without
+branches or calls, so that LLVM turns it into vector code (a quarter of the time of one splat after
+another); the functions that it uses are inlined, and conditions become numbers. The third writes
+the results.
 
 Arithmetic is float64: needles, pancakes and splats near the camera plane need the range. det(cov)
 comes from the cross product of the rows of J W M (Cauchy-Binet), never from a c - b^2, so that
@@ -55,7 +56,7 @@ def _rotation(w: float, x: float, y: float, z: float) -> Any:
 
 @numba.njit(**LANE_HELPER)
 def natural_log(x: float) -> Any:
-    """Return log(x) of a positive normal number, within 2e-14: calls of libm are no vector code."""
+    """Return log(x) of a positive normal number, within 2e-14; libm's log would not vectorise."""
     bits = np.float64(x).view(np.int64)
     mantissa = np.int64((bits & _MANTISSA) | _ONE_BITS).view(np.float64)
     large = mantissa > _ROOT_2
@@ -69,7 +70,7 @@ def natural_log(x: float) -> Any:
 
 @numba.njit(**LANE_HELPER)
 def eye_and_limits(camera: Any) -> Any:
-    """Return the camera's centre in the world, and the ratios x / z and y / z of Jacobians."""
+    """Return the camera's centre in the world, and limits of x / z and y / z in Jacobians."""
     fx, fy, cx, cy, width, height = camera[12:18]
     low_x, high_x = -cx / fx - EDGE_SLACK * width / fx, (width - cx + EDGE_SLACK * width) / fx
     low_y, high_y = -cy / fy - EDGE_SLACK * height / fy, (height - cy + EDGE_SLACK * height) / fy
@@ -100,7 +101,7 @@ def _clamped_ratio(value: float, inverse_z: float, low: float, high: float) -> A
 def screen_rows(quaternion: Any, camera: Any, point: Any, limits: Any) -> Any:
     """Return rows of T = J W [2, 3] and R [3, 3], ratios, clamp flags and the unit quaternion.
 
-    The unit quaternion comes with the factor that made it one.
+    The unit quaternion is followed by the factor that normalised it.
     """
     qw, qx, qy, qz = quaternion
     x, y, z = point

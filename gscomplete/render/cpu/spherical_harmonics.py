@@ -34,7 +34,7 @@ C30, C31, C32, C33, C34, C35, C36 = (
 
 @numba.njit(**KERNEL)
 def used_bands(sh: Any) -> int:  # [N, K, 3]
-    """Return how many of the K bands a colour needs: those above have zeros only."""
+    """Return how many of the K bands have to be evaluated: all coefficients above are zero."""
     bands = sh.shape[1]
     used = 1
     for i in range(sh.shape[0]):

@@ -96,7 +96,7 @@ def _row_tiles(ellipse: Any, ty: float, tiles_x: float) -> Any:
 
 @numba.njit(**LANE_HELPER)
 def _ellipse(row: Any) -> Any:
-    """Return what of a packed row the functions above read."""
+    """Return those values of a packed row that the functions above read."""
     return (
         np.float64(row[P_U]),
         np.float64(row[P_V]),
@@ -183,10 +183,10 @@ def count_entries(
 
 @numba.njit(**LANE_HELPER)
 def _four_tiles(spans: Any, rank: int, tiles_x: int) -> Any:
-    """Return whether a splat reaches two by two tiles at most, which, and 1 for each reached.
+    """Return whether a splat spans at most 2 x 2 tiles, their numbers, and 1 for each reached.
 
-    Small splats are counted without branches, which would be guessed wrong as often as not. What is
-    not reached is numbered 0.
+    Small splats are counted without branches, since the processor would mispredict about half of
+    them. A tile that is not reached gets the number 0.
     """
     rows = spans[rank, 1] - spans[rank, 0]
     upper, lower = spans[rank, 3] - spans[rank, 2], spans[rank, 5] - spans[rank, 4]
@@ -203,7 +203,7 @@ def _four_tiles(spans: Any, rank: int, tiles_x: int) -> Any:
 def _kept_tiles(
     spans: Any, ranked: Any, rank: int, ty: int, tiles_x: int, tiles_y: int, exact: bool
 ) -> Any:
-    """Return the tiles of tile row ``ty``: kept, or computed where they are not."""
+    """Return the tiles of tile row ``ty``, as stored in ``spans`` or else computed again."""
     row = ty - spans[rank, 0]
     if row < KEPT_ROWS:
         return np.int64(spans[rank, 2 + 2 * row]), np.int64(spans[rank, 3 + 2 * row])
@@ -274,14 +274,14 @@ def fill_entries(
 def gather_ranked(first: int, last: int, packed: Any, order: Any, ranked: Any) -> None:
     """Copy packed rows into depth order, so that compositing reads memory forwards.
 
-    They are touched first (``composite.read_rows``).
+    A first loop only reads the rows, for the reason given at ``composite.read_rows``.
     """
     for block in range(first, last, _AHEAD):
         stop = min(block + _AHEAD, last)
         touched = np.float32(0.0)
         for rank in range(block, stop):
             touched += packed[order[rank], 0] + packed[order[rank], PACKED - 1]
-        ranked[block, 0] = touched  # overwritten below; without a use the loop would go
+        ranked[block, 0] = touched  # overwritten below; keeps the loop from being removed
         for rank in range(block, stop):
             source = order[rank]
             for k in range(PACKED):

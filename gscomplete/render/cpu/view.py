@@ -1,4 +1,4 @@
-"""One view on the CPU: project, order, list by tile, composite; and the way back.
+"""One view on the CPU: project, order, list by tile, composite; and the gradients of all that.
 
 Conventions
 -----------
@@ -47,7 +47,7 @@ only slower, the same bits."""
 
 @dataclass(frozen=True, slots=True)
 class TileLists:
-    """What is drawn where in one view, before anything is drawn."""
+    """Which splats are drawn in which tile of one view, before compositing."""
 
     packed: Any  # [N, PACKED] rows of the trainable splats in their own order
     rows: Any  # [M, PACKED] rows of all visible splats in depth order
@@ -60,7 +60,7 @@ class TileLists:
 
 @dataclass(frozen=True, slots=True)
 class FrozenLists:
-    """What is kept of a frozen set for one view: what can be seen of it, wherever others are."""
+    """The splats of a frozen set that can be seen in one view, whatever is drawn with them."""
 
     rows: Any  # [F, PACKED] float32 in depth order
     keys: Any  # [F] uint64 depth keys, ascending
@@ -248,7 +248,7 @@ def differentiate(
     *,
     is_first: bool,
 ) -> None:
-    """Add the view's gradients of every trainable splat, or write those of the first view."""
+    """Add the view's gradients of every trainable splat; the first view's overwrite."""
     summed = np.zeros(int(view.slot_start[-1]), np.uint8)
     sums = np.empty((len(summed), layout.SUMS), np.float32)
     run_kernel(
@@ -283,7 +283,7 @@ def _grid(camera: Any) -> tuple[int, int]:
 
 
 def _shares(work: Any) -> Any:  # [A] -> [SHARES + 1] int64
-    """Cut a row of tasks into runs of about the same work; threads are given whole runs."""
+    """Cut a sequence of tasks into runs of about equal work; a thread takes whole runs."""
     ends = np.cumsum(work + _TILE_WORK, dtype=np.int64)
     total = ends[-1] if len(ends) else 0
     cuts = np.searchsorted(ends, total * np.arange(1, SHARES) // SHARES, side="right")
