@@ -23,8 +23,8 @@ _logger = logging.getLogger(__name__)
 def choose_device(name: str) -> torch.device:
     """Turn ``auto``, ``cpu``, ``cuda`` or ``cuda:N`` into a device.
 
-    A build of PyTorch for GPUs on a machine without one is told once: it is many times as large as
-    the one for CPUs, and what plain ``pip install`` takes on Linux.
+    A PyTorch built for GPUs on a machine without one gives a note, once per process: that build is
+    many times as large as the one for CPUs, and plain ``pip install`` chooses it on Linux.
 
     Raises:
         UserError: an unknown name, or a GPU that this machine or this PyTorch lacks.
@@ -51,7 +51,7 @@ def choose_device(name: str) -> torch.device:
 
 @functools.cache
 def _tell_of_unused_cuda() -> None:
-    """Say so once in a process."""
+    """Note, once per process, that this PyTorch is built for GPUs and the machine has none."""
     _logger.warning(
         "note: PyTorch %s is built for CUDA %s but finds no GPU here: the CPU computes; PyTorch's "
         "build for CPUs does the same and takes a fraction of the disk (see README.md)",

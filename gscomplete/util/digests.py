@@ -1,4 +1,4 @@
-"""Digests of files, by which runs, weights and objects know what they were made from."""
+"""Digests of files, with which runs, weights and objects record what they were made from."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ _LONGEST_NAME = 200
 
 
 def is_plain_name(name: Any) -> TypeGuard[str]:
-    """Tell whether a name can be that of a file or folder: within its folder, shown, printable."""
+    """Tell whether a name is one path component that is printable and not hidden."""
     if not isinstance(name, str) or not 0 < len(name) <= _LONGEST_NAME:
         return False
     return not name.startswith(".") and not set(name) & set("/\\") and name.isprintable()

@@ -2,9 +2,9 @@
 
 Conventions
 -----------
-* The lock is the system's, on the folder itself: nothing lies about, and it ends with the process,
-  however that ends. Within one process a folder's lock is shared.
-* File systems and systems without such locks are worked on without.
+* The lock is one of the operating system on the folder itself: it needs no lock file, and it ends
+  with the process, for whatever reason that ends. Within one process a folder's lock is shared.
+* Where the file or operating system has no such locks, folders are used without one.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ except ImportError:  # not on Windows
 
 
 class FolderLock:
-    """A folder that is this process's while the object lives."""
+    """A folder that belongs to this process as long as the object lives."""
 
     def __init__(self, handle: int) -> None:
         """Keep a locked handle."""
@@ -79,9 +79,9 @@ def create_folder(out: Path, names: Iterable[str]) -> FolderLock | None:
     """Create an output folder and lock it.
 
     Args:
-        out: the folder; an empty one may be there.
-        names: of the files that are to be written; what a process that was killed before its first
-            file was there left of them does not count.
+        out: the folder; it may already exist if it is empty.
+        names: of the files that are to be written; temporary files of these names, left by a
+            process that was killed before it finished its first file, do not count as content.
 
     Raises:
         UserError: it exists with something in it, or cannot be created.

@@ -5,13 +5,14 @@ Conventions
 * Work that is shared out must release the interpreter lock where it matters (system calls, numpy,
   kernels with ``nogil``), and touch nothing that another task touches: results do not depend on
   threads.
-* Kernels of loops that could be ``prange`` are plain kernels over a run of tasks: Numba compiles
+* Loops that could use ``prange`` are instead plain kernels over a range of tasks: Numba compiles
   those in half the time, and they run as fast.
-* The calling thread works too, and never waits for a helper that has no task.
+* The calling thread does tasks too, and never waits for a helper thread that has none.
 * Helpers are daemons: an idle one does not keep the process alive.
-* The interpreter lock keeps two thirds of compiling to one core. On a first run a forked process
-  compiles some kernels, and this one finds them among those that the disk keeps. Which process
-  compiles a kernel decides nothing about results, and neither waits for the other.
+* Two thirds of the time to compile hold the interpreter lock, so threads cannot share it. On a
+  first run a forked process compiles some kernels, and this process loads them from the cache on
+  the disk. Results do not depend on which process compiles a kernel, and neither waits for the
+  other.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ from one that is held up."""
 
 
 class _Job:
-    """Tasks 0 to count - 1, taken one after another by whoever is free."""
+    """Tasks 0 to count - 1, taken one after another by whichever thread is free."""
 
     def __init__(self, work: Callable[[int], None], count: int) -> None:
         self._work = work
@@ -67,7 +68,7 @@ class _Job:
         self.failures: list[tuple[int, BaseException]] = []
 
     def take_tasks(self) -> None:
-        """Do tasks until none is left to take; after a failure, only take them."""
+        """Do tasks until none is left; after a failure, take the rest without doing them."""
         while (number := next(self._numbers)) < self._count:
             try:
                 if not self.failures:
@@ -110,7 +111,7 @@ _helpers = _Helpers()
 
 
 def _forget_helpers() -> None:
-    """Start afresh: a forked process has none of its parent's threads."""
+    """Drop the helpers in a forked process, which has none of its parent's threads."""
     global _helpers
     _helpers = _Helpers()
 
@@ -152,7 +153,7 @@ def run_kernel(kernel: Callable[..., None], count: int, grain: int, *arguments: 
         arguments: what the kernel is given besides.
     """
     if not getattr(kernel, "overloads", True):
-        kernel(0, 0, *arguments)  # compiled by the calling thread, whose profile counts it
+        kernel(0, 0, *arguments)  # compiles in this thread, whose profile counts it
     threads = numba.get_num_threads() if count > grain else 1
     runs = min(-(-count // grain), threads * _RUNS_PER_THREAD) if threads > 1 else 1
     if runs <= 1:
@@ -166,14 +167,14 @@ def run_kernel(kernel: Callable[..., None], count: int, grain: int, *arguments: 
 
 
 class _Compilations(event.Listener):
-    """Counts compiling as a stage, and tells of the first time."""
+    """Attributes compiling to a stage of the profile, and calls ``tell`` at the first kernel."""
 
     def __init__(self, tell: Callable[[], None]) -> None:
         self._tell = tell
         self._depth = 0
 
     def on_start(self, event: event.Event) -> None:
-        """Begin to compile a kernel, or within that what it calls."""
+        """Begin to compile a kernel, or, nested within that, a function that it calls."""
         self._depth += 1
         if self._depth > 1:
             return
@@ -193,9 +194,9 @@ class _Compilations(event.Listener):
 
 @contextlib.contextmanager
 def compilations_told(tell: Callable[[], None]) -> Iterator[None]:
-    """Call ``tell`` before the first kernel that has to be compiled, and count a stage of them.
+    """Call ``tell`` before the first kernel that is compiled, and profile compiling as a stage.
 
-    Kernels that the disk keeps are loaded, which is not compiling.
+    Loading a kernel from the cache on the disk does not count as compiling.
     """
     with event.install_listener("numba:compile", _Compilations(tell)):
         yield
@@ -232,7 +233,7 @@ def compile_beside(kernels: Sequence[KernelTypes]) -> int | None:
     if all(is_kept(found.kernel) for found in kernels):
         return None
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # NumPy has threads, none is at work
+        warnings.simplefilter("ignore", DeprecationWarning)  # NumPy's threads are idle at a fork
         process = os.fork()
     if process:
         return process
@@ -252,8 +253,8 @@ def compile_kernels(kernels: Sequence[KernelTypes]) -> None:
 
 
 def is_kept(kernel: Any) -> bool:
-    """Return whether the disk keeps an index of a kernel, be it of an earlier version."""
+    """Return whether the disk cache has an index of a kernel, possibly of an earlier version."""
     folder = kernel.stats.cache_path
     if folder is None:
-        return True  # nowhere to keep it
+        return True  # no cache folder: compiling ahead would be lost
     return any(Path(folder).glob(f"*.{kernel.py_func.__name__}-*.nbi"))

@@ -2,9 +2,10 @@
 
 Conventions
 -----------
-* What a file's header says is checked before room is made for it, and what it holds is counted
-  while it is unpacked: a small file must not fill the memory.
-* The bound grows with the file: real data shrink to a tenth, constant pictures to a hundredth.
+* The size that a file's header states is checked before memory is reserved, and the actual bytes
+  are counted while it is unpacked, so that a small file cannot fill the memory.
+* The bound is proportional to the file's size: real data compress to about a tenth, constant
+  pictures to a hundredth.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Nearest neighbours of many points, in threads that a signal cannot leave behind.
+"""Nearest neighbours of many points, in threads that end safely when a signal arrives.
 
 Conventions
 -----------
-* SciPy's own ``workers`` are daemon threads: when Ctrl-C or SIGTERM ends the wait for them they go
-  on reading the tree while the interpreter ends, and the process dies of a segmentation fault.
-  Threads of a pool are waited for whatever happens.
-* Each row is asked for by one thread alone: the number of threads does not change results.
+* SciPy's own ``workers`` are daemon threads: when Ctrl-C or SIGTERM ends the wait for them, they
+  still read the tree while the interpreter shuts down, and the process dies of a segmentation
+  fault. The threads of a pool are always waited for.
+* Each row is queried by exactly one thread, so results do not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -34,10 +34,9 @@ def query_nearest(
 
     Args:
         tree: of M points of D dimensions.
-        points: where to ask.
-        k: how many neighbours, or which ones, the nearest being 1.
-        within: points that are not nearer than this count as infinitely far, which saves looking
-            for them.
+        points: query points.
+        k: number of neighbours, or a sequence of ranks (1 = the nearest).
+        within: neighbours at this distance or beyond count as infinitely far, which saves time.
     """
 
     def ask(rows: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.intp]]:

@@ -1,4 +1,4 @@
-"""Options that are texts with numbers in them."""
+"""Parse options that are given as text with numbers."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def parse_numbers(text: str | None, count: int, option: str, form: str) -> list[
 
 
 def require_positive(value: float | None, option: str) -> None:
-    """Refuse a length that is none; None = not given.
+    """Refuse a length that is not positive and finite; None (not given) passes.
 
     Raises:
         UserError: it is zero, negative, infinite or NaN.

@@ -2,14 +2,14 @@
 
 Conventions
 -----------
-* On the CPU, PyTorch adds up all elements of a large tensor, and the channels-last features of a
-  group norm, in as many parts as there are threads. Sums over some dimensions are safe: one thread
-  adds up each result.
-* Processors that multiply tiles (AMX) add up the long sums of a matrix product in as many parts as
-  there are threads, where the product itself is too small to be shared out.
+* On the CPU, PyTorch sums all elements of a large tensor, and the channels-last features of a group
+  norm, in as many parts as there are threads. Sums over only some dimensions are safe, since one
+  thread computes each result.
+* Processors with a matrix unit (AMX) split the long inner sums of a matrix product into as many
+  parts as there are threads, if the product itself is too small to be divided among them.
 * Sigmoids, SiLUs, softmaxes over the first dimension and fractional powers of 32,768 elements and
-  more are safe only in one thread: the last elements of every thread's part are rounded differently
-  from those before them. Exponentials, logarithms and arithmetic are safe.
+  more are safe only in one thread, because the last elements of each thread's part are rounded
+  differently from the others. Exponentials, logarithms and arithmetic are safe.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def fixed_power(values: Tensor, exponent: float) -> Tensor:  # [...] -> [...]
 
 
 class GroupNorm(nn.GroupNorm):
-    """A group norm that one thread computes on the CPU: a small part of its network's work."""
+    """A group norm that one thread computes on the CPU, which costs a network little time."""
 
     def forward(self, input: Tensor) -> Tensor:  # noqa: A002  # [B, C, ...]
         """Return the normalised features."""
@@ -84,7 +84,7 @@ class Linear(nn.Linear):
 
 @contextlib.contextmanager
 def one_thread(values: Tensor) -> Iterator[None]:
-    """Have one thread do what happens in the block, if ``values`` are on the CPU."""
+    """Limit PyTorch to one thread within the block, if ``values`` are on the CPU."""
     if values.device.type != "cpu":
         yield
         return

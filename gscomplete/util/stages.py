@@ -2,10 +2,10 @@
 
 Conventions
 -----------
-* A stage's seconds are its own: what stages within it take is theirs.
+* A stage's seconds exclude those of the stages within it.
 * Processor time is that of all threads of the process; memory is the largest resident set of the
   process up to the stage's end, so the stage at which it rises is the one that needs it.
-* Nothing is recorded outside :func:`profiled`; a stage then costs a look at a variable.
+* Nothing is recorded outside :func:`profiled`; a stage then costs only the reading of a variable.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 
 @dataclass(slots=True)
 class StageCost:
-    """What a stage took, over all times it was entered."""
+    """Time and memory of a stage, summed over all times that it was entered."""
 
     wall_s: float = 0.0
     cpu_s: float = 0.0
@@ -89,7 +89,7 @@ _PROFILE: ContextVar[Profile | None] = ContextVar("profile", default=None)
 
 @contextlib.contextmanager
 def profiled() -> Iterator[Profile]:
-    """Record the stages of what is done within."""
+    """Record the stages of everything that runs within the block."""
     found = Profile()
     token = _PROFILE.set(found)
     try:
@@ -105,10 +105,10 @@ def current_profile() -> Profile | None:
 
 @contextlib.contextmanager
 def stage(name: str) -> Iterator[None]:
-    """Count what is done within as a stage's, where a profile is recorded.
+    """Attribute what runs within the block to a stage, if a profile is being recorded.
 
     Args:
-        name: as the table shows it.
+        name: the stage's name in the table.
     """
     current = _PROFILE.get()
     if current is None:

@@ -1,9 +1,9 @@
-"""What a result's bytes depend on besides the input: versions, threads and the kind of processor.
+"""What a result's bytes depend on besides its input: versions and the kind of processor.
 
 Conventions
 -----------
 * The same seed gives the same bytes for the same versions and kind of processor, whatever the
-  number of threads (``same_bits``). Numbers of threads are kept to tell speeds apart.
+  number of threads (``same_bits``). Thread counts are recorded only to explain different speeds.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import gscomplete
 
 
 def made_with() -> dict[str, Any]:
-    """Return what bytes depend on, as JSON values."""
+    """Return versions, threads and the kind of processor, as JSON values."""
     return {
         "gscomplete": gscomplete.__version__,
         "python": platform.python_version(),
@@ -34,10 +34,10 @@ def made_with() -> dict[str, Any]:
 
 
 def differences_note(before: object) -> tuple[str, ...]:
-    """Tell what has changed since a run began; none = nothing.
+    """Describe what has changed since a run began, in one note; no note = nothing.
 
     Args:
-        before: ``made_with`` of then, from a file that may be damaged.
+        before: what :func:`made_with` returned then, read from a file that may be damaged.
     """
     if not isinstance(before, dict):
         return ()

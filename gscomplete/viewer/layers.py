@@ -1,11 +1,12 @@
-"""What is looked at: sets of splats with names, in one object frame.
+"""What the viewer shows: named sets of splats in one object frame.
 
 Conventions
 -----------
-* Layers are in the object frame: of the run or the object folder where there is one, else about
-  the first layer's box, floaters apart.
-* A run folder gives two layers, ``P`` and ``new``, and one for each alternative that it kept, of
-  which one at a time is shown in the place of ``new``; any other folder one per splat file in it.
+* Layers are in the object frame of the run or the object folder; without either, the frame is that
+  of the first layer's bounding box, outlying splats (floaters) excluded.
+* A run folder gives two layers, ``P`` and ``new``, and one for each alternative that it kept; one
+  alternative at a time can be shown instead of ``new``. Any other folder gives one layer per splat
+  file in it.
 * A run that has not finished gives P and what its newest checkpoint holds.
 """
 
@@ -66,9 +67,9 @@ def read_scene(paths: Sequence[Path], up: UpAxis, most_splats: int) -> Scene:
     """Read a run folder, or splat files and folders of them.
 
     Args:
-        paths: what to read; a run folder comes alone.
-        up: axis of the files that points up; a run and an object folder know their own.
-        most_splats: of each layer; of larger ones an even choice is shown.
+        paths: what to read; a run folder must be the only path.
+        up: axis of the files that points up; runs and object folders record their own.
+        most_splats: most splats per layer; of larger layers an even subset is shown.
 
     Raises:
         UserError: a path holds nothing to show, or a file is broken.
@@ -112,7 +113,7 @@ def _read_run(folder: Path, most_splats: int) -> Scene:
 
 
 def _parts_of(run: RunFolder) -> list[tuple[str, Splats]]:
-    """Return P and the newest new splats of a run that goes on, in the file frame.
+    """Return P and the newest new splats of an unfinished run, in the file frame.
 
     Raises:
         UserError: P is not where it was.
@@ -141,7 +142,7 @@ def _layer(
     frame: ObjectFrame,
     most: int,
 ) -> Layer:
-    """Carry what can be drawn into the frame, and tell what is left out."""
+    """Transform the drawable splats into the object frame, and report those left out."""
     drawn = splats.select(usable)
     shown = thinned(drawn, most, torch.Generator().manual_seed(0))
     outside = frame.count_outside(drawn, _REACH)

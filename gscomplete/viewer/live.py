@@ -1,9 +1,9 @@
-"""A run that has not finished: what its newest checkpoint holds, again and again.
+"""Follow an unfinished run: show the new splats of each checkpoint as it is written.
 
 Conventions
 -----------
-* Checkpoints hold new splats in the object frame. ``completed.ply`` comes before the metrics and
-  alternatives; ``run.json`` says last that the run has finished, which ends the following.
+* Checkpoints hold new splats in the object frame. A run writes ``completed.ply`` first, then
+  metrics and alternatives, and last ``run.json``, which ends the following.
 """
 
 from __future__ import annotations
@@ -56,15 +56,15 @@ def follow(
     stop: threading.Event,
     poll_s: float = _POLL_S,
 ) -> None:
-    """Tell of every new checkpoint, and of the result, until the run has finished or ``stop``.
+    """Report every new checkpoint, and the result, until the run has finished or ``stop`` is set.
 
     Args:
         folder: the run folder.
-        on_progress: is given what is newest.
-        on_result: is called when ``completed.ply`` is there, and when the run has finished: then
-            with True.
-        stop: set by whoever ends the following.
-        poll_s: seconds between looks.
+        on_progress: called with the new splats of each newest checkpoint.
+        on_result: called with False when ``completed.ply`` appears, and with True when the run has
+            finished.
+        stop: set by the caller to end the following.
+        poll_s: seconds between two looks at the folder.
     """
     path, seen, has_result = folder / CHECKPOINTS / FILE_NAME, 0, False
     while not stop.is_set():

@@ -1,10 +1,10 @@
-"""What viser's web server answers, where it has no option for it.
+"""Corrections to the answers of viser's web server for which viser has no option.
 
 Conventions
 -----------
 * Only servers that start within :func:`mended_answers` are concerned.
-* A machine's own names are ``localhost``, its host name, any address, and the one it listens at.
-* A page that is not the one expected, as of another version of viser, is served as it is.
+* A machine's own names are ``localhost``, its host name, any IP address, and where it listens.
+* A page that differs from the expected one, as in another version of viser, is served unchanged.
 """
 
 from __future__ import annotations
@@ -29,11 +29,12 @@ _MENDED_CORNERS = "new Float32Array([-2,-2,0,2,-2,0,2,2,0,-2,2,0]),3)"
 
 @contextlib.contextmanager
 def mended_answers(listening_at: str) -> Iterator[None]:
-    """Have servers that start in the block refuse other sites' pages and serve a mended page.
+    """Make servers that start in the block refuse other sites' requests and serve a mended page.
 
-    A page of any site may open a WebSocket to this machine; its browser says from where, in the
-    header Origin. A site may also have its own name resolve to this machine, so that Origin and
-    Host agree: then Host is a name that this machine does not have. viser answers all of them.
+    A page of any site can open a WebSocket to this machine; its browser then names that site in the
+    header Origin. A site can also make its own name resolve to this machine (DNS rebinding), so
+    that Origin and Host agree, but then Host is not one of this machine's names. viser itself
+    answers both kinds of request.
 
     Args:
         listening_at: host that the servers listen at.
@@ -79,13 +80,13 @@ def is_own_name(host: str, listening_at: str) -> bool:
 
 
 def mended_page(page: bytes) -> bytes:
-    """Return viser's page with square corners of three numbers."""
+    """Return viser's page with splat corners of three numbers each, which make a square."""
     replaced = f'.replace("{_CORNERS}","{_MENDED_CORNERS}")'.encode()
     return page.replace(_UNPACKED, _UNPACKED[:-1] + replaced + b";")
 
 
 def _mended(response: Any) -> Any:
-    """Return an answer to a request, None for those of WebSockets, with its page mended."""
+    """Return the answer to a request with its page mended; None (a WebSocket) stays None."""
     if response is None or response.status_code != HTTPStatus.OK or not response.body:
         return response
     is_packed = response.headers.get("Content-Encoding") == "gzip"

@@ -1,12 +1,12 @@
-"""Layers of splats on a viser server: a web page that works over SSH.
+"""Show layers of splats with a viser server: a web page that also works over SSH.
 
 Conventions
 -----------
 * The page shows the object frame: z up, cameras in OpenCV axes, as viser's are.
-* viser draws splats of one colour from all sides: base colours, no spherical harmonics.
-* In tints, every layer has a hue of its own and keeps its lightness. In errors, P is grey, and red
-  where the completion that is shown changes its appearance from c or the bounds of V; their frusta
-  show the same as pictures.
+* viser draws a splat in the same colour from all directions: base colours, no spherical harmonics.
+* With tints, every layer gets a hue of its own and keeps its lightness. With errors, P is grey, and
+  red where the shown completion changes its appearance from c or from the bounds of V. The frusta
+  of these cameras show the same errors as pictures.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def serve(scene: Scene, host: str, port: int) -> Viewer:
 
 
 def look_from(client: Any, camera: Cameras) -> None:
-    """Move a page's camera to the place of one of ours, which looks at the origin."""
+    """Move a page's camera to the position of a given camera that looks at the origin."""
     client.camera.position = tuple(camera.positions[0].tolist())
     client.camera.look_at = (0.0, 0.0, 0.0)
     client.camera.up_direction = (0.0, 0.0, 1.0)
@@ -172,7 +172,7 @@ def listen(host: str, port: int) -> viser.ViserServer:
 
 
 def show_layer(viewer: Viewer, layer: Layer) -> None:
-    """Draw a layer in the place of the one of its name, or as a new one; errors with it."""
+    """Draw a layer, new or replacing the one of the same name, and update the errors."""
     if layer.name == "P":
         viewer.errors.clear()
     if layer.name in viewer.drawn:
@@ -187,13 +187,13 @@ def show_layer(viewer: Viewer, layer: Layer) -> None:
 
 
 def _add_layer(viewer: Viewer, layer: Layer, place: int) -> None:
-    """Draw a layer, with a box to show or hide it."""
+    """Draw a layer, with a check box that shows or hides it."""
     handle = _drawn(viewer, layer, place)
     _add_box(viewer, layer.name, handle, hint=layer.note, initial=not layer.is_alternative)
 
 
 def _drawn(viewer: Viewer, layer: Layer, place: int) -> Any:
-    """Draw a layer under its number; what was there goes."""
+    """Draw a layer under its number, replacing what was drawn under that number."""
     splats = layer.splats
     viewer.colored[layer.name] = (layer, place)
     return viewer.server.scene.add_gaussian_splats(

@@ -34,7 +34,7 @@ class ViewErrors:
 
 
 def bounds_of(views: ViewDistribution, size_px: int) -> Cameras:
-    """Return the cameras at the corners and the middles of the sides of V."""
+    """Return the cameras at the corners and at the midpoints of the sides of V."""
     grid = [(a, e) for a in (-1, 0, 1) for e in (-1, 0, 1) if (a, e) != (0, 0)]
     azimuths, elevations = np.array(grid, np.float64).T
     limits = np.clip(views.elevation_deg + elevations * views.elevation_range_deg, -89.0, 89.0)
