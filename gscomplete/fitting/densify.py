@@ -1,6 +1,6 @@
-"""Subdivide splats where the picture still pulls, and prune those that show nothing.
+"""Subdivide splats whose screen gradients are large, and prune splats that contribute nothing.
 
-Statistics come from every view that was rendered, never from one of them.
+Gradient statistics cover all views that were rendered, not only one of them.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class GradientStatistics:
         self.views = torch.zeros(count, device=device)
 
     def add(self, gradient: Tensor, width: int, height: int) -> None:  # [V, N, 2] dL/dpixel
-        """Add views; gradients are per half image, so that they hardly depend on resolution."""
+        """Add views; pixels are scaled to half image sizes, so resolution hardly matters."""
         scaled = (gradient[..., 0] * (0.5 * width), gradient[..., 1] * (0.5 * height))
         length = torch.stack(scaled, dim=-1).norm(dim=-1)
         self.total += length.sum(dim=0)
@@ -86,7 +86,7 @@ def subdivide(
 
 
 def halves_of(splats: Splats, generator: torch.Generator) -> Splats:
-    """Replace every splat by two smaller ones drawn from it."""
+    """Replace every splat by two smaller ones, whose centres are drawn from its Gaussian."""
     twice = concatenate([splats, splats])
     local = torch.randn(twice.means.shape, generator=generator).to(twice.scales) * twice.scales
     offset = (rotation_matrices(twice.quaternions) @ local[:, :, None])[:, :, 0]

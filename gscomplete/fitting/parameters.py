@@ -29,11 +29,11 @@ class Rates(Protocol):
 
     @property
     def means(self) -> float:
-        """Of positions at the start."""
+        """Step size of positions at the start."""
 
     @property
     def means_final(self) -> float:
-        """Of positions at the end; in between the logarithm falls evenly."""
+        """Step size of positions at the end; in between its logarithm is interpolated linearly."""
 
 
 class SplatParameters:
@@ -144,7 +144,7 @@ def splats_of_state(state: dict[str, Tensor]) -> Splats:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """What every new splat keeps to, in object-frame units."""
+    """Limits that every new splat keeps to, in object-frame units."""
 
     min_scale: float
     max_scale: float
@@ -158,8 +158,8 @@ class Bounds:
 class BoundedParameters(SplatParameters):
     """Splats that are projected onto their bounds after every step.
 
-    So a bound on scales, colours and quaternion length holds exactly, and no saturating function
-    slows the gradient.
+    So bounds on scales, colours and quaternion lengths hold exactly, without a saturating function,
+    whose gradient vanishes near its bounds.
     """
 
     def __init__(self, splats: Splats, rates: LearningRates, bounds: Bounds) -> None:

@@ -2,11 +2,11 @@
 
 Conventions
 -----------
-* Every value has one row per splat; Adam's first and second moments follow their rows, and rows
-  that are added start at rest.
-* The numbers are those of ``torch.optim.Adam``, bit for bit (of rates that differ by column, within
-  rounding). That class loads PyTorch's compiler on its first use, which takes longer than many runs
-  that take no step.
+* Every value has one row per splat; Adam's first and second moments follow their rows, and the
+  moments of added rows start at zero ("at rest").
+* Results equal those of ``torch.optim.Adam`` bit for bit (with rates that differ by column, within
+  rounding). This class exists because ``torch.optim.Adam`` loads PyTorch's compiler on its first
+  use, which takes longer than many a run that takes no step.
 * A step size is a number, or [C]: one for each column of a value's rows.
 * A state is flat, for checkpoints: ``value.NAME`` and ``adam.NAME.KEY``.
 """
@@ -43,7 +43,7 @@ class RowAdam:
         Args:
             values: what is moved, in place; each requires a gradient.
             rates: step size of each, which may be changed between steps.
-            fused: update each tensor in one pass: faster for many rows, other roundings.
+            fused: update each tensor in one pass: faster for many rows, but rounded differently.
         """
         self.values, self.rates = dict(values), dict(rates)
         self.moments: dict[str, dict[str, Tensor]] = {}
@@ -71,7 +71,7 @@ class RowAdam:
                 _update(value, gradient, moments, rate.to(value.device))
 
     def forget(self, name: str) -> None:
-        """Put one value at rest, as if it had never moved; its count goes on."""
+        """Set one value's moments to zero, as if it had never moved; its step count goes on."""
         for key in MOMENTS:
             if name in self.moments:
                 self.moments[name][key].zero_()

@@ -1,10 +1,10 @@
-"""The loop of jobs that take many steps: one log line per step, checkpoints, and going on.
+"""The loop of jobs that take many steps: one log line per step, checkpoints, and resuming.
 
 Conventions
 -----------
 * A job's folder holds ``log.jsonl`` (a line per step taken) and ``checkpoints/``.
-* A job is interrupted by Ctrl-C or killed; either way it goes on from its last checkpoint, to the
-  same bytes.
+* A job that was interrupted by Ctrl-C, or killed, resumes from its last checkpoint and gives the
+  same bytes as one that ran through.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class StepJob(Protocol[Report_co]):
 
     @property
     def between_updates(self) -> bool:
-        """Whether :meth:`state` is one that the job may go on from."""
+        """Whether the job may be resumed from the present :meth:`state`."""
 
     def step(self) -> Report_co:
         """Take a step."""
@@ -83,7 +83,7 @@ def run_steps(
 def _run_trimmed(
     job: StepJob[Report], out: Path, checkpoint_every: int, on_step: Callable[[Report], None]
 ) -> None:
-    """Do what ``run_steps`` does, on a log that is trimmed."""
+    """Do what ``run_steps`` does; the log already ends at the job's present step."""
     folder = out / CHECKPOINTS
     with (out / LOG_FILE).open("a", encoding="utf-8") as log:
         try:
@@ -103,14 +103,14 @@ def _run_trimmed(
 
 
 def require_same_identity(path: Path, identity: dict[str, Any]) -> None:
-    """Refuse to go on with anything that would change the result.
+    """Refuse to resume a job with settings that would change its result.
 
     Args:
-        path: JSON file of the job, with what decided its result under "identity".
-        identity: what would decide it now.
+        path: JSON file of the job, whose "identity" holds all that decides the result.
+        identity: the same for the present call.
 
     Raises:
-        UserError: they differ, and it names what differs; or the file is damaged.
+        UserError: they differ (the message says in what), or the file is damaged.
     """
     data = read_json(path)
     stored = data.get("identity") if isinstance(data, dict) else None

@@ -1,9 +1,9 @@
-"""Which splats a path means, and where up is in them: files, object folders and run folders.
+"""Which splats a path stands for, and which way is up in them: files, object and run folders.
 
 Conventions
 -----------
-* A run folder means its ``completed.ply``, an object folder its part; a file means itself, and the
-  folder that it belongs to still says its frame.
+* A run folder stands for its ``completed.ply``, an object folder for its ``partial.ply``. A file
+  stands for itself, but its frame still comes from the folder that it belongs to.
 """
 
 from __future__ import annotations

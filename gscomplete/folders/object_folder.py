@@ -5,8 +5,8 @@ Conventions
 * ``object.json`` holds prompt, frame of the complete object, input view c and V; ``partial.ply`` is
   P, ``complete.ply`` the complete object where it is known. The data side writes these and owns
   every other field; here only what a completion or an evaluation needs is read.
-* ``frame`` is for measuring. A completion may take its centre and size only where they are known
-  without the truth (``known_frame``); the up axis, c and V it may always take.
+* ``frame`` is for evaluation. A completion may use its centre and size only where they are known
+  without the complete object (``known_frame``); it may always use the up axis, c and V.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class ObjectFolder:
 
     @property
     def known_frame(self) -> ObjectFrame | None:
-        """The frame, where the user gave it: None where the truth or a guess stands behind it."""
+        """The frame if the user gave it; None if it comes from the complete object or a guess."""
         return self.frame if self.frame_origin == "given" else None
 
 

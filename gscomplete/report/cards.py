@@ -29,7 +29,7 @@ def card_of(subject: Subject, row: Row, most_splats: int) -> dict[str, Any]:
     Args:
         subject: the completion.
         row: its numbers.
-        most_splats: of the input, and of what the completion adds, at most so many are shown.
+        most_splats: at most so many splats of the input, and of what was added, are shown.
     """
     begin = len(subject.partial) if subject.holds_partial else 0
     added = subject.completed.select(torch.arange(len(subject.completed)) >= begin)

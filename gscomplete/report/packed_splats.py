@@ -48,7 +48,8 @@ def packed(splats: Splats, most: int) -> Packed:
 
     Args:
         splats: in the object frame, drawable.
-        most: of more, a choice that is spread evenly in space is taken, widened to match.
+        most: most splats to pack; of more, an evenly spaced subset is packed, its scales enlarged
+            to close the gaps.
     """
     kept = (splats.opacities >= FAINT) & (splats.means.abs() <= REACH).all(dim=1)
     chosen = splats.select(kept)
@@ -59,7 +60,7 @@ def packed(splats: Splats, most: int) -> Packed:
 
 
 def _spread(splats: Splats, most: int) -> Splats:
-    """Choose splats about equally far apart; a random choice would leave holes."""
+    """Choose splats at about equal distances, since a random choice would leave holes."""
     means = splats.means.double().numpy()
     if not np.ptp(means, axis=0).max() > 0:
         return thinned(splats, most, torch.Generator().manual_seed(0))

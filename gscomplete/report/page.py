@@ -74,7 +74,7 @@ def write_page(
 
 
 def _with_shared_inputs(cards: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Return cards that name their input by its place among those of all: each is there once."""
+    """Return the inputs of all cards, each once, and the cards, which refer to them by index."""
     inputs: list[Any] = []
     for card in cards:
         if card["input"] not in inputs:

@@ -31,7 +31,8 @@ def write_splat_page(
         splats: finite splats in the file frame.
         frame: the object frame: its z points up on the page, and its size fits the window.
         title: of the page.
-        most_splats: of more, an even choice is shown, widened to match; 23 bytes each.
+        most_splats: most splats to show, 23 bytes each; of more, an evenly spaced subset is shown,
+            its scales enlarged to close the gaps.
 
     Raises:
         UserError: the file cannot be written.
