@@ -1,9 +1,9 @@
-"""Rows of an experiment, kept in a file as they come, so that it can be broken off and go on.
+"""Rows of an experiment, saved to a file as they are measured, so that it can be resumed.
 
 Conventions
 -----------
-* The file says what its rows were made with (seed, prior, settings): an experiment goes on only
-  with rows that were made as its own would be, and never reports those of other options.
+* The file records what its rows were made with (seed, prior, settings). An experiment resumes only
+  rows that were made with its own options, so a report never mixes rows of different options.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from gscomplete.util.atomic import atomic_path
 
 
 class Results:
-    """Rows by name, of which some may be there already."""
+    """Rows by name, including those that an earlier run has saved."""
 
     def __init__(self, path: Path, made_with: dict[str, Any]) -> None:
         """Open a file of rows, or begin one.

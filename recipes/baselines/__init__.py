@@ -1,1 +1,1 @@
-"""Results of other systems: what each gives, and how it enters our tables."""
+"""Results of other systems: which files each writes, and how they enter our tables."""

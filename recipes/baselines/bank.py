@@ -2,10 +2,11 @@
 
 Conventions
 -----------
-* Of every object of the pack's ``train`` split, ``POINTS`` points with colours: z up, box centred,
-  largest side 1. The file is an ``.npz`` beside which the pack is not needed again.
-* An object is as near to P as P's points are to its own on average, and the nearest half of its
-  own to P's; in place and colour, over turns about the up axis.
+* The bank holds ``POINTS`` coloured points of every object of the pack's ``train`` split: z up, box
+  centred, largest side 1. It is one ``.npz`` file; retrieval does not need the pack.
+* The distance of an object from P adds the mean distance of P's points to the object's and that of
+  the nearer half of the object's points to P's. It counts place and colour, and is the least over
+  turns about the up axis.
 """
 
 from __future__ import annotations

@@ -3,9 +3,9 @@
 Every object of the dataset for which ``--results`` holds a mesh or splat file ``ID.glb``, ``.obj``,
 ``.ply``, ``.spz``, ... (or a folder ``ID`` with one such file) gets ``OUT/ID.ply``: converted to
 splats and aligned to P, ready for ``gscomplete report --dataset DIR --runs SYSTEM=OUT``.
-``OUT/alignment.json`` says where each was found and what is doubtful; ``--report`` measures and
-writes the page at once. A result that cannot be read is told and passed over; the same command goes
-on where it was stopped.
+``OUT/alignment.json`` records each alignment and its doubts; ``--report`` also measures and writes
+the page. A result that cannot be read is reported and skipped; the same command resumes where it
+was stopped.
 """
 
 from __future__ import annotations
@@ -89,13 +89,13 @@ def read_result(path: Path, count: int) -> Splats:
 
 
 def enter(options: Options) -> dict[str, str]:
-    """Convert and align what there is; what is aligned already is kept.
+    """Convert and align all results that exist; those that are already aligned are kept.
 
     Returns:
-        Why objects whose result is there could not be entered.
+        Reasons why existing results of objects could not be entered.
 
     Raises:
-        UserError: the system is not registered or made here, or there is no result at all.
+        UserError: the system is neither registered nor made here, or there is no result at all.
     """
     if options.system not in SYSTEMS:
         known = ", ".join(SYSTEMS)

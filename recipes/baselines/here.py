@@ -2,9 +2,9 @@
 
 Conventions
 -----------
-* All begin where a completion does: up axis, c and V of the object folder, centre and size guessed
-  from P unless the user gave them. What comes back is in P's file frame and holds P's splats, but
-  for retrieval.
+* All start from what a completion has: up axis, c and V of the object folder, centre and size
+  guessed from P unless the user gave them. The result is in P's file frame and contains P's splats,
+  except for retrieval.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _CLOSING_SPLATS = 30_000
 
 
 class NotApplicable(UserError):
-    """A baseline needs what this object does not have: it is left out, which is no failure."""
+    """A baseline needs something that this object lacks: it is left out, which is no failure."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

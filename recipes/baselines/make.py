@@ -1,9 +1,9 @@
 """Make the baselines that run here: ``python -m recipes.baselines.make --dataset DIR --out DIR``.
 
 Every object of the dataset gets ``OUT/METHOD/ID.ply`` by every method, in P's file frame, ready for
-``gscomplete report --dataset DIR --runs ours=RUNS OUT/*``. What is there already is kept, so the
-same command goes on where it was stopped. An object that a method has nothing for, or fails on, is
-told with the reason and passed over; the exit code is 1 if any failed.
+``gscomplete report --dataset DIR --runs ours=RUNS OUT/*``. Existing files are kept, so the same
+command resumes where it was stopped. An object to which a method does not apply, or on which it
+fails, is reported with the reason and skipped; the exit code is 1 if any failed.
 """
 
 from __future__ import annotations

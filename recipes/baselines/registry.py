@@ -1,4 +1,4 @@
-"""The systems that results come from: how to run each, and what file it gives.
+"""The systems that results come from: how to run each, and which file it writes.
 
 Conventions
 -----------

@@ -5,15 +5,15 @@ which sees c and the views at azimuth offsets of 90 and 270 degrees, each inpain
 mask that comes from P's alpha. For every object, ``OUT/ID`` gets
 
 * ``view_000.png``, ``view_090.png``, ``view_270.png``: P, straight RGB with alpha;
-* ``mask_OFFSET.png``: white where there is to be painted, black where P is;
+* ``mask_OFFSET.png``: white where the painter has to paint, black where P is;
 * ``views.json``: the cameras (OpenCV axes, in the object frame, with the similarity that takes P's
   file there), the prompt, and the files.
 
 Pictures painted by another program come back as ``inpainted_OFFSET.png`` in that folder, of the
 same view at any size, opaque or with alpha. ``--paint`` paints them with SDXL by way of diffusers,
-where its weights are on the machine. What becomes of them is the multi-view system's business, as
-in the paper: its reconstruction enters by ``recipes.baselines.enter``. P's own pixels are put back
-into what was painted (``given_OFFSET.png``), so that a system sees P as it is.
+where its weights are on the machine. P's own pixels are put back into the painted pictures
+(``given_OFFSET.png``), so that a system sees P as it is. A multi-view system reconstructs the
+object from these, as in the paper, and ``recipes.baselines.enter`` takes its result.
 """
 
 from __future__ import annotations

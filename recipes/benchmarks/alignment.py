@@ -1,19 +1,19 @@
 """How often another system's result is aligned: ``python -m recipes.benchmarks.alignment``.
 
-Objects of a pack of meshes are moved by random similarities (any rotation, scale .3 to 3, shift of
-twice the size, another brightness); of each a part that lacks 30 to 50 % of its surface beyond a
-random plane is to be found in it. The result is sampled evenly, the part at random: no point is
-shared.
+Objects of a pack of meshes are moved by random similarities (any rotation, scale 0.3 to 3, shift of
+twice the size, another brightness). A part of each, from which a random plane cuts off 30 to 50 %
+of the surface, has to be located in the moved object. The object is sampled evenly and the part at
+random, so the two share no point.
 
-* ``found``: within 2 degrees, 1 % of scale and 1 % of the size.
-* ``up to symmetry``: within the same of a similarity that maps the complete textured object onto
-  itself: 95 % of its surface within 1 % of its size of the surface, and of the colour of a place
-  that near. Computed from the pose found, by ICP of the complete object with itself.
-* With ``--distort`` results are as other systems give them: ``stretch`` makes one axis of the box
+* ``found``: the pose is within 2 degrees, 1 % of scale and 1 % of the size of the true one.
+* ``up to symmetry``: the same after a similarity that maps the complete textured object onto
+  itself, with 95 % of its surface within 1 % of its size of the surface and with the colour of a
+  place that near. It is computed from the pose found, by ICP of the complete object with itself.
+* ``--distort`` makes results like those of other systems: ``stretch`` makes one axis of the box
   10 % longer (found: within 5 degrees, 10 % of scale and 5 % of the size, as no similarity is
-  exact), ``visible`` leaves nothing of the result but the side that P shows.
-* ``as P allows``: neither, but P lies as near to the result as at the true pose, colours included:
-  what would tell the two apart is what P lacks. Counted as missed.
+  exact), ``visible`` keeps only the side of the result that P shows.
+* ``as P allows``: neither of these, but P fits the result as well as at the true pose, colours
+  included, so that only the surface that P lacks could tell the two poses apart. Counts as missed.
 """
 
 from __future__ import annotations

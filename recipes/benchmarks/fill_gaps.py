@@ -6,13 +6,13 @@ a slit (a slab through the middle), and below (the lowest 2 % of the height that
 
 What is measured
 ----------------
-* Closed: of the removed splats that nothing left is within ``NEAR`` (object sizes) of, the share
-  that a new one is.
+* Closed: among removed splats without a remaining one within ``NEAR`` (object sizes), the share
+  with a new splat within that distance.
 * Elsewhere: share of the new splats with no removed one within ``2 NEAR``.
 * Off: distance of new splats from the object's own, 95th percentile (lids are smooth, and flatter
-  than what they replace).
-* IoU of silhouettes from 8 views, 256 px, against the object that nothing was taken from.
-* The same for the object as it is: what is added to it is all elsewhere.
+  than the surface that they replace).
+* IoU of silhouettes from 8 views, 256 px, against the undamaged object.
+* The same for the undamaged object, where every splat that is added counts as elsewhere.
 """
 
 from __future__ import annotations

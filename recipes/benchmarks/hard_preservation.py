@@ -1,12 +1,13 @@
 """Cost of bounds on P's appearance: ``python -m recipes.benchmarks.hard_preservation --out DIR``.
 
-Real objects with a known truth are completed (with P shown to the prior, and from text only), then
-held to bounds on E_color and E_depth. Before and after: the errors from views that were never
-looked at, the hidden region against the truth, seconds, and what was done to the new splats.
+Real objects with a known truth are completed (with P shown to the prior, and from text only), and
+bounds on E_color and E_depth are then enforced. Measured before and after: the errors from views
+that were not used for it, the hidden region against the truth, seconds, and the changes to the new
+splats.
 
-The true object need not keep P's appearance either: where P is cut so that V looks into it, the
-missing part stands before it. Its own errors are in the table, since a bound below them can only be
-kept by leaving out what is really there.
+Even the true object does not always preserve P's appearance: where P is cut so that V looks into
+it, the missing part occludes P. The table gives the true object's own errors, since a bound below
+them can be kept only by leaving out a part that really exists.
 """
 
 from __future__ import annotations

@@ -12,9 +12,9 @@ What is measured
 * Silhouette IoU: pixels at least half covered, in both pictures. ``iou error`` is 1 - IoU in dB.
 * Colour PSNR: over the pixels of the mesh's silhouette, both pictures over mid-grey, so that holes
   and rims count as errors.
-* With ``--overhang``: the largest aspect of a splat, and how far the farthest one reaches beyond
-  the mesh at half its opacity, in spacings (``RIM_POINTS`` places round every splat; what is
-  inside does not count).
+* With ``--overhang``: the largest aspect ratio of a splat, and how far the contour of half opacity
+  of any splat extends beyond the mesh, in spacings (at ``RIM_POINTS`` points round every splat;
+  points inside the mesh do not count).
 * IoU and PSNR come twice: with the splats' picture taken at one sample per pixel, as the renderer
   draws it with 3DGS's blur of 0.3 px^2, which widens every silhouette by about a pixel; and at
   ``render_samples``^2 samples per pixel, as the ray caster's picture is taken.

@@ -4,9 +4,9 @@
 published architecture with random numbers (weights decide nothing about speed) and reports, for
 the completion loop at the paper's settings: milliseconds per step and where they go, the share of
 the measured matrix peak, peak memory, minutes for 6,000 steps; the same for a plain loop; and
-gsplat's errors against the float64 renderer on the given objects. What is measured is written at
-once: a run that is stopped loses the rest alone. ``--reduced --device cpu`` runs
-all of it at reduced width without a GPU, to see that it runs; those times mean nothing.
+gsplat's errors against the float64 renderer on the given objects. Each result is written as soon as
+it is measured, so a run that is stopped keeps it. ``--reduced --device cpu`` runs everything at
+reduced width without a GPU, only to check that it works; those times mean nothing.
 
 The plain loop is what a first implementation does: float32, conditional and unconditional images
 one after the other, O and P rendered every step with gradients for all of their splats, no
@@ -86,7 +86,7 @@ class Options:
 
 @dataclass
 class Clock:
-    """Seconds by part, with the device waited for before and after."""
+    """Seconds by part; the device is synchronised before and after each part."""
 
     device: torch.device
     seconds: dict[str, float] = field(default_factory=dict)
@@ -187,7 +187,7 @@ def completion_job(
 
 
 def plain_step(job: Optimisation, prior: LatentPrior) -> None:
-    """Take one step as a first implementation would."""
+    """Take one step of the plain loop (see the module's description)."""
     splats, partial = job.parameters.splats(), job.partial
     partial = Splats(**{n: v.clone().requires_grad_() for n, v in partial.fields()})
     views = prior.views

@@ -4,10 +4,10 @@
 become splats, each is cut by a scan from a direction of its own, and a ray (Open3D) goes from the
 scanner to every splat's centre.
 
-* visible: the ray meets nothing more than ``_AT`` object sizes before the centre. Of these splats
-  all are to be kept.
-* hidden: the ray meets the mesh more than ``_BEHIND`` before the centre. Of these none is to be
-  kept; what lies between the two counts for neither.
+* visible: the ray meets nothing more than ``_AT`` object sizes before the centre. An ideal cut
+  keeps all of these splats.
+* hidden: the ray meets the mesh more than ``_BEHIND`` before the centre. An ideal cut keeps none of
+  these. Splats between the two limits are not counted.
 """
 
 from __future__ import annotations

@@ -4,22 +4,22 @@ Every object is completed (or not) in ten ways and compared with the truth from 
 
 * ``input``: P alone.
 * ``likeliest``: P and its mirror image through the plane that is proposed first.
-* ``mirror``: P and the best of three copies, *chosen with the truth*: through that plane, through
-  the next that shows something else, and one after the other. More than a method without the truth
-  could reach with them.
+* ``mirror``: P and the best of three mirror images, *chosen with the truth*: through that plane,
+  through the next plane that gives a different image, and through both in succession. It is an
+  upper bound for a method that has these images but not the truth.
 * ``text``: the default preset with P withheld from the prior (no first guess, no renders of P).
 * ``reconstruct``: the first guess, then rounds of denoised views that splats are fitted to.
 * ``fast``: the fast preset.
 * ``default``: the default preset.
 * ``distill``: score distillation from the first guess.
 * ``alternatives``: the best of up to nine first guesses, through the likely planes of symmetry and
-  through none, *chosen with the truth*: the most that someone who looks at what ``--alternatives``
-  draws could get.
-* ``true_shape``: the truth's own splats where P lacks them, in the colours of P's nearest ones:
-  what someone gets who knows the shape exactly and no colour that P does not show.
+  through none, *chosen with the truth*: an upper bound for a user who chooses among the pictures
+  of ``--alternatives``.
+* ``true_shape``: the truth's own splats where P lacks them, in the colours of P's nearest ones: the
+  result of knowing the shape exactly, but only the colours that P shows.
 
-Silhouettes and hidden colours are seen from the same eight views for all ways; preservation errors
-are over the V that a way ends up with (``input_view_deg``), which runs may settle anew.
+Silhouettes and hidden colours are measured from the same eight views for all ways. Preservation
+errors are measured over the V that a way ends with (``input_view_deg``), since runs may revise it.
 Scans have no truth: their pictures are drawn and their preservation errors measured. Results go to
 ``comparison.json`` and ``comparison.png``; an interrupted comparison goes on where it stopped.
 """

@@ -1,8 +1,8 @@
 """Complete the real objects and measure: ``python -m recipes.real_objects.complete --out DIR``.
 
-Every object gets a run folder as ``gscomplete complete`` would make it, with no hand's help: prompt
-and up axis come from the table, everything else from the heuristics. Where the complete object is
-known, the completion is compared with it. Finished objects are not run again.
+Every object gets a run folder as ``gscomplete complete`` would make it, without manual input:
+prompt and up axis come from the table, everything else from the heuristics. Where the complete
+object is known, the completion is compared with it. Finished objects are not run again.
 """
 
 from __future__ import annotations

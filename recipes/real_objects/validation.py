@@ -1,9 +1,9 @@
 """Objects to choose settings on: ``python -m recipes.real_objects.validation --out DIR``.
 
-The real objects of known truth that ``compare`` leaves alone, each cut in three ways, completed and
-compared with the truth as there. Whoever tunes what a run does should look here, never at the
-benchmark. The cuts are many on purpose: a rule that was tuned on 45 others of the same objects
-gained there and lost on these.
+The real objects with known truth that ``compare`` does not use are each cut in three ways,
+completed, and compared with the truth as in ``compare``. Tune a run's rules and settings on these,
+never on the benchmark. There are many cuts on purpose: a rule that was tuned on 45 other cuts of
+the same objects improved those and made these worse.
 
 Conventions
 -----------
@@ -169,7 +169,7 @@ def chosen_parts(options: Options) -> list[tuple[Entry, float]]:
 
 
 def views_settled(framed: FramedObject, outcome: Outcome) -> dict[str, Any]:
-    """Tell what became of the input view, and how much of P the truth hides from it."""
+    """Return whether the run changed the input view, and how much of P the truth hides in both."""
     assert framed.truth is not None
     partial = framed.partial.with_sh_degree(0)
     together = concatenate([partial, framed.truth.with_sh_degree(0)])

@@ -1,11 +1,11 @@
 """Kill jobs at random moments: ``python -m recipes.stress_kills [--kills 100] [--disk DIR]``.
 
-A completion with checkpoints, a build of four objects and a batch of three are killed, told to end
-and interrupted, each again and again, and started again by what their messages say. In the end
-their results have to be the bytes of jobs that nobody disturbed, nothing may have been there in
-part, and every message is one line. With ``--disk``, a folder on a small file system such as one
-made by ``mount -t tmpfs -o size=64m tmpfs DIR``, the jobs write there, and it is nearly full at
-every third start.
+A completion with checkpoints, a build of four objects and a batch of three are stopped repeatedly
+by SIGKILL, SIGTERM and Ctrl-C, and started again with the command that their messages give. In the
+end their results must have the same bytes as those of undisturbed jobs, no partial result may ever
+have been visible, and every message must be one line. With ``--disk``, a folder on a small file
+system such as one made by ``mount -t tmpfs -o size=64m tmpfs DIR``, the jobs write there, and it is
+nearly full at every third start.
 """
 
 from __future__ import annotations

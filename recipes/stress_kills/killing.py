@@ -4,10 +4,10 @@ Conventions
 -----------
 * A job is stopped by SIGKILL (three of five times, the process alone or with its workers), SIGTERM
   or Ctrl-C, which reaches its workers too as from a terminal.
-* With a small disk, every third start finds it nearly full, and every sixth has no signal but runs
-  until it notices.
-* A fault is whatever a user would call one: a result that is there in part or differs, an exit code
-  or a traceback that no signal and no full disk explains, workers that live on, a changed input.
+* With a small disk, every third start finds it nearly full, and every sixth gets no signal but runs
+  until the disk is full.
+* A fault is anything that a user would report: a partial or different result, an exit code or a
+  traceback that neither a signal nor a full disk explains, workers that survive, a changed input.
 """
 
 from __future__ import annotations

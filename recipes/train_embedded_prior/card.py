@@ -1,4 +1,4 @@
-"""What is said of exported weights: how they were made, on what, and their limits.
+"""The model card of exported weights: how they were trained, on which data, and their limits.
 
 Conventions
 -----------

@@ -1,14 +1,14 @@
 """Compare shape networks on parts of meshes that none was trained on.
 
 ``python -m recipes.train_embedded_prior.compare_shapes --meshes PACK --out DIR --networks W1 W2``
-makes parts of the pack's validation split once, keeps them in ``DIR``, and asks every network. With
-runs of ``train shape --mesh-count N`` it gives validation IoU over the number of meshes, with
-copies of one run folder made on the way the same over hours.
+makes parts of the pack's validation split once, keeps them in ``DIR``, and evaluates every network
+on them. Given runs of ``train shape --mesh-count N``, it shows validation IoU against the number of
+meshes; given copies of one run folder taken during training, against training time.
 
 Conventions
 -----------
 * A network is a folder of exported weights, or a run folder, whose averaged weights are asked.
-* Every other answer is to no prompt, as in a run (``shape.predict``).
+* Half of the answers are given without a prompt, alternately, as in a run (``shape.predict``).
 * IoU is of filled cells (logit above 0), per part; intervals are 95 % bootstrap intervals over
   parts, of differences over the same parts.
 """

@@ -1,4 +1,4 @@
-"""Look at what the denoiser imagines from words: one four-view sample for each prompt.
+"""Draw what the denoiser generates from text alone: one four-view sample for each prompt.
 
 ``python -m recipes.train_embedded_prior.samples --out sheet.png`` takes a caption of every family
 of procedural objects, ``--prompts "a mug" "a chair"`` these, ``--meshes PACK --nouns 60`` nouns of
@@ -7,8 +7,8 @@ in random order, for somebody to name who has not seen ``key.json``.
 
 Conventions
 -----------
-* Every sample starts from pure noise, without P. What a step denoises is noised anew for the next:
-  kept noise would leave its patches as patches of colour.
+* Every sample starts from pure noise, without P. Each step's denoised views get fresh noise for the
+  next step, because noise that is kept leaves patches of colour.
 * Where the noun is that of a known shape, the denoiser is shown this shape without colours,
   unless ``--no-known-shapes`` is given.
 * Nouns are those of five captions or more of the train split, words that name no thing left out.

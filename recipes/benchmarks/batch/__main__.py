@@ -5,13 +5,13 @@ real objects in several ways and compares the bytes of their run folders:
 
 * ``one-by-one``: ``gscomplete complete``, a process for each object.
 * ``local``: ``gscomplete batch`` with its defaults.
-* ``killed``: the same, in which random workers are killed by SIGKILL, and now and then the batch
-  itself, which is then started again.
-* ``ray``: on a Ray cluster of this machine, whose workers are killed at random, too.
-* ``alternate``: no way of its own. Takes the first objects in groups, one by one and as a batch in
-  turn, so that what else runs on the machine slows both: the ratio is what counts.
+* ``killed``: the same, but random workers are killed by SIGKILL, and occasionally the batch itself,
+  which is then started again.
+* ``ray``: on a Ray cluster of this machine, whose workers are also killed at random.
+* ``alternate``: measures the ratio of times. It completes groups of the first objects one by one
+  and as a batch in turn, so that other load on the machine slows both alike.
 
-Rows are kept as they come: a way that is done is not done again.
+Each row is saved when it is measured: a way that is done is not done again.
 """
 
 from __future__ import annotations

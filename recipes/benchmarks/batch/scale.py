@@ -1,13 +1,15 @@
-"""Planning of large batches, second runs over finished ones, and what many objects would take.
+"""Cost of planning a large batch, of a second run over a finished one, and of many objects.
 
-``python -m recipes.benchmarks.batch.scale`` measures the first two on this machine. ``--runs``, a
-folder of finished results, has it also say what ``--objects`` of their kind would take: seconds of
-a core from the ledger, bytes from the folders, what is lost to workers that die by a simulation.
+``python -m recipes.benchmarks.batch.scale`` measures the first two on this machine. With
+``--runs``, a folder of finished results, it also estimates the cost of ``--objects`` objects of
+that kind: core seconds from the ledger, bytes from the folders, and, by simulation, the time lost
+when workers die.
 
 Conventions
 -----------
-* A worker that dies loses the object it was at, at a moment drawn uniformly from its seconds, and
-  a start. Deaths come at a rate per hour of a worker, independently.
+* Workers die independently, at a given rate per hour. A worker that dies loses the work on its
+  present object, up to a moment drawn uniformly from the object's seconds, and the time of one
+  start.
 """
 
 from __future__ import annotations
@@ -141,7 +143,7 @@ def _lost_share(seconds: np.ndarray, options: Options) -> float:  # [N]
     random = np.random.default_rng(options.seed)
     total = _SIMULATED_HOURS * 3600.0
     deaths = random.poisson(options.deaths_per_hour * _SIMULATED_HOURS)
-    # a longer object is more likely to be the one that is met
+    # a death is more likely during a longer object
     met = random.choice(seconds, deaths, p=seconds / seconds.sum())
     return float((met * random.uniform(size=deaths)).sum() + _START_S * deaths) / total
 

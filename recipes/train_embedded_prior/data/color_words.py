@@ -1,9 +1,9 @@
-"""Names of an object's colours, for captions that do not tell them.
+"""Names of an object's colours, for captions that do not mention them.
 
 Conventions
 -----------
-* Colours are sRGB in [0, 1]. In Oklab, those near the axis of greys are named by lightness, others
-  by the nearest of a few, hues counting most: a shaded red is red.
+* Colours are sRGB in [0, 1]. They are named in Oklab: those near the grey axis by lightness, others
+  by the nearest of a few named colours, where hue counts most, so that a shaded red is still red.
 """
 
 from __future__ import annotations
@@ -62,6 +62,6 @@ def _tellable(lab: Tensor) -> Tensor:  # [N, 3] -> [N, 4]
 
 
 def with_color_words(caption: str, words: tuple[str, ...]) -> str:
-    """Return a caption that tells these colours and no others."""
+    """Return a caption that mentions these colours and no others."""
     others = (word for word in caption.split() if word not in _NAMES)
     return " ".join([" and ".join(words), *others]).strip()

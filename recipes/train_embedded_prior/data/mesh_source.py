@@ -5,7 +5,7 @@ Conventions
 * Object ``index`` of a seed is a mesh or procedural by (seed, index) alone. Seeds from
   ``HELD_OUT_SEED_OFFSET`` on draw from the pack's validation split, all others from ``train``.
 * A mesh is stretched, warped, turned about the up axis and lit anew each time; one without colours
-  is painted in up to three plain ones. Captions hardly tell colours: most are told them.
+  is painted in up to three plain ones. Few captions mention colours, so most get colour words.
 """
 
 from __future__ import annotations

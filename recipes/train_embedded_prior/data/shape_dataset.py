@@ -2,9 +2,9 @@
 
 Conventions
 -----------
-* P and the complete object are carried into a frame that is guessed from P as a run would guess
-  it, so that the network learns with the errors it will meet.
-* What of the complete object counts as solid is said in ``solids``.
+* P and the complete object are transformed into a frame that is guessed from P as a run would guess
+  it, so that the network is trained with the frame errors that it meets in use.
+* ``solids`` defines which cells of the complete object count as solid.
 * Colour volumes are stored as lists of filled cells: (x, y, z, r, g, b, occupancy) in eight bits.
 """
 
@@ -174,7 +174,7 @@ class ShapeSetMaker:
         Args:
             index: of the part.
             count: how many sets.
-            known: what was found out about the part before; None = it is found out now.
+            known: findings about the part that were computed before; None = compute them now.
         """
         rng = np.random.default_rng((self.seed, index, 2))
         posed = self.posed(index, rng, known)
@@ -188,7 +188,7 @@ class ShapeSetMaker:
         return sets
 
     def findings(self, index: int) -> Findings:
-        """Find out about part ``index`` what takes time."""
+        """Compute the findings of part ``index``, which take most of a set's time."""
         posed = self.posed(index, np.random.default_rng((self.seed, index, 2)))
         return Findings(len(posed.partial), posed.guess, posed.planes())
 
@@ -268,8 +268,8 @@ def varied(
 ) -> tuple[PosedObject, tuple[SymmetryMap, ...]]:
     """Turn, move and scale an object, look at it from elsewhere, and often cut its part again.
 
-    What was found out about the part is carried along: the planes of a part that is cut again are
-    those of the larger one.
+    The part's findings are transformed with it, not computed again: a part that is cut again keeps
+    the planes of the larger one.
     """
     yaw_deg = 0.0 if rng.random() < _STRAIGHT_SHARE else float(rng.uniform(0, 360))
     move = Similarity(

@@ -3,8 +3,8 @@
 Conventions
 -----------
 * Features stay in channels-last order, in which convolutions of sixteen bits run on a GPU's matrix
-  units. PyTorch's own group norm leaves that order, and autocast widens what it gives;
-  ``LaidOutGroupNorm`` does neither.
+  units. PyTorch's own group norm returns another order, and autocast widens its result to float32;
+  ``LaidOutGroupNorm`` keeps order and precision.
 * The compiled network shares its parameters with the one that it is made of.
 """
 

@@ -1,8 +1,9 @@
-"""Find out ahead what takes the time of a training set (``data.findings``).
+"""Compute in advance the findings that take most of the time of a training set (``data.findings``).
 
 ``python -m recipes.train_embedded_prior.gpu.make_findings --meshes PACK --out FILE --first 0 --last
-20000`` is for a machine whose processors cannot keep up with its GPU: made elsewhere, findings
-leave it a ninth of a set's work. An interrupted command goes on from the last few hundred.
+20000`` helps a machine whose processors cannot keep up with its GPU: with findings computed
+elsewhere, only a ninth of a set's work is left to it. An interrupted command loses at most the last
+few hundred findings.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The workbench of a family: parts with their appearance, put together into one object.
+"""What a family builds an object with: it collects parts with their appearance.
 
 Conventions
 -----------

@@ -88,7 +88,7 @@ def detail(look: Look, part: str, *, plural: bool = False) -> str:
 
 
 def vocabulary() -> list[str]:
-    """Return every word a caption can hold, and then some, sorted."""
+    """Return, sorted, every word that a caption can contain, and the further words of ``words``."""
     words = {"a", "an", "the", "one", "with", "and", "in"} | name_words()
     phrases = [*SIZES, *STYLES, *COLORS, *SUBSTANCES, *PATTERN_ADJECTIVES.values()]
     phrases += [word for options in SYNONYMS.values() for word in options]

@@ -1,4 +1,4 @@
-"""The generator's public face: objects by (seed, index) and the words of their captions."""
+"""The generator's public interface: objects by (seed, index) and the words of their captions."""
 
 from recipes.train_embedded_prior.procedural.captions import vocabulary
 from recipes.train_embedded_prior.procedural.objects import (
