@@ -57,7 +57,7 @@ def complete(
         negative_prompt: what to lead away from; None = the prior's default.
         seed: same seed, same bytes.
         device: ``cpu``, ``cuda``, ``cuda:N`` or ``auto``.
-        on_step: is told of every optimiser step; the default preset of the embedded prior has none.
+        on_step: called after every optimiser step; the embedded prior's default preset has none.
 
     Returns:
         P and what was added, with frame, V and the reasons of what was guessed.

@@ -84,7 +84,7 @@ def run(options: BatchOptions) -> int:
     """Complete the objects; return the exit code.
 
     Raises:
-        UserError: an option or the manifest is wrong, or the machine does not carry a worker.
+        UserError: an option or the manifest is wrong, or the machine cannot run a worker.
     """
     from gscomplete.batch.manifest import plan
     from gscomplete.batch.run import open_batch
@@ -143,7 +143,7 @@ def _check(options: BatchOptions) -> None:
 
 
 def _check_prompts(options: BatchOptions, items: list[Item]) -> None:
-    """Check that objects have prompts, as far as the names of files tell.
+    """Check that objects have prompts, as far as file names show it.
 
     Raises:
         UserError: some have none: splat files with no object.json beside them.

@@ -1,4 +1,4 @@
-"""What a worker of ``gscomplete batch`` does with an object: complete it, with a prior kept warm.
+"""What a worker of ``gscomplete batch`` does: complete objects with a prior that stays loaded.
 
 Conventions
 -----------

@@ -56,7 +56,7 @@ def run(options: CompleteOptions) -> int:
 
 
 def _complete(options: CompleteOptions) -> int:
-    """Load the prior, run, and say what came of it."""
+    """Load the prior, run, and report the result."""
     from gscomplete.util.stages import stage
 
     with _without_collections(), stage("load"):
@@ -100,7 +100,7 @@ def _complete(options: CompleteOptions) -> int:
 
 @contextlib.contextmanager
 def _without_collections() -> Iterator[None]:
-    """Have Python look for no unused objects while modules load and little else is done."""
+    """Suspend garbage collection while modules load and little else is done."""
     enabled = gc.isenabled()
     gc.disable()
     try:

@@ -147,12 +147,12 @@ class Failure:
     reason: str
 
     def text(self) -> str:
-        """Return what JSON says of it."""
+        """Return the failure as one line of text."""
         return f"{self.method}: {self.object}: {self.reason}"
 
 
 def tell(failures: Sequence[Failure]) -> None:
-    """Tell on standard error what was not measured, a line for every method and reason."""
+    """List on standard error what was not measured, a line for every method and reason."""
     for method, reason in dict.fromkeys((f.method, f.reason) for f in failures):
         names = ", ".join(f.object for f in failures if (f.method, f.reason) == (method, reason))
         print(f"gscomplete: not measured: {method}: {names}: {reason}", file=sys.stderr)
@@ -211,7 +211,7 @@ def measured(
     Args:
         jobs: as ``list_jobs`` gives them.
         options: how to measure, and where to keep it.
-        failures: is given what cannot be measured.
+        failures: completions that cannot be measured are appended to it.
         draw: makes a page's card; None = there is no page.
         drawn_with: JSON values that decide the card.
 

@@ -5,11 +5,11 @@ Conventions
 * Exit codes: 0 or the command's own; 2 user error; 4 out of memory; 70 internal error; 130
   interrupted by Ctrl-C; 129 and 143 stopped by SIGHUP and SIGTERM; 141 the reader of the output is
   gone.
-* A signal that arrives while a library is being imported ends the process at once, as nothing is
-  being done: interrupted in its middle, PyTorch aborts, and others swallow the interrupt and leave
-  half a module behind.
-* Libraries may turn an interrupt that meets them into an error of their own (a SystemError of a C
-  extension): an unexpected error after a signal is that signal.
+* A signal that arrives while a library is being imported ends the process at once, since there is
+  no work to save: PyTorch aborts if its import is interrupted, and other libraries swallow the
+  interrupt and leave a half-loaded module.
+* Libraries may turn an interrupt into an error of their own (such as a SystemError of a C
+  extension), so an unexpected error after a signal is treated as that signal.
 * Shared by the packages' console commands.
 """
 
@@ -46,7 +46,7 @@ _OBJECTS_BETWEEN_COLLECTIONS = 100_000
 
 
 class Stopped(KeyboardInterrupt):
-    """A signal asked the process to end; jobs keep a checkpoint, as after Ctrl-C."""
+    """A signal asked the process to end; jobs write a checkpoint, as after Ctrl-C."""
 
     def __init__(self, number: int) -> None:
         """Name the signal."""
@@ -69,8 +69,9 @@ def let_threads_sleep() -> None:
 def keep_freed_memory() -> None:
     """Have glibc keep freed memory for the next request; call before large arrays are made.
 
-    It would give each large array back to the system and ask for it anew, which then clears it page
-    by page: a fifth of the time of drawing splats. Other systems' allocators are left alone.
+    By default glibc returns each large array to the system and requests it again, and the system
+    then clears it page by page: a fifth of the time of drawing splats. Other allocators are left
+    unchanged.
     """
     with contextlib.suppress(AttributeError, OSError, TypeError):
         mallopt = ctypes.CDLL(None).mallopt
@@ -92,9 +93,9 @@ def print_version(program: str) -> int:
 def run_process(main: Callable[[], int]) -> NoReturn:
     """Run a console command as all that its process does, and end the process.
 
-    Python would look through all objects for unused ones again and again while PyTorch loads, and
-    take all modules apart in the end. Together that is a second of every command; here the first
-    is done rarely, and the second left to the system.
+    While PyTorch loads, Python's garbage collector would run again and again, and at the end Python
+    would tear down all modules. Together these take a second of every command; here the collector
+    runs rarely, and the operating system frees the memory.
 
     Args:
         main: runs the command and returns its exit code.
@@ -117,7 +118,7 @@ def run_guarded(program: str, command: Callable[[], int], interrupted: str) -> i
     Args:
         program: the console command's name, which starts every message.
         command: the body.
-        interrupted: what to tell after Ctrl-C.
+        interrupted: message after Ctrl-C.
     """
 
     def say(message: str) -> None:
@@ -169,8 +170,8 @@ def _signals_raise(
 
     Args:
         program: the console command's name.
-        interrupted: what to tell when the process ends at once.
-        received: gets what is raised.
+        interrupted: message when the process ends at once.
+        received: the raised exceptions are appended to it.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -210,7 +211,7 @@ def _is_importing(frame: FrameType | None) -> bool:
 
 
 def _told(stop: KeyboardInterrupt, interrupted: str) -> str:
-    """Return what the user is told of an interrupt."""
+    """Return the message about an interrupt."""
     name = f"stopped by {stop}" if isinstance(stop, Stopped) else "interrupted"
     return f"{name}; {interrupted}"
 
@@ -221,6 +222,6 @@ def _exit_code(stop: KeyboardInterrupt) -> int:
 
 
 def _forget_stdout() -> None:
-    """Send what is still buffered nowhere: Python would try again at exit, and complain."""
+    """Discard buffered output, which Python would otherwise try to write at exit, with an error."""
     with contextlib.suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

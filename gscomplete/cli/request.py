@@ -1,4 +1,4 @@
-"""What a completion is asked for: by options, by the object folder, or not at all.
+"""What a completion starts from: given by options, by the object folder, or left to be guessed.
 
 Conventions
 -----------
@@ -34,7 +34,7 @@ _ANYTHING = "an object"
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """The options that an object folder may stand in for; None = not given."""
+    """The options that an object folder can supply instead; None = not given."""
 
     path: Path
     """A splat file, an object folder, or a file that such a folder records."""
@@ -147,7 +147,7 @@ def settings_of(options: HowToComplete, prior: Prior) -> CompletionSettings:
 
 
 def _require_plain_fill(options: HowToComplete) -> None:
-    """Refuse options that closing gaps does not heed.
+    """Refuse options that have no effect when only gaps are closed (``--fill``).
 
     Raises:
         UserError: there is one.
@@ -233,9 +233,9 @@ def _mirror(text: str) -> ChosenMirror:
 
 
 def _stretched(settings: CompletionSettings, steps: int) -> CompletionSettings:
-    """Return the settings for another number of steps, with what is counted in steps in proportion.
+    """Return the settings for another number of steps; all step counts scale in proportion.
 
-    Presets without steps have nothing to stretch.
+    Presets without steps are returned unchanged.
     """
     if settings.steps == 0 or steps == 0:
         return dataclasses.replace(settings, steps=steps)

@@ -195,7 +195,7 @@ def complete(
         request: what to make of it.
         prior: the model that guides.
         device: where splats are rendered and moved; the prior may run on another.
-        on_step: is told of every optimiser step.
+        on_step: called after every optimiser step.
 
     Returns:
         P and what was added, with frame, V and the reasons of what was guessed.

@@ -64,7 +64,7 @@ def run_steps(
         job: what to do.
         out: the job's folder.
         checkpoint_every: steps; 0 = only at the end, or when interrupted.
-        on_step: is told of every step.
+        on_step: called after every step.
 
     Raises:
         UserError: the log or a checkpoint cannot be written.

@@ -37,7 +37,8 @@ from gscomplete.viewer.live import newest
 from gscomplete.views import ObjectFrame, UpAxis, ViewDistribution
 
 _REACH = 0.8
-"""What is farther from the middle, in sizes of the frame, is told: ``render`` would not show it."""
+"""Distance from the middle, in sizes of the frame, beyond which splats are reported, because
+``render`` would not show them."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,7 +34,7 @@ class Progress:
 
 
 def newest(folder: Path) -> Progress | None:
-    """Return what the newest checkpoint of a run folder holds; None = there is none as yet.
+    """Return the new splats of a run folder's newest checkpoint; None = there is no checkpoint yet.
 
     Raises:
         UserError: it cannot be read.

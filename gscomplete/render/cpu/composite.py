@@ -145,7 +145,7 @@ def composite(
     depth: Any,  # [H, W]
     alpha: Any,  # [H, W]
     done: Any,  # [tiles] int32, written for active tiles: how many entries were drawn
-    contributes: Any,  # [E] uint8, written for drawn entries: 0 = hidden; or [0] for nobody
+    contributes: Any,  # [E] uint8, written for drawn entries: 0 = hidden; or [0] if unused
 ) -> None:
     """Draw the active tiles."""
     buffer = np.empty(7 * PIXELS, np.float32)
