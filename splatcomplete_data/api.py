@@ -97,7 +97,7 @@ def reconstruct(
         out: capture folder to write; must be new or empty.
         steps: optimiser steps; None = the default number.
         device: where to train.
-        on_step: is told of every step.
+        on_step: called after every step.
 
     Returns:
         The scene's splats, levelled: z up.

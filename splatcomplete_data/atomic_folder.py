@@ -4,9 +4,9 @@ Conventions
 -----------
 * The files go into a temporary folder next to the destination, named ``.NAME.XXXX``, and are
   flushed to the disk; one rename then makes it the destination.
-* A destination that holds something is replaced only when asked for, and only if the caller's
-  marker, a file that each of its folders holds, is in it, or nothing but files that may be lost:
-  no other folder is ever removed.
+* A destination that is not empty is replaced only on request, and only if it contains the caller's
+  marker (a file that all of the caller's folders have) or nothing but files that may be lost. No
+  other folder is ever removed.
 * It is replaced by exchanging the two names in one step where the system can (Linux); elsewhere
   the old folder is moved aside first.
 * ``forget_leftovers`` removes the temporary folders that killed processes left behind.
@@ -119,12 +119,12 @@ def forget_leftovers(folder: Path, names: Collection[str]) -> int:
 
 
 def _prefix(name: str) -> str:
-    """Return what the names of a folder's temporary folders begin with."""
+    """Return the prefix of the names of a folder's temporary folders."""
     return f".{name[:32]}."
 
 
 def _take_name(temporary: Path, folder: Path) -> None:
-    """Give ``temporary`` the name of ``folder``; what stood there is then in ``temporary``."""
+    """Rename ``temporary`` to ``folder``; an earlier ``folder`` takes its place or is removed."""
     if not folder.exists():
         os.rename(temporary, folder)
     elif not _exchange(temporary, folder):

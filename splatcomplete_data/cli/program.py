@@ -98,8 +98,8 @@ def _run(options: Any) -> int:
 def gathered(arguments: Sequence[str]) -> list[str]:
     """Bring the values of a repeated list option together behind its first place.
 
-    ``--box A --box B`` says the same as ``--box A B``; argparse alone would forget A. What follows
-    ``--box=A`` is no value of it: such words go before the lists, which would take them.
+    ``--box A --box B`` means the same as ``--box A B``; argparse alone would drop A. Words after
+    ``--box=A`` are not its values, so they are moved in front of the lists, which would take them.
     """
     result: list[str] = []
     ends: dict[str, int] = {}  # where in the result the next value of an option goes

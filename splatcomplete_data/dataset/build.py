@@ -1,4 +1,4 @@
-"""Build a dataset from a recipe: parallel, idempotent, resumable, and past failures.
+"""Build a dataset from a recipe: parallel, idempotent, resumable, and continuing after failures.
 
 Conventions
 -----------
@@ -6,11 +6,11 @@ Conventions
   records name sources relative to it and are the same bytes wherever the data lie.
 * ``OUT/.build/ID.json`` holds a fingerprint (entry, tool version, hashes of the sources and of
   the files that these name), a digest of the code (``code_digest``), and the hash of the
-  object.json that came of it. An object for which all fit and whose files are whole is left alone;
-  so a second build does nothing, and one that was killed goes on where it stopped. A killed object
-  leaves nothing but a temporary folder, which the next build removes.
-* ``.build/ID.json`` also says that ``OUT/ID`` is this build's to replace; it is there before the
-  object is. A folder that stands there without it was made by someone else and is left alone.
+  resulting object.json. An object is left alone if all of these match and its files are intact, so
+  a second build does nothing, and one that was killed resumes where it stopped. An object whose
+  command was killed leaves only a temporary folder, which the next build removes.
+* ``.build/ID.json`` also records that this build may replace ``OUT/ID``; it is written before the
+  object. An ``OUT/ID`` without it was made by someone else and is left alone.
 * Captures (training from photos) go to ``OUT/.build/captures``. Their fingerprint is written before
   they start: one that was killed resumes from its checkpoint, one that has changed starts again.
 """
@@ -260,7 +260,7 @@ def _run_all(
 
 
 def _enter(data: str) -> None:
-    """Prepare a worker: stand in the data folder."""
+    """Prepare a worker: make the data folder its current folder."""
     os.chdir(data)
     allow_large_pictures()
     logging.getLogger().setLevel(logging.ERROR)
@@ -299,7 +299,7 @@ def _make(entry: Entry, out_text: str, reach: Path | None = None) -> Outcome:
 
 
 def _claim(state: Path, folder: Path) -> bool:
-    """Note that a folder is this build's, before it is made; tell whether that was new.
+    """Record that a folder belongs to this build, before it is made; tell whether that is new.
 
     Raises:
         UserError: the folder holds something that this build did not make.
@@ -316,10 +316,10 @@ def _claim(state: Path, folder: Path) -> bool:
 
 
 def _begin_capture(state: Path, print_: str, code: str, options: Any) -> Any:
-    """Note what a capture is made from, and have it resume what was made from the same things.
+    """Record what a capture is made from, and let it resume a capture of the same sources.
 
-    What was made from others goes at once: were it kept until the new capture is set up, a run that
-    fails before that would leave the old one where the next build resumes.
+    A capture of other sources is removed at once. If it were kept until the new capture is set up,
+    and that failed, the next build would resume the old one.
 
     Raises:
         UserError: the capture's folder holds what ``images`` did not write.

@@ -59,7 +59,7 @@ def _read(module: str) -> tuple[str, tuple[str, ...]]:
 
 
 class _WithoutWords(ast.NodeTransformer):
-    """Leaves out what does nothing: texts that are statements, and what type checkers read."""
+    """Removes code without effect: strings that are statements, and imports for type checkers."""
 
     def visit_If(self, node: ast.If) -> Any:
         """Drop the body of ``if TYPE_CHECKING``."""
@@ -68,7 +68,7 @@ class _WithoutWords(ast.NodeTransformer):
         return node.orelse or None if is_types else node
 
     def visit_Expr(self, node: ast.Expr) -> Any:
-        """Drop a text: a docstring, of an attribute perhaps."""
+        """Drop a string that is a statement: a docstring of a module, function or attribute."""
         is_text = isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
         return None if is_text else self.generic_visit(node)
 

@@ -107,7 +107,7 @@ class Entry:
             UserError: one does; the message names it.
         """
         folders = [os.path.abspath(folder) for folder in (data, allowed) if folder is not None]
-        options = self.options(Path("out"), data)  # what captures wrote is no path of the recipe's
+        options = self.options(Path("out"), data)  # what captures write counts as below data
         named = [("box", text) for text in _box_files(self.values)]
         for field in dataclasses.fields(options):
             value = getattr(options, field.name)

@@ -167,7 +167,7 @@ def _check_files(folder: Path, record: ObjectRecord) -> Iterator[tuple[str, Seve
 
 
 def _check_record(folder: Path, record: ObjectRecord) -> Iterator[tuple[str, Severity, str]]:
-    """Check that the record fits itself and the splats."""
+    """Check that the record is consistent in itself and with the splats."""
     if record.id != folder.name:
         yield "other_name", "warning", f"id {record.id!r} in a folder called {folder.name!r}"
     chains: list[list[StepRecord]] = [[]]
@@ -207,7 +207,7 @@ def _check_record(folder: Path, record: ObjectRecord) -> Iterator[tuple[str, Sev
 
 
 def _strays(part: Splats, whole: Splats) -> int:
-    """Count the splats of a part at whose very position the whole has none."""
+    """Count the splats of a part whose position is not that of any splat of the whole."""
     rows = (np.ascontiguousarray(splats.means.numpy(), np.float32) for splats in (part, whole))
     of_part, of_whole = (values.view("V12").ravel().tolist() for values in rows)
     known = set(of_whole)

@@ -10,7 +10,7 @@ Conventions
 * Triangles lower than one row get one row whose cells follow the triangle's local height down to
   ``THINNEST``, so slivers become rows of thin splats that neither bulge nor vanish, and no needles.
 * Edges marked ``inset`` (borders, folds) are moved inwards before cutting, by a fraction of the
-  cell: the soft rim of a splat then ends about where the surface does.
+  cell, so that the soft rim of a splat ends about where the surface does.
 * Barycentric weights belong to the corners in the caller's order.
 """
 
@@ -190,7 +190,7 @@ def _cut_one(
     for axis in range(3):
         y_axis[axis] /= height
     apex = min(max(along / base, 0.0), 1.0)
-    # corners that the surface goes on flatly all round
+    # corners with flat surface all round
     at_a, at_b = (ends >> a & 1) == 0, (ends >> b & 1) == 0
     rows, _ = row_counts(base, height, count)
     placed, passed = 0, 0.0
@@ -291,8 +291,8 @@ def keep_within(
 ) -> None:
     """Shorten cells whose splats would reach beyond a marked edge by more than a limit.
 
-    A splat's rim is tested in ``_DIRECTIONS`` directions. Where the nearest point of its triangle
-    lies on an edge that other triangles continue from, those triangles cover it.
+    A splat's rim is tested in ``_DIRECTIONS`` directions. A rim point whose nearest point of the
+    triangle lies on an edge without a mark counts as covered by the triangle beyond that edge.
     """
     for n in numba.prange(len(triangle)):
         t = triangle[n]

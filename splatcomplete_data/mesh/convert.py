@@ -8,9 +8,9 @@ Conventions
 * Cut-outs are dropped where alpha is below 1/2; blended surfaces give their alpha to the splats.
 * Modes: ``cells`` cuts every triangle into equal cells (the default); ``grid`` is mesh2splat's
   density, one splat per cell of a grid on the triangle's dominant axis plane; ``random`` is the
-  naive way, uniform random points with round (spherical) splats, to measure the others against;
+  baseline, uniform random points with round (spherical) splats;
   ``poisson`` puts round discs on points that keep their distance (MeshLab's Poisson disks).
-* Nothing is dropped without a count: ``Conversion.steps`` says what became of every triangle.
+* Nothing is dropped without a count: ``Conversion.steps`` accounts for every triangle.
 """
 
 from __future__ import annotations
@@ -175,7 +175,7 @@ def _check(count: int | None, spacing: float | None, settings: ConvertSettings) 
 
 
 def _load_steps(mesh: Mesh) -> tuple[StepRecord, ...]:
-    """Tell which triangles of the file the mesh lacks."""
+    """Return records of the file's triangles that were left out of the mesh."""
     reasons = {"no_area": mesh.degenerate, "not_finite": mesh.non_finite}
     reasons = {name: count for name, count in reasons.items() if count}
     before = mesh.triangles + mesh.degenerate + mesh.non_finite
@@ -272,7 +272,7 @@ def _point_cells(
     cells.triangle[:], cells.weights[:] = triangle, weights
     cells.axes[:], cells.steps[:] = point_frames(vertices, triangle, side)
     if settings.mode == "random":
-        cells.steps[:] = 0  # the naive way takes a single colour sample
+        cells.steps[:] = 0  # the baseline takes a single colour sample
     cells.sizes[:] = side
     hit = len(np.unique(triangle))
     missed = {"missed_by_chance": len(areas) - hit} if hit < len(areas) else {}

@@ -2,7 +2,8 @@
 
 Conventions
 -----------
-* A fault that would give a wrong surface is refused; one that only loses colours is told in a note.
+* A file whose fault would give a wrong surface is refused; a fault that only loses colours gives a
+  note.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ _PICTURE_SUFFIXES = (
 
 
 def check_suffix(path: Path) -> None:
-    """Refuse what is no mesh by its name; trimesh would open archives of anything.
+    """Refuse a file whose suffix is not a mesh format's; trimesh would open any archive.
 
     Raises:
         UserError: it is none.
@@ -100,7 +101,7 @@ def _check_chunks(path: Path) -> None:
 
 
 def _check_zeros(path: Path, text: str) -> None:
-    """Refuse accessors that are large and hold nothing.
+    """Refuse large accessors without data, which stand for zeros.
 
     Raises:
         UserError: there is one.

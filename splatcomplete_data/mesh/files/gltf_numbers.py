@@ -39,7 +39,7 @@ _MODES_READ = (0, 1, 4, 5)
 
 @dataclass(frozen=True, slots=True)
 class OwnNumbers:
-    """What the file means where trimesh reads something else; see the module's conventions."""
+    """Correct numbers of a file where trimesh reads others; see the module's conventions."""
 
     coordinates: list[FloatArray | None]  # [V, 2] each
     position_ranges: list[int | None]

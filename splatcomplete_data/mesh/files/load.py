@@ -5,8 +5,8 @@ Conventions
 * Every format trimesh reads; ``parts`` says how colours, textures and alpha are read. Of a mesh too
   far from the origin for float32, ``Mesh.offset`` is taken away (``points``).
 * Textures larger than ``MAX_TEXTURE_PX`` are box-filtered down: splats are far coarser than texels.
-* What trimesh drops almost silently is noticed: textures that are missing or unreadable, Draco
-  geometry, triangles that are not finite or have no area. ``Mesh.notes`` and the counts tell.
+* Losses that trimesh hardly reports are recorded in ``Mesh.notes`` and counts: textures that are
+  missing or unreadable, Draco geometry, triangles that are not finite or have no area.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ def load_mesh(
         gltf_colors: how a glTF's factors and vertex colours are to be read.
         max_texture_px: larger textures are reduced to this side.
         allow_outside: folder below which files that the mesh names are read, too; None = only
-            those below its own folder. Others are told in notes.
+            those below its own folder. Others are listed in notes.
 
     Raises:
         UserError: the file cannot be read, or has no surface (a Draco-compressed file without a
@@ -263,7 +263,7 @@ def _load_scene(path: Path, resolver: Resolver) -> tuple[Any, Counter[str]]:
 
     Returns:
         The scene, and by geometry the faces with vertices that are not finite, which are gone;
-        those of COLLADA files, which trimesh drops whatever it is told, are not counted.
+        those of COLLADA files, which trimesh always drops, are not counted.
     """
     lost: Counter[str] = Counter()
     if path.suffix.lower() in file_checks.GLTF_SUFFIXES:  # of these trimesh drops none

@@ -75,7 +75,7 @@ class MeshPart:
 
 @dataclass(slots=True)
 class PartReader:
-    """Turns a loaded scene into parts and notes what is odd on the way."""
+    """Turns a loaded scene into parts, and collects notes about anything unusual."""
 
     path: Path
     is_linear: bool
@@ -148,7 +148,7 @@ class PartReader:
     def appearance(self, geometry: Any, uv: NDArray[np.float64] | None) -> MeshPart:
         """Return colours, texture coordinates and texture of one mesh; its vertices are unused.
 
-        ``uv`` are its texture coordinates where those that it holds are not meant.
+        ``uv`` replaces the mesh's own texture coordinates where those are not the ones meant.
         """
         visual, faces = geometry.visual, geometry.faces
         corners = np.ones((len(faces), 3, 3), np.float32)
