@@ -1,1 +1,1 @@
-"""Score distillation judged apart from its prior: priors that know the answer."""
+"""Evaluate score distillation independently of trained weights: priors that know the answer."""

@@ -1,16 +1,16 @@
 """Score distillation against priors that know the answer: ``--meshes PACK --out DIR``.
 
 ``python -m recipes.known_priors --meshes PACK --out runs/known`` completes parts of real meshes in
-every way that is named, with every prior that is named, and measures the method apart from any
-weights: settings for priors whose weights are not at hand (MVDream) are chosen here. An interrupted
-study goes on where it stopped.
+every named way and with every named prior, and so measures the method independently of any trained
+weights. Settings for priors whose weights are not available (MVDream) are chosen here. An
+interrupted study resumes where it stopped.
 
 Conventions
 -----------
 * Priors: ``exact``, renders of the truth; ``blurred``, blurred and noisier as t grows;
   ``plausible``, several complete objects of the same P, weighted by how near the render is;
   ``biased``, an object that is larger and of another colour than P where V sees it;
-  ``mvdream-like``, colours alone over black or white, 32 x 32 latents, guidance that overshoots;
+  ``mvdream-like``, colours without alpha over black or white, 32 x 32 latents, too strong guidance;
   ``embedded``, the package's own, from words alone as MVDream is; ``embedded-shape``, from words
   and the known shape of the noun that suits P best, where there is one.
 * Ways are settings by name (``known_priors.ways``); a call is one denoising of a ring of four.

@@ -1,11 +1,12 @@
-"""What is measured of a completion with a prior of known strength.
+"""The measures of a completion with a prior of known strength.
 
 Conventions
 -----------
 * Hidden IoU, silhouette IoU and PSNR are those of ``evaluate.metrics``, from 8 views at 256 px,
-  against whichever of the prior's objects is nearest by silhouette: any of them would be right.
-* Fog: alpha that stands farther than ``REACH_PX`` outside of that object's silhouette, as a share
-  of the object's own area.
+  against the prior's object with the nearest silhouette, since each of its objects is a right
+  answer.
+* Fog: alpha farther than ``REACH_PX`` outside that object's silhouette, as a share of the object's
+  own area.
 * E_color and E_depth are over 16 views of V that nothing was fitted to, at 128 px.
 """
 

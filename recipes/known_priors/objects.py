@@ -2,8 +2,8 @@
 
 Conventions
 -----------
-* Objects are those of ``real_objects.unseen`` (validation split), in their true object frame: what
-  is measured is the method, not the framing.
+* Objects are those of ``real_objects.unseen`` (validation split), in their true object frame, so
+  that framing errors do not enter the measures.
 * Parts alternate between one scanner view and an upright half; V is 50 degrees to either side of
   the azimuth that the part was taken from, as in the paper.
 """

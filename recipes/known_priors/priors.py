@@ -3,7 +3,7 @@
 Conventions
 -----------
 * Everything is in the object frame. The framing (field of view, extent, elevations) and the noise
-  schedule are MVDream's, so that what is learnt from these priors is learnt for it.
+  schedule are MVDream's, so that conclusions from these priors apply to it.
 * A prior answers with the posterior mean of a finite set of complete objects: with
   x_t = a x + s n, the weight of object k is softmax(-``SHARPNESS`` mean|x_t - a x_k|^2 / 2 s^2). It
   follows the nearest object where noise is low and averages all of them where it is high.
@@ -36,7 +36,7 @@ SHARPNESS = 200.0
 
 @dataclass(frozen=True, slots=True)
 class Strength:
-    """What is between a prior and the truth."""
+    """How a prior's images differ from renders of the truth."""
 
     blur_px: float = 0.0
     """Standard deviation of the blur at the last timestep, pixels of 64 to the image's side;
@@ -68,7 +68,7 @@ Latents of 32 x 32 decide how heavy the preservation loss is beside the prior's:
 
 @dataclass(frozen=True, slots=True)
 class NoText:
-    """A prompt that says nothing: the objects are known."""
+    """The conditioning of a prior that ignores its prompt, since its objects are known."""
 
     report: tuple[str, ...] = ()
 

@@ -61,7 +61,7 @@ def _request(path: Path, out: Path, settings: CompletionSettings) -> RunRequest:
 
 
 def _poisoned(base: CompletionSettings, poison: Poison, calls: int, step: int) -> Iterator[Check]:
-    """Let the prior fail, look at what is left, and go on with a healthy prior."""
+    """Let the prior fail, check the files that are left, and resume with a healthy prior."""
     settings, truth = _settings(base), ball()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -145,7 +145,7 @@ def _odd_inputs(quick: bool) -> Iterator[Check]:
 
 
 def _refused(partial: Splats, label: str) -> Iterator[Check]:
-    """Ask for a completion that cannot be, and check that it is refused before it begins."""
+    """Request an impossible completion, and check that it is refused before it begins."""
     with tempfile.TemporaryDirectory() as name:
         path, out = Path(name) / "odd.ply", Path(name) / "out"
         write_splats(path, partial)

@@ -1,4 +1,4 @@
-"""A prior that knows the answer, and can be told to fail: a test object for runs."""
+"""A prior that knows the answer and fails on demand: a test double for completion runs."""
 
 from __future__ import annotations
 

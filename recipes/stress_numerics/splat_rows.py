@@ -80,7 +80,7 @@ def _equal_depth(quick: bool) -> Iterator[Check]:
     base = random_splats(200, 8)
     means = base.means * torch.tensor([1.0, 1.0, 0.0]) + torch.tensor([0.0, 0.0, 2.0])
     yield from against_twin(with_fields(base, means=means), front_camera(64))
-    # Turned, depths differ by rounding, and the order is anybody's: alpha does not depend on it.
+    # After a turn, depths differ by rounding only: the order is arbitrary, but alpha is the same.
     flat = with_fields(base, means=base.means * torch.tensor([1.0, 1.0, 0.0]), opacities=0.1)
     picture, truth = (render(flat, ring(), backend=b) for b in ("cpu", "reference"))
     error = (picture.alpha - truth.alpha).abs()

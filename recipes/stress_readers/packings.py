@@ -2,7 +2,7 @@
 
 Conventions
 -----------
-* A kind is told by the file's name, and by its first bytes where a name has several.
+* A file's kind follows from its name, and from its first bytes where one name has several kinds.
 * Trees (JSON, YAML) are damaged as values: replaced, removed, renamed, doubled, exchanged.
 * Texts are damaged as lines and words; packed bytes as bytes, with lengths and checksums made anew.
 """

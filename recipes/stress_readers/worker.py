@@ -27,7 +27,7 @@ _SEED_LIMIT_S = 600
 
 @dataclass(frozen=True)
 class Answer:
-    """What became of one mutated file."""
+    """The outcome of reading one mutated file."""
 
     number: int
     file: str
@@ -99,7 +99,7 @@ def try_reader(reader: Reader, path: Path, limit_s: int) -> str:
         if f"longer than {limit_s} s" in str(error):  # a reader took the alarm for a damaged file
             return f"TimeoutError: {error}"[:200]
         return "refused"
-    except BaseException as error:  # anything else is what is looked for
+    except BaseException as error:  # any other exception is a failure of the reader
         return f"{type(error).__name__}: {error}"[:200]
     finally:
         signal.alarm(0)

@@ -9,10 +9,10 @@ other renderers: ``peers``.
 
 Conventions
 -----------
-* Numbers of threads take turns within every repeat, so that they share what else the machine does.
-* Backward is given the gradient of the picture; the loss is not part of it.
-* An exponent b says that time grows as (number)^b: fitted over all points, which a fixed cost
-  flattens, and between the last two, where the growing part shows.
+* Within every repeat all thread counts are measured in turn, so that other load affects all alike.
+* The backward pass starts from a given gradient of the picture; no loss is computed.
+* An exponent b means that time grows as (number)^b. It is fitted over all points, where a fixed
+  cost lowers it, and between the last two points, where the growing part dominates.
 """
 
 from __future__ import annotations

@@ -3,9 +3,9 @@
 For every cut-off (``alpha_min``, which also sets how far a splat reaches; ``transmittance_min``;
 tile lists by pixel boxes instead of ellipses), errors of the picture and of the gradients of every
 parameter group against two float64 twins: the one *with the same image definition* (same
-``alpha_min``; the twin never stops early), which shows what float32, polynomials and early stop
-lose, and the one *without cut-offs*, which shows what the definition itself leaves out. Times are
-of a larger scene, where they matter. ``--out DIR`` leaves ``renderer_accuracy.json`` and
+``alpha_min``; the twin never stops early), which gives the error of float32, polynomials and early
+stop, and the one *without cut-offs*, which adds the error of the definition itself. Times are
+measured on a larger scene, where they matter. ``--out DIR`` leaves ``renderer_accuracy.json`` and
 ``renderer_accuracy.png`` there.
 
 Conventions
@@ -231,7 +231,7 @@ def on_front(row: Row, rows: Sequence[Row]) -> bool:
 
 
 def failures(rows: Sequence[Row]) -> list[str]:
-    """Return what the default settings miss of the bounds, in words."""
+    """Return messages about the bounds that the default settings do not meet."""
     default = RenderSettings()
     missed = []
     for row in rows:

@@ -16,9 +16,10 @@ Conventions
 -----------
 * Renderers take turns within every repeat, in one process, with the same number of threads, on the
   same splats and view, with the same gradient of the picture: ratios hold beside other jobs.
-* Ratios are of medians, and of the fastest repeats. The ratio of compositing counts only a peer's
-  way from the screen to the picture and its gradients back; ours counts whole in all ratios.
-* How far a peer's picture and gradients are from ours is printed too: it must draw the same.
+* Ratios are of medians, and of the fastest repeats. The compositing ratio counts only a peer's
+  compositing, forward and backward, but all of our renderer's time, as every ratio does.
+* The differences of a peer's picture and gradients from ours are printed as well, because times
+  compare only if both draw the same picture.
 """
 
 from __future__ import annotations

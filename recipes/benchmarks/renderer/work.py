@@ -3,11 +3,11 @@
 Counting rules
 --------------
 * Time: every Numba kernel that Python calls during a forward and a backward pass is timed at its
-  call; what is left of the pass is PyTorch and Python. Each is the fastest of all repeats, as the
-  limits are, so that other jobs change neither.
-* Bytes: the sizes of all arrays that a kernel is given, each once, whether read or written: the
-  least traffic that the kernel's interface allows. Arrays that fit the caches may stay there, and
-  some are read in part, so a share may exceed one.
+  call; the rest of the pass is PyTorch and Python. As with the limits, the fastest of all repeats
+  counts, so that other jobs affect neither.
+* Bytes: the sizes of all arrays that a kernel receives, each counted once, whether read or written:
+  the least traffic that the kernel's interface allows. Arrays may stay in the caches or be read
+  only in part, so a share of the limit may exceed one.
 * Operations, for the two compositing kernels only: pixels that are visited (the rows of a tile that
   an entry reaches, entries behind a finished tile not counted) times float32 additions,
   subtractions, multiplications and divisions in the inner loop. Comparisons, minima and selects

@@ -1,4 +1,4 @@
-"""What says what a folder holds: object.json, dataset.json, recipes, manifests of batches."""
+"""Files that describe folders: object.json, dataset.json, recipes, manifests of batches."""
 
 from __future__ import annotations
 

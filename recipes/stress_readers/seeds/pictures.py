@@ -1,4 +1,4 @@
-"""Depth images, photos, masks, and what says of which camera they are."""
+"""Depth images, photos, masks, and files that state their camera."""
 
 from __future__ import annotations
 
