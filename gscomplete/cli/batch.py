@@ -43,41 +43,41 @@ class BatchOptions(HowToComplete):
     """Complete many objects, on all cores or GPUs of this machine or on a Ray cluster.
 
     SOURCE is a dataset of splatcomplete-data, a folder of object folders or splat files, or a
-    manifest (.jsonl, .csv, .tsv) with one object a line: partial (splat file or object folder),
+    manifest (.jsonl, .csv, .tsv) with one object per line: partial (splat file or object folder),
     id, and options of that object alone (prompt, up, view, ...). RUNS/ID becomes the run folder of
-    object ID, with the bytes that "gscomplete complete" gives. The same command goes on where it
-    was stopped or killed, and leaves alone what is finished of the same input, options and
-    weights. An object that fails keeps its error and log and does not stop the others.
+    object ID, with the same bytes as "gscomplete complete" gives. If a batch was stopped or killed,
+    the same command continues it; objects finished with the same input, options and weights are
+    not made again. If an object fails, its error and log are kept and the others go on.
 
-    SOURCE, RUNS and objects may be URLs (s3://bucket/folder, and whatever fsspec knows).
+    SOURCE, RUNS and objects may be URLs (s3://bucket/folder, and any other that fsspec reads).
 
     Examples: gscomplete batch datasets/open --out runs/open;
     gscomplete batch scans.csv --out s3://lab/completed --ray auto
     """
 
     source: Annotated[str, tyro.conf.Positional]
-    """Dataset, folder or manifest: path or URL."""
+    """Dataset, folder or manifest, as a path or URL."""
     out: Annotated[str, tyro.conf.arg(metavar="RUNS")]
-    """Folder of the run folders, and of the ledger (.batch/ledger.jsonl): path or URL."""
+    """Folder for the run folders and the ledger (.batch/ledger.jsonl), as a path or URL."""
     workers: int | None = None
-    """Processes; None = one per GPU, else as many as cores and memory carry."""
+    """Worker processes; None = one per GPU, else as many as cores and memory allow."""
     threads: int | None = None
-    """Of each worker; None = the cores shared out among the workers."""
+    """Threads per worker; None = the cores divided among the workers."""
     memory: float | None = None
-    """GiB that must be free before a worker starts, and that one on the CPU may take at most; None
-    = 2 with the embedded prior, else 12."""
+    """GiB that must be free before a worker starts, and the most that a worker on the CPU may use;
+    None = 2 with the embedded prior, else 12."""
     ray: tuple[str, ...] | None = None
-    """Run on a Ray cluster: its address, nothing or auto = the one that this machine is part of,
-    local = one of this machine's own. Paths must be the same on all its machines."""
+    """Run on a Ray cluster: its address; no value or auto = the cluster that this machine is part
+    of; local = a new cluster of this machine alone. Paths must be the same on all its machines."""
     retries: int = 2
-    """How many more workers an object is given to after one died over it."""
+    """How many more workers try an object whose worker died."""
     redo: bool = False
-    """Do objects again whose results in RUNS are of other options or weights."""
+    """Complete objects again whose results in RUNS were made with other options or weights."""
     scratch: Path | None = None
-    """Folder of this machine for what is unfinished, where RUNS is a URL; None = in the system's
-    folder for temporary files."""
+    """Local folder for unfinished objects if RUNS is a URL; None = in the system's folder for
+    temporary files."""
     json: bool = False
-    """Print one JSON object on standard output and nothing else there."""
+    """Print only one JSON object on standard output; messages go to standard error."""
 
 
 def run(options: BatchOptions) -> int:
@@ -100,7 +100,7 @@ def run(options: BatchOptions) -> int:
     before = len(items) - len(batch.to_do)
     _say(
         options,
-        f"{len(items):,} objects" + (f", {before:,} of them finished before" if before else ""),
+        f"{len(items):,} objects" + (f", {before:,} of them already finished" if before else ""),
     )
     with contextlib.redirect_stdout(sys.stderr if options.json else sys.stdout):
         summary = _with_progress(options, batch, address)  # Ray prints what it likes
@@ -136,7 +136,7 @@ def _check(options: BatchOptions) -> None:
             raise UserError(f"--{name}: expected 1 or more, found {count}")
     if options.memory is not None and not 0.001 <= options.memory < float("inf"):
         raise UserError(
-            f"--memory: expected a number of GiB from 0.001 on, found {options.memory:g}"
+            f"--memory: expected a number of GiB, at least 0.001, found {options.memory:g}"
         )
     if options.retries < 0:
         raise UserError(f"--retries: expected 0 or more, found {options.retries}")
@@ -164,8 +164,8 @@ def _check_prompts(options: BatchOptions, items: list[Item]) -> None:
     if lacking:
         more = f" and {len(lacking) - _MOST_NAMED:,} more" if len(lacking) > _MOST_NAMED else ""
         raise UserError(
-            "--prompt: expected what each object is, here or in a manifest, found none for "
-            f"{', '.join(lacking[:_MOST_NAMED])}{more}"
+            "--prompt: expected a prompt for each object, by this option or in a manifest, found "
+            f"none for {', '.join(lacking[:_MOST_NAMED])}{more}"
         )
 
 
@@ -263,7 +263,7 @@ def _report(options: BatchOptions, batch: Batch, summary: Summary) -> None:
         return
     _say(options, *_table(summary))
     if summary.failed:
-        _say(options, f"logs of what failed: {batch.failed}")
+        _say(options, f"logs of failed objects: {batch.failed}")
     _say(options, f"results: {batch.runs}; ledger: {ledger}")
 
 
@@ -284,7 +284,7 @@ def _table(summary: Summary) -> list[str]:
     ended = sum(summary.counts.values())
     if ended:
         each = summary.seconds / ended
-        lines.append(f"{summary.seconds:,.1f} s in all, {each:.2f} s an object")
+        lines.append(f"{summary.seconds:,.1f} s in all, {each:.2f} s per object")
     return lines
 
 

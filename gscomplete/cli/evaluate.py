@@ -30,11 +30,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class EvaluateOptions:
-    """Measure how well completions keep P and how near they are to the truth.
+    """Measure how well completions keep P, and how close they are to the truth if it is known.
 
-    Errors of the input (E_color, E_depth, E_LPIPS, weighted by what P covers) from the input view c
-    and over V; likeness (S_CLIP, HaarPSI); with a known complete object its silhouettes, hidden
-    colours and hidden surface. Of another system's result, --object names what it completes.
+    Measures the change of P's appearance (E_color, E_depth, E_LPIPS, weighted by P's coverage) from
+    the input view c and over V; likeness (S_CLIP, HaarPSI); and, if the complete object is known,
+    silhouette IoU, colour of hidden regions and hidden surface. For another system's result,
+    --object names the object folder that it completes.
 
     Examples: gscomplete evaluate runs/mug;
     gscomplete evaluate --dataset open --runs ours=runs/default fast=runs/fast --latex table.tex
@@ -43,28 +44,28 @@ class EvaluateOptions:
     paths: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
     """Run folders, or splat files in P's coordinates."""
     object: Path | None = None
-    """Object folder that PATHS complete; None = as each run says."""
+    """Object folder that PATHS complete; None = as each run records."""
     dataset: Path | None = None
     """Folder of object folders, instead of PATHS."""
     runs: tuple[str, ...] = ()
-    """With --dataset: folders with one completion an object, each a method; NAME=FOLDER names it.
-    In it, ID or ID_completed is a run folder, ID.ply (or another format) a splat file."""
+    """With --dataset: one folder of completions per method; NAME=FOLDER names the method. In it,
+    ID or ID_completed is the run folder of object ID, or ID.ply (or another format) its splats."""
     keep: Path | None = None
-    """With --dataset: keep what is measured in this folder; the same command goes on from it."""
+    """With --dataset: keep measurements in this folder, so that the same command can continue."""
     views: int = 16
-    """Views of V averaged over."""
+    """Number of views of V to average over."""
     truth_views: int = 12
-    """Views round the object that are compared with the truth."""
+    """Number of views around the object that are compared with the truth."""
     size_px: int = 256
-    """Side of the pictures that are compared."""
+    """Side of the pictures that are compared, in pixels."""
     json: bool = False
-    """Print one JSON object with every row, and nothing else."""
+    """Print only one JSON object with every row."""
     csv: Path | None = None
-    """Write every row here."""
+    """Write every row to this file as CSV."""
     markdown: Path | None = None
-    """Write the tables here as Markdown, every object included."""
+    """Write the tables to this file as Markdown, including a row for every object."""
     latex: Path | None = None
-    """Write the table here as LaTeX (booktabs)."""
+    """Write the table to this file as LaTeX (booktabs)."""
 
 
 def run(options: EvaluateOptions) -> int:

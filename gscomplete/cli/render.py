@@ -25,7 +25,7 @@ _SHOWN = 1.6
 
 @dataclass(frozen=True)
 class RenderOptions:
-    """Render a splat file, a run or an object's part from given views of its object frame.
+    """Render a splat file, a run's result or an object folder's partial object from given views.
 
     Example: gscomplete render runs/mug --views 0,15 90,15 --out pictures
     """
@@ -33,22 +33,22 @@ class RenderOptions:
     file: Annotated[Path, tyro.conf.Positional]
     """Splat PLY, run folder or object folder."""
     out: Path = Path("render")
-    """Folder for view_AZIMUTH_ELEVATION.png files; created, files in it are replaced."""
+    """Folder for the pictures view_AZIMUTH_ELEVATION.png; existing ones are replaced."""
     views: tuple[str, ...] = ("0,15", "60,15", "120,15", "180,15", "240,15", "300,15")
-    """Views as AZIMUTH,ELEVATION in degrees, at least one."""
+    """Views as AZIMUTH,ELEVATION in degrees of the object frame, at least one."""
     up: str | None = None
     """Axis (such as -Y) or direction X,Y,Z of the file that points up; None = as its run or object
     folder says, else Z."""
     center: str | None = None
     """Centre of the object frame as X,Y,Z in file coordinates, with --object-size; None = as the
-    run or object folder says, else the middle of the splats, floaters apart."""
+    run or object folder says, else the middle of the splats without floaters."""
     size: Annotated[float | None, tyro.conf.arg(name="object-size")] = None
-    """Side of the object frame in file units, with --center; None = as the folder says, else the
-    splats' largest side, floaters apart. Pictures show 1.6 times as much."""
+    """Side of the object frame in file units, with --center; None = as the run or object folder
+    says, else the splats' largest side without floaters. Pictures span 1.6 times this size."""
     size_px: int = 512
-    """Width and height of the pictures."""
+    """Width and height of the pictures in pixels."""
     fov: float = 40.0
-    """Vertical field of view in degrees, at most 80: with more, the camera would be within the
+    """Vertical field of view in degrees, at most 80; with more, the camera would be inside the
     object's box."""
     background: str = "1,1,1"
     """Colour behind the splats as R,G,B in 0 to 1."""

@@ -22,10 +22,10 @@ from gscomplete.errors import UserError
 
 @dataclass(frozen=True)
 class ReportOptions:
-    """Write one HTML page that opens without a network.
+    """Write one HTML page about completions that opens without a network.
 
-    Input and completion side by side with errors inset, splats to turn in the browser (WebGL 2),
-    numbers in tables that sort, options, timings and warnings.
+    It has input and completion side by side with error maps inset, splats to turn in the browser
+    (WebGL 2), metrics in sortable tables, options, timings and warnings.
 
     Examples: gscomplete report runs/mug;
     gscomplete report --dataset open --runs ours=runs/default other=runs/other --out page.html
@@ -34,32 +34,32 @@ class ReportOptions:
     paths: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
     """Run folders, or splat files in P's coordinates."""
     object: Path | None = None
-    """Object folder that PATHS complete; None = as each run says."""
+    """Object folder that PATHS complete; None = as each run records."""
     dataset: Path | None = None
     """Folder of object folders, instead of PATHS."""
     runs: tuple[str, ...] = ()
-    """With --dataset: folders with one completion an object; NAME=FOLDER names the method."""
+    """With --dataset: one folder of completions per method; NAME=FOLDER names the method."""
     keep: Path | None = None
-    """With --dataset: keep what is measured in this folder; the same command goes on from it."""
+    """With --dataset: keep measurements in this folder, so that the same command can continue."""
     out: Path = Path("report.html")
     """The page; replaced if it exists."""
     title: str = "Completions"
     """Heading of the page."""
     csv: Path | None = None
-    """Write every row here, too."""
+    """Write every row to this file as CSV."""
     markdown: Path | None = None
-    """Write the tables here as Markdown, every object included."""
+    """Write the tables to this file as Markdown, including a row for every object."""
     latex: Path | None = None
-    """Write the table here as LaTeX (booktabs)."""
+    """Write the table to this file as LaTeX (booktabs)."""
     most_splats: int = 6000
-    """Of an input with more, and of what is added to it, an even choice is put into the page,
-    widened to match; 23 bytes each."""
+    """If the input, or the new splats, are more than this, the page holds an even subset, with
+    splats enlarged to match. A splat takes 23 bytes."""
     views: int = 16
-    """Views of V averaged over."""
+    """Number of views of V to average over."""
     truth_views: int = 12
-    """Views round the object that are compared with the truth."""
+    """Number of views around the object that are compared with the truth."""
     size_px: int = 256
-    """Side of the pictures that are compared."""
+    """Side of the pictures that are compared, in pixels."""
 
 
 def run(options: ReportOptions) -> int:

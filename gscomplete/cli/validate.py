@@ -29,11 +29,11 @@ _STYLES = {"error": "bold red", "warning": "yellow", "info": "dim"}
 
 @dataclass(frozen=True)
 class ValidateOptions:
-    """Check splat files and name what is wrong or odd, with counts and a verdict."""
+    """Check splat files: list errors and warnings with counts, and give a verdict."""
 
     files: Annotated[list[Path], tyro.conf.Positional]
-    """Splat files to check, and folders whose PLY files are checked. What is no PLY is checked as
-    the PLY that it is converted to."""
+    """Splat files, or folders whose PLY files are checked. Files of other formats are converted to
+    PLY and checked as that."""
 
     json: bool = False
     """Print one JSON object instead of text."""

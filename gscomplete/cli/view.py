@@ -16,9 +16,9 @@ from gscomplete.errors import UserError
 class ViewOptions:
     """Look at a run or at splat files in a browser.
 
-    Of a run: P and what was added, each shown or hidden; the alternatives that it kept, to choose
-    from; the cameras of c and V with what was added to P's appearance there in red. A run that goes
-    on is followed from checkpoint to checkpoint.
+    For a run, the page has P and the new splats, which can be hidden separately; its alternatives,
+    to choose from; and the cameras of c and V, with changes of P's appearance from there in red. A
+    run in progress is followed from checkpoint to checkpoint.
 
     Example: gscomplete view runs/mug. On another machine, forward the port first:
     ssh -L 8080:localhost:8080 MACHINE. Ctrl-C ends it.
@@ -27,13 +27,13 @@ class ViewOptions:
     paths: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """A run folder; an object folder; or splat files and folders of them, each file a layer."""
     up: str = "Z"
-    """Axis of the files that points up; a run and an object folder know their own."""
+    """Axis of the files that points up; run and object folders record their own."""
     host: str = "127.0.0.1"
-    """Address to listen at; 0.0.0.0 lets other machines look."""
+    """Address to listen at; 0.0.0.0 lets other machines connect."""
     port: int = 8080
     """Port to listen at; the next free one if it is taken."""
     most_splats: int = 500_000
-    """Of a layer with more, an even choice is shown, widened to match."""
+    """If a layer has more splats, an even subset is drawn, with splats enlarged to match."""
 
 
 def run(options: ViewOptions) -> int:

@@ -22,10 +22,10 @@ from gscomplete.errors import UserError
 
 @dataclass(frozen=True)
 class ListOptions:
-    """Say which weights are here, and what is published."""
+    """List the weights of each prior that are on this machine, and whether they are ready."""
 
     verify: bool = False
-    """Read converted files whole and compare them with their digests."""
+    """Also read converted files completely and compare them with their digests."""
     json: bool = False
     """Print one JSON object instead of text."""
 
@@ -37,19 +37,19 @@ class FetchOptions:
     prior: Annotated[Literal["mvdream"], tyro.conf.Positional]
     """Which prior."""
     out: Path | None = None
-    """Folder; None = where --prior mvdream looks."""
+    """Folder to write to; None = the one that --prior mvdream searches."""
 
 
 @dataclass(frozen=True)
 class ConvertOptions:
-    """Convert MVDream's weights to a folder of safetensors, which can be halved in size."""
+    """Convert MVDream's weights to a folder of safetensors files, optionally at half the size."""
 
     source: Annotated[Path, tyro.conf.Positional]
     """The published .pt file, or a diffusers-style folder."""
     out: Annotated[Path, tyro.conf.Positional]
     """Folder to create."""
     storage: Literal["keep", "float16"] = "keep"
-    """keep: the file's numbers bit for bit. float16: half the size of float32."""
+    """keep: the numbers of the file, bit for bit. float16: half the size of float32."""
 
 
 Action = (

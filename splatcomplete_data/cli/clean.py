@@ -22,29 +22,30 @@ _PICTURE = "clean.png"
 
 @dataclass(frozen=True, kw_only=True)
 class CleanOptions:
-    """Leave out floaters, haze, giant and needle splats, and stray islands of a splat file.
+    """Remove floaters, haze, giant and needle splats, and stray islands from a splat file.
 
-    Each rule is counted; a picture shows before, after, and what went. The records of a PLY that
-    stay are copied byte for byte; frame and harmonics are not touched. Without --out nothing but
-    the picture is written.
+    Prints how many splats each rule removes, and draws the splats before and after and those
+    removed. Kept records of a PLY are copied byte for byte; frame and harmonics are not changed.
+    Without --out only the picture is written.
 
     Examples: splatcomplete-data clean scene.ply;
     splatcomplete-data clean scene.ply --out cleaned.ply --strength 0.7 --background
     """
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """Splat file of any format, or capture folder."""
+    """Splat file in any format, or capture folder."""
     out: Path | None = None
-    """Splat file to write, of any format; None = only draw and count."""
+    """Splat file to write, in any format; None = only draw and count."""
     strength: float = 0.5
-    """0 leaves out only what cannot be drawn; 0.5 what `gscomplete validate` warns of; 1 all that
-    an evenly covered surface does not have."""
+    """0 removes only splats that cannot be drawn; 0.5 those that `gscomplete validate` warns of; 1
+    all that an evenly covered surface does not have."""
     rules: tuple[Literal["floaters", "giants", "haze", "needles", "islands"], ...] = (
         *("floaters", "giants", "haze", "needles", "islands"),
     )
-    """Which rules apply."""
+    """Rules to apply."""
     background: bool = False
-    """Also leave out planes that bear the object (table, floor, wall) and all behind them."""
+    """Also remove planes that the object stands on or against (table, floor, wall), and all behind
+    them."""
     up: str = "auto"
     """Axis that points up, X, Y, Z, -X, -Y or -Z, or a direction X,Y,Z, for --background and the
     picture; auto = as the capture's cameras say, else -Y."""
@@ -53,7 +54,7 @@ class CleanOptions:
     overwrite: bool = False
     """Replace --out, and the picture with it, if they exist."""
     json: bool = False
-    """Print counts and files as JSON on standard output and nothing else there."""
+    """Print only counts and file names, as JSON, on standard output."""
 
 
 def run(options: CleanOptions) -> int:

@@ -58,32 +58,32 @@ class ObjectOptions:
     out: Path | None = None
     """Object folder to write; None = the source's name, in the current folder."""
     prompt: str | None = None
-    """What the complete object is, such as "a red mug"; None = the source's name as words."""
+    """Names the complete object, such as "a red mug"; None = the source's file name as words."""
     view: str | None = None
     """Input view c as AZIMUTH,ELEVATION in degrees (azimuth 0 looks from +x of the z-up object
     frame, 90 from +y); None = the camera's own view where there is one, else the view that shows
     most of the part from outside."""
     range: float = 50.0
-    """V reaches this many degrees of azimuth to either side of c."""
+    """Degrees of azimuth that V extends to either side of c."""
     up: str = "auto"
     """Axis of the source that points up, X, Y, Z, -X, -Y or -Z, or a direction X,Y,Z; auto = by the
-    kind of source, as told above."""
+    kind of source, as described above."""
     center: str | None = None
-    """Centre of the COMPLETE object as X,Y,Z in the source's coordinates, those of --box, also
-    where an offset or --level moves the splats; None = known or guessed."""
+    """Centre of the COMPLETE object as X,Y,Z in the source's coordinates (as --box), even if an
+    offset or --level moves the splats; None = known or guessed."""
     object_size: float | None = None
     """Largest side of the COMPLETE object in the source's units; None = known or guessed."""
     id: str | None = None
     """Name within a dataset; None = the folder's name."""
     licence: str | None = None
-    """Licence of the source, for the record."""
+    """Licence of the source; recorded."""
     origin: str | None = None
-    """Origin of the source, for the record."""
+    """Origin of the source, such as a URL; recorded."""
     overwrite: bool = False
     """Replace --out if it exists."""
     json: bool = False
-    """Print the content of object.json, and as complete_command the line that completes the part
-    (null without a part), on standard output and nothing else there."""
+    """Print only the content of object.json on standard output, plus complete_command: the shell
+    command that completes the part (null without a part)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

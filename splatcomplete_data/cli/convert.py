@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 class ConvertOptions:
     """Convert a splat file to another format, or to a page that shows it.
 
-    Read: .ply, .compressed.ply, .splat, .spz (1 to 4), .glb (KHR_gaussian_splatting), .sog (or the
-    folder of its meta.json), .ksplat. Written: the same without .ksplat, USD (.usd, .usda, .usdc:
-    ParticleField3DGaussianSplat), and .html, which opens without a network. What the target cannot
-    hold is named, and so are properties and comments beside the splats, and axes that differ.
+    Reads .ply, .compressed.ply, .splat, .spz (1 to 4), .glb (KHR_gaussian_splatting), .sog (or the
+    folder of its meta.json) and .ksplat. Writes all of these but .ksplat, USD (.usd, .usda, .usdc:
+    ParticleField3DGaussianSplat), and .html, which opens without a network. Prints what the target
+    cannot hold, such as additional properties and comments, and how axes were turned.
 
     Examples: splatcomplete-data convert biker.spz biker.ply;
     splatcomplete-data convert biker.ply biker.html --up -Y
@@ -32,17 +32,18 @@ class ConvertOptions:
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
     """File to read."""
     target: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TARGET")]
-    """File to write; its name says the format."""
+    """File to write; its suffix selects the format."""
     overwrite: bool = False
     """Replace the target if it exists."""
     spz_version: Literal[3, 4] = 3
     """Version of SPZ files: 3 is read everywhere, 4 is smaller."""
     up: str = "auto"
     """For .html and the formats that are y up (.glb, .usd*, .spz): axis of the splats that points
-    up, X, Y, Z, -X, -Y or -Z, or a direction X,Y,Z; auto = as the object folder says that SOURCE
-    belongs to, else -Y."""
+    up, X, Y, Z, -X, -Y or -Z, or a direction X,Y,Z; auto = as the object folder of SOURCE says, if
+    it is in one, else -Y."""
     most_splats: int = 500_000
-    """For .html: of more, an even choice is shown, widened to match; 23 bytes each."""
+    """For .html: a page with more splats holds an even subset, enlarged to match. A splat takes 23
+    bytes."""
 
 
 def run(options: ConvertOptions) -> int:

@@ -30,14 +30,14 @@ if TYPE_CHECKING:
 class CropOptions(ObjectOptions):
     """Cut an object out of a trained scene with boxes; records are copied byte for byte.
 
-    FILE is a splat PLY, or the capture folder of `images`, whose cameras make `--box auto` better
-    and give the up axis and the input view; of a splat file up is -Y unless --up says otherwise,
-    and --up is obeyed for either. Frame and harmonics are not touched; the boxes are
-    recorded, and boxes.png shows them over the scene and what they keep.
+    FILE is a splat PLY, or the capture folder of `images`, whose cameras improve `--box auto` and
+    give the up axis and the input view. For a splat file up is -Y. --up overrides either. Frame and
+    harmonics are not changed; the boxes are recorded, and boxes.png draws them over the scene and
+    what they keep.
 
     Example: splatcomplete-data crop capture --box auto --propose
 
-    Then, with the numbers that it prints, corrected: splatcomplete-data crop capture
+    Then, with the printed numbers, corrected by hand: splatcomplete-data crop capture
     --box 0.1,0,0.2,0.3,0.3,0.4 --box remove:0,0,-0.3,1,1,0.05 --prompt "a plush doll" --out doll
     """
 
@@ -45,14 +45,14 @@ class CropOptions(ObjectOptions):
     """Splat PLY or capture folder."""
     box: tuple[str, ...] = ()
     """Boxes in the file's frame, in order: auto, or [keep:|remove:]CX,CY,CZ,HX,HY,HZ (centre and
-    half extents), with ,QW,QX,QY,QZ behind for an oriented box; or a file of boxes that --pick
-    saved. Without any, everything is kept."""
+    half extents), followed by ,QW,QX,QY,QZ for an oriented box; or a file of boxes saved by --pick.
+    Without boxes, everything is kept."""
     pick: Path | None = None
-    """Only open a page on which boxes are moved, turned and sized over the scene, those of --box
-    to begin with, and saved to this file (.txt) for --box."""
+    """Only open a page in which to move, turn and size boxes over the scene, starting with those of
+    --box, and save them to this file (.txt), which --box reads."""
     clean: float | None = None
-    """Strength of the rules of `clean`, 0 to 1, on what the boxes keep, and on what `--box auto`
-    looks for the object in; None = 0.5 with --box auto, else 0."""
+    """Strength, 0 to 1, at which the rules of `clean` are applied to the splats in the boxes, and
+    to the scene in which `--box auto` finds the object; None = 0.5 with --box auto, else 0."""
     propose: bool = False
     """Only draw the boxes into boxes.png in the current folder (or --out) and print them."""
 

@@ -23,38 +23,38 @@ if TYPE_CHECKING:
 class BuildOptions:
     """Build all objects of a recipe.
 
-    Objects that are up to date are left alone: made from the same entry and sources by the same
-    code. A build that was killed goes on where it stopped; an object that fails does not stop the
-    others. Exit code 1 if any failed.
+    Objects that were made from the same recipe entry and sources by the same code are up to date
+    and not made again. If a build was killed, the same command continues it. If an object fails,
+    the others go on; the exit code is then 1.
 
     Example: splatcomplete-data build recipes/splatcomplete_open/recipe.yaml --data ../shared/data
     """
 
     recipe: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RECIPE")]
-    """YAML file; its form is told in splatcomplete_data/dataset/recipe.py."""
+    """YAML file; splatcomplete_data/dataset/recipe.py documents its fields."""
     data: Path = Path()
     """Folder that the recipe's paths are relative to."""
     out: Path = Path("dataset")
     """Dataset folder."""
     jobs: Annotated[int | None, tyro.conf.arg(aliases=("--workers",))] = None
-    """Objects made at a time, each in a process of its own that stays for the next; None = one per
-    core, at most 8."""
+    """Number of worker processes, each making one object at a time; None = one per core, at most
+    8."""
     only: tuple[str, ...] = ()
     """Ids of objects to build; none = all."""
     allow_outside: Path | None = None
-    """Folder below which files that the recipe, a mesh or a capture names are read beside those
-    below --data and below the mesh's or capture's own folder; None = --data."""
+    """Another folder from which files named by the recipe, a mesh or a capture may be read, besides
+    --data and the mesh's or capture's own folder; None = --data."""
     any_code: bool = False
-    """Leave objects alone that another version of the code made; otherwise they are made anew."""
+    """Keep objects made by another version of the code; otherwise they are made again."""
     json: bool = False
-    """Print one JSON object on standard output and nothing else there."""
+    """Print only one JSON object on standard output; messages go to standard error."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ValidateOptions:
-    """Check a dataset or an object folder and name every fault.
+    """Check a dataset or an object folder and list every fault.
 
-    Exit code 1 if there is an error; warnings are allowed.
+    The exit code is 1 if there is an error; warnings do not count.
     """
 
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
@@ -65,10 +65,10 @@ class ValidateOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class StatsOptions:
-    """Print what a dataset holds, and draw its contact sheet.
+    """Print what a dataset contains, and draw its contact sheet.
 
-    Folders without an object are left out and named, and so are objects that the recipe of the last
-    build does not have.
+    Folders without an object, and objects that are not in the recipe of the last build, are skipped
+    with a note.
     """
 
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
@@ -83,8 +83,8 @@ class StatsOptions:
 class ListOptions:
     """List the objects of a dataset.
 
-    Folders without an object are left out and named, and so are objects that the recipe of the last
-    build does not have.
+    Folders without an object, and objects that are not in the recipe of the last build, are skipped
+    with a note.
     """
 
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]

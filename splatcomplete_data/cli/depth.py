@@ -26,11 +26,12 @@ from splatcomplete_data.cli.points import PointOptions, PointSource, made_from_p
 class DepthOptions(PointOptions):
     """Turn one picture and its depth into a partial object.
 
-    Frame: levelled (z up) where the picture shows a floor or table, whatever is kept of it; else,
-    or with --keep-tilt, camera axes (x right, y down, z forward), where up is -Y unless --up says
-    otherwise. The input view is the photo's own. An EXIF rotation is applied where only that fits
-    the depth; else it tells which way is up. Flying pixels at depth edges are removed.
-    Depth Anything 3's results.npz is read as it is, with "-" as IMAGE.
+    If the picture has a floor or table, even one that is cut away, the object is levelled on it (z
+    up). Otherwise, or with --keep-tilt, its frame has the camera's axes (x right, y down, z
+    forward), where up is -Y unless --up says otherwise. The input view is the photo's own. An EXIF
+    rotation is applied to the pixels if they fit the depth only then; otherwise it only tells which
+    way is up. Flying pixels at depth edges are removed. Depth Anything 3's results.npz is read
+    directly, with "-" as IMAGE.
 
     Example: splatcomplete-data depth photo.jpg depth.png --fov 60 --mask mask.png --out mug
     """
@@ -38,42 +39,46 @@ class DepthOptions(PointOptions):
     image: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="IMAGE")]
     """Picture; "-" = the one inside the depth file."""
     depth: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DEPTH")]
-    """NPY, NPZ, 16-bit PNG or PGM, TIFF or EXR."""
+    """Depth image: NPY, NPZ, 16-bit PNG or PGM, TIFF or EXR."""
     kind: Literal["metric", "disparity", "inverse"] = "metric"
-    """metric: value x unit; disparity: focal x baseline / (value x unit + offset); inverse: unit /
-    value."""
+    """Depth of a pixel by its value. metric: value x unit; disparity: focal x baseline / (value x
+    unit + offset); inverse: unit / value."""
     unit: float | None = None
-    """Length of one depth unit (0.001 for millimetres), or pixels of one unit of a disparity
-    (KITTI: 0.00390625); None = 1, or 0.001 for integers that are no disparities."""
+    """Length of one depth unit (0.001 for millimetres), or pixels per unit of disparity (KITTI:
+    0.00390625); None = 1, or 0.001 for integers other than disparities."""
     baseline: float | None = None
-    """Distance of the two cameras of a disparity."""
+    """Distance between the two cameras of a disparity image."""
     disparity_offset: float = 0.0
     """Added to disparities (difference of the principal points)."""
     intrinsics: Path | None = None
     """Intrinsics file: JSON (Open3D, RealSense, Record3D, ROS, or fx, fy, cx, cy), four numbers
-    (fx fy cx cy), or a 3 x 3 matrix; pixel centres at +0.5, of Open3D, RealSense and ROS at 0."""
+    (fx fy cx cy), or a 3 x 3 matrix. Pixel centres are at +0.5; in files of Open3D, RealSense and
+    ROS at 0."""
     focal: str | None = None
-    """F, FX,FY or FX,FY,CX,CY in pixels of the picture."""
+    """Focal length F or FX,FY, or with the principal point FX,FY,CX,CY, in pixels of the
+    picture."""
     center_px: str | None = None
     """Principal point CX,CY in pixels, with --focal F or FX,FY or --fov; None = the middle."""
     fov: float | None = None
     """Horizontal field of view in degrees."""
     mask: Path | None = None
-    """Picture that is white where the object is; an RGBA picture's alpha is used otherwise."""
+    """Picture that is white where the object is; None = the alpha of an RGBA picture, if any."""
     crop_px: str | None = None
-    """Keep X0,Y0,X1,Y1 of the depth image."""
+    """Keep the rectangle X0,Y0,X1,Y1 of the depth image."""
     near: float | None = None
-    """Drop what is nearer."""
+    """Drop pixels nearer than this depth."""
     far: float | None = None
-    """Drop what is farther."""
+    """Drop pixels farther than this depth."""
     min_confidence: float | None = None
     """Drop pixels of smaller confidence."""
     flying: float = 0.02
-    """Depth jump, over the depth, beyond which a pixel between two surfaces flies; 0 = keep all."""
+    """Relative depth jump from which a pixel between two surfaces counts as flying; 0 = keep
+    all."""
     sigma: float = 0.5
-    """Standard deviation over the point spacing; more hides holes seen aslant, but blurs."""
+    """Standard deviation of splats over the point spacing; larger values close holes in surfaces
+    seen obliquely, but blur."""
     frame: int = 0
-    """Which picture of an NPZ that holds several."""
+    """Index of the picture, for an NPZ that holds several."""
 
 
 def run(options: DepthOptions) -> int:

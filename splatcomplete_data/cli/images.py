@@ -28,72 +28,73 @@ _TITLE = "{task.description:>9}"
 class ImagesOptions:
     """Reconstruct splats from photos of an object or a scene.
 
-    Finds the cameras with COLMAP (or takes yours), trains splats as the original 3DGS does, and
+    Finds the cameras with COLMAP (or uses yours), trains splats as the original 3DGS does, and
     writes a capture folder: splats.ply, capture.json, preview.png. Then `crop` cuts the object out
-    into an object folder. On two cores the defaults take about 8 minutes.
+    into an object folder. With the defaults it takes about 8 minutes on two cores.
 
     DIR holds the photos, or a folder `images` with them. Poses that are found there are used:
     transforms.json (nerfstudio, instant-ngp) or sparse/0 (COLMAP). Alpha channels or a folder of
     masks restrict the splats to the object. An EXIF rotation tells which way is up, but pixels are
-    taken as they are stored, as COLMAP takes them.
+    used as stored, as in COLMAP.
 
     Example: splatcomplete-data images photos --out capture
     then: splatcomplete-data crop capture --box auto --prompt "a plush doll" --out doll
     """
 
     images: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
-    """Folder of photos: JPEG, PNG, WebP, TIFF or BMP; others (HEIC, raw files) are left out, and
-    counted in a note."""
+    """Folder of photos: JPEG, PNG, WebP, TIFF or BMP; others (HEIC, raw files) are skipped, and a
+    note gives their number."""
     out: Path | None = None
     """Capture folder to write; None = DIR's name with _capture, in the current folder."""
     poses: str = "auto"
-    """auto = found in DIR or else sfm; sfm = structure from motion; or the path of
-    a transforms.json or of a COLMAP model."""
+    """auto = those in DIR, else sfm; sfm = structure from motion; or the path of a transforms.json
+    or of a COLMAP model."""
     masks: Path | None = None
     """Folder of masks, NAME.png for every photo; None = `masks` in or beside DIR, if there."""
     mask_means: Literal["object", "ignore"] = "object"
-    """object: outside the mask there shall be nothing. ignore: what is outside does not count."""
+    """object: nothing is to be reconstructed outside the mask. ignore: pixels outside do not
+    count."""
     allow_outside: Path | None = None
-    """Folder below which photos and masks that a transforms.json or a COLMAP model names are read,
-    too; None = only those below DIR."""
+    """Another folder from which photos and masks named by a transforms.json or a COLMAP model may
+    be read; None = only DIR."""
     max_side: int = 640
     """Photos are scaled down to this longest side in pixels; time grows with its square."""
     hold_out: int = 0
-    """Keep every this many-th photo out of the training and measure PSNR on it; 0 = none."""
+    """N = hold every Nth photo out of training and measure PSNR on it; 0 = none."""
     start: Literal["auto", "points", "random"] = "auto"
-    """Initial splats: the sparse cloud (triangulated if need be), or random points. auto = the
-    cloud where it can be had."""
+    """Initial splats. points: the sparse cloud (triangulated if need be). random: random points.
+    auto = the cloud if there can be one."""
     random_points: int = 30_000
-    """Number of random points, where they are used."""
+    """Number of random points, if they are used."""
     steps: int = 3500
-    """Optimiser steps, one photo each; all schedules stretch with it."""
+    """Optimiser steps, one photo each; all schedules stretch with them."""
     max_splats: int = 120_000
-    """Never more splats than this."""
+    """Largest number of splats."""
     sh_degree: Literal[0, 1, 2, 3] = 3
     """Degree of view-dependent colour."""
     sfm_lens: Literal["SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE"] = "OPENCV"
     """Lens model that structure from motion estimates."""
     sfm_lens_per_photo: bool = False
-    """Estimate a lens for every photo: zoom or camera changed."""
+    """Estimate a lens for every photo, because zoom or camera changed."""
     sfm_matching: Literal["auto", "exhaustive", "sequential"] = "auto"
-    """Which pairs of photos are compared; sequential for frames of a video. auto = for known poses
-    near ones, else all up to 250 photos."""
+    """Which pairs of photos are matched; use sequential for frames of a video. auto = nearby photos
+    if poses are known, else all pairs for up to 250 photos."""
     sfm_features: int = 4096
     """SIFT features per photo."""
     sfm_size: int = 1200
     """Photos are scaled to this longest side in pixels to find features."""
     seed: int = 0
-    """Same seed, same bytes (given the same poses)."""
+    """Random seed; the same seed and poses give the same bytes."""
     device: str = "auto"
     """cpu, cuda, cuda:1, or auto = cuda if there is one."""
     checkpoint_every: int = 500
     """Steps between checkpoints."""
     resume: bool = False
-    """Continue in --out from what is there; all other options must be the same."""
+    """Continue the run in --out; all other options must be the same."""
     overwrite: bool = False
     """Replace an older capture in --out; it stays until the new run is set up."""
     json: bool = False
-    """Print the content of capture.json on standard output and nothing else there."""
+    """Print only the content of capture.json on standard output; messages go to standard error."""
 
 
 def run(options: ImagesOptions) -> int:

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 class MeshOptions(ObjectOptions):
     """Turn a mesh into flat splats on its surface.
 
-    Writes complete.ply, and partial.ply when --cut is given. Up is Y for glTF and GLB, what
-    the file says for DAE (Y if it says nothing), else Z, unless --up says otherwise; the file's
-    own axes and units are kept either way.
+    Writes complete.ply, and partial.ply if --cut is given. Unless --up says otherwise, up is Y for
+    glTF and GLB, as the file says for DAE (Y if it says nothing), else Z. The file's own axes and
+    units are kept in any case.
 
     Example: splatcomplete-data mesh duck.glb --count 100000 --cut plane:90 --out duck
     """
@@ -38,34 +38,34 @@ class MeshOptions(ObjectOptions):
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     """GLB, glTF, OBJ, PLY, STL, DAE or OFF."""
     count: int | None = None
-    """About how many splats; None = 100,000, unless --spacing is given."""
+    """Approximate number of splats; None = 100,000, unless --spacing is given."""
     spacing: float | None = None
-    """Side of the square of surface that a splat stands for, in file units, instead of --count."""
+    """Side of the square of surface that each splat covers, in file units, instead of --count."""
     mode: Literal["cells", "grid", "random", "poisson"] = "cells"
-    """cells: every triangle cut into equal cells. grid: mesh2splat's density, one splat per grid
-    cell. random: uniform random points with round splats, for comparison. poisson:
-    round discs on blue noise (Poisson disks, pymeshlab), for an even look without rows."""
+    """cells: cut every triangle into equal cells. grid: mesh2splat's density, one splat per grid
+    cell. random: uniform random points with round splats, for comparison. poisson: round discs at
+    blue noise (Poisson disks, pymeshlab), for even coverage without rows."""
     repair: bool = False
-    """Before converting, merge duplicate vertices, drop null and duplicate faces and orient the
-    rest (pymeshlab), each with a count."""
+    """First merge duplicate vertices, drop null and duplicate faces and orient the others
+    (pymeshlab); each change is counted."""
     sigma: float = 0.5
-    """Tangent standard deviation over the cell's side; below 0.45 holes show."""
+    """Tangential standard deviation over the cell's side; below 0.45 there are visible holes."""
     outline_px: float | None = None
-    """Pixels of the object's largest side in pictures whose outlines are to be right. 3DGS's blur
-    widens outlines, so splats lie half such a pixel below the surface, 0.3 spacings at most; 0
-    leaves them on it. None = 512, and 0 with a scan: cut, which sees surfaces."""
+    """Size of the object, in pixels, at which outlines are to be exact. 3DGS's blur widens
+    outlines, so splats lie half such a pixel below the surface, at most 0.3 spacings; 0 leaves them
+    on it. None = 512, or 0 with a scan: cut, which measures surfaces."""
     cut: tuple[str, ...] = ()
-    """What to keep for partial.ply: plane:AZIMUTH[,OFFSET], box:LX,LY,LZ,HX,HY,HZ (object frame) or
-    scan:AZ/EL[,AZ/EL...]."""
+    """Parts to keep for partial.ply: plane:AZIMUTH[,OFFSET], box:LX,LY,LZ,HX,HY,HZ (object frame)
+    or scan:AZ/EL[,AZ/EL...]."""
     texture: Path | None = None
-    """Picture for a mesh whose file lost its own."""
+    """Texture for a mesh whose file lacks its own."""
     allow_outside: Path | None = None
-    """Folder below which files that the mesh names (textures, materials, buffers) are read, too;
-    None = only those below its own folder."""
+    """Another folder from which files named by the mesh (textures, materials, buffers) may be read;
+    None = only the mesh's own folder."""
     gltf_colors: Literal["linear", "srgb"] = "linear"
-    """srgb for glTF files whose exporter wrote sRGB numbers as factors."""
+    """srgb for glTF files whose exporter wrote colour factors in sRGB."""
     light: bool = False
-    """Multiply soft light from above into the colours, as a photo would show them; recorded."""
+    """Bake soft light from above into the colours, as in a photo; recorded."""
     seed: int = 0
     """Seed of the sampling."""
 

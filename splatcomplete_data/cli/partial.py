@@ -27,24 +27,25 @@ if TYPE_CHECKING:
 class PartialOptions(ObjectOptions):
     """Cut a part out of a complete object, so that a pair (partial, complete) exists.
 
-    FILE is a splat file or an object folder with a complete.ply. Up is what the folder's
-    object.json says, also where FILE is one of its files; of another splat file it is -Y unless
-    --up says otherwise.
+    FILE is a splat file, or an object folder with a complete.ply. Unless --up says otherwise, up is
+    as the object.json says if FILE is an object folder or a file in one, else -Y.
 
     Example: splatcomplete-data partial duck --cut scan:30/20 --out duck_scanned
     """
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """Splat file (as ``convert`` reads) or object folder."""
+    """Splat file (any format that ``convert`` reads) or object folder."""
     cut: tuple[str, ...] = ()
-    """plane:AZIMUTH[,OFFSET], box:LX,LY,LZ,HX,HY,HZ or scan:AZ/EL[,AZ/EL...] (object frame)."""
+    """Parts to keep: plane:AZIMUTH[,OFFSET], box:LX,LY,LZ,HX,HY,HZ or scan:AZ/EL[,AZ/EL...] (object
+    frame)."""
     box: tuple[str, ...] = ()
     """Boxes in the file frame: [keep:|remove:]CX,CY,CZ,HX,HY,HZ[,QW,QX,QY,QZ], or a file of boxes
-    that `crop --pick` saved."""
+    saved by `crop --pick`."""
     seen_from_views: int = 0
-    """Keep what this many views of V (--view, --range) can see; 0 = do not cut by visibility."""
+    """Keep what is visible from this many views of V (--view, --range); 0 = do not cut by
+    visibility."""
     subset: Literal["multiview", "singleview", "lidar", "mesh"] = "multiview"
-    """Kind of source recorded for a splat file; what is of an object folder keeps its own."""
+    """Kind of source to record for a splat file; an object folder keeps its own."""
 
 
 def run(options: PartialOptions) -> int:

@@ -30,27 +30,28 @@ class PointOptions(ObjectOptions):
     (centre, half extents, rotation), or a file of boxes that `scan --pick` or `crop --pick`
     saved."""
     planes: int | None = None
-    """Remove up to this many planes: floor, walls, table. They are looked for in the complete
-    scene, level ones first, and a face of the object is none. None = 1 with --level, --seed-point
-    or --propose, else 0."""
+    """Remove up to this many planes: floor, walls, table. They are searched in the complete scene,
+    level ones first; faces of the object do not count. None = 1 with --level, --seed-point or
+    --propose, else 0."""
     plane_thickness: float = 4.0
-    """A point this close to a plane belongs to it, in point spacings; less where the plane's own
-    noise is less."""
+    """Points this close to a plane belong to it, in point spacings; the distance is reduced where
+    the plane has less noise."""
     outliers: bool = True
     """Remove statistical outliers."""
     clusters: int = 0
     """Keep this many of the largest connected clusters; 0 = all."""
     cluster_radius: float = 5.0
-    """Points closer than this are of one cluster, in point spacings."""
+    """Points closer than this belong to one cluster, in point spacings."""
     seed_point: str | None = None
-    """Keep the object at X,Y,Z (source's frame) instead of the largest cluster; what touches it is
-    parted from it where the surface folds inwards or changes colour."""
+    """Keep the object at X,Y,Z (source's frame) instead of the largest cluster; it is separated
+    from objects that touch it where the surface folds inwards or changes colour."""
     level: bool = False
     """Turn the object so that the first plane found is level and z is up, or fail; recorded. Up is
-    the side of the scanner or, if that is unknown, of most points that stay. Pictures with depth
-    are levelled without it where the scene has a floor or table, unless --up says what is up."""
+    the side of the plane where the scanner stood or, if that is unknown, where most kept points
+    are. Pictures with depth are levelled without this option if the scene has a floor or table and
+    --up is not given."""
     keep_tilt: bool = False
-    """Never turn the object: up stays the picture's, though its camera looked down."""
+    """Never turn the object: up is that of the picture even if its camera looked down."""
     count: int | None = None
     """Thin to at most this many evenly spread points; None = keep all."""
     spacing: float | None = None
@@ -58,7 +59,7 @@ class PointOptions(ObjectOptions):
     splat_size: str = "auto"
     """Standard deviation of the splats in the source's units; auto = --sigma point spacings."""
     sigma: float = 0.6
-    """Standard deviation over the point spacing; below 0.5 surfaces seen aslant show holes."""
+    """Standard deviation over the point spacing; below 0.5, surfaces seen obliquely have holes."""
 
 
 def part_settings(options: PointOptions) -> PartSettings:

@@ -28,31 +28,31 @@ from splatcomplete_data.cli.points import PointOptions, PointSource, made_from_p
 class ScanOptions(PointOptions):
     """Cut one object out of a scan and turn it into splats of one size.
 
-    Planes are found in the complete scene; then boxes, planes, outliers and clutter remove points
-    in this order, each with a count, and removed.png shows which. Up is Z (of meshes as in `mesh`:
-    Y for GLB and glTF, what a DAE says; of a depth camera's PCD the picture's) unless --up or
-    --level says otherwise.
+    Planes are found in the complete scene. Then boxes, planes, outliers and clutter remove points
+    in this order; each step is counted, and removed.png shows the removed points. Unless --up or
+    --level says otherwise, up is Z (for a mesh as in `mesh`: Y for GLB and glTF, as the file says
+    for DAE; for a depth camera's PCD that of its picture).
 
     Example: splatcomplete-data scan table.pcd --propose
 
-    Then, with a number that it prints: splatcomplete-data scan table.pcd
+    Then, with a printed seed point: splatcomplete-data scan table.pcd
     --seed-point=0.1,0.05,0.9 --level --prompt "a cereal box" --out cereal
     """
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """PLY, PCD, LAS/LAZ, rows of text (a header names their columns), or a scan mesh (PLY, OBJ,
-    GLB, ...)."""
+    """PLY, PCD, LAS/LAZ, text with a point per line (a header may name the columns), or a scanned
+    mesh (PLY, OBJ, GLB, ...)."""
     label: int | None = None
     """Keep points with this label // 10 (labelled PCD files); None = all."""
     viewpoint: str | None = None
-    """Where the scanner stood, as X,Y,Z in the file's frame; None = what a PCD's VIEWPOINT says (a
-    depth camera's: its origin), else unknown."""
+    """Position of the scanner as X,Y,Z in the file's frame; None = a PCD's VIEWPOINT (for a depth
+    camera's PCD the origin), else unknown."""
     propose: bool = False
-    """Only draw what stands in the scan, numbered, into clusters.png in the current folder (or
-    --out), and print a seed point and a box for each."""
+    """Only draw the objects found in the scan, numbered, into clusters.png in the current folder
+    (or --out), and print a seed point and a box for each."""
     pick: Path | None = None
-    """Only open a page on which boxes are moved, turned and sized over the scan, those of --box to
-    begin with, and saved to this file (.txt) for --box."""
+    """Only open a page in which to move, turn and size boxes over the scan, starting with those of
+    --box, and save them to this file (.txt), which --box reads."""
 
 
 def run(options: ScanOptions) -> int:

@@ -34,10 +34,10 @@ def test_failures_are_told_and_are_the_exit_code(folder, capsys):
     told = capsys.readouterr().out
     assert "finished: a, 1 new splats" in told
     assert f"failed: bad: {folder}/in/bad.ply: it is bad" in told
-    assert "logs of what failed:" in told
+    assert "logs of failed objects:" in told
     (folder / "in/bad.ply").unlink()
     assert batch(folder) == 0
-    assert "2 objects, 2 of them finished before" in capsys.readouterr().out
+    assert "2 objects, 2 of them already finished" in capsys.readouterr().out
 
 
 def test_json_is_one_object_on_standard_output(folder, capsys):
@@ -75,7 +75,7 @@ def test_wrong_options_are_one_line(folder, capsys, options, message):
 
 def test_objects_without_a_prompt_are_named_before_a_worker_starts(folder, capsys):
     assert batch(folder, prompt=()) == 2
-    assert "--prompt: expected what each object is" in (told := capsys.readouterr().err)
+    assert "--prompt: expected a prompt for each object" in (told := capsys.readouterr().err)
     assert "found none for a, bad, c" in told
     assert not (folder / "runs").exists()
     (folder / "in/object.json").write_text("{}")  # may say it

@@ -64,34 +64,34 @@ PLANS: dict[str, MemoryPlan] = {
 
 @dataclass(frozen=True)
 class LatentPriorSettings:
-    """Knobs of priors that are latent diffusion models (mvdream, or a diffusers folder)."""
+    """Settings of priors that are latent diffusion models (mvdream, or a diffusers folder)."""
 
     loss: Loss = "x0"
     """Form of the distillation loss."""
     guidance: float | None = None
     """Guidance scale; None = the prior's default (MVDream: 50, single-view models: 100)."""
     rescale: float | None = None
-    """Pull the contrast of guided images back towards the conditional one's, 0 to 1, against
+    """How far to rescale guided images to the contrast of the conditional ones, 0 to 1, against
     oversaturation and floaters (``x0`` only); None = 0.5."""
     background: Background = "black_or_white"
     """Background of the prior's input renders."""
     front_azimuth_deg: float = 0.0
-    """Azimuth in the object frame that MVDream is told is the front (its +x)."""
+    """Azimuth in the object frame that MVDream takes for the front (its +x)."""
     sample_posterior: bool = True
     """Sample the autoencoder's posterior as the reference does; False = its mean."""
     tiny_vae: Path | None = None
-    """Folder of an ``AutoencoderTiny`` (TAESD) that stands in for the encoder: faster, and its
-    gradient only approximates the exact one; None = exact."""
+    """Folder of an ``AutoencoderTiny`` (TAESD) that replaces the encoder: faster, but with an
+    approximate gradient; None = the exact encoder."""
     precision: Precision = "auto"
-    """Of the UNet."""
+    """Number type of the UNet."""
     vae_precision: Precision = "auto"
-    """Of the autoencoder."""
+    """Number type of the autoencoder."""
     memory: Memory = "auto"
-    """Memory plan."""
+    """GPU memory to plan for; auto = the largest plan that fits the device."""
     channels_last: bool = True
-    """Keep images channel by channel within a pixel on a GPU, which its convolutions prefer."""
+    """On a GPU, store images with channels last, which is faster for convolutions."""
     compile: Compile = "off"
-    """Compile the networks on a GPU: a minute at the start, faster steps after."""
+    """Compile the networks on a GPU: takes a minute at the start, then steps are faster."""
 
     def __post_init__(self) -> None:
         """Check ranges.
