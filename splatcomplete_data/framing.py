@@ -13,7 +13,7 @@ from gscomplete.views import ObjectFrame, UpAxis, up_rotation
 
 SPLAT_FILE_UP: UpAxis = "-Y"
 """What points up in a splat file that nothing more is known of, as in most trained ones."""
-UP_ASSUMED = "no cameras are known: the up axis is taken to be -Y unless --up says otherwise"
+UP_ASSUMED = "up axis assumed to be -Y, as no cameras are known (--up gives another)"
 """Note of an object whose up axis that decided."""
 
 

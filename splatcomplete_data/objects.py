@@ -151,7 +151,7 @@ class ObjectRecord:
         if not is_plain_name(self.id):
             raise ValueError(f"id: expected a plain file name, found {self.id!r}")
         if not self.prompt.strip():
-            raise ValueError("prompt: expected what the complete object is, found an empty text")
+            raise ValueError("prompt: expected a name of the complete object, found an empty text")
 
     def to_json(self) -> dict[str, Any]:
         """Return the JSON form."""

@@ -109,8 +109,8 @@ def offset_note(offset: Offset) -> str:
     """Say for people what was taken from the coordinates."""
     numbers = ",".join(f"{value:.15g}" for value in offset)
     return (
-        f"{numbers} was taken from the coordinates, which 32-bit numbers cannot hold so far from "
-        "the origin (file_from_source)"
+        f"{numbers} was subtracted from the coordinates (file_from_source), as float32 is too "
+        "coarse so far from the origin"
     )
 
 

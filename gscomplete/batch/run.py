@@ -258,6 +258,6 @@ def _check_identity(path: Path, identity: dict[str, Any], *, redo: bool) -> None
     ]
     if odd:
         raise UserError(
-            f"{path.parent.parent}: its results were begun with another {'; '.join(odd)}; choose "
+            f"{path.parent.parent}: its results were made with another {'; '.join(odd)}; choose "
             "another --out, or --redo to make them again"
         )

@@ -224,8 +224,8 @@ def _open(url: str) -> tuple[Any, str]:
         system, inner = core.url_to_fs(url)
     except ImportError as error:
         raise UserError(
-            f'{url}: needs an optional dependency: pip install "gscomplete[s3]", or fsspec and '
-            f"what it wants for this kind of store ({error})"
+            f'{url}: needs an optional dependency: pip install "gscomplete[s3]", or fsspec and the '
+            f"package that it needs for this kind of store ({error})"
         ) from error
     except ValueError as error:
         raise UserError(f"{url}: {error}") from error

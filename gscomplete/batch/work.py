@@ -163,7 +163,7 @@ def do(task: Task) -> Row:
 
 def died(task: Task, attempts: int) -> Row:
     """Return the row of an object during which every worker died that tried it."""
-    text = f"{attempts} workers died over it, one after another (killed, or out of memory)"
+    text = f"{attempts} workers died on it, one after another (killed, or out of memory)"
     log = _write_log(task, text + "\n")
     return Row(
         task.item.id, "failed", task.key, attempts=attempts, error=text, log=log, ended=_now()

@@ -76,7 +76,9 @@ class CompleteJob:
             job = prepare(request_of(options, prior), prior, device)
             content = execute(job, lambda report: None)
         except torch.OutOfMemoryError as error:
-            raise UserError("the GPU ran out of memory (a smaller --diffusion.memory)") from error
+            raise UserError(
+                "the GPU ran out of memory (give a smaller --diffusion.memory)"
+            ) from error
         result = content["result"]
         return {
             "new_splats": result["new_splats"],

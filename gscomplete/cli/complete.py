@@ -37,7 +37,7 @@ def run(options: CompleteOptions) -> int:
     from gscomplete.util.stages import profiled
 
     def tell() -> None:
-        print("compiling kernels, this first time only", file=sys.stderr)
+        print("compiling kernels (only on the first run)", file=sys.stderr)
 
     compile_beside(COMPILED_BESIDE)
     try:

@@ -157,7 +157,7 @@ def run_guarded(program: str, command: Callable[[], int], interrupted: str) -> i
             raise
         say(
             f"internal error: {type(error).__name__}: {error}\n"
-            f"Please report it; {DEBUG_VARIABLE}=1 shows where it happened."
+            f"Please report it with the traceback that {DEBUG_VARIABLE}=1 prints."
         )
         return 70
 

@@ -31,7 +31,9 @@ _RUNNERS: dict[type, Callable[[Any], int]] = {
     weights.WeightsOptions: weights.run,
 }
 
-_GOES_ON: dict[type, str] = {batch.BatchOptions: "the same command goes on with what is unfinished"}
+_GOES_ON: dict[type, str] = {
+    batch.BatchOptions: "the same command continues with the unfinished objects"
+}
 """What to tell after Ctrl-C; for all others, that --resume continues."""
 
 Command = (

@@ -132,11 +132,11 @@ def settings_of(options: HowToComplete, prior: Prior) -> CompletionSettings:
     settings = dataclasses.replace(settings, known_shapes=options.known_shapes)
     if options.prompt_decides:
         if not options.known_shapes:
-            raise UserError("--prompt-decides: by known shapes; expected no --no-known-shapes")
+            raise UserError("--prompt-decides: uses known shapes; expected no --no-known-shapes")
         if options.alternatives:
-            raise UserError("--prompt-decides: draws no planes; expected no --alternatives")
+            raise UserError("--prompt-decides: uses no mirror planes; expected no --alternatives")
         if isinstance(settings.mirror, HalfCut):
-            raise UserError("--prompt-decides: one half decides itself; expected no --mirror cut")
+            raise UserError("--prompt-decides: a known shape completes P; expected no --mirror cut")
         settings = dataclasses.replace(settings, prompt_decides=True)
         _require_guess("--prompt-decides", options, settings, prior)
     if not 0 <= options.alternatives <= 8:
@@ -164,7 +164,7 @@ def _require_plain_fill(options: HowToComplete) -> None:
     }
     found = [name for name, given in heedless.items() if given]
     if found:
-        raise UserError(f"--fill: closes gaps without the prior; expected no {', '.join(found)}")
+        raise UserError(f"--fill: closes gaps without a prior; expected no {', '.join(found)}")
 
 
 def _check_new_only(path: Path) -> None:
@@ -208,9 +208,9 @@ def _require_guess(
     """
     if settings.start != "guess" or not isinstance(prior, ShapePrior):
         raise UserError(
-            f"{name}: preset {options.preset} with prior {prior.name} starts without a guess "
-            "of the complete object; --preset default, fast or reconstruct of the embedded prior "
-            "have one"
+            f"{name}: expected a run that starts from a guess of the complete object (--preset "
+            f"default, fast or reconstruct with the embedded prior), found preset {options.preset} "
+            f"with prior {prior.name}"
         )
 
 
@@ -267,7 +267,9 @@ def take_given(options: Options) -> Given:
     sources: dict[str, str] = {}
     notes: list[str] = []
     if found is not None and options.path.suffix == ".ply" and options.path != found.partial:
-        notes.append(f"{options.path}: what is completed is its object's part, {found.partial}")
+        notes.append(
+            f"{options.path}: {found.partial}, the part of its object folder, is completed instead"
+        )
     up = _up(options, found, sources)
     view = options.view_deg
     if view is not None:
@@ -278,7 +280,7 @@ def take_given(options: Options) -> Given:
         sources["input_view"] = "guess"
         notes.append(
             f"{found.folder / OBJECT_FILE}: its input view is for up axis {found.frame.up}, not "
-            f"{up}: another one is guessed (--view gives one)"
+            f"{up}, so the input view is guessed (--view gives one)"
         )
     else:
         view = found.views.azimuth_deg, found.views.elevation_deg
@@ -307,7 +309,7 @@ def _prompt(options: Options, found: ObjectFolder | None, sources: dict[str, str
     """
     if options.prompt is not None:
         if not options.prompt.strip():
-            raise UserError("--prompt: expected what the complete object is, found an empty text")
+            raise UserError("--prompt: expected a name of the complete object, found an empty text")
         sources["prompt"] = "--prompt"
         return options.prompt
     if found is None and not options.needs_prompt:
@@ -315,8 +317,8 @@ def _prompt(options: Options, found: ObjectFolder | None, sources: dict[str, str
         return _ANYTHING
     if found is None:
         raise UserError(
-            f'--prompt: expected what the complete object is, such as "a red mug", found none; '
-            f"{options.path} belongs to no object folder that says it"
+            f'--prompt: expected a name of the complete object, such as "a red mug", found none; '
+            f"{options.path} belongs to no object folder that has one"
         )
     sources["prompt"] = OBJECT_FILE
     return found.prompt

@@ -56,7 +56,7 @@ def run(options: ViewOptions) -> int:
     def show(progress: Progress) -> None:
         """Show a step of a run that goes on."""
         show_layer(viewer, live_layer(progress.splats, options.most_splats))
-        viewer.status.content = f"the run goes on: step {progress.step}"
+        viewer.status.content = f"run in progress: step {progress.step}"
 
     def show_result(is_finished: bool) -> None:
         """Show the result of a run, and when it has finished its alternatives."""
@@ -64,7 +64,7 @@ def run(options: ViewOptions) -> int:
             show_layer(viewer, layer)
         add_choice(viewer)
         viewer.status.content = (
-            "the run has finished" if is_finished else "the result is there; it is being measured"
+            "the run has finished" if is_finished else "the result is made and is being measured"
         )
 
     if scene.running is not None:

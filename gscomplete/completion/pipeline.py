@@ -273,7 +273,7 @@ def prepare(
         doubts += doubts_of_guess(partial, start.splats, views)
     notes += doubts
     if request.negative_prompt and not steps.heeds_negative_prompt:
-        notes += ("negative prompt: without effect here (with this prior: --text-only)",)
+        notes += ("negative prompt: has no effect in this run; this prior needs --text-only",)
     return Prepared(
         request,
         working,
@@ -297,8 +297,8 @@ def _without_idle_steps(
     if spread >= least:
         return settings, ()
     note = (
-        f"no steps: P is of one colour, or nearly so (spread {spread:.3f} in Oklab, steps from "
-        f"{least:g} on), and the new splats keep it"
+        f"no steps are taken: P has nearly one colour (spread {spread:.3f} in Oklab, steps need at "
+        f"least {least:g}), and the new splats keep it"
     )
     return dataclasses.replace(settings, steps=0), (note,)
 
@@ -373,5 +373,9 @@ def _slits(prepared: Prepared) -> tuple[Splats, tuple[str, ...]]:
     # Bounds that do not apply where P is thin do not apply to its slits either.
     held = None if bounds is None or bounds.mask_from else bounds
     if held is not None and not are_within_bounds(slits, partial, views, held, settings.seed):
-        return nothing, ("slits of the scan: left open, as closing them changes P by too much",)
-    return slits, (f"slits of the scan: closed by {len(slits):,} splats (--no-close-slits: open)",)
+        return nothing, (
+            "slits of the scan: left open, as closing them changes P's appearance too much",
+        )
+    return slits, (
+        f"slits of the scan: {len(slits):,} splats close them (--no-close-slits does not)",
+    )

@@ -74,7 +74,7 @@ def start_splats(
     if start is None and settings.start == "guess" and not settings.steps:
         raise UserError(
             "0 steps: expected a prior that guesses the complete object, found one that cannot; "
-            "choose another --preset (distill) or give --steps"
+            "choose another --preset (such as distill) or give --steps"
         )
     if start is None:
         scattered = initial_splats(

@@ -48,14 +48,14 @@ def doubts_of_partial(partial: Splats) -> tuple[str, ...]:
     """
     if len(partial) < FEWEST:
         count = len(partial)
-        return (f"{MARK}P has {count} splats, at least {FEWEST} are needed to tell what it is",)
+        return (f"{MARK}P has {count} splats, too few to recognise an object (at least {FEWEST})",)
     pieces = [share for share in _shares_of_pieces(partial) if share > _LEAST_PIECE]
     if len(pieces) < 2:
         return ()
     shares = " and ".join(f"{share:.0%}" for share in pieces)
     return (
-        f"{MARK}P is in pieces that are far apart ({shares} of it) and is completed as one object: "
-        "if it is several, complete each (splatcomplete-data crop)",
+        f"{MARK}P is in pieces that are far apart ({shares} of its splats) and is completed as one "
+        "object; if they are several objects, cut out each (splatcomplete-data crop)",
     )
 
 
@@ -72,8 +72,8 @@ def doubts_of_guess(partial: Splats, guess: Splats, views: ViewDistribution) -> 
     hidden = hidden_share(shown, concatenate([shown, guess]), views)
     if hidden > _MOST_HIDDEN:
         found.append(
-            f"from the input view the guess hides {hidden:.0%} of P, which P was seen from: the "
-            "view or the guess is wrong (--view, --mirror, --alternatives)"
+            f"the guess hides {hidden:.0%} of P from the input view, although P was seen from "
+            "there: the view or the guess is wrong (--view, --mirror, --alternatives)"
         )
     return tuple(MARK + reason for reason in found)
 
@@ -90,16 +90,16 @@ def doubts_of_result(partial: Splats, new: Splats, lost: float | None) -> tuple[
     found = []
     if lost is not None and lost > _MOST_LOST:
         found.append(
-            f"keeping P's appearance removed or faded {lost:.0%} of the new splats: the guess "
-            "stood before P (--view, --mirror)"
+            f"{lost:.0%} of the new splats were removed or faded to keep P's appearance: the "
+            "guess was in front of P (--view, --mirror)"
         )
     own = _largest_side(partial)
     together = _largest_side(partial, new)
     if own < _OPEN_SIDE and together - own < _LEAST_GROWTH * (1 - own):
         found.append(
-            f"P seems open to one side, yet the result is hardly larger than P ({together:.2f} of "
-            f"the guessed size, P {own:.2f}): if P is complete, nothing need be added; if it is "
-            "one half, say so (--mirror cut); else give the size (--object-size)"
+            f"P seems open to one side, yet the result is hardly larger ({together:.2f} of the "
+            f"guessed size, P {own:.2f}): if P is complete, use it as it is; if P is one half, "
+            "give --mirror cut; else give the object's size (--object-size)"
         )
     return tuple(MARK + reason for reason in found)
 

@@ -80,7 +80,9 @@ def read_subject(path: Path, method: str, owner: Path | None = None) -> Subject:
     if path.is_dir():
         raise UserError(f"{path}: expected a run folder with {RUN_FILE}, found another folder")
     if owner is None:
-        raise UserError(f"{path}: --object: expected the folder of the object that it completes")
+        raise UserError(
+            f"{path}: --object: expected the folder of the object that it completes, found none"
+        )
     return _read_result(path, method, read_object_folder(owner))
 
 

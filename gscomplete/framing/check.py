@@ -79,11 +79,11 @@ def check_given_frame(partial: Splats, frame: ObjectFrame, name: str) -> tuple[s
             f"{_point(low)} to {_point(high)}, the frame from {_point(center - size / 2)} to "
             f"{_point(center + size / 2)} (file units)"
         )
-    notes = [f"{sides}: are both in the same unit?"] if share < _SMALL_SHARE else []
+    notes = [f"{sides}: check that both are in the same unit"] if share < _SMALL_SHARE else []
     if beyond > 0.5:
         notes.append(
-            f"P reaches {beyond * size:.4g} beyond the frame of size {size:.4g}: is it that of the "
-            "complete object?"
+            f"P reaches {beyond * size:.4g} beyond the frame of size {size:.4g}: check that the "
+            "frame is that of the complete object (--center, --object-size)"
         )
     return tuple(notes)
 
@@ -99,8 +99,8 @@ def describe_frame(frame: ObjectFrame, views: ViewDistribution) -> tuple[str, ..
     spacing = float(np.spacing(np.float32(max(map(abs, frame.center_file)))))
     if spacing > _COARSE_SHARE * size:
         notes.append(
-            f"far from the origin: float32 coordinates there are {spacing:.3g} apart, "
-            f"{100 * spacing / size:.2g} % of the object's size; splats can lie no finer"
+            f"the object is far from the origin: float32 coordinates there are {spacing:.3g} "
+            f"apart, {100 * spacing / size:.2g} % of its size, which limits how exactly splats lie"
         )
     return tuple(notes)
 
@@ -120,8 +120,8 @@ def require_visible(partial: Splats, views: ViewDistribution, name: str) -> None
         alpha = render(partial, views.input_camera(_VISIBILITY_PX)).alpha
     if not bool(alpha.any()):
         raise UserError(
-            f"{name}: expected splats that the input view shows, found none that it does; they "
-            "are transparent, or the centre, the size or the input view is wrong"
+            f"{name}: expected splats visible from the input view, found none; they are "
+            "transparent, or --center, --object-size or --view is wrong"
         )
 
 

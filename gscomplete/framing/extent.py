@@ -163,14 +163,14 @@ def extended_box(
     extra = max(min(width, 2.0 * depth) - depth, 0.0)
     if extra <= 0.1 * depth:
         low, high = points.min(axis=0), points.max(axis=0)
-        reason = "P is open but as deep as it is wide: centre and size are the box's"
+        reason = "P is open but as deep as it is wide: centre and size are those of its box"
         return (low + high) / 2, float((high - low).max()), reason
     center = (depths.min() + depths.max() + extra) / 2 * along
     center = center + (widths.min() + widths.max()) / 2 * across
     center[2] = (points[:, 2].min() + points[:, 2].max()) / 2
     size = 2.0 * float(np.abs(points - center).max())
     share = 100.0 * extra / depth
-    return center, size, f"the box grows by {share:.0f} % to the open side"
+    return center, size, f"P is open to one side: its box is extended by {share:.0f} % to there"
 
 
 def share_exposed_twice(

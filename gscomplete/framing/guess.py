@@ -167,14 +167,20 @@ def guess_framing(
     end = find_end(points, cut, half_toward_deg) if is_half else None
     if end is not None:
         center, size = _box_of_both(points, end)
-        reason = "P is one half: centre and size are of P and its mirror image"
+        reason = "P is one half: centre and size are those of P with its mirror image"
     elif is_closed(points, cut, lambda: strength):
-        center, reason = (low + high) / 2, "P's surface is closed: centre and size are the box's"
+        center, reason = (
+            (low + high) / 2,
+            "P's surface is closed: centre and size are those of its box",
+        )
     elif cut is not None and cut.is_symmetric and seen_from_deg is None:
         center, size = _box_of_both(points, cut)
-        reason = "P ends squarely at a plane: centre and size are of P and its mirror image"
+        reason = "P ends squarely at a plane: centre and size are those of P with its mirror image"
     elif strength < _MIN_OPENNESS:
-        center, reason = (low + high) / 2, "no side is clearly open: centre and size are the box's"
+        center, reason = (
+            (low + high) / 2,
+            "no side is clearly open: centre and size are those of P's box",
+        )
     else:
         center, grown, reason = extended_box(points, toward)
         size = max(size, grown)

@@ -79,9 +79,9 @@ def refine_input_view(
     if least >= _LEAST_HIDDEN:
         return guessed, ""
     return best, (
-        f"input view {best.azimuth_deg:g},{best.elevation_deg:g} after all: from "
-        f"{guessed.azimuth_deg:g},{guessed.elevation_deg:g} the guess of the complete object hides "
-        f"{100 * before:.0f} % of P, from here {100 * least:.0f} % (--view keeps another)"
+        f"input view changed to {best.azimuth_deg:g},{best.elevation_deg:g}: the guess of the "
+        f"complete object hides {100 * least:.0f} % of P from there, and {100 * before:.0f} % from "
+        f"{guessed.azimuth_deg:g},{guessed.elevation_deg:g} (--view gives another)"
     )
 
 

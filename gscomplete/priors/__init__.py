@@ -70,13 +70,17 @@ def load_prior(
     path = Path(name_or_path)
     if _CALLABLE.fullmatch(name_or_path) and not path.exists():
         if settings is not None:
-            raise UserError("--diffusion.*: priors of your own have knobs of their own")
+            raise UserError(
+                "--diffusion.*: expected a latent diffusion prior, found one of your own"
+            )
         return _load_callable(name_or_path, device)
     if name_or_path == "embedded" or (path / "model.safetensors").is_file():
         from gscomplete.priors.embedded.prior import load_embedded
 
         if settings is not None:
-            raise UserError("--diffusion.*: the embedded prior has none of these knobs")
+            raise UserError(
+                "--diffusion.*: expected a latent diffusion prior, found the embedded one"
+            )
         return load_embedded(None if name_or_path == "embedded" else path, device)
     if name_or_path not in PRIOR_NAMES and not path.exists():
         raise UserError(

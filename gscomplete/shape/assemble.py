@@ -280,8 +280,8 @@ def _prompt_note(share: float | None) -> tuple[str, ...]:
     if share is None:
         return ()
     if share < _NEXT_TO_NOTHING:
-        decides = "P decides it (--prompt-decides: the prompt does)"
-        return (f"prompt: changes next to nothing of the shape ({share:.1%}): {decides}",)
+        decides = "P alone determines it (--prompt-decides lets the prompt do so)"
+        return (f"prompt: hardly changes the guessed shape ({share:.1%}): {decides}",)
     return (f"prompt: changes {share:.0%} of the guessed shape",)
 
 
@@ -290,8 +290,8 @@ def _mirror_note(prediction: Prediction, mirrored: int) -> str:
     if not _is_mirrored(prediction):
         return "not mirrored"
     plane = mirror_plane_of(prediction.seen.symmetries[0])
-    how = "by P's own splats" if mirrored else "as a hint"
-    return f"mirrored {how} through the upright plane {plane} (--mirror)"
+    how = "P's mirror image is added" if mirrored else "P's mirror image guides the guess"
+    return f"{how}: upright plane {plane} (--mirror)"
 
 
 def image_of_half(

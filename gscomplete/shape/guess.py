@@ -53,8 +53,8 @@ from gscomplete.views import ViewDistribution
 _MOST_SHOWN = 3
 """Known shapes that the network is shown."""
 _LEFT_NOTE = (
-    "P's surface and what the network would add say that P lacks little or nothing: nothing is "
-    "added (--mirror none completes it all the same)"
+    "P seems to lack little or nothing, by its surface and by what the network would add: nothing "
+    "is added (--mirror none completes it all the same)"
 )
 
 
@@ -117,20 +117,20 @@ class KnownShapes:
             return ()
         names = ", ".join(shape.name.id for shape in used)
         if used and self.decide:
-            return (f"{noun}: a known shape, {names}, in the place that suits P best",)
+            return (f"{noun}: P becomes the known shape that fits it best, {names}",)
         if used:
-            return (f"{noun}: by known shapes, {names} (--no-known-shapes: without)",)
+            return (f"{noun}: known shapes used: {names} (--no-known-shapes leaves them out)",)
         if read_bank(self.bank).named(self.prompt, 1):
             if self.decide:
-                return (f"{noun}: no known shape suits P; it is completed as without the prompt",)
-            return (f"{noun}: known shapes do not suit P, do not agree, or add nothing",)
-        return (f"{noun}: no known shape is called so",)
+                return (f"{noun}: no known shape fits P, so P is completed without one",)
+            return (f"{noun}: known shapes not used: they do not fit P, disagree, or add nothing",)
+        return (f"{noun}: no known shape has this name",)
 
     def contradiction(self, shapes: tuple[FittedShape, ...], count: int) -> str:
         """Say how many mirrored splats were left out because known shapes contradict them."""
         names = ", ".join(shape.name.id for shape in shapes)
-        left_out = f"{count:,} mirrored splats left out that no known shape has ({names})"
-        return f"{head_noun(self.prompt)}: {left_out} (--no-known-shapes: with them)"
+        left_out = f"{count:,} mirrored splats left out, as no known shape has them ({names})"
+        return f"{head_noun(self.prompt)}: {left_out} (--no-known-shapes keeps them)"
 
 
 @functools.lru_cache(maxsize=1)

@@ -110,8 +110,8 @@ def describe_suspects(splats: Splats) -> tuple[str, ...]:
     if not parts:
         return ()
     return (
-        f"P may be unclean: {', '.join(parts)}; they take part, and what is guessed from P may "
-        "be wrong (splatcomplete-data clean takes them out)",
+        f"P has splats that may not belong to the object: {', '.join(parts)}; they are used, and "
+        "guesses from P may be wrong (splatcomplete-data clean removes them)",
     )
 
 

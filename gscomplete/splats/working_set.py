@@ -42,15 +42,15 @@ class WorkingSet:
         """Say in words which splats are measured and drawn: all of P, or a choice of them."""
         if not self.thinned:
             return "P"
-        return f"{len(self.splats):,} splats that stand for P's {self.total:,}"
+        return f"{len(self.splats):,} splats that represent P's {self.total:,}"
 
     @property
     def summary(self) -> str:
         """Describe the choice in one line."""
-        parts = [f"{len(self.splats):,} of {self.total:,} splats of P take part"]
+        parts = [f"{len(self.splats):,} of {self.total:,} splats of P are used"]
         parts += [f"{count:,} left out ({reason})" for reason, count in self.unusable.items()]
         if self.thinned:
-            parts.append(f"{self.thinned:,} left out (thinned, widths grown to match)")
+            parts.append(f"{self.thinned:,} thinned out, the others enlarged to match")
         return "; ".join(parts)
 
 

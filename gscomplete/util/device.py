@@ -53,8 +53,8 @@ def choose_device(name: str) -> torch.device:
 def _tell_of_unused_cuda() -> None:
     """Note, once per process, that this PyTorch is built for GPUs and the machine has none."""
     _logger.warning(
-        "note: PyTorch %s is built for CUDA %s but finds no GPU here: the CPU computes; PyTorch's "
-        "build for CPUs does the same and takes a fraction of the disk (see README.md)",
+        "note: PyTorch %s is built for CUDA %s but finds no GPU here, so the CPU is used; "
+        "PyTorch's CPU build does the same in a fraction of the disk space (see README.md)",
         torch.__version__,
         torch.version.cuda,
     )

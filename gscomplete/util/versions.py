@@ -49,6 +49,6 @@ def differences_note(before: object) -> tuple[str, ...]:
     if not changed:
         return ()
     return (
-        f"resuming a run begun with {', '.join(changed)}: its bytes may differ from those of a run "
-        "that was never stopped",
+        f"resuming a run begun with {', '.join(changed)}: its bytes may differ from those of an "
+        "uninterrupted run",
     )

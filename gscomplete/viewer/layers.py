@@ -121,7 +121,9 @@ def _parts_of(run: RunFolder) -> list[tuple[str, Splats]]:
     """
     path = Path(str(run.content["input"].get("path")))
     if not path.is_file():
-        raise UserError(f"{run.folder}: the run is running, and its input {path} is not there")
+        raise UserError(
+            f"{run.folder}: the run is in progress, and its input {path} does not exist"
+        )
     found = [("P", read_any_splats(path).splats)]
     progress = newest(run.folder)
     if progress is not None:
@@ -153,7 +155,7 @@ def _layer(
     if outside:
         note += f", {outside:,} of them outside the frame"
     if len(shown) < len(drawn):
-        note += f", {len(shown):,} of them shown, widened to match"
+        note += f", {len(shown):,} of them drawn, enlarged to match"
     return Layer(name, transform_splats(shown, frame.object_from_file), note)
 
 

@@ -195,12 +195,12 @@ def _background(splats: Splats, focus: Focus, notes: list[str]) -> NDArray[np.bo
     try:
         proposal = propose_box(splats, focus)
     except UserError as error:
-        notes.append(f"background: left as it is ({error})")
+        notes.append(f"background: kept ({error})")
         return none
     if not proposal.planes:
-        notes.append("background: left as it is (no plane bears the object)")
+        notes.append("background: kept, as no plane was found that the object stands on")
         return none
-    notes.append(f"background: {len(proposal.planes)} planes")
+    notes.append(f"background: {len(proposal.planes)} planes found")
     points = splats.means.double().numpy()
     return ~np.all([plane.before(points) for plane in proposal.planes], axis=0)
 

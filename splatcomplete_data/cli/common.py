@@ -264,7 +264,7 @@ def check_out(options: ObjectOptions, source_file: Path) -> None:
             name = field.name.replace("_", "-")
             raise UserError(f"--{name}: expected a finite number, found {value:g}")
     if options.prompt is not None and not options.prompt.strip():
-        raise UserError("--prompt: expected what the complete object is, found no text")
+        raise UserError("--prompt: expected a name of the complete object, found an empty text")
     check_destination(
         options.out or default_folder(source_file),
         marker=RECORD_FILE,

@@ -98,7 +98,7 @@ def _up_of(options: ConvertOptions) -> tuple[UpAxis, str]:
     known = object_folder_of(options.source)
     if known is not None:
         return known.frame.up, "by its object folder"
-    return SPLAT_FILE_UP, "assumed; --up says otherwise"
+    return SPLAT_FILE_UP, "assumed; --up gives another"
 
 
 def _write_page(options: ConvertOptions, splats: Splats) -> tuple[str, ...]:

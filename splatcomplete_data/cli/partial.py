@@ -93,7 +93,9 @@ def make(options: PartialOptions) -> tuple[PartialOptions, ObjectDraft]:
         from gscomplete.views import ViewDistribution
 
         if request.view_deg is None:
-            raise UserError("--seen-from-views: expected --view AZ,EL as the middle of the views")
+            raise UserError(
+                "--seen-from-views: expected --view AZ,EL, the centre of the views, found none"
+            )
         views = ViewDistribution(*request.view_deg, azimuth_range_deg=request.azimuth_range_deg)
         angles = zip(*views.low_discrepancy(options.seen_from_views), strict=True)
         cuts.append(ScanCut(tuple((float(a), float(e)) for a, e in angles)))
@@ -141,7 +143,7 @@ def _read_complete(path: Path) -> _CompleteObject:
     if path.is_dir():
         source = read_object(path)
         if source.complete is None:
-            raise UserError(f"{path}: expected complete.ply in the object folder")
+            raise UserError(f"{path}: expected an object folder with complete.ply, found none")
         splats, record = source.complete, source.record
     else:
         found, known = read_any_splats(path), record_of_file(path)

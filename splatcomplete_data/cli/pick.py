@@ -20,7 +20,7 @@ def check_options(path: Path, *, propose: bool) -> None:
         UserError: it is no file of boxes, its folder does not exist, or --propose is given.
     """
     if propose:
-        raise UserError("--pick: expected without --propose")
+        raise UserError("--pick, --propose: expected one of them, found both")
     if path.suffix != BOXES_SUFFIX:
         raise UserError(f"--pick: expected a file NAME{BOXES_SUFFIX}, found {str(path)!r}")
     if not path.parent.is_dir():

@@ -83,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return run_guarded(
         "splatcomplete-data",
         lambda: _run(options),
-        "nothing half-written is left; the same command starts again",
+        "no half-written files are left; the same command starts again",
     )
 
 
@@ -143,7 +143,7 @@ def greedy_hint(arguments: Sequence[str]) -> str | None:
         values = list(itertools.takewhile(lambda word: not word.startswith("--"), words[place:]))
         if len(values) > 1:
             return (
-                f"{option} takes every word behind it: {' '.join(values)}; if one of them is the "
+                f"{option} takes all arguments after it: {' '.join(values)}; if one of them is the "
                 f"file, put it before {option}"
             )
     return None

@@ -106,7 +106,9 @@ def _read(options: ScanOptions) -> PointSource:
         inside = np.flatnonzero(cloud.labels // 10 == options.label)
         if len(inside) == 0:
             found = sorted(set((cloud.labels // 10).tolist()))
-            raise UserError(f"{options.file}: --label: expected one of {found}")
+            raise UserError(
+                f"{options.file}: --label: expected one of {found}, found {options.label}"
+            )
         counts = {"other_label": len(cloud) - len(inside)}
         steps.append(StepRecord("label", len(cloud), len(inside), counts))
         scene, cloud = cloud.points, cloud.select(inside)

@@ -160,7 +160,7 @@ class BoxPage:
             self.told(f"not saved: {error}")
             return
         line = f"{self.command} --box {shlex.quote(str(self.path))}"
-        self.controls["saved"].content = f"saved; now `{line}`"
+        self.controls["saved"].content = f"saved; now run `{line}`"
         self.told(line)
 
     def _step(self) -> int:
@@ -249,7 +249,7 @@ def _add_controls(page: BoxPage, size: float) -> None:
     for label, action in (
         ("add a box to keep", lambda: page.add("keep")),
         ("add a box to remove", lambda: page.add("remove")),
-        ("take this box away", page.take_away),
+        ("delete this box", page.take_away),
         ("save", page.save),
     ):
         page.controls[label] = gui.add_button(label)

@@ -254,7 +254,11 @@ def _run_all(
     enter = functools.partial(_enter, str(data))
     with contextlib.closing(run_local(make, waiting, plan, enter=enter, retries=1)) as ended:
         for done in ended:
-            died = Outcome(done.task.id, "failed", "its process died, twice (memory?)")
+            died = Outcome(
+                done.task.id,
+                "failed",
+                "its process died twice, perhaps for lack of memory (--jobs 1 needs less)",
+            )
             settle(done.result or died)
     return outcomes
 
@@ -308,8 +312,8 @@ def _claim(state: Path, folder: Path) -> bool:
         return False
     if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
         raise UserError(
-            f"{folder}: expected nothing or a folder that this build made, found one that it did "
-            "not make; move it away or give the entry another id"
+            f"{folder}: expected nothing or a folder that this build made, found another one; "
+            "move it away or give the entry another id"
         )
     jsonio.write_json(state, _state(None, None, None))
     return True

@@ -147,7 +147,7 @@ def convert_mesh(
         StepRecord("cut_outs", len(kept), len(kept) - hidden, _reason(hidden)),
     )
     if hidden == len(kept):
-        raise UserError("mesh: expected something opaque, found transparency everywhere")
+        raise UserError("mesh: expected an opaque surface, found transparency everywhere")
     colors = rgba[:, :3]
     if light is not None:
         unit = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
@@ -246,9 +246,9 @@ def _even_cells(
     carrying = int((allotment.counts > 0).sum())
     note = f"spacing {allotment.spacing:.4g}"
     if allotment.tiny:
-        note += f"; {allotment.tiny:,} tiny triangles share splats, none is lost"
+        note += f"; {allotment.tiny:,} tiny triangles share splats with their neighbours"
     if raised.any():
-        note += f"; splats lie up to {depth:.3g} below the surface, for outlines"
+        note += f"; splats lie up to {depth:.3g} below the surface (--outline-px)"
     step = StepRecord("triangles_with_splats", len(areas), carrying, {}, note)
     if carrying < len(areas):
         shared_out = {"represented_by_a_neighbour": len(areas) - carrying}
@@ -287,7 +287,7 @@ def _grid(
     found = {"between_grid_points_got_one_each": missed} if missed else {}
     note = f"grid step {side:.4g}"
     if found:
-        note += f"; {missed:,} triangles lie between the grid's points and got one splat each"
+        note += f"; {missed:,} triangles contain no grid point and have one splat each"
     step = StepRecord("triangles_with_splats", len(vertices), len(vertices), {}, note)
     return Cells(triangle, weights, steps, axes, sizes), step
 

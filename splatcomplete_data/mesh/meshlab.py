@@ -70,7 +70,9 @@ def _in_own_process(function: Callable[..., Result], *arguments: Any) -> Result:
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
             return pool.submit(function, *arguments).result()
     except BrokenProcessPool as error:
-        raise UserError("mesh: MeshLab crashed on this mesh; try without it") from error
+        raise UserError(
+            "mesh: MeshLab crashed on this mesh; leave out --repair and --mode poisson"
+        ) from error
 
 
 def _prune(points: NDArray[np.float64], radius: float) -> NDArray[np.int64]:

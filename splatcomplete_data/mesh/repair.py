@@ -28,7 +28,7 @@ def repair_mesh(mesh: Mesh) -> tuple[Mesh, tuple[StepRecord, ...]]:
     """
     found = repair_triangles(np.concatenate([part.vertices for part in mesh.parts]))
     if len(found.kept) == 0:
-        raise UserError("mesh: --repair: expected faces to stay, found none that is usable")
+        raise UserError("mesh: --repair: expected usable faces, found none")
     parts, first = [], 0
     for part in mesh.parts:
         last = first + len(part.vertices)
@@ -39,7 +39,7 @@ def repair_mesh(mesh: Mesh) -> tuple[Mesh, tuple[StepRecord, ...]]:
     before, kept = mesh.triangles, len(found.kept)
     merged = found.vertices_before - found.vertices_after
     turned = int(found.turned.sum())
-    note = f"{turned:,} turned round" if found.oriented else "left as it was: not a manifold"
+    note = f"{turned:,} flipped" if found.oriented else "not oriented, as it is not a manifold"
     steps = (
         _step("merge_vertices", found.vertices_before, merged, "same_place"),
         _step("drop_null_faces", before, found.null, "no_area"),

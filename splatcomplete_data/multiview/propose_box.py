@@ -165,7 +165,9 @@ def propose_box(splats: Splats, focus: Focus) -> Proposal:
     for _ in range(3):  # the object may lie well in front of a plane behind it
         inside = free & (np.linalg.norm(local - middle, axis=1) <= _BALL)
         if inside.sum() < _FEWEST:
-            raise UserError("--box auto: found nothing beside a plane; give the box as numbers")
+            raise UserError(
+                "--box auto: expected an object beside planes, found none; give the box as numbers"
+            )
         if planes:
             middle = np.average(local[inside], axis=0, weights=weight[inside])
     cluster = _central_cluster(local[inside] - middle, weight[inside])
@@ -175,10 +177,10 @@ def propose_box(splats: Splats, focus: Focus) -> Proposal:
     center = focus.center + focus.radius * np.array(box.center)
     half = focus.radius * np.array(box.half_extents)
     notes = [
-        f"plane {index + 1} taken away, normal {(plane.normal.round(2) + 0.0).tolist()}"
+        f"plane {index + 1} removed, normal {(plane.normal.round(2) + 0.0).tolist()}"
         for index, plane in enumerate(planes)
     ]
-    notes.append(f"central cluster of {len(members):,} of {len(splats):,} splats")
+    notes.append(f"the central cluster has {len(members):,} of {len(splats):,} splats")
     in_file = [
         Plane(p.normal, float(p.normal @ focus.center + focus.radius * p.top)) for p in planes
     ]

@@ -133,25 +133,27 @@ def clean(
         rest = heights[log.last_kept]
         is_over = rest > 0
         if 0 < (~is_over).sum() <= (1.0 - DOUBTFUL_SHARE) * len(rest):
-            log.apply("below_planes", is_over, "on the other side of the plane")
+            log.apply("below_planes", is_over, "points on the other side of the plane")
     if planes and not inside.all():
         other = _neighbours(cloud, inside, planes, spacing, eye, up)
-        log.apply("neighbours", ~other[log.keep], "most of these objects lies outside the boxes")
+        log.apply(
+            "neighbours", ~other[log.keep], "parts of objects that lie mostly outside the boxes"
+        )
     if chosen.outlier_ratio is not None:
         kept = not_outliers(points[log.keep], _OUTLIER_NEIGHBOURS, chosen.outlier_ratio)
-        log.apply("outliers", kept, f"beyond {chosen.outlier_ratio:g} standard deviations")
+        log.apply("outliers", kept, f"farther than {chosen.outlier_ratio:g} standard deviations")
     if chosen.seed_point is not None:
         seed = np.asarray(chosen.seed_point, np.float64)
         _require_near(seed, points[log.keep])
         kept = object_at(points[log.keep], colors[log.keep], seed, spacing, viewpoint=eye, up=up)
-        log.apply("clutter", kept, "the object at the seed point stays")
+        log.apply("clutter", kept, "kept the object at the seed point")
     elif chosen.clusters > 0:
         labels = cluster(points[log.keep], chosen.cluster_radius * spacing)
         note = f"{int(labels.max()) + 1} clusters at {chosen.cluster_radius * spacing:.4g}"
         log.apply("clutter", labels < chosen.clusters, note)
     missing = () if len(planes) == chosen.planes else (*map(_refusal, refused),)
     if chosen.planes and not planes:
-        missing = (*missing, "no plane was found that the object stands on: none is removed")
+        missing = (*missing, "no plane was found that the object stands on, so none is removed")
     warnings = (*missing, *(() if inside.all() else log.warnings()))
     reasons = tuple(log.reasons)
     return Cleaned(log.keep, log.reason, reasons, tuple(log.steps), tuple(planes), warnings)
@@ -171,8 +173,8 @@ def _require_near(
     if not away <= _SEED_REACH * float(np.linalg.norm(high - low)):
         box = " to ".join(",".join(f"{value:.4g}" for value in corner) for corner in (low, high))
         raise UserError(
-            "--seed-point: expected a point on an object, found the nearest point "
-            f"{away:.4g} away; points lie in {box} (--propose lists objects)"
+            f"--seed-point: expected a point on an object, found the nearest one {away:.4g} "
+            f"away; points lie in {box} (--propose lists objects)"
         )
 
 
@@ -202,7 +204,9 @@ class _Log:
         counts = {name: len(removed)} if len(removed) else {}
         self.steps.append(StepRecord(f"remove_{name}", before, before - len(removed), counts, note))
         if before == len(removed):
-            raise UserError(f"scan: {name}: expected something to stay, all {before} points went")
+            raise UserError(
+                f"scan: {name}: expected points to remain, but all {before} were removed"
+            )
 
     def warnings(self) -> tuple[str, ...]:
         """Warn, with counts, if less than ``DOUBTFUL_SHARE`` of the points is left."""
@@ -212,7 +216,7 @@ class _Log:
         gone = [f"{int((self.reason == i).sum()):,} {n}" for i, n in enumerate(self.reasons)]
         share = 100.0 * kept / count
         return (
-            f"doubtful: {kept:,} of {count:,} points ({share:.0f} %) stay; removed: "
+            f"doubtful: {kept:,} of {count:,} points ({share:.0f} %) remain; removed: "
             f"{', '.join(gone)}; see removed.png",
         )
 
@@ -255,7 +259,7 @@ def _plane_note(plane: SupportPlane) -> str:
     return (
         f"normal {np.round(plane.plane[:3], 3).tolist()}{tilt}, "
         f"{int(plane.inside.sum()):,} points of the scene within {plane.thickness:.3g}; "
-        f"{100 * plane.share_over:.0f} % of the others stand over it"
+        f"{100 * plane.share_over:.0f} % of the others are above it"
     )
 
 

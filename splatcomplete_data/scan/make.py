@@ -49,8 +49,8 @@ from splatcomplete_data.scan.support import PlaneSettings, SupportPlane, find_le
 
 Level = Literal["auto", "always", "never"]
 _UNLEVELLED = (
-    "up is the picture's: there is no floor or table to level on; of a camera that looks down, the "
-    "object leans (--up)"
+    "up is that of the picture, as no floor or table was found to level on; if the camera looked "
+    "down, the object leans (--up gives another)"
 )
 
 
@@ -201,20 +201,20 @@ def _levelled(
     if known.is_picture_up and known.up is not None:
         lean = np.degrees(np.arccos(np.clip(rotation[2] @ np.asarray(known.up), -1, 1)))
         doubts.append(
-            f"levelled on a plane of {int(plane.inside.sum()):,} points, from which the picture's "
-            f"up leans by {lean:.0f} degrees (--keep-tilt leaves it)"
+            f"levelled on a plane of {int(plane.inside.sum()):,} points: turned by {lean:.0f} "
+            "degrees from the picture's up (--keep-tilt does not)"
         )
     under = float((height < 0).mean())
     if under > DOUBTFUL_SHARE:
         doubts.append(
-            f"doubtful: {100 * under:.0f} % of the points lie below the plane levelled on, as seen "
-            "from the scanner"
+            f"doubtful: {100 * under:.0f} % of the points lie below the plane used for levelling, "
+            "as seen from the scanner"
         )
     if known.up is not None and rotation[2] @ np.asarray(known.up) < 0:
         angle = float(np.degrees(np.arccos(np.clip(rotation[2] @ np.asarray(known.up), -1, 1))))
         doubts.append(
-            f"doubtful: levelling turns what was up by {angle:.0f} degrees, upside down; "
-            "--viewpoint X,Y,Z says which side the scanner was on"
+            f"doubtful: levelling turns the object by {angle:.0f} degrees, upside down; "
+            "--viewpoint X,Y,Z tells on which side the scanner was"
         )
     return Similarity(1.0, torch.from_numpy(rotation), torch.zeros(3)), tuple(doubts)
 

@@ -206,7 +206,7 @@ def _refusal(inside: BoolArray, wanted: BoolArray, over: float) -> str | None:
         is_face = 2 * within > total
         return f"{within:,} of its {total:,} points lie within the boxes" if is_face else None
     return (
-        f"{100 * over:.0f} % of the other points stand over it"
+        f"only {100 * over:.0f} % of the other points are above it"
         if over < _LEAST_SHARE_OVER
         else None
     )

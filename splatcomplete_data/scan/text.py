@@ -61,14 +61,16 @@ def read_text_scan(path: Path) -> tuple[PointCloud, tuple[str, ...]]:
     first = next((i for i, line in enumerate(lines) if _is_row(line)), len(lines))
     heads = lines[:first]
     if sum(not line.startswith(_COMMENT) for line in heads) > _MOST_HEADER_LINES:
-        raise UserError(f"{path}: expected rows of x y z [r g b], found {heads[0][:40]!r} above")
+        raise UserError(
+            f"{path}: expected rows of x y z [r g b], found {heads[0][:40]!r} before the first row"
+        )
     rows = [words for line in lines[first:] if (words := _words(line)) and line[0] not in _COMMENT]
     if not rows:
         raise UserError(f"{path}: expected rows of x y z [r g b], found none")
     widths = sorted({len(row) for row in rows})
     if widths[0] < 3 or len(widths) > 1:
         found = " and ".join(map(str, (widths[0], widths[-1])[: len(widths)]))
-        raise UserError(f"{path}: expected rows of 3 or more numbers, all alike; found {found}")
+        raise UserError(f"{path}: expected rows of equal length, 3 numbers or more; found {found}")
     try:
         table = np.array(rows, np.float64)
     except ValueError as error:
@@ -90,7 +92,7 @@ def _columns(heads: list[str], table: NDArray[np.float64]) -> _Columns:
     found = _guessed(table)
     if not headers:
         return found
-    unused = f"the header names {len(headers[0])} columns and the rows have {width}: not used"
+    unused = f"the header is not used: it names {len(headers[0])} columns, rows have {width}"
     return _Columns(found.point, found.color, f"{found.note} ({unused})")
 
 
@@ -102,7 +104,9 @@ def _named(names: list[str]) -> _Columns:
         if set(wanted) <= set(plain):
             color = tuple(plain.index(name) for name in wanted)
             shown = ", ".join(str(column + 1) for column in color)
-            return _Columns(point, color, f"colour from columns {shown}, as the header names them")
+            return _Columns(
+                point, color, f"colour from columns {shown}, by their names in the header"
+            )
     return _Columns(point, None, f"{NO_COLOR} (the header names {', '.join(names)})")
 
 
@@ -116,7 +120,7 @@ def _guessed(table: NDArray[np.float64]) -> _Columns:
     normal = next((start for start in starts if _are_normals(table[:, start : start + 3])), None)
     aside = ""
     if normal is not None:
-        aside = f"; columns {normal + 1} to {normal + 3} have unit length: normals"
+        aside = f"; columns {normal + 1} to {normal + 3} taken for normals (unit length)"
         starts = [start for start in starts if abs(start - normal) >= 3]
     kinds = {start: _kind(table[:, start : start + 3]) for start in starts}
     start = min(reversed(starts), key=lambda start: kinds[start], default=None)
@@ -124,7 +128,11 @@ def _guessed(table: NDArray[np.float64]) -> _Columns:
     if start is None or kinds[start] > (_NOT_NEGATIVE if is_last else _NOT_NEGATIVE - 1):
         return _Columns(point, None, f"{NO_COLOR}{aside}")
     note = f"colour guessed from columns {start + 1} to {start + 3} ({_KINDS[kinds[start]]}){aside}"
-    return _Columns(point, (start, start + 1, start + 2), f"{note}; a header would name them")
+    return _Columns(
+        point,
+        (start, start + 1, start + 2),
+        f"{note}; a header line with column names makes it certain",
+    )
 
 
 def _are_normals(values: NDArray[np.float64]) -> bool:  # [N, 3]

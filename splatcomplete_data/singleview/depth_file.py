@@ -154,7 +154,7 @@ def _plain(values: NDArray[np.generic], frame: int, path: Path) -> DepthImage:
     if is_integer and numbers.max() > _LARGEST_16_BIT:
         endless[:] = False  # wider integers: it stands for itself
     numbers[endless | ~(np.isfinite(numbers) & (numbers > 0))] = np.nan
-    found = f"{int(endless.sum()):,} pixels hold what stands for infinity: unknown"
+    found = f"{int(endless.sum()):,} pixels hold a value for infinity; their depth is unknown"
     return DepthImage(numbers, is_integer, notes=(found,) if endless.any() else ())
 
 

@@ -65,7 +65,7 @@ class Intrinsics:
             raise UserError(
                 f"intrinsics ({self.origin}): expected a principal point within the picture of "
                 f"{self.width} x {self.height} pixels, found {self.center_x_px:g}, "
-                f"{self.center_y_px:g}; are they those of another resolution?"
+                f"{self.center_y_px:g}; they may be those of another resolution"
             )
 
     def summary(self) -> str:
@@ -90,8 +90,8 @@ class Intrinsics:
         x, y = width / self.width, height / self.height
         if abs(x / y - 1.0) > 0.02:
             raise UserError(
-                f"intrinsics ({self.origin}) are for {self.width} x {self.height} pixels, the "
-                f"depth has {width} x {height}: another aspect ratio"
+                f"intrinsics ({self.origin}): expected the aspect ratio of the depth, {width} x "
+                f"{height} pixels, found that of {self.width} x {self.height}"
             )
         return Intrinsics(
             self.focal_x_px * x,

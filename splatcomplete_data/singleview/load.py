@@ -198,7 +198,9 @@ def _select(
             StepRecord(name, before, after, {reason: before - after} if after < before else {})
         )
         if after == 0:
-            raise UserError(f"{source}: {name}: expected pixels to stay, all {before:,} went")
+            raise UserError(
+                f"{source}: {name}: expected pixels to remain, but all {before:,} were removed"
+            )
 
     known = np.isfinite(z)
     apply("known_depth", known, "unknown")

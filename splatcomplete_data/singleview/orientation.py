@@ -64,22 +64,22 @@ def fitting_picture(picture: Image.Image, width: int, height: int, path: Path) -
         if tag in _QUARTER_TURNS:
             message += f", or {picture.height} x {picture.width} turned as its EXIF says"
         elif turned <= _MOST_MISFIT:
-            message += "; turned by 90 degrees it would fit, but it has no EXIF rotation that says "
-            message += "so (lost when it was saved anew?)"
+            message += "; it fits if turned by 90 degrees, but has no EXIF rotation (perhaps lost "
+            message += "when it was saved again): turn it"
         raise UserError(f"{path}: {message}")
     if tag == UPRIGHT:
         return FittingPicture(picture, "-Y")
     name = f"the photo's EXIF rotation ({tag})"
     if shown < stored:
-        note = f"{name} is applied: so it has the depth's aspect ratio"
+        note = f"{name} is applied, as the turned photo has the depth's aspect ratio"
         return FittingPicture(ImageOps.exif_transpose(picture), "-Y", (note,))
     up = _CAMERA_AXES[SHOWN_AXES[tag][1]]
     if stored < shown:
-        note = f"{name} is not applied: the stored pixels have the depth's aspect ratio"
+        note = f"{name} is not applied, as the stored pixels have the depth's aspect ratio"
     else:
-        note = f"{name}: the depth fits with and without it; assumed to be that of the stored "
-        note += "pixels, which are not turned"
-    return FittingPicture(picture, up, (f"{note}. It tells that up is {up} of the camera axes",))
+        note = f"{name} is not applied: the depth fits with and without it, and is assumed to be "
+        note += "that of the stored pixels"
+    return FittingPicture(picture, up, (f"{note}. By it, up is {up} of the camera axes",))
 
 
 def _misfit(width: int, height: int, depth_width: int, depth_height: int) -> float:

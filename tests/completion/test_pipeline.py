@@ -93,7 +93,7 @@ def test_the_slits_of_a_scan_are_closed_unless_unwanted():
     assert len(found.new) > 1000
     assert found.hard_preservation is not None
     assert found.hard_preservation.met
-    assert any(note.startswith("slits of the scan: closed by") for note in found.notes)
+    assert any("splats close them" in note for note in found.notes)
     left = dataclasses.replace(GUESS, close_slits=False)
     assert len(complete(board, "a board", prior=prior, settings=left, **SCAN).new) == 0
 
@@ -124,9 +124,9 @@ def test_a_part_of_one_colour_is_left_as_it_is_guessed(least):
     settings = dataclasses.replace(DISTILL, steps=3, moves="colors", least_color_spread=least)
     prepared = prepare(PARTIAL, Request("a ball", settings), OraclePrior(TRUTH))
     assert prepared.steps.settings.steps == (3 if least < 0.1 else 0)
-    assert any(note.startswith("no steps: P is of one colour") for note in prepared.notes) == (
-        least > 0.1
-    )
+    assert any(
+        note.startswith("no steps are taken: P has nearly one colour") for note in prepared.notes
+    ) == (least > 0.1)
 
 
 @pytest.mark.parametrize("count", [0, 400])
@@ -136,7 +136,7 @@ def test_an_unclean_part_is_told(count):
     notes = prepare(
         part, Request("a ball", QUICK, FramingRequest(**KNOWN)), OraclePrior(TRUTH)
     ).notes
-    told = [note for note in notes if "unclean" in note]
+    told = [note for note in notes if "may not belong" in note]
     assert len(told) == bool(count)
     assert all("floaters" in note for note in told)
 
@@ -160,7 +160,9 @@ def test_only_a_guessed_view_gives_way_to_the_guess_of_the_complete_object(is_gi
         )
     prepared = prepare(part, Request("", GUESS, framing), prior)
     assert (prepared.views == prepared.guessed_views) == is_given
-    assert any("after all" in note for note in prepared.notes) == (not is_given)
+    assert any(note.startswith("input view changed to") for note in prepared.notes) == (
+        not is_given
+    )
     assert finish(prepared, part).views == prepared.views
 
 
@@ -173,7 +175,7 @@ def test_a_sphere_leaves_the_input_view_as_it_is():
 
 def test_a_view_that_does_not_show_p_is_refused():
     nothing = dataclasses.replace(PARTIAL, opacities=torch.zeros(len(PARTIAL)))
-    with pytest.raises(UserError, match="expected splats that the input view shows"):
+    with pytest.raises(UserError, match="expected splats visible from the input view"):
         complete(nothing, "a ball", prior=OraclePrior(TRUTH), settings=QUICK, **KNOWN)
 
 

@@ -114,6 +114,6 @@ def test_ctrl_c_ends_a_batch_in_one_line(manifest, tmp_path):
     batch.send_signal(signal.SIGINT)
     told, said = batch.communicate(timeout=PATIENCE_S)
     assert batch.returncode == 130, said
-    assert "interrupted; the same command goes on with what is unfinished" in said
+    assert "interrupted; the same command continues with the unfinished objects" in said
     assert "Traceback" not in said
     assert told == ""

@@ -223,7 +223,7 @@ def test_another_file_beside_an_object_means_itself(tmp_path):
     (folder / "object.json").write_text('{"frame": []}')  # of some other program
     refused = run_here("complete", folder / "partial.ply", "--out", tmp_path / "out")
     assert refused.returncode == 2
-    assert "--prompt: expected what the complete object is" in refused.stderr
+    assert "--prompt: expected a name of the complete object" in refused.stderr
     assert complete(tmp_path, tmp_path / "out").returncode == 2
 
 
@@ -298,9 +298,9 @@ def test_the_default_takes_the_first_guess_and_holds_it_to_bounds(tmp_path):
     assert content["result"]["metrics"]["all_views"]["color"] <= 0.001
     assert content["result"]["hard_preservation"]["met"]
     assert content["result"]["seam_colors"]["changed"] > 0
-    assert "hard preservation (" in result.stdout
+    assert "bounds on E_color and E_depth (over " in result.stdout
     assert any("that the prior guesses" in note for note in content["notes"])
-    assert any("negative prompt: without effect" in note for note in content["notes"])
+    assert any("negative prompt: has no effect" in note for note in content["notes"])
     assert (out / "log.jsonl").read_text() == ""
 
 
@@ -327,13 +327,16 @@ def test_the_plane_of_symmetry_can_be_chosen(tmp_path):
     chosen = mirrored("chosen", planes[1])
     plane = {"azimuth_deg": azimuth_deg, "offset": offset}
     assert chosen["identity"]["settings"]["mirror"] == plane
-    upright = f"own splats through the upright plane {azimuth_deg:.1f},{offset:.3f}"
+    upright = f"mirror image is added: upright plane {azimuth_deg:.1f},{offset:.3f}"
     assert any(upright in note for note in chosen["notes"])
     none = mirrored("none", "--mirror", "none")
     assert any("not mirrored" in note for note in none["notes"])
     half = mirrored("half", cut)
     assert half["identity"]["settings"]["mirror"] == {"toward_deg": None}
-    assert any("P is one half: mirrored through its end" in note for note in half["notes"])
+    assert any(
+        "P is one half: mirrored through the plane that it ends at" in note
+        for note in half["notes"]
+    )
     sizes = [content["result"]["new_splats"] for content in (guessed, chosen, none, half)]
     assert min(sizes) > 100
 
@@ -343,9 +346,12 @@ def test_the_plane_of_symmetry_can_be_chosen(tmp_path):
     [
         (("--mirror", "left"), "--mirror: expected guess, none, cut, cut:AZIMUTH or"),
         (("--mirror", "0,3"), "offset: expected -1 to 1"),
-        (("--mirror", "none", "--preset", "paper"), "preset paper with prior embedded starts"),
+        (("--mirror", "none", "--preset", "paper"), "found preset paper with prior embedded"),
         (("--alternatives", "9"), "--alternatives: expected 0 to 8"),
-        (("--alternatives", "2", "--text-only"), "starts without a guess of the complete object"),
+        (
+            ("--alternatives", "2", "--text-only"),
+            "expected a run that starts from a guess of the complete object",
+        ),
     ],
 )
 def test_planes_that_make_no_sense_are_refused(tmp_path, options, message):

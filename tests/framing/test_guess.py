@@ -30,7 +30,7 @@ def test_half_a_cylinder_is_seen_from_outside_and_completed(
     assert angle_between(guess.view_azimuth_deg, azimuth_deg) <= 45
     assert np.linalg.norm(guess.center) < 0.05  # the box of P is off by 0.25
     assert guess.size == pytest.approx(1.0, abs=0.1)
-    assert "grows" in guess.box_reason
+    assert "extended" in guess.box_reason
 
 
 def test_a_complete_object_keeps_its_box() -> None:

@@ -26,7 +26,7 @@ WRONG = ViewDistribution(255.0, 15.0)
 def test_the_wrong_side_gives_way_to_the_right_one() -> None:
     settled, note = refine_input_view(PART, REST, WRONG)
     assert angle_between(settled.azimuth_deg, 75.0) <= 45
-    assert "from 255,15 the guess of the complete object hides" in note
+    assert "from 255,15 (--view" in note
     # All that has nothing to do with c stays as it was.
     c = {"azimuth_deg": WRONG.azimuth_deg, "elevation_deg": WRONG.elevation_deg}
     assert dataclasses.replace(settled, **c) == WRONG
@@ -36,7 +36,9 @@ def test_what_the_note_says_of_hidden_shares_is_so() -> None:
     settled, note = refine_input_view(PART, REST, WRONG)
     shares = [hidden_share(PART, WHOLE, v) for v in (WRONG, settled)]
     assert shares[0] > 0.5 > 0.05 > shares[1]
-    assert f"hides {100 * shares[0]:.0f} % of P, from here {100 * shares[1]:.0f} %" in note
+    assert (
+        f"hides {100 * shares[1]:.0f} % of P from there, and {100 * shares[0]:.0f} % from" in note
+    )
 
 
 def test_the_right_side_stays() -> None:

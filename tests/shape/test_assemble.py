@@ -261,9 +261,9 @@ def test_what_the_network_leaves_empty_is_mirrored_through_a_certain_plane_alone
 
 def test_notes_tell_the_plane_as_users_ask_for_it():
     assert notes_of(predicted(0.9), 7) == (
-        "mirrored by P's own splats through the upright plane 0.0,0.000 (--mirror)",
+        "P's mirror image is added: upright plane 0.0,0.000 (--mirror)",
     )
-    assert "as a hint" in notes_of(predicted(0.9), 0)[0]
+    assert "guides the guess" in notes_of(predicted(0.9), 0)[0]
     prediction = predicted(0.0)
     alone = prediction.voxels.with_copies(no_symmetries())
     assert notes_of(dataclasses.replace(prediction, seen=alone), 0) == ("not mirrored",)
@@ -274,7 +274,7 @@ def test_notes_tell_how_much_the_prompt_decides():
         notes_of(dataclasses.replace(predicted(0.9), prompt_share=share), 0)[0]
         for share in (0.0199, 0.25)
     ]
-    assert "next to nothing of the shape (2.0%)" in told[0]
+    assert "hardly changes the guessed shape (2.0%)" in told[0]
     assert told[1] == "prompt: changes 25% of the guessed shape"
 
 

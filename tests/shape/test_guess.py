@@ -74,7 +74,7 @@ def test_known_chairs_give_the_legs_that_p_has_not(asked, bank):
     known = torch.from_numpy(found.known[0].points).float()
     # cells of the grid are .03 of the wider frame
     assert float(torch.cdist(legs, known).amin(dim=1).quantile(0.9)) < 0.1
-    assert found.notes[0].startswith("chair: by known shapes, ")
+    assert found.notes[0].startswith("chair: known shapes used: ")
 
 
 def test_known_shapes_change_nothing_where_none_is_called_so(asked, bank):
@@ -82,7 +82,7 @@ def test_known_shapes_change_nothing_where_none_is_called_so(asked, bank):
     assert plain.known == ()
     assert not any("known shape" in note for note in plain.notes)
     other = guess(asked, "a wooden unicorn", bank)
-    assert other.notes[0] == "unicorn: no known shape is called so"
+    assert other.notes[0] == "unicorn: no known shape has this name"
     for (_, one), (_, two) in zip(other.splats.fields(), plain.splats.fields(), strict=True):
         assert torch.equal(one, two)
 
@@ -125,7 +125,7 @@ def test_known_shapes_contradict_the_image_through_a_cut_but_not_users(asked, ba
     found = guess_complete(*about, mirror_is_cut=is_cut)
     second_back = (found.splats.means[:, 0] > 0.25) & (found.splats.means[:, 2] > 0.1)
     assert (int(second_back.sum()) == 0) == is_cut
-    assert ("left out that no known shape has" in found.notes[0]) == is_cut
+    assert ("left out, as no known shape has them" in found.notes[0]) == is_cut
 
 
 def decided(asked, prompt, bank, mirror="none"):
@@ -138,7 +138,7 @@ def decided(asked, prompt, bank, mirror="none"):
 def test_where_the_prompt_decides_the_best_shape_is_the_answer(asked, bank, mirror):
     found = decided(asked, "a red wooden chair", bank, mirror)
     (shape,) = found.known
-    assert "in the place that suits P best" in found.notes[0]
+    assert "P becomes the known shape that fits it best" in found.notes[0]
     known = torch.from_numpy(shape.points).float()
     away = torch.cdist(found.splats.means, known).amin(dim=1)
     assert float(away.quantile(0.95)) < 0.1

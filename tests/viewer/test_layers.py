@@ -110,7 +110,7 @@ def test_folders_give_a_layer_per_file_in_one_frame(tmp_path):
     write_splats(tmp_path / "b" / "complete.ply", random_splats(50))
     scene = read_scene([tmp_path / "a", tmp_path / "b"], "Z", 30)
     assert [layer.name for layer in scene.layers] == ["a/partial", "complete", "b/partial"]
-    assert scene.layers[0].note == "40 splats, 30 of them shown, widened to match"
+    assert scene.layers[0].note == "40 splats, 30 of them drawn, enlarged to match"
     assert scene.views is None
     whole = read_scene([tmp_path / "a"], "Z", 100).layers[0].splats
     low, high = whole.bounds()

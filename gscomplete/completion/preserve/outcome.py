@@ -71,9 +71,9 @@ class HardPreservationReport:
     def summary(self) -> str:
         """Describe what was done in one line."""
         before, after = self.before, self.after
-        where = f", where P's alpha is {self.mask_from:g} and more" if self.mask_from else ""
+        where = f", pixels where P's alpha is at least {self.mask_from:g}" if self.mask_from else ""
         text = (
-            f"hard preservation ({after.views} views of its own{where}): "
+            f"bounds on E_color and E_depth (over {after.views} check views{where}): "
             f"E_color {before.color:.6f} to {after.color:.6f}, E_depth "
             f"{before.depth:.6f} to {after.depth:.6f}; {self.untouched:,} of {self.total:,} new "
             f"splats untouched, {self.faded:,} faded, {self.moved:,} moved, {self.shrunk:,} shrunk"
@@ -82,7 +82,7 @@ class HardPreservationReport:
             text += f", {self.added:,} added behind P's surface"
         for reason, count in self.dropped.items():
             text += f", {count:,} removed ({reason.replace('_', ' ')})"
-        return text + ("" if self.met else "; THE BOUND IS NOT REACHED")
+        return text + ("" if self.met else "; THE BOUNDS ARE NOT MET")
 
 
 def count_changes(before: Splats, after: Splats, kept: Tensor, cleared: Tensor) -> dict[str, Any]:

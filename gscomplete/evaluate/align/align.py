@@ -94,8 +94,8 @@ class Alignment:
         """Say what is doubtful; empty if nothing is."""
         if self.residual > 0.03:
             return (
-                f"alignment is doubtful: P lies {100 * self.residual:.1f} % of its diameter from "
-                "the result, in the root mean square"
+                f"the alignment is doubtful: P lies {100 * self.residual:.1f} % of its diameter "
+                "from the result (root mean square)"
             )
         return ""
 

@@ -65,7 +65,7 @@ class EmbeddedConditioning:
 def about_partial(given: EmbeddedConditioning, fitted: FittedShape) -> EmbeddedConditioning:
     """Return the conditioning with a known shape in the place that suits P."""
     shape = fitted.name.id
-    note = f"prompt: the prior is shown a known shape, {shape}, in the place that suits P best"
+    note = f"prompt: the prior sees the known shape {shape}, fitted to P"
     scale = 1 / float(fitted.pose.scales.mean())
     return given.with_surface(fitted.points, scale, note)
 
@@ -73,5 +73,5 @@ def about_partial(given: EmbeddedConditioning, fitted: FittedShape) -> EmbeddedC
 def upright(given: EmbeddedConditioning, bank: Path, index: int) -> EmbeddedConditioning:
     """Return the conditioning with a shape of the bank as it stands in its own frame."""
     shapes = read_bank(bank)
-    note = f"prompt: the prior is shown a known shape, {shapes.names[index].id}"
+    note = f"prompt: the prior sees the known shape {shapes.names[index].id}"
     return given.with_surface(surface_centers(shapes.surface(index)), 1.0, note)

@@ -28,12 +28,12 @@ FloatArray = NDArray[np.float64]
 _LEAST_SHARE = 1e-3
 
 _COMPLETE_NOTE = (
-    "P's surface is closed: it is taken for complete, and nothing is added "
+    "P's surface is closed: P is taken to be complete, and nothing is added "
     "(--mirror none completes it all the same)"
 )
 _SQUARE_CUT_NOTE = (
-    "P ends at a plane that its surface meets squarely: it is mirrored through it "
-    "(--alternatives 4 draws other planes)"
+    "P ends at a plane that its surface meets squarely: P is mirrored through that plane "
+    "(--alternatives 4 draws other guesses)"
 )
 
 

@@ -196,9 +196,13 @@ class EmbeddedPrior:
             points = partial.means.double().numpy()
             plane = mirror_of_half(points, find_cut(points), mirror)
             if plane is None:
-                raise UserError("--mirror cut: P ends at no plane near the frame's centre")
+                raise UserError(
+                    "--mirror cut: expected P to end at a plane near the frame's centre, found none"
+                )
             image = image_of_half(partial, plane, distribution, generator)
-            return FirstGuess(image, (f"P is one half: mirrored through its end, {plane}",))
+            return FirstGuess(
+                image, (f"P is one half: mirrored through the plane that it ends at, {plane}",)
+            )
         ending = ending_of(partial, mirror)
         bank = self._bank if known_shapes else None
         known = KnownShapes(bank, conditioning.prompt, prompt_decides)

@@ -84,14 +84,14 @@ class PromptReport:
     def lines(self) -> tuple[str, ...]:
         """Return the report as sentences for the user."""
         if not self.known:
-            first = "prompt: no word understood, so no text guides the completion"
+            first = "prompt: no known word in it, so it does not guide the completion"
         else:
-            first = f"prompt: understood {', '.join(self.known)}"
+            first = f"prompt: words used: {', '.join(self.known)}"
         lines = [first]
         if self.unknown:
-            lines.append(f"prompt: unknown to this prior: {', '.join(self.unknown)}")
+            lines.append(f"prompt: words unknown to this prior: {', '.join(self.unknown)}")
         if self.dropped:
-            lines.append(f"prompt: too long, not used: {', '.join(self.dropped)}")
+            lines.append(f"prompt: too long; words not used: {', '.join(self.dropped)}")
         return tuple(lines)
 
 

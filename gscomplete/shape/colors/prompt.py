@@ -52,13 +52,15 @@ def with_prompt_color(new: Splats, partial: Splats, prompt: str) -> tuple[Splats
     if not named or not len(new):
         return new, ()
     if len(named) > 1:
-        return new, (f"colours: the prompt names {' and '.join(named)}: P's go on",)
+        return new, (
+            f"colours: new splats take P's, as the prompt names several: {', '.join(named)}",
+        )
     (word,) = named
     lab = oklab_from_srgb(partial.base_colors.detach().cpu().clamp(0.0, 1.0))
     if float(lab[:, 1:].norm(dim=1).mean()) > _COLOURLESS:
-        return new, (f"colours: P has its own, which go on, {word} or not",)
+        return new, (f"colours: new splats take P's own, whatever the prompt says ({word})",)
     recolored = _recolored(new.base_colors.detach().cpu().clamp(0.0, 1.0), _HUES[word])
-    note = f"colours: P has none, and the new splats are {word}, as the prompt says"
+    note = f"colours: P has none, so new splats are {word}, as in the prompt"
     return dataclasses.replace(new, sh=colors_to_sh(recolored.float())), (note,)
 
 

@@ -124,11 +124,11 @@ def lost_files(path: Path, reach: Reach) -> Iterator[str]:
     for name, file in side_files(path, reach).items():
         refusal = reach.refusal(file)
         if refusal is not None:
-            yield f"file {name} {refusal}: parts of the mesh are without it"
+            yield f"file {name} {refusal}; parts of the mesh lack it"
         elif not file.exists():
-            yield f"missing file {name}: parts of the mesh are without their texture or material"
+            yield f"file {name} is missing; parts of the mesh lack their texture or material"
         elif file.suffix.lower() in _PICTURE_SUFFIXES:
             try:
                 open_image(file).close()
             except UserError as error:
-                yield f"texture {name}: parts of the mesh are without it: {error}"
+                yield f"texture {name}: parts of the mesh lack it: {error}"

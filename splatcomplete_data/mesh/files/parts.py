@@ -107,9 +107,9 @@ class PartReader:
             pairs = zip(geometries, own.has_inner_texture, strict=True)
             self.textured = {name for name, is_textured in pairs if is_textured}
         elif any(most is not None for most in own.position_ranges):
-            self.note("integer positions: their range is not applied, sizes are wrong")
+            self.note("integer positions: their normalization is not applied, so sizes are wrong")
         if len(self.coordinates) < sum(uv is not None for uv in own.coordinates):
-            self.note("texture transforms, further or integer coordinates: some are not applied")
+            self.note("texture transforms, additional or integer coordinates: some are not applied")
 
     def placed(self, scene: Any) -> Iterator[tuple[str, NDArray[np.float64]]]:
         """Yield the name and the triangles [T, 3, 3] of every mesh that the scene graph places."""
@@ -135,7 +135,7 @@ class PartReader:
                 continue
             part = self.appearance(scene.geometry[name], self.coordinates.get(name))
             if part.texture is None and name in self.textured:
-                self.note(f"{name}: its texture is not read (KTX2?): it is without it")
+                self.note(f"{name}: its texture is not read (perhaps KTX2)")
             yield MeshPart(
                 vertices[kept].astype(np.float32),
                 part.colors[kept],
@@ -194,7 +194,7 @@ class PartReader:
         if image is None:
             return None
         if max(image.size) <= 2:
-            self.note(f"a texture is a placeholder of {image.size} pixels: missing file?")
+            self.note(f"a texture of {image.size} pixels is a placeholder; its file may be missing")
         return image
 
     def note(self, text: str) -> None:

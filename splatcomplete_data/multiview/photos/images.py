@@ -85,7 +85,7 @@ def left_out_note(folder: Path) -> str | None:
     if not counts:
         return None
     kinds = ", ".join(f"{count} {suffix}" for suffix, count in sorted(counts.items()))
-    return f"photos that are left out ({kinds}): convert them to JPEG or PNG, which are read"
+    return f"photos left out, as their format is not read ({kinds}): convert them to JPEG or PNG"
 
 
 def read_photo(path: Path) -> NDArray[np.uint8]:  # [H, W, 3 or 4]
@@ -145,8 +145,8 @@ def orientation_note(photos: Sequence[Path]) -> str | None:
         return None
     return (
         f"{len(turned)} of {len(photos)} photos carry an EXIF rotation (first: {turned[0]}): it "
-        "tells which way is up, but the pixels are taken as they are stored, and so must poses "
-        "and masks be"
+        "tells which way is up, but pixels are used as stored; poses and masks must be those of "
+        "the stored pixels"
     )
 
 

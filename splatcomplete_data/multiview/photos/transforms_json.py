@@ -78,7 +78,7 @@ def read_transforms(
     notes: tuple[str, ...] = ()
     if missing:
         notes = (
-            f"{len(missing)} of {len(data['frames'])} frames left out: their photo does not exist "
+            f"{len(missing)} of {len(data['frames'])} frames left out: their photos do not exist "
             f"(first: {missing[0]})",
         )
     if refused:

@@ -44,7 +44,7 @@ LensModel = Literal["SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE"]
 MOST_EXHAUSTIVE = 250
 _ADVICE = (
     "Try more overlap between neighbouring photos (60 % and more), sharper photos, more texture "
-    "around the object, nothing that moves, --sfm-lens OPENCV for wide lenses, or "
+    "around the object, a scene without motion, --sfm-lens OPENCV for wide lenses, or "
     "--sfm-lens-per-photo if zoom or camera changed"
 )
 
@@ -184,7 +184,9 @@ def _begin(work: Path, result: Path, wanted: dict[str, Any], anew: bool) -> tupl
     """
     others = ", ".join(sfm_folder.differences(work, wanted))
     if others and not anew:
-        raise UserError(f"{work}: cannot resume: it was made from other {others}")
+        raise UserError(
+            f"{work}: cannot resume, as it was made from other {others}; use --overwrite"
+        )
     if not has_pycolmap() and (others or not result.is_file()):
         raise UserError(
             "structure from motion needs pycolmap, which is not installed here; install the extra "
@@ -193,7 +195,7 @@ def _begin(work: Path, result: Path, wanted: dict[str, Any], anew: bool) -> tupl
     sfm_folder.begin(work, wanted)
     if not others:
         return ()
-    return (f"structure from motion started anew: {work} was made from other {others}",)
+    return (f"structure from motion starts again, as {work} was made from other {others}",)
 
 
 def _request(

@@ -42,7 +42,7 @@ def test_up_can_be_given_and_is_minus_y_otherwise(tmp_path, capsys):
         found, _ = glb.read_glb_splats(target)
         torch.testing.assert_close(found.means, BALL.means * torch.tensor(signs))
         said = capsys.readouterr().out
-        assert ("(-Y is up, assumed; --up says otherwise)" in said) == (up == "auto")
+        assert ("(-Y is up, assumed; --up gives another)" in said) == (up == "auto")
         is_plain = target.read_bytes() == (tmp_path / "plain.glb").read_bytes()
         assert is_plain == (up in ("auto", "-Y"))
     assert main(["convert", str(tmp_path / "a.ply"), str(target), "--overwrite", "--up=Z"]) == 0

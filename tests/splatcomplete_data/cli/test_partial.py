@@ -112,20 +112,20 @@ def test_a_file_of_an_object_folder_keeps_its_up_axis(tmp_path, capsys, name):
     assert cli.main(arguments) == 0
     record = record_of(part)
     assert (record["frame"]["up"], record["prompt"], record["subset"]) == ("X", "a ball", "mesh")
-    assert "unless --up says" not in capsys.readouterr().out
+    assert "up axis assumed" not in capsys.readouterr().out
     write_splats(ball / name, BALL)  # no longer the file that the record speaks of
     assert cli.main([*arguments, "--overwrite"]) == 0
     assert record_of(part)["frame"]["up"] == "-Y"
-    assert "up axis is taken to be -Y unless --up says" in capsys.readouterr().out
+    assert "up axis assumed to be -Y" in capsys.readouterr().out
 
 
 def test_the_up_axis_of_a_splat_file_is_assumed_aloud_unless_given(tmp_path, capsys):
     path = file_with(tmp_path / "a.ply", NAN, [])
     arguments = ["partial", str(path), "--cut", "plane:90", "--out", str(tmp_path / "part")]
     assert cli.main(arguments) == 0
-    assert "up axis is taken to be -Y unless --up says" in capsys.readouterr().out
+    assert "up axis assumed to be -Y" in capsys.readouterr().out
     assert cli.main([*arguments, "--overwrite", "--up=-Y"]) == 0
-    assert "unless --up says" not in capsys.readouterr().out
+    assert "up axis assumed" not in capsys.readouterr().out
     (tmp_path / "object.json").write_text("[]")  # of something else
     assert cli.main([*arguments, "--overwrite"]) == 0
 

@@ -25,7 +25,7 @@ def test_a_file_that_box_would_not_read_is_refused(tmp_path, capsys):
         assert "the folder does not exist" in capsys.readouterr().err
         both = ["--pick", str(tmp_path / "boxes.txt"), "--propose"]
         assert main([command, str(tmp_path / "scene.ply"), *both]) == 2
-        assert "--pick: expected without --propose" in capsys.readouterr().err
+        assert "--pick, --propose: expected one of them, found both" in capsys.readouterr().err
 
 
 def test_the_page_is_served_until_it_is_interrupted(tmp_path):

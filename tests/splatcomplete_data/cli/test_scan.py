@@ -32,7 +32,7 @@ def test_georeferenced_scans(tmp_path, kind):
     means = read_splats(out / "partial.ply").splats.means.double()
     back = moved.inverse().apply(means).numpy()
     np.testing.assert_allclose(np.sort(back, axis=0), np.sort(points, axis=0), atol=1e-6)
-    assert any("was taken from the coordinates" in note for note in record["notes"])
+    assert any("was subtracted from the coordinates" in note for note in record["notes"])
     assert record["views"]["azimuth_deg"] == pytest.approx(270, abs=1)
     assert record["boxes"][0]["center"] == [500000.5, 5300000.5, 300.5]
 
@@ -43,7 +43,7 @@ def test_scans_near_the_origin_are_not_moved(tmp_path):
     assert cli.main(["scan", str(tmp_path / "a.xyz"), "--no-outliers", "--out", str(out)]) == 0
     record = json.loads((out / "object.json").read_text())
     assert record["file_from_source"] is None
-    assert not any("was taken" in note for note in record["notes"])
+    assert not any("was subtracted" in note for note in record["notes"])
 
 
 def test_levelled_points_have_z_up_and_no_other_axis(tmp_path, capsys):

@@ -75,8 +75,8 @@ def test_gizmo_sliders_and_buttons_change_the_boxes(start):
     page.controls["box"].value = "1: keep"
     assert page.chosen == 0
     assert tuple(gizmo.position) == TURN.center
-    click(page, "take this box away")
-    click(page, "take this box away")
+    click(page, "delete this box")
+    click(page, "delete this box")
     assert [box.action for box in page.boxes] == ["remove"]  # the last one stays
 
 

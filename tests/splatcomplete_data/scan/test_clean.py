@@ -132,7 +132,7 @@ def test_what_is_chosen_of_a_picture_is_levelled_on_the_table_beside_it() -> Non
     level = np.array([0.0, -np.sin(0.5), np.cos(0.5)])
     assert part.turn.rotation.numpy()[2] @ level > np.cos(np.radians(0.5))
     assert len(part.splats) == len(ball)  # nothing is removed for it
-    assert "leans by 29 degrees" in part.warnings[-1]
+    assert "turned by 29 degrees" in part.warnings[-1]
 
     for settings, known in (
         (PartSettings(level="never"), seen),

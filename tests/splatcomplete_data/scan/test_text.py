@@ -50,7 +50,7 @@ def test_a_header_says_which_columns_are_colours(tmp_path, header, separator):
     path = tmp_path / "a.csv"
     scan = written(path, POINTS, BYTES, INTENSITY, header=header, separator=separator)
     assert is_colored(scan)
-    assert scan.notes == ("colour from columns 4, 5, 6, as the header names them",)
+    assert scan.notes == ("colour from columns 4, 5, 6, by their names in the header",)
 
 
 def test_a_header_may_have_another_order_and_a_count_below(tmp_path):
@@ -79,8 +79,11 @@ def test_a_header_without_colours_leaves_points_grey(tmp_path, names):
     [
         ((POINTS,), "no colour: grey"),
         ((POINTS, INTENSITY), "no colour: grey"),
-        ((POINTS, NORMALS), "no colour: grey; columns 4 to 6 have unit length: normals"),
-        ((POINTS, INTENSITY, NORMALS), "no colour: grey; columns 5 to 7 have unit length: normals"),
+        ((POINTS, NORMALS), "no colour: grey; columns 4 to 6 taken for normals (unit length)"),
+        (
+            (POINTS, INTENSITY, NORMALS),
+            "no colour: grey; columns 5 to 7 taken for normals (unit length)",
+        ),
         ((POINTS, BYTES), "columns 4 to 6 (whole numbers up to 255); a header"),
         ((POINTS, INTENSITY, BYTES), "columns 5 to 7 (whole numbers up to 255); a header"),
         ((POINTS, BYTES, INTENSITY), "columns 4 to 6 (whole numbers up to 255); a header"),
@@ -110,7 +113,7 @@ def test_numbers_that_are_no_colour_are_taken_only_where_rows_end_in_one(tmp_pat
 def test_a_header_that_does_not_fit_the_rows_is_noted(tmp_path):
     scan = written(tmp_path / "a.xyz", POINTS, BYTES, header="# x y z r g b i")
     assert is_colored(scan)
-    assert "the header names 7 columns and the rows have 6: not used" in scan.notes[0]
+    assert "the header is not used: it names 7 columns, rows have 6" in scan.notes[0]
 
 
 def test_semicolons_free_the_comma_for_decimals(tmp_path):
@@ -126,7 +129,7 @@ def test_semicolons_free_the_comma_for_decimals(tmp_path):
         ("1 2\n", "found 2"),
         ("1 2 3\n1 2 3 4\n", "found 3 and 4"),
         ("# x y z\n", "found none"),
-        ("a letter\nto a\nfriend\n1 2 3\n", "found 'a letter' above"),
+        ("a letter\nto a\nfriend\n1 2 3\n", "found 'a letter' before the first row"),
         ("1 2 3\n1 2 b\n", "expected numbers"),
     ],
 )

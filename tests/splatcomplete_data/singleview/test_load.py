@@ -211,7 +211,7 @@ def test_what_stands_for_infinity_is_unknown_and_counted(tmp_path: Path) -> None
     for name in ("blender.npy", "sensor.png"):
         found = read_depth(tmp_path / name)
         assert np.isnan(found.values).sum() == 1
-        assert found.notes == ("1 pixels hold what stands for infinity: unknown",)
+        assert found.notes == ("1 pixels hold a value for infinity; their depth is unknown",)
 
 
 @pytest.mark.parametrize("largest", [4095, 10000, 65535])

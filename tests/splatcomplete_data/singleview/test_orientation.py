@@ -41,7 +41,10 @@ def test_depth_of_the_shown_photo_takes_its_turned_pixels(tmp_path, tag):
     turned = np.asarray(ImageOps.exif_transpose(Image.open(path)))
     np.testing.assert_allclose(view.color, turned / np.float32(255), atol=1e-6)
     assert view.up == "-Y"
-    assert f"the photo's EXIF rotation ({tag}) is applied: so it has the depth's" in view.notes[0]
+    assert (
+        f"the photo's EXIF rotation ({tag}) is applied, as the turned photo has the depth's"
+        in view.notes[0]
+    )
     # the focal length that EXIF tells is one of the longer side, whichever that is
     assert load_single_view(path, tmp_path / "depth.npy").camera.focal_x_px == pytest.approx(
         28 / 36 * 32
@@ -58,7 +61,7 @@ def test_depth_of_the_stored_pixels_keeps_them_and_knows_up(tmp_path, tag):
     told = any(f"EXIF rotation ({tag})" in note for note in view.notes)
     assert told == (tag != 1)
     if tag != 1:
-        is_sure = any("is not applied: the stored pixels have" in note for note in view.notes)
+        is_sure = any("is not applied, as the stored pixels have" in note for note in view.notes)
         assert is_sure == (tag in QUARTER_TURNS)
 
 
@@ -68,7 +71,9 @@ def test_where_both_fit_the_stored_pixels_are_assumed(tmp_path, tag, side):
     view = load_single_view(path, depth(tmp_path, side, 24), SETTINGS)
     stored = np.asarray(Image.open(path))
     np.testing.assert_allclose(view.color, stored / np.float32(255), atol=1e-6)
-    assert "fits with and without it; assumed to be that of the stored pixels" in view.notes[0]
+    assert (
+        "fits with and without it, and is assumed to be that of the stored pixels" in view.notes[0]
+    )
 
 
 @pytest.mark.parametrize("is_shown", [True, False])
@@ -84,7 +89,9 @@ def test_aspect_errors_name_the_rotation(tmp_path):
     with pytest.raises(UserError, match="found 32 x 24 pixels, or 24 x 32 turned as its EXIF says"):
         load_single_view(photo(tmp_path, 6), path, SETTINGS)
     path = depth(tmp_path, 24, 32)
-    with pytest.raises(UserError, match="it would fit, but it has no EXIF rotation"):
+    with pytest.raises(
+        UserError, match="it fits if turned by 90 degrees, but has no EXIF rotation"
+    ):
         load_single_view(photo(tmp_path, 1), path, SETTINGS)
 
 

@@ -181,7 +181,7 @@ def test_georeferenced_meshes_keep_their_triangles(tmp_path: Path) -> None:
     made = make(MeshOptions(file=tmp_path / "utm.obj", count=200))
     assert made.file_from_source is not None
     np.testing.assert_allclose(made.file_from_source.translation.numpy(), -np.array(mesh.offset))
-    assert any("was taken from the coordinates" in note for note in made.notes)
+    assert any("was subtracted from the coordinates" in note for note in made.notes)
 
 
 def test_meshes_near_the_origin_stay_where_they_are(tmp_path: Path) -> None:
@@ -197,14 +197,14 @@ def test_textures_that_cannot_be_read_are_noted(
     assert load_mesh(path).notes == ()
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 7)  # the picture has 16, more than twice that
     (note,) = load_mesh(path).notes
-    assert note.startswith("texture picture.png: parts of the mesh are without it")
+    assert note.startswith("texture picture.png: parts of the mesh lack it")
     assert "exceeds limit" in note
     with pytest.raises(UserError, match=r"picture\.png: cannot read it as an image.*limit"):
         load_mesh(path, texture=tmp_path / "picture.png")
     monkeypatch.undo()
     (tmp_path / "picture.png").write_bytes(b"no picture")
     (note,) = load_mesh(path).notes
-    assert note.startswith("texture picture.png: parts of the mesh are without it")
+    assert note.startswith("texture picture.png: parts of the mesh lack it")
 
 
 @pytest.mark.parametrize("lines", ["mtllib a.mtl\nmtllib b.mtl\n", "mtllib a.mtl b.mtl\n"])
