@@ -41,9 +41,9 @@ def card(
         "# Embedded prior",
         "",
         "A four-view, camera-, text- and input-conditioned denoiser of premultiplied RGBA images,",
-        "and a three-dimensional network that guesses the complete object from a part; both",
+        "and a three-dimensional network that guesses the complete object from a part. Both are",
         "trained by `recipes/train_embedded_prior` on procedural objects"
-        + "".join(f", the {network} on free meshes, too" for network in trained_on)
+        + "".join(f", the {network} also on free meshes" for network in trained_on)
         + ".",
         "No third-party models, no downloads. Licence: Apache-2.0, as the rest of the repository.",
         "",
@@ -61,7 +61,7 @@ def card(
         lines += [
             "Mean squared error of v on held-out objects (all timesteps; see `evaluate.py`):",
             "",
-            "| weights | seeing P | a known shape | text alone |",
+            "| weights | given P | given a known shape | given text alone |",
             "| --- | --- | --- | --- |",
             *(
                 f"| {name} | {values['input_mean']:.4f} | {values['shape_mean']:.4f} "
@@ -83,12 +83,12 @@ def card(
             f"seed {made.seed}.",
             f"* Planes that P is mirrored through are scored by `{COARSE_SCORER_FILE}` and then "
             f"by `{FINE_SCORER_FILE}`, trained before it by `train_coarse_scorer.py` and "
-            f"`train_fine_scorer.py` of `recipes/train_embedded_prior/small_networks`; the answers "
-            f"to them by `{ANSWER_SCORER_FILE}`, trained after it by `train_answer_scorer.py`. "
-            f"Whether P is better left as it is says `{BENEFIT_SCORER_FILE}` "
-            f"(`train_benefit_scorer.py`), from which views its outline is the whole object's "
-            f"`{OUTLINE_SCORER_FILE}` (`train_outline_scorer.py`), how deep inside the predicted "
-            f"surface the true one lies `{SURFACE_DEPTH_FILE}` (`train_surface_depth.py`).",
+            f"`train_fine_scorer.py` of `recipes/train_embedded_prior/small_networks`; its answers "
+            f"with them by `{ANSWER_SCORER_FILE}`, trained after it by `train_answer_scorer.py`. "
+            f"`{BENEFIT_SCORER_FILE}` predicts whether P is better left as it is "
+            f"(`train_benefit_scorer.py`), `{OUTLINE_SCORER_FILE}` which views have the object's "
+            f"whole outline (`train_outline_scorer.py`), and `{SURFACE_DEPTH_FILE}` how deep "
+            f"inside the predicted surface the true one lies (`train_surface_depth.py`).",
             *([f"* History: {history}"] if history else []),
             *(f"* Held-out {name}: {value:.4f}" for name, value in shape_losses.items()),
             "",
@@ -96,12 +96,12 @@ def card(
     lines += [
         *(line for network, used in trained_on.items() for line in _mesh_lines(network, used)),
         *_bank_lines(bank),
-        "Known limits: one object at a time, the things named by its words and simple shapes. The",
-        "shape network continues coarse shape; colours and patterns are taken from P and its",
-        "mirror images, so what P does not show is guessed by symmetry; thin parts are often",
-        "missed where no mirror image is sure enough to be shown by P's own splats. The denoiser",
-        "follows the colours of prompts, hardly their shapes: from words alone it gives blobs,",
-        "shown a known shape of the noun it paints that one.",
+        "Known limits: one object at a time, of the kinds named by its words and of simple shape.",
+        "The shape network continues coarse shape; colours and patterns are those of P and its",
+        "mirror images, so regions that P lacks are guessed by symmetry. Thin parts are often",
+        "missed if no mirror image is certain enough to be added as P's own splats. The denoiser",
+        "follows the colours of prompts but hardly their shapes: from words alone it makes blobs;",
+        "given a known shape of the noun, it paints that shape.",
         "",
     ]
     return "\n".join(lines)
@@ -113,7 +113,7 @@ def _mesh_lines(network: str, meshes: Sequence[PackEntry]) -> list[str]:
     lines = [
         f"## Meshes that the {network} was trained on",
         "",
-        "Beside procedural objects; none of the pack's validation split.",
+        "In addition to procedural objects; none are of the pack's validation split.",
         "",
         "| source | objects | licence |",
         "| --- | --- | --- |",
@@ -142,6 +142,6 @@ def _bank_lines(bank: ShapeBank | None) -> list[str]:
         "",
         f"`{BANK_FILE}`: surfaces of {len(bank.names)} free meshes (CC0; no colours), "
         f"{BANK_CELLS}^3 cells each, with their nouns, packed by `shape_bank.py`. "
-        f"By id's first part: {listed}.",
+        f"By first part of their ids: {listed}.",
         "",
     ]

@@ -187,7 +187,7 @@ def test_the_card_names_sources_and_the_authors_whose_licence_asks_for_it(tmp_pa
         for k, (licence, author) in enumerate(rows)
     ]
     text = card(config, model, None, {}, {}, meshes={"denoiser": meshes})
-    assert "the denoiser on free meshes, too" in text
+    assert "the denoiser also on free meshes" in text
     assert "Meshes that the denoiser was trained on" in text
     assert "| one | 2 | CC-BY-3.0 |" in text
     assert "| one | 1 | CC0 |" in text
