@@ -49,7 +49,7 @@ class KeptResults:
             settings: JSON values that decide rows and cards.
         """
         self._folder = folder
-        self._made_with = [code_digest(), jsonio.to_json(settings)]
+        self._made_with = [package_digest(), jsonio.to_json(settings)]
 
     def find(self, method: str, object_id: str, sources: Sequence[Path]) -> Kept | None:
         """Return the stored measurement of a completion; None = there is none that is still valid.
@@ -99,7 +99,7 @@ class KeptResults:
         return [*self._made_with, [sha256_of(path) for path in files]]
 
 
-def code_digest() -> str:
+def package_digest() -> str:
     """Return the digest of this package's code, in hexadecimal."""
     root = Path(gscomplete.__path__[0])
     digest = hashlib.sha256()

@@ -141,14 +141,17 @@ def _scanned_object(path: Path, entry: Entry) -> Splats:
     cloud = read_scan(path).cloud
     if cloud.labels is None:
         raise UserError(f"{path}: real object {entry.name}: expected a label field, found none")
-    rotation = level_rotation(cloud.select(np.flatnonzero(cloud.labels // 10 == 0)).points)
+    table = cloud.select(np.flatnonzero(cloud.labels // 10 == 0))
+    rotation = rotation_from_table_points(table.points)
     chosen: PointCloud = cloud.select(np.flatnonzero(cloud.labels // 10 == entry.label))
     if len(chosen) == 0:
         raise UserError(f"{path}: real object {entry.name}: no point has label {entry.label}x")
     return points_to_splats(chosen.points @ rotation.T, chosen.colors)
 
 
-def level_rotation(table: NDArray[np.floating]) -> NDArray[np.floating]:  # [N, 3] -> [3, 3]
+def rotation_from_table_points(
+    table: NDArray[np.floating],  # [N, 3]
+) -> NDArray[np.floating]:  # [3, 3]
     """Return the rotation that makes a table horizontal: z away from it, x to the right.
 
     The table is the plane through the middle of its points (outliers dropped twice); up is the

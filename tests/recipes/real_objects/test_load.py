@@ -15,10 +15,10 @@ from recipes.real_objects.catalogue import ENTRIES, BoxCut, Entry, PlaneCut, Sca
 from recipes.real_objects.load import (
     cut_object,
     find,
-    level_rotation,
     load_real_object,
     manifest_captions,
     names,
+    rotation_from_table_points,
 )
 from tests.builders.objects import box
 
@@ -93,7 +93,7 @@ def test_tables_become_level(pitch_deg: float, roll_deg: float, seed: int) -> No
     table = -0.8 * normal + rng.uniform(-1, 1, (3000, 2)) @ np.stack([first, second])
     table += rng.normal(0, 0.003, table.shape)
     table[:60] += 0.4 * normal  # something stands on it
-    rotation = level_rotation(table)
+    rotation = rotation_from_table_points(table)
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(rotation) == pytest.approx(1.0)
     assert rotation[2] @ normal > 0.9999
