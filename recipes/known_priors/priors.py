@@ -21,7 +21,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from gscomplete.priors.base import Conditioning, FourViews, Guidance
-from gscomplete.priors.latent.guidance import NoiseSchedule, ddim, rescaled, x0_loss
+from gscomplete.priors.ddim import ddim
+from gscomplete.priors.latent.guidance import NoiseSchedule, rescaled, x0_loss
 from gscomplete.priors.latent.prior import draw_background, matte
 from gscomplete.priors.mvdream.prior import MVDREAM_VIEWS
 from gscomplete.render import render
@@ -142,7 +143,8 @@ class KnownPrior:
         def clean_at(x_t: Tensor, now: int) -> Tensor:
             return self._denoised(x_t, now, views.cameras, background, scales, generator)
 
-        clean = ddim(self._schedule, clean_at, noisy, start, num_steps)
+        times = self._schedule.steps(start, num_steps)
+        clean = ddim(clean_at, self._schedule.scales, noisy, times)
         unit = (clean * 0.5 + 0.5).clamp(0, 1)
         if not self._strength.sees_alpha:
             return matte(unit)

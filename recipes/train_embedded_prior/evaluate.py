@@ -28,11 +28,12 @@ from PIL import Image
 from torch import Tensor
 
 from gscomplete.errors import UserError
+from gscomplete.priors.ddim import ddim, even_times
 from gscomplete.priors.embedded.diffusion import (
     NUM_TIMESTEPS,
     add_noise,
-    ddim,
     guided_x0,
+    scales_like,
     velocity,
     x0_from_v,
 )
@@ -135,7 +136,8 @@ def sample_sets(
         )
         return x0.clamp(-1, 1)
 
-    return ddim(x0_at, noise, float(NUM_TIMESTEPS - 1), num_steps)
+    times = even_times(float(NUM_TIMESTEPS - 1), num_steps)
+    return ddim(x0_at, scales_like(noise), noise, times)
 
 
 def save_sample_sheet(

@@ -1,4 +1,4 @@
-"""Noise schedule, conversions between x0, noise and v, guidance and DDIM.
+"""Noise schedule, conversions between x0, noise and v, and guidance.
 
 Conventions
 -----------
@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from itertools import pairwise
 
 import torch
 from torch import Tensor
@@ -47,12 +46,6 @@ def x0_from_v(x_t: Tensor, v: Tensor, timestep: Tensor) -> Tensor:
     """Return the clean image that v implies."""
     alpha, sigma = _scales(timestep, x_t)
     return alpha * x_t - sigma * v
-
-
-def noise_from_x0(x_t: Tensor, x0: Tensor, timestep: Tensor) -> Tensor:
-    """Return the noise that a (possibly clamped or guided) clean image implies."""
-    alpha, sigma = _scales(timestep, x_t)
-    return (x_t - alpha * x0) / sigma
 
 
 def loss_weight(timestep: Tensor) -> Tensor:
@@ -117,35 +110,9 @@ def guided_x0(
     return result
 
 
-def ddim(
-    x0_at: Callable[[Tensor, float], Tensor],
-    x_t: Tensor,
-    timestep: float,
-    num_steps: int,
-) -> Tensor:
-    """Denoise deterministically from ``timestep`` to a clean image.
-
-    Args:
-        x0_at: denoiser, (x_t, t) to x0.
-        x_t: noisy images at ``timestep``.
-        timestep: where to start.
-        num_steps: calls of the denoiser, spaced evenly in t.
-
-    Returns:
-        The last x0.
-
-    Raises:
-        ValueError: ``num_steps`` is below 1.
-    """
-    if num_steps < 1:
-        raise ValueError(f"ddim: expected num_steps >= 1, found {num_steps}")
-    times = [timestep * (1 - k / num_steps) for k in range(num_steps)]
-    x0 = x0_at(x_t, timestep)
-    for now, then in pairwise(times):
-        noise = noise_from_x0(x_t, x0, x_t.new_tensor(now))
-        x_t = add_noise(x0, noise, x_t.new_tensor(then))
-        x0 = x0_at(x_t, then)
-    return x0
+def scales_like(x_t: Tensor) -> Callable[[float], tuple[Tensor, Tensor]]:
+    """Return the schedule for ``ddim``: signal and noise scales at a timestep, on x_t's device."""
+    return lambda timestep: _scales(x_t.new_tensor(timestep), x_t)
 
 
 def _scales(timestep: Tensor, like: Tensor) -> tuple[Tensor, Tensor]:

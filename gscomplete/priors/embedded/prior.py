@@ -27,12 +27,9 @@ from gscomplete.errors import UserError
 from gscomplete.framing.cut_plane import find_cut
 from gscomplete.networks.precision import Precision, is_bfloat16, is_in_bytes
 from gscomplete.priors.base import Conditioning, FirstGuess, FourViews, Guidance, PriorViews
+from gscomplete.priors.ddim import ddim, even_times
 from gscomplete.priors.embedded.conditioning import EmbeddedConditioning, about_partial
-from gscomplete.priors.embedded.diffusion import (
-    NUM_TIMESTEPS,
-    add_noise,
-    ddim,
-)
+from gscomplete.priors.embedded.diffusion import NUM_TIMESTEPS, add_noise, scales_like
 from gscomplete.priors.embedded.ending import ending_of, ends_in_plane, mirror_of_half
 from gscomplete.priors.embedded.inputs import images_to_color_alpha, network_images
 from gscomplete.priors.embedded.int8 import in_bytes
@@ -302,7 +299,12 @@ class EmbeddedPrior:
         task = self._task(views, conditioning, input_views, guidance)
         start = self._checked(min(timestep, NUM_TIMESTEPS - 1.0))
         noisy = add_noise(images, self._noise(images, generator), images.new_tensor(start))
-        clean = ddim(lambda x_t, at: self._denoise(task, x_t, at), noisy, start, num_steps)
+        clean = ddim(
+            lambda x_t, at: self._denoise(task, x_t, at),
+            scales_like(noisy),
+            noisy,
+            even_times(start, num_steps),
+        )
         color, alpha = images_to_color_alpha(clean)
         return color.to(views.color.device), alpha.to(views.color.device)
 

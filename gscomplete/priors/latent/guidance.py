@@ -12,13 +12,13 @@ Conventions
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Literal
 
 import torch
 from torch import Tensor
+
+from gscomplete.priors.ddim import even_times
 
 Prediction = Literal["epsilon", "v_prediction"]
 
@@ -46,6 +46,14 @@ class NoiseSchedule:
         alpha_bar = self.alphas_bar[timestep]
         return alpha_bar**0.5, (1 - alpha_bar) ** 0.5
 
+    def steps(self, start: int, num_steps: int) -> list[int]:
+        """Return timesteps that fall from ``start`` about evenly, for ``ddim``.
+
+        Raises:
+            ValueError: ``num_steps`` is below 1.
+        """
+        return [round(timestep) for timestep in even_times(start, num_steps)]
+
     def add_noise(self, clean: Tensor, noise: Tensor, timestep: int) -> Tensor:
         """Return x_t."""
         a, s = self.scales(timestep)
@@ -62,31 +70,6 @@ class NoiseSchedule:
         """Return x0, the clean latents that predicted noise implies."""
         a, s = self.scales(timestep)
         return (noisy - s * noise) / a
-
-
-def ddim(
-    schedule: NoiseSchedule,
-    clean_at: Callable[[Tensor, int], Tensor],
-    noisy: Tensor,
-    start: int,
-    num_steps: int,
-) -> Tensor:
-    """Denoise deterministically from a timestep to a clean image (Song et al. 2021).
-
-    Args:
-        schedule: how much of the image is left at every timestep.
-        clean_at: denoiser, (x_t, timestep) to x0.
-        noisy: x_t at ``start``.
-        start: timestep.
-        num_steps: calls of the denoiser, evenly spaced.
-    """
-    times = [round(start * (1 - k / num_steps)) for k in range(num_steps)]
-    clean = clean_at(noisy, start)
-    for now, then in pairwise(times):
-        a, s = schedule.scales(now)
-        noisy = schedule.add_noise(clean, (noisy - a * clean) / s, then)
-        clean = clean_at(noisy, then)
-    return clean
 
 
 def guided_noise(conditional: Tensor, unconditional: Tensor, scale: float) -> Tensor:

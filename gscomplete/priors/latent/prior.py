@@ -22,9 +22,9 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from gscomplete.priors.base import Conditioning, FourViews, Guidance, PriorViews
+from gscomplete.priors.ddim import ddim
 from gscomplete.priors.latent.guidance import (
     NoiseSchedule,
-    ddim,
     epsilon_loss,
     guided_noise,
     rescaled,
@@ -196,7 +196,7 @@ class LatentPrior:
             guided, conditional = self._predict(x_t, now, conditioning, views.cameras, scales)
             return self._clean(x_t, guided, conditional, now, scales, center)
 
-        clean = ddim(schedule, clean_at, noisy, start, num_steps)
+        clean = ddim(clean_at, schedule.scales, noisy, schedule.steps(start, num_steps))
         images = (self._codec.decode(clean) * 0.5 + 0.5).clamp(0, 1)
         color, alpha = matte(images)
         return color.to(views.color.device), alpha.to(views.color.device)
