@@ -87,5 +87,7 @@ def simulated_gpu() -> Iterator[torch.device]:
                 mock.patch.object(torch.cuda, name, lambda *a, value=value, **k: value)
             )
         stack.enter_context(torch.no_grad())
+        # autograd on a device that is not there ends the process, so nobody may turn it on again
+        stack.enter_context(mock.patch.object(torch, "enable_grad", torch.no_grad))
         stack.enter_context(FakeTensorMode(allow_non_fake_inputs=True))
         yield GPU
