@@ -22,7 +22,22 @@ from torch import Tensor
 
 from gscomplete.errors import UserError
 from gscomplete.priors.base import PriorViews
+from gscomplete.priors.latent.folders import (
+    find_tensor_file,
+    read_text_config,
+    read_vae_config,
+    text_part,
+    vae_part,
+)
 from gscomplete.priors.latent.guidance import NoiseSchedule
+from gscomplete.priors.latent.networks import (
+    VAEConfig,
+    build_text_tower,
+    build_vae,
+    load_strictly,
+    require,
+)
+from gscomplete.priors.latent.on_device import deciding_settings, prepare, prepare_codec
 from gscomplete.priors.latent.prior import (
     VIEWS,
     LatentModel,
@@ -31,19 +46,9 @@ from gscomplete.priors.latent.prior import (
     default_guidance,
 )
 from gscomplete.priors.latent.settings import LatentPriorSettings, memory_plan, unet_dtype
+from gscomplete.priors.latent.tensor_files import TensorFile, check_tensors, fingerprint
 from gscomplete.priors.latent.text import PromptEncoder, cache_home
 from gscomplete.priors.latent.tokenizer import END_ID, OPEN_CLIP_PAD_ID, Tokenizer
-from gscomplete.priors.mvdream.config import PUBLISHED
-from gscomplete.priors.mvdream.folders import (
-    find_tensor_file,
-    read_text_config,
-    read_vae_config,
-    text_part,
-    vae_part,
-)
-from gscomplete.priors.mvdream.model import build_text_tower, build_vae, load_strictly, require
-from gscomplete.priors.mvdream.prior import deciding_settings, prepare, prepare_codec
-from gscomplete.priors.mvdream.tensor_files import TensorFile, check_tensors, fingerprint
 from gscomplete.util.jsonio import read_json
 from gscomplete.views import Cameras
 
@@ -201,7 +206,7 @@ def _load_unet(folder: Path) -> tuple[Any, Path]:
                 f"{path}: {name}: expected a plain text-to-image model (Stable Diffusion 1.x or "
                 f"2.x), found {data[name]!r}"
             )
-    expected_in = PUBLISHED.vae.latent_channels
+    expected_in = VAEConfig().latent_channels
     if data.get("in_channels", 4) != expected_in:
         raise UserError(
             f"{path}: in_channels: expected {expected_in}, found {data['in_channels']} (an "

@@ -35,10 +35,11 @@ from gscomplete.completion.optimise import Optimisation
 from gscomplete.completion.presets import PAPER
 from gscomplete.completion.start import start_splats
 from gscomplete.priors.base import FourViews, PriorViews
+from gscomplete.priors.latent.networks import VAEConfig, build_vae
 from gscomplete.priors.latent.prior import LatentConditioning, LatentPrior
 from gscomplete.priors.latent.settings import Compile, LatentPriorSettings, Memory
-from gscomplete.priors.mvdream.config import PUBLISHED, MVDreamConfig, UNetConfig, VAEConfig
-from gscomplete.priors.mvdream.model import MultiViewUNet, build_unet, build_vae
+from gscomplete.priors.mvdream.config import PUBLISHED, MVDreamConfig, UNetConfig
+from gscomplete.priors.mvdream.model import MultiViewUNet, build_unet
 from gscomplete.priors.mvdream.prior import MVDREAM_VIEWS, mvdream_prior
 from gscomplete.render import render
 from gscomplete.render.dispatch import choose_render_device

@@ -10,8 +10,9 @@ from torch import Tensor
 
 from gscomplete.priors.base import PriorViews
 from gscomplete.priors.latent.guidance import NoiseSchedule
+from gscomplete.priors.latent.networks import TextConfig, VAEConfig
 from gscomplete.priors.mvdream import keys
-from gscomplete.priors.mvdream.config import MVDreamConfig, TextConfig, UNetConfig, VAEConfig
+from gscomplete.priors.mvdream.config import MVDreamConfig, UNetConfig
 from gscomplete.priors.mvdream.weights import COMPONENTS, expected_original
 from gscomplete.util.jsonio import to_json, write_json
 

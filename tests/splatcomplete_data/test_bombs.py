@@ -17,7 +17,7 @@ import pytest
 import torch
 
 from gscomplete.errors import UserError
-from gscomplete.priors.mvdream.tensor_files import _read_torch
+from gscomplete.priors.latent.tensor_files import _read_torch
 from gscomplete.splats.formats.any_file import read_any_splats, write_any_splats
 from gscomplete.splats.formats.spz import check_spz_size
 from splatcomplete_data.mesh.files.load import load_mesh

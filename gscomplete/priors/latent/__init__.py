@@ -1,1 +1,1 @@
-"""What latent diffusion priors share: codec, prompt encoder, guidance, distillation, settings."""
+"""What latent diffusion priors share: networks and files, codec, prompts, guidance, settings."""

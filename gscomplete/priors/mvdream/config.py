@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from gscomplete.errors import UserError
+from gscomplete.priors.latent.networks import TextConfig, VAEConfig
 from gscomplete.util.jsonio import from_json
 
 _NO_SIZES = ("image_size", "use_checkpoint", "use_fp16")
@@ -106,40 +107,6 @@ class UNetConfig:
                     f"found {found}"
                 )
         return from_json(cls, {**_as_json(cls()), **kept}, source)
-
-
-@dataclass(frozen=True, slots=True)
-class VAEConfig:
-    """The autoencoder between pixels and latents: Stable Diffusion's."""
-
-    base_channels: int = 128
-    channel_mult: tuple[int, ...] = (1, 2, 4, 4)
-    num_res_blocks: int = 2
-    """Residual blocks per level of the encoder; the decoder has one more."""
-    latent_channels: int = 4
-    norm_groups: int = 32
-    scaling_factor: float = 0.18215
-    """Latents are the posterior's samples times this."""
-
-    @property
-    def widths(self) -> tuple[int, ...]:
-        """Channels of each level."""
-        return tuple(self.base_channels * factor for factor in self.channel_mult)
-
-
-@dataclass(frozen=True, slots=True)
-class TextConfig:
-    """The text tower: OpenCLIP ViT-H-14, read after its penultimate block and the final norm."""
-
-    width: int = 1024
-    heads: int = 16
-    layers: int = 23
-    """Blocks that are run; the original file holds one more, which is never used."""
-    mlp_width: int = 4096
-    vocabulary_size: int = 49408
-    length: int = 77
-    hidden_act: str = "gelu"
-    """``gelu`` is the exact one; CLIP-L's towers use ``quick_gelu``."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,11 +12,10 @@ Conventions
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 
-from torch import Tensor
-
-from gscomplete.priors.mvdream.config import TextConfig, UNetConfig
+from gscomplete.priors.latent.networks import TextConfig
+from gscomplete.priors.latent.tensor_files import Source
+from gscomplete.priors.mvdream.config import UNetConfig
 
 PREFIXES = {
     "unet": "model.diffusion_model.",
@@ -74,30 +73,6 @@ _TEXT_BLOCK = (
     ("self_attn.out_proj", "attn.out_proj"),
 )
 _QKV = ("q_proj", "k_proj", "v_proj")
-
-
-@dataclass(frozen=True, slots=True)
-class Source:
-    """Where a tensor of ours comes from."""
-
-    name: str
-    """Original name, without prefix."""
-    third: int | None = None
-    """Which third of the first axis (stacked q, k, v); None = all of it."""
-    squeeze: bool = False
-    """Whether the original has two more axes of length 1 (a 1 x 1 kernel for a matrix)."""
-
-    def original_shape(self, shape: tuple[int, ...]) -> tuple[int, ...]:
-        """Return the original's shape for our shape."""
-        if self.third is not None:
-            shape = (3 * shape[0], *shape[1:])
-        return (*shape, 1, 1) if self.squeeze else shape
-
-    def take(self, original: Tensor) -> Tensor:
-        """Return our tensor."""
-        if self.third is not None:
-            original = original.chunk(3)[self.third]
-        return original[:, :, 0, 0] if self.squeeze else original
 
 
 def unet_source(name: str, config: UNetConfig) -> Source:

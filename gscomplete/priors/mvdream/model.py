@@ -1,4 +1,4 @@
-"""MVDream's denoiser, autoencoder and text tower as diffusers and transformers build them.
+"""MVDream's denoiser as diffusers builds it; the other networks are Stable Diffusion's.
 
 Conventions
 -----------
@@ -17,26 +17,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from gscomplete.errors import UserError
+from gscomplete.priors.latent.networks import require
 from gscomplete.priors.mvdream.attention import check_joint_attention, install_joint_attention
-from gscomplete.priors.mvdream.config import TextConfig, UNetConfig, VAEConfig
-
-
-def require(package: str) -> Any:
-    """Import an optional package of the extra ``mvdream``.
-
-    Raises:
-        UserError: it is not installed, or cannot be imported.
-    """
-    import importlib
-
-    try:
-        return importlib.import_module(package)
-    except ImportError as error:
-        raise UserError(
-            f"--prior: diffusion priors need the package {package} ({error}); install the extra "
-            "gscomplete[mvdream]"
-        ) from error
+from gscomplete.priors.mvdream.config import UNetConfig
 
 
 def build_unet(config: UNetConfig) -> Any:
@@ -67,59 +50,6 @@ def build_unet(config: UNetConfig) -> Any:
     )
     install_joint_attention(unet, config.num_views)
     return unet.eval().requires_grad_(False)
-
-
-def build_vae(config: VAEConfig) -> Any:
-    """Build the autoencoder on the current default device."""
-    diffusers = require("diffusers")
-    levels = len(config.widths)
-    vae = diffusers.AutoencoderKL(
-        in_channels=3,
-        out_channels=3,
-        latent_channels=config.latent_channels,
-        block_out_channels=config.widths,
-        layers_per_block=config.num_res_blocks,
-        down_block_types=("DownEncoderBlock2D",) * levels,
-        up_block_types=("UpDecoderBlock2D",) * levels,
-        norm_num_groups=config.norm_groups,
-        act_fn="silu",
-        scaling_factor=config.scaling_factor,
-    )
-    return vae.eval().requires_grad_(False)
-
-
-def build_text_tower(config: TextConfig) -> Any:
-    """Build the text tower on the current default device; its output is ``last_hidden_state``."""
-    transformers = require("transformers")
-    settings = transformers.CLIPTextConfig(
-        vocab_size=config.vocabulary_size,
-        hidden_size=config.width,
-        intermediate_size=config.mlp_width,
-        num_hidden_layers=config.layers,
-        num_attention_heads=config.heads,
-        max_position_embeddings=config.length,
-        hidden_act=config.hidden_act,
-        attn_implementation="sdpa",
-    )
-    return transformers.CLIPTextModel(settings).eval().requires_grad_(False)
-
-
-def load_strictly(module: Any, state: dict[str, Tensor]) -> Any:
-    """Put tensors in place of a meta module's parameters; all of them and nothing else.
-
-    Raises:
-        RuntimeError: the tensors are not exactly those of the module (callers check names and
-            shapes before, in words for users).
-    """
-    module.load_state_dict(state, strict=True, assign=True)
-    for name, buffer in list(module.named_buffers()):
-        if buffer.is_meta and name.endswith("position_ids"):  # not stored in files
-            owner = module.get_submodule(name.rpartition(".")[0])
-            owner.position_ids = torch.arange(buffer.shape[-1]).expand(buffer.shape).clone()
-    left = [n for n, t in (*module.named_parameters(), *module.named_buffers()) if t.is_meta]
-    if left:
-        raise RuntimeError(f"tensors without values after loading: {', '.join(left[:5])}")
-    return module.eval().requires_grad_(False)
 
 
 class MultiViewUNet(torch.nn.Module):

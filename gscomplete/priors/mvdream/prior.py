@@ -11,15 +11,15 @@ Conventions
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from gscomplete.priors.base import Guidance, PriorViews
+from gscomplete.priors.base import PriorViews
 from gscomplete.priors.latent.guidance import NoiseSchedule
+from gscomplete.priors.latent.on_device import deciding_settings, prepare, prepare_codec
 from gscomplete.priors.latent.prior import (
     VIEWS,
     LatentModel,
@@ -27,23 +27,12 @@ from gscomplete.priors.latent.prior import (
     PriorIdentity,
     default_guidance,
 )
-from gscomplete.priors.latent.settings import (
-    LatentPriorSettings,
-    MemoryPlan,
-    memory_plan,
-    unet_dtype,
-    vae_dtype,
-)
+from gscomplete.priors.latent.settings import LatentPriorSettings, memory_plan, unet_dtype
 from gscomplete.priors.latent.text import PromptEncoder, cache_home
 from gscomplete.priors.latent.tokenizer import Tokenizer
-from gscomplete.priors.latent.vae import LatentCodec
 from gscomplete.priors.mvdream.cameras import camera_matrices
-from gscomplete.priors.mvdream.folders import find_tensor_file
 from gscomplete.priors.mvdream.model import MultiViewUNet
-from gscomplete.priors.mvdream.tensor_files import fingerprint
-from gscomplete.priors.mvdream.tiny_vae import load_tiny_vae
 from gscomplete.priors.mvdream.weights import Weights, open_weights
-from gscomplete.util.jsonio import to_json
 from gscomplete.views import Cameras
 
 MVDREAM_VIEWS = PriorViews(
@@ -56,8 +45,6 @@ NEGATIVE_PROMPT = (
     "face, deformed, dehydrated, bad proportions"
 )
 """MVDream-threestudio's and DreamGaussian's, letter for letter."""
-
-_ONLY_SPEED = ("memory", "channels_last", "compile")
 
 
 class MultiViewDenoiser:
@@ -93,50 +80,6 @@ class MultiViewDenoiser:
             matrices.repeat(passes, 1),
         )
         return torch.as_tensor(noise).to(torch.float32, copy=True)
-
-
-def prepare(
-    network: Any, device: torch.device, dtype: torch.dtype, settings: LatentPriorSettings
-) -> Any:
-    """Move a UNet to its device, and on a GPU set its memory format and compile it."""
-    is_gpu = device.type == "cuda"
-    layout = torch.channels_last if is_gpu and settings.channels_last else torch.contiguous_format
-    # torch's own ``to``: diffusers' warns of precisions that this network does not ask for
-    move: Any = torch.nn.Module.to
-    move(network, device=device, dtype=dtype, memory_format=layout)
-    if is_gpu and settings.compile != "off":
-        mode = "reduce-overhead" if settings.compile == "cuda-graphs" else None
-        return torch.compile(network, mode=mode)
-    return network
-
-
-def prepare_codec(
-    vae: Any, device: torch.device, settings: LatentPriorSettings, plan: MemoryPlan
-) -> LatentCodec:
-    """Put an autoencoder on its device as the knobs say, or the tiny one in its place."""
-    chosen = vae if settings.tiny_vae is None else load_tiny_vae(settings.tiny_vae)
-    codec = LatentCodec(
-        chosen,
-        plan,
-        device,
-        vae_dtype(settings.vae_precision, device),
-        channels_last=settings.channels_last and device.type == "cuda",
-    )
-    if settings.compile != "off" and device.type == "cuda":
-        codec.compile()
-    return codec
-
-
-def deciding_settings(
-    settings: LatentPriorSettings, guidance: Guidance, negative_prompt: str
-) -> dict[str, Any]:
-    """Return what decides a result by more than rounding, defaults filled in, as JSON values."""
-    values = dataclasses.asdict(settings)
-    values |= {"guidance": guidance.text_scale, "rescale": guidance.rescale}
-    values["negative_prompt"] = negative_prompt
-    if settings.tiny_vae is not None:  # what it is, wherever it lies
-        values["tiny_vae"] = fingerprint((find_tensor_file(settings.tiny_vae),))
-    return {k: to_json(v) for k, v in values.items() if k not in _ONLY_SPEED}
 
 
 def mvdream_prior(

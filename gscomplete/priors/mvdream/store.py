@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from gscomplete.errors import UserError
+from gscomplete.priors.latent.networks import require
 from gscomplete.priors.latent.text import CACHE_VARIABLE, cache_home
-from gscomplete.priors.mvdream.model import require
 from gscomplete.priors.mvdream.weights import MANIFEST_FILE, open_weights
 from gscomplete.util.digests import sha256_of
 

@@ -23,10 +23,7 @@ from typing import Any, Literal
 import torch
 
 from gscomplete.errors import UserError
-from gscomplete.priors.latent.guidance import NoiseSchedule
-from gscomplete.priors.mvdream import keys
-from gscomplete.priors.mvdream.config import PUBLISHED, MVDreamConfig, UNetConfig
-from gscomplete.priors.mvdream.folders import (
+from gscomplete.priors.latent.folders import (
     Part,
     find_tensor_file,
     read_text_config,
@@ -34,15 +31,18 @@ from gscomplete.priors.mvdream.folders import (
     text_part,
     vae_part,
 )
-from gscomplete.priors.mvdream.keys import Source
-from gscomplete.priors.mvdream.model import (
-    MultiViewUNet,
-    build_text_tower,
-    build_unet,
-    build_vae,
-    load_strictly,
+from gscomplete.priors.latent.guidance import NoiseSchedule
+from gscomplete.priors.latent.networks import build_text_tower, build_vae, load_strictly
+from gscomplete.priors.latent.tensor_files import (
+    Shape,
+    Source,
+    TensorFile,
+    check_tensors,
+    fingerprint,
 )
-from gscomplete.priors.mvdream.tensor_files import Shape, TensorFile, check_tensors, fingerprint
+from gscomplete.priors.mvdream import keys
+from gscomplete.priors.mvdream.config import PUBLISHED, MVDreamConfig, UNetConfig
+from gscomplete.priors.mvdream.model import MultiViewUNet, build_unet
 from gscomplete.util.jsonio import from_json, read_json
 
 MANIFEST_FILE = "gscomplete_mvdream.json"

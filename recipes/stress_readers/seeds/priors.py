@@ -13,9 +13,9 @@ def prior_seeds(folder: Path) -> list[tuple[str, Callable[[Path], object]]]:
     from safetensors.torch import save_file
 
     from gscomplete.priors.diffusers_2d import read_schedule
+    from gscomplete.priors.latent.folders import read_text_config, read_vae_config
+    from gscomplete.priors.latent.tensor_files import TensorFile
     from gscomplete.priors.mvdream.config import UNetConfig
-    from gscomplete.priors.mvdream.folders import read_text_config, read_vae_config
-    from gscomplete.priors.mvdream.tensor_files import TensorFile
     from gscomplete.util.jsonio import read_json
 
     tensors = {"a.weight": torch.ones(3, 4), "b": torch.ones(2)}

@@ -11,12 +11,12 @@ pytest.importorskip("transformers", reason="the extra gscomplete[mvdream] is not
 from gscomplete.errors import UserError
 from gscomplete.priors.base import FourViews, Guidance, prior_identity
 from gscomplete.priors.latent.guidance import NoiseSchedule
+from gscomplete.priors.latent.networks import build_vae
 from gscomplete.priors.latent.prior import draw_background, matte
 from gscomplete.priors.latent.settings import PLANS, LatentPriorSettings, memory_plan
 from gscomplete.priors.latent.tokenizer import Tokenizer
 from gscomplete.priors.mvdream.cameras import camera_matrices
 from gscomplete.priors.mvdream.config import PUBLISHED
-from gscomplete.priors.mvdream.model import build_vae
 from gscomplete.priors.mvdream.prior import NEGATIVE_PROMPT, mvdream_prior
 from gscomplete.priors.mvdream.weights import open_weights
 from gscomplete.views import four_view_orbit

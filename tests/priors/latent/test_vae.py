@@ -5,9 +5,9 @@ import torch
 
 pytest.importorskip("diffusers", reason="the extra gscomplete[mvdream] is not installed")
 
+from gscomplete.priors.latent.networks import build_vae
 from gscomplete.priors.latent.settings import PLANS
 from gscomplete.priors.latent.vae import LatentCodec
-from gscomplete.priors.mvdream.model import build_vae
 from tests.builders.tiny_mvdream import TINY
 
 

@@ -9,10 +9,11 @@ pytest.importorskip("diffusers", reason="the extra gscomplete[mvdream] is not in
 pytest.importorskip("transformers", reason="the extra gscomplete[mvdream] is not installed")
 
 from gscomplete.errors import UserError
+from gscomplete.priors.latent.networks import TextConfig, build_text_tower, build_vae, load_strictly
 from gscomplete.priors.mvdream import keys
 from gscomplete.priors.mvdream.attention import check_joint_attention
-from gscomplete.priors.mvdream.config import PUBLISHED, MVDreamConfig, TextConfig, UNetConfig
-from gscomplete.priors.mvdream.model import build_text_tower, build_unet, build_vae, load_strictly
+from gscomplete.priors.mvdream.config import PUBLISHED, MVDreamConfig, UNetConfig
+from gscomplete.priors.mvdream.model import build_unet
 from gscomplete.priors.mvdream.store import MVDREAM
 from gscomplete.priors.mvdream.weights import COMPONENTS, component_sources, expected_original
 from tests.builders.tiny_mvdream import TINY, component, original_tensors

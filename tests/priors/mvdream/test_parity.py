@@ -16,11 +16,12 @@ pytest.importorskip("transformers", reason="the extra gscomplete[mvdream] is not
 
 from diffusers.models.attention_processor import AttnProcessor2_0
 
+from gscomplete.priors.latent.networks import load_strictly
 from gscomplete.priors.mvdream import keys
 from gscomplete.priors.mvdream.attention import check_joint_attention, install_joint_attention
 from gscomplete.priors.mvdream.cameras import camera_matrices
 from gscomplete.priors.mvdream.config import UNetConfig
-from gscomplete.priors.mvdream.model import MultiViewUNet, build_unet, load_strictly
+from gscomplete.priors.mvdream.model import MultiViewUNet, build_unet
 from gscomplete.views import four_view_orbit
 from tests.builders.tiny_mvdream import random_tensors
 from tests.priors.mvdream import reference

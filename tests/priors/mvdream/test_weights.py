@@ -12,9 +12,9 @@ pytest.importorskip("diffusers", reason="the extra gscomplete[mvdream] is not in
 pytest.importorskip("transformers", reason="the extra gscomplete[mvdream] is not installed")
 
 from gscomplete.errors import UserError
+from gscomplete.priors.latent.tensor_files import TensorFile
 from gscomplete.priors.mvdream import keys
 from gscomplete.priors.mvdream.convert import convert, verify_digests
-from gscomplete.priors.mvdream.tensor_files import TensorFile
 from gscomplete.priors.mvdream.weights import (
     MANIFEST_FILE,
     Weights,

@@ -13,9 +13,9 @@ from typing import Any
 import torch
 
 from gscomplete.errors import UserError
-from gscomplete.priors.mvdream.folders import find_tensor_file
-from gscomplete.priors.mvdream.model import load_strictly, require
-from gscomplete.priors.mvdream.tensor_files import TensorFile, check_tensors
+from gscomplete.priors.latent.folders import find_tensor_file
+from gscomplete.priors.latent.networks import load_strictly, require
+from gscomplete.priors.latent.tensor_files import TensorFile, check_tensors
 from gscomplete.util.jsonio import read_json
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import zipfile
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -26,6 +27,30 @@ Shape = tuple[int, ...]
 TORCH_SUFFIXES = (".pt", ".pth", ".th", ".ckpt", ".bin")
 _SHOWN = 3
 _BLOCKS, _BLOCK_BYTES = 64, 2**16
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Where a tensor of a network is found in a file, and which part of what is there it is."""
+
+    name: str
+    """Name in the file (for MVDream's published file, without prefix)."""
+    third: int | None = None
+    """Which third of the first axis (stacked q, k, v); None = all of it."""
+    squeeze: bool = False
+    """Whether the file's tensor has two more axes of length 1 (a 1 x 1 kernel for a matrix)."""
+
+    def original_shape(self, shape: tuple[int, ...]) -> tuple[int, ...]:
+        """Return the shape in the file for the network's shape."""
+        if self.third is not None:
+            shape = (3 * shape[0], *shape[1:])
+        return (*shape, 1, 1) if self.squeeze else shape
+
+    def take(self, original: Tensor) -> Tensor:
+        """Return the network's tensor."""
+        if self.third is not None:
+            original = original.chunk(3)[self.third]
+        return original[:, :, 0, 0] if self.squeeze else original
 
 
 class TensorFile:

@@ -19,9 +19,8 @@ from typing import Any
 from torch import Tensor
 
 from gscomplete.errors import UserError
-from gscomplete.priors.mvdream.config import TextConfig, VAEConfig
-from gscomplete.priors.mvdream.keys import Source
-from gscomplete.priors.mvdream.tensor_files import TensorFile, check_tensors
+from gscomplete.priors.latent.networks import TextConfig, VAEConfig
+from gscomplete.priors.latent.tensor_files import Source, TensorFile, check_tensors
 from gscomplete.util.jsonio import read_json
 
 _OLD_ATTENTION = (("to_q", "query"), ("to_k", "key"), ("to_v", "value"), ("to_out.0", "proj_attn"))
@@ -37,7 +36,7 @@ class Part:
 
     file: TensorFile
     sources: dict[str, Source]
-    """Our name to the tensor in the file (full name there)."""
+    """By the network's name of a tensor; the name in the file is the full one."""
 
     def state(self) -> dict[str, Tensor]:
         """Read all tensors under our names."""
