@@ -63,7 +63,7 @@ def run(options: RenderOptions) -> int:
     from PIL import Image
 
     from gscomplete.render import render
-    from gscomplete.splats.filters import usable_rows
+    from gscomplete.splats.filters import reason_in_words, usable_rows
     from gscomplete.splats.formats.any_file import read_any_splats
     from gscomplete.splats.transform import transform_splats
     from gscomplete.util.atomic import atomic_path
@@ -92,7 +92,7 @@ def run(options: RenderOptions) -> int:
     if not bool(usable.any()):
         raise UserError(f"{drawable.file}: expected splats that can be drawn, found none")
     for reason, count in left_out.items():
-        print(f"{count:,} splats not drawn: {reason.replace('_', ' ')}", file=sys.stderr)
+        print(f"{count:,} splats not drawn: {reason_in_words(reason)}", file=sys.stderr)
     splats = splats.select(usable)
     frame = given or ObjectFrame.without_floaters(splats, up)
     outside = frame.count_outside(splats, _SHOWN / 2)

@@ -58,9 +58,14 @@ def usable_rows(splats: Splats) -> tuple[Tensor, dict[str, int]]:  # [N] bool
     return keep, counts
 
 
+def reason_in_words(reason: str) -> str:
+    """Return a reason to drop rows as text for users; JSON has the reason itself."""
+    return reason.replace("_", " ")
+
+
 def in_words(counts: dict[str, int]) -> str:
     """Return the counts of a filter's reasons as text."""
-    return ", ".join(f"{count:,} {reason.replace('_', ' ')}" for reason, count in counts.items())
+    return ", ".join(f"{count:,} {reason_in_words(reason)}" for reason, count in counts.items())
 
 
 def near_rows(splats: Splats) -> tuple[Tensor, dict[str, int]]:  # [N] bool

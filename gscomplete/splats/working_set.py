@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats
-from gscomplete.splats.filters import usable_rows
+from gscomplete.splats.filters import in_words, reason_in_words, usable_rows
 from gscomplete.splats.thinning import thinned
 from gscomplete.splats.transform import Similarity
 from gscomplete.util.randomness import generator_for
@@ -33,7 +33,8 @@ class WorkingSet:
     total: int
     """Splats in the file."""
     unusable: dict[str, int]
-    """Rows that cannot be drawn or are no part of the object, by reason."""
+    """How many rows are left out for each reason: those of ``usable_rows`` for rows that cannot be
+    drawn, and ``far_outside_the_object``."""
     thinned: int
     """Splats left out because there were more than the limit."""
 
@@ -48,7 +49,10 @@ class WorkingSet:
     def summary(self) -> str:
         """Describe the choice in one line."""
         parts = [f"{len(self.splats):,} of {self.total:,} splats of P are used"]
-        parts += [f"{count:,} left out ({reason})" for reason, count in self.unusable.items()]
+        parts += [
+            f"{count:,} left out ({reason_in_words(reason)})"
+            for reason, count in self.unusable.items()
+        ]
         if self.thinned:
             parts.append(f"{self.thinned:,} thinned out, the others enlarged to match")
         return "; ".join(parts)
@@ -67,10 +71,9 @@ def working_set(partial: Splats, limit: int | None, path: str) -> WorkingSet:
     """
     usable, reasons = usable_rows(partial)
     if not bool(usable.any()):
-        found = "; ".join(f"{reason}: {count}" for reason, count in reasons.items())
         raise UserError(
             f"{path}: expected at least one splat that can be drawn, found none of "
-            f"{len(partial)} ({found or 'no splats'})"
+            f"{len(partial)} ({in_words(reasons) or 'no splats'})"
         )
     splats = partial if bool(usable.all()) else partial.select(usable)
     count = len(splats)
@@ -87,5 +90,5 @@ def without_strays(working: WorkingSet, object_from_file: Similarity) -> Working
     count = int(stray.sum())
     if not 0 < count <= _MOST_STRAYS * len(stray):
         return working
-    reasons = {**working.unusable, "far outside the object": count}
+    reasons = {**working.unusable, "far_outside_the_object": count}
     return dataclasses.replace(working, splats=working.splats.select(~stray), unusable=reasons)

@@ -29,8 +29,9 @@ def test_unusable_rows_are_left_out_with_a_reason():
     chosen = working_set(dataclasses.replace(splats, means=means), None, "p.ply")
     assert len(chosen.splats) == 9
     assert chosen.unusable == {"non_finite_mean": 1}
+    assert chosen.summary == "9 of 10 splats of P take part; 1 left out (non finite mean)"
     nothing = dataclasses.replace(splats, means=means * torch.nan)
-    with pytest.raises(UserError, match=r"p\.ply: expected at least one splat"):
+    with pytest.raises(UserError, match=r"p\.ply: .* found none of 10 \(10 non finite mean\)"):
         working_set(nothing, None, "p.ply")
 
 
@@ -43,5 +44,6 @@ def test_a_few_splats_far_outside_the_object_are_left_out(strays, left_out):
         working_set(concatenate([away, splats]), None, "p.ply"), frame.object_from_file
     )
     assert len(chosen.splats) == 1000 + strays - left_out
-    assert chosen.unusable == ({"far outside the object": left_out} if left_out else {})
+    assert chosen.unusable == ({"far_outside_the_object": left_out} if left_out else {})
+    assert ("15 left out (far outside the object)" in chosen.summary) == bool(left_out)
     assert chosen.total == 1000 + strays
