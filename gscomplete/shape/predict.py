@@ -1,12 +1,13 @@
-"""The shape network's answer about one object.
+"""Ask the shape network about one object.
 
-Look at P, choose its mirror images, ask, and doubt what lies beside outlines that are whole.
+P is voxelized, its mirror images are chosen, the network is asked, and the logits of cells that lie
+beside a whole outline are lowered.
 
 Conventions
 -----------
-* Half of the answers that are averaged are to the prompt and half to none: of objects that the
-  network has not met, what a word adds is as often wrong as right, and one answer's errors are not
-  the other's.
+* Half of the answers that are averaged are given with the prompt and half without. For objects that
+  the network has not learned from, what a word adds is as often wrong as right, and answers with
+  and without the prompt make different errors.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from gscomplete.util.stages import stage
 from gscomplete.views import ViewDistribution
 
 _EMPTY_LOGIT = -4.0
-"""Cells below count as filled at no level that is in use."""
+"""Cells with a smaller logit count as empty at every level that is in use."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,16 +42,16 @@ class Prediction:
 
     voxels: PartialVoxels
     seen: ShapeInputs
-    """What the network was given of P."""
+    """The network's input."""
     output: ShapeOutput
     """Its answer, for a batch of one."""
     symmetry_score: float
-    """Of the first mirror image; see ``symmetry_choice.Choice``."""
+    """Score of the first mirror image; see ``symmetry_choice.Choice``."""
     ends_in_plane: bool
-    """Whether P was cut along a plane, as far as found."""
+    """Whether P was cut along a plane, as far as ``framing.cut_plane`` finds."""
     prompt_share: float | None
-    """Of the cells that are filled by the answer or by what it is without the prompt, how many are
-    filled by one of the two alone; None = no prompt."""
+    """Share of the cells filled with or without the prompt that only one of the two fills; None =
+    there is no prompt."""
     added: FloatArray | None = None  # [len(benefit.OF_ANSWERS)]
     """What all answers add to P; None = the mirror image was given."""
 
@@ -73,10 +74,10 @@ def predict(
         partial: P in the object frame.
         distribution: V.
         tokens: the prompt.
-        no_tokens: no prompt.
-        ends_in_plane: whether P was cut along a plane, as far as found (``framing.cut_plane``).
-        bfloat16: precision of the network.
-        mirror_plane: which plane of symmetry to show first.
+        no_tokens: tokens that stand for no prompt.
+        ends_in_plane: whether P was cut along a plane, as far as ``framing.cut_plane`` finds.
+        bfloat16: whether the network computes in bfloat16.
+        mirror_plane: plane of symmetry whose image is shown first.
     """
     with stage("voxels"):
         voxels = voxelize_partial(partial, distribution)
@@ -113,7 +114,7 @@ def _doubted_beside(
     distribution: ViewDistribution,
     ends_in_plane: bool,
 ) -> ShapeOutput:
-    """Lower the logits of cells beside P where its outline is the object's, and in its holes."""
+    """Lower the logits of cells outside outlines of P that are the object's, and in P's holes."""
     logits = answer.occupancy.flatten()
     possible = (logits > _EMPTY_LOGIT).nonzero()[:, 0]
     places = cell_centers(CELLS).reshape(-1, 3)[possible.numpy()]
@@ -134,6 +135,6 @@ def differing_share(
     one: Tensor,  # logits
     other: Tensor,  # logits, of the same shape
 ) -> float:  # in [0, 1]
-    """Return how many of the cells that either fills are filled by one alone."""
+    """Return the share of the cells filled by at least one of two answers that only one fills."""
     either = int(((one > 0) | (other > 0)).sum())
     return int(((one > 0) != (other > 0)).sum()) / max(either, 1)

@@ -1,11 +1,12 @@
-"""Splats on the surface that the shape network predicts.
+"""Cover the surface that the shape network predicts with splats.
 
 Conventions
 -----------
-* The surface is where the interpolated occupancy logit crosses a level; outward is where it falls.
-  Cells of thin walls are filled whole, so the surface lies about ``_INWARD`` cells outside the
-  true one: what is new is told that far inside it, and set as deep as ``surface_depth`` says.
-* Splats are flat discs facing outward. Those on surface that P has are left out.
+* The surface is where the interpolated occupancy logit crosses a level. The logit falls outward.
+  The network fills the cells of thin walls whole, so the predicted surface lies about ``_INWARD``
+  cells outside the true one. Whether a point is new is decided ``_INWARD`` cells inside the
+  predicted surface; its splat is then placed at the depth that ``surface_depth`` predicts.
+* Splats are flat discs facing outward. There are none where P has surface already.
 """
 
 from __future__ import annotations
@@ -32,21 +33,24 @@ from gscomplete.splats.thinning import thinned
 from gscomplete.util.nearest import query_nearest
 
 _INWARD = 1.0
-"""In cells. Of 0.3 to 1.3, 0.9 to 1.1 give the best silhouettes on 45 parts of 15 real objects that
-no benchmark uses: .005 better than 0.6 at 256 px, .004 at 128, .002 at 64 (standard error .002)."""
+"""Cells. Of the values 0.3 to 1.3, 0.9 to 1.1 give the best silhouettes on 45 parts of 15 real
+objects that no benchmark uses: .005 better than 0.6 at 256 px, .004 at 128 px and .002 at 64 px
+(standard error .002)."""
 _INWARD_STEPS = 4
-"""Checks on the way in."""
+"""On the way inside, slopes are checked after each of so many equal steps."""
 _SEEDS_PER_CELL = 24
-"""Enough that every place on the surface has a point to choose: with 6, cracks showed at 512 px."""
+"""So many that there is a point to choose everywhere on the surface; with 6, cracks showed at
+512 px."""
 _NEWTON_STEPS = 5
 _FLATNESS = 0.1
 _RIM_NEIGHBOURS = 12
 _LEAST_GAP = 0.004
-"""Object sizes; narrower gaps do not show."""
+"""Gaps narrower than this do not show, object sizes."""
 _ROUNDING = 1e-3
-"""A splat is at least as far away as across the surface, but for rounding; this is more."""
+"""A splat's distance is never less than its distance along the surface, except by a rounding
+error, whose share is smaller than this."""
 _COPY_REACH = 1.2
-"""Cells to a mirror image of P within which a point belongs on it."""
+"""A point belongs on a mirror image of P that is within this distance, cells."""
 _COPY_NEIGHBOURS = 4
 _OPACITY = 0.95
 _OVERLAP = 1.0
@@ -60,21 +64,22 @@ class SurfaceSettings:
     count: int = 8000
     """Most splats."""
     near_partial: float = 0.03
-    """Surface points this near to P's splats are P's own, ..."""
+    """Surface points within this distance of P's splats are P's own, ..."""
     near_rim: float = 0.01
-    """... unless they lie beyond P's rim: there only points this near are. So no gap shows."""
+    """... unless they lie beyond P's rim. There only points within this distance are P's own, so
+    that no gap shows."""
     one_sided: float = 0.7
-    """Of a point beyond the rim, the ``one_sidedness`` of P's nearest splats is larger."""
+    """A point lies beyond the rim if the ``one_sidedness`` of P's nearest splats is larger."""
     gap_spacings: float | None = None
-    """Points with no splat within so many spacings of splats across the surface lie in a gap: they
-    are new however near splats are; None = gaps are left as they are."""
+    """A point lies in a gap if no splat is within so many spacings of the splats, measured along
+    the surface. It is then new, however near splats are; None = gaps are left as they are."""
     least_spacing: float = 0.002
-    """Splats are at least this far apart, however few there are to place."""
+    """Splats are at least this far apart, even if fewer than ``count`` are placed."""
     filled_logit: float = -1.0
-    """Cells with at least this logit count as filled; ``assemble.AssembleSettings`` says from
-    which on for complete objects."""
+    """Cells with at least this logit count as filled; ``assemble.AssembleSettings`` has the level
+    for complete objects."""
     rim_decides: bool = False
-    """Whether colours that are unlike those at P's rim give way to them."""
+    """Whether colours that differ from those at P's rim are replaced by them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +88,7 @@ class SurfacePoints:
 
     points: Tensor  # [N, 3] where the logits cross their level
     normals: Tensor  # [N, 3] outward
-    insets: Tensor  # [N] how far inside they were asked whether they are new
+    insets: Tensor  # [N] how far inside it was decided that they are new
     spacing: float
 
 
@@ -95,15 +100,15 @@ def surface_splats(
     generator: torch.Generator,
     mirrored: Splats | None = None,
 ) -> Splats:
-    """Cover the surface of one object where P does not.
+    """Return splats that cover the surface of one object where P does not.
 
     Args:
         output: of the network for a batch of one.
         inputs: what the network saw.
-        partial: P in the object frame, for colours and to know what is there already.
+        partial: P in the object frame: surface that exists already, and colours.
         settings: knobs.
-        generator: chooses where splats sit.
-        mirrored: other splats that are there already, which then lend colours too; None = none.
+        generator: chooses where splats are placed.
+        mirrored: further splats that exist already and are a source of colours; None = none.
     """
     anchor = thinned(partial, 20_000, generator)
     there = anchor.means if mirrored is None else torch.cat([anchor.means, mirrored.means])
@@ -135,11 +140,11 @@ def new_surface(
     settings: SurfaceSettings,
     generator: torch.Generator,
 ) -> SurfacePoints:
-    """Return the predicted surface where nothing is yet.
+    """Return the predicted surface where there are no splats yet.
 
     Args:
         output: of the network for a batch of one.
-        there: splats that are there already.
+        there: centres of the splats that exist already.
         settings: knobs.
         generator: chooses where points lie.
     """
@@ -163,15 +168,15 @@ def on_copies(
 ) -> Tensor:  # [N, 3]
     """Move points along their normals onto the mirror image of P that passes near them, if any.
 
-    Cells are coarse; where the network follows a copy, the copy's own splats say exactly where the
-    surface is. The likelier copy goes first.
+    Cells are coarse. Where the network follows a mirror image, the image's splats show exactly
+    where the surface is. If two images are near, the likelier one counts.
     """
     tree = cKDTree(others.numpy())
     moved, free = points.clone(), torch.arange(len(points))
     nearest = range(1, min(_COPY_NEIGHBOURS, len(others)) + 1)
     reach = _COPY_REACH * CELL_SIDE
     for symmetry in inputs.symmetries:
-        # What is farther comes back as infinitely far, in a fraction of the time of looking it up.
+        # Neighbours beyond the bound are returned as infinitely far, which makes queries faster.
         distance, index = tree.query(
             symmetry.undo(points[free].numpy()), k=nearest, distance_upper_bound=reach
         )
@@ -188,7 +193,7 @@ def on_copies(
 
 
 def _seeds(logits: Tensor, generator: torch.Generator) -> Tensor:  # [N, 3]
-    """Draw points in the cells about the surface."""
+    """Draw points in the cells on both sides of the surface."""
     filled = (logits > 0).float()[None]
     mixed = grown(filled) - (1 - grown(1 - filled))
     cells = torch.nonzero(mixed[0] > 0).repeat(_SEEDS_PER_CELL, 1).float()
@@ -197,7 +202,7 @@ def _seeds(logits: Tensor, generator: torch.Generator) -> Tensor:  # [N, 3]
 
 
 def _field(logits: Tensor) -> Tensor:  # [C, C, C] -> [4, C, C, C]
-    """Return the logits, half smoothed, and their slopes."""
+    """Return the mean of the logits and the smoothed logits, and its slopes."""
     smooth = F.avg_pool3d(logits[None], 3, 1, 1, count_include_pad=False)[0]
     field = 0.5 * (logits + smooth)
     return torch.stack([field, *torch.gradient(field, spacing=CELL_SIDE)])
@@ -221,7 +226,10 @@ def _project(field: Tensor, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _insets(field: Tensor, points: Tensor, normals: Tensor) -> Tensor:  # [N]
-    """Return how far inside to go, but not past the axis of a thin rod, where the logits fall."""
+    """Return how far inside each point to decide whether it is new.
+
+    This is ``_INWARD`` cells, or up to the axis of a thinner rod, beyond which the logits fall.
+    """
     step = _INWARD / _INWARD_STEPS * CELL_SIDE
     insets, rises = torch.zeros(len(points)), torch.ones(len(points), dtype=torch.bool)
     for _ in range(_INWARD_STEPS):
@@ -234,10 +242,10 @@ def _insets(field: Tensor, points: Tensor, normals: Tensor) -> Tensor:  # [N]
 def _spread(
     points: Tensor, normals: Tensor, settings: SurfaceSettings, generator: torch.Generator
 ) -> tuple[Tensor, float]:  # [K]
-    """Return which points to keep, at most ``settings.count``, evenly spread, and their spacing.
+    """Choose at most ``settings.count`` evenly spread points; return them and their spacing.
 
-    One point is kept per cell of a grid whose side is searched for; points that face opposite ways
-    are kept apart, so that thin walls stay double.
+    One point is kept per cell of a grid, whose side is found by bisection. Points that face
+    opposite ways are kept separately, so that thin walls have both sides.
     """
     order = torch.randperm(len(points), generator=generator)
     points, normals = points[order], normals[order]
@@ -255,7 +263,7 @@ def _spread(
 
 
 def _one_per_cell(points: Tensor, normals: Tensor, side: float) -> Tensor:  # [K]
-    """Return the index of the first point of every grid cell and facing."""
+    """Return the index of the first point of each grid cell that faces one way or the other."""
     cells = torch.floor((points + 1.0) / side).long()
     facing = (normals @ torch.tensor([0.9, 0.35, 0.25]) > 0).long()
     keys = ((cells[:, 0] * 4096 + cells[:, 1]) * 4096 + cells[:, 2]) * 2 + facing
@@ -270,13 +278,19 @@ def is_missing(
     others: Tensor,  # [M, 3]
     settings: SurfaceSettings,
 ) -> Tensor:  # [N] bool
-    """Mark the points of a surface that others do not have: away from them, or beyond their rim.
+    """Mark the points of a surface that are far from other points, beyond their rim or in a gap.
 
-    Beyond the rim the nearest splats all lie to one side, within the surface all around. Only
-    points near others are asked about that, and of these only those that the answer can matter to.
+    Beyond the rim the nearest of the others all lie to one side; within their surface they lie all
+    around. This is computed only for points near others, and only where it can change the result.
+
+    Args:
+        points: of the surface.
+        normals: outward normals of the points.
+        others: points of the surface that exists already.
+        settings: limits.
     """
     tree = cKDTree(others.numpy())
-    # What is farther comes back as infinitely far, in a fraction of the time of looking it up.
+    # Neighbours beyond the bound are returned as infinitely far, which makes queries faster.
     within = math.nextafter(settings.near_partial, math.inf)
     distance, _ = query_nearest(tree, points.numpy(), within=within)
     missing = torch.from_numpy(distance > settings.near_partial)

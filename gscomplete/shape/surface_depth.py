@@ -1,13 +1,14 @@
-"""How far inside the predicted surface the true one lies: a small network along the way in.
+"""Predict with a small network how far inside the predicted surface the true one lies.
 
-Where the network is sure the logits fall steeply, and the surface is where they do; where it is not
-they fall slowly, and thin walls are filled whole. How logits run along the normal, and where P and
-its mirror images lie there, tell how deep the surface is; a small network has learned that from
-parts of meshes whose truth is known (``recipes/train_embedded_prior``).
+Where the shape network is certain, its logits fall steeply, and the true surface is where they
+fall. Where it is uncertain, they fall slowly, and thin walls are filled whole. The logits along the
+normal, and where P and its mirror images lie along it, show how deep the true surface is. A small
+network has learned this from parts of meshes whose true surface is known
+(``recipes/train_embedded_prior``).
 
 Conventions
 -----------
-* Depths are along the normal, inward, from where the logits cross their level.
+* Depths are measured inward along the normal from where the logits cross their level.
 """
 
 from __future__ import annotations
@@ -29,21 +30,23 @@ from gscomplete.util.same_bits import fixed_softmax
 
 SURFACE_DEPTH_FILE = "surface_depth.safetensors"
 DEPTHS = (-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
-"""At which logits are read, cells; so are those below."""
+"""Depths at which logits are read, cells. The depths below are in cells, too."""
 _SMOOTH_DEPTHS = (-2.0, 0.0, 2.0, 4.0)
+"""Depths at which smoothed logits are read."""
 _FILLED_DEPTHS = (-1.0, 0.0, 1.0, 2.0, 3.0)
-"""Of P's and its mirror images' cells."""
+"""Depths at which the cells of P and of its mirror images are read."""
 _EVIDENCE_DEPTHS = (-1.0, 1.0, 3.0)
+"""Depths at which evidence is read."""
 _EVIDENCE = ("in_front", "behind", "beside")
 _SIDE = 1.5
-"""Cells to the sides."""
+"""How far to the sides of a point logits are read, cells."""
 _SIDE_DEPTHS = (0.0, 1.5)
 _SMOOTHED = 5
-"""Cells, side of the cube whose mean is read."""
+"""Smoothed logits are means over cubes of this side, cells."""
 _MOST_LOGITS = 8.0
 _NEIGHBOURS, _NORMALS_WEIGH = 8, 0.05
-"""Depths are means of so many points', which are near and face alike: a normal that is turned by
-one radian counts as this far away, object sizes."""
+"""A point's depth is the mean over so many neighbours, which are near it and face the same way: in
+the distance between two points, normals one radian apart count as this length, object sizes."""
 FEATURES = (
     *(f"logit_{d}" for d in DEPTHS),
     *(f"smooth_{d}" for d in _SMOOTH_DEPTHS),
@@ -73,7 +76,7 @@ def surface_depths(
     points: Tensor,  # [N, 3] where logits cross the level
     normals: Tensor,  # [N, 3] outward
 ) -> Tensor:  # [N] object sizes
-    """Return how deep the true surface lies; arguments as ``depth_features``."""
+    """Return how deep the true surface lies; arguments as for ``depth_features``."""
     if not len(points):
         return points.new_zeros(0)
     depths = packaged_surface_depth()(depth_features(output, inputs, level, points, normals))
@@ -90,14 +93,14 @@ def depth_features(
     points: Tensor,  # [N, 3] where logits cross the level
     normals: Tensor,  # [N, 3] outward
 ) -> FloatArray:  # [N, F]
-    """Return what the network reads of points of the predicted surface; columns as ``FEATURES``.
+    """Return the small network's input for points of the predicted surface, as ``FEATURES``.
 
     Args:
         output: of the shape network, for a batch of one.
-        inputs: what it saw.
+        inputs: input of the shape network.
         level: logit of the surface.
-        points: of the surface, object frame.
-        normals: theirs.
+        points: points of the surface, object frame.
+        normals: their outward normals.
     """
 
     def along(volume: Tensor, depths: tuple[float, ...]) -> Tensor:  # [K, n, n, n] -> [N, K * D]
@@ -133,7 +136,7 @@ def depth_features(
 
 
 def _to_sides(logits: Tensor, points: Tensor, normals: Tensor, depth: float) -> Tensor:  # [N, 3]
-    """Return the least, mean and largest logit to four sides."""
+    """Return the least, mean and largest of the logits on four sides of each point at a depth."""
     least = F.one_hot(normals.abs().argmin(dim=1), 3).to(normals.dtype)
     across = F.normalize(torch.linalg.cross(normals, least, dim=1), dim=1)
     other = torch.linalg.cross(normals, across, dim=1)

@@ -45,17 +45,18 @@ from splatcomplete_data.mesh.files.load import load_mesh
 from splatcomplete_data.mesh.files.up_axis import up_of_mesh_file
 
 _SUFFIXES = (".glb", ".gltf", ".obj", ".dae", ".ply", ".stl", ".off", ".3mf")
-"""Of two files of one name the first of these is taken."""
+"""If files differ only in their suffix, the one whose suffix stands first is taken."""
 _SAYS_NOTHING = frozenset(
     ("model", "mesh", "meshes", "textured", "scene", "object", "visual", "nontextured", "models")
 )
+"""Words that are left out of captions."""
 _COLUMNS = (
     *("id", "split", "noun", "caption", "source", "licence", "author", "colour"),
     *("faces", "faces_source", "size_m", "origin"),
 )
 _WORDS_COLUMNS = ("noun", "caption", "split", "licence", "author")
 _READER_VERSION = 1
-"""Another number makes every object anew."""
+"""When this number changes, every object is made anew."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,7 @@ class Options:
 
 
 _Result = tuple[dict[str, str] | None, str]
-"""A row of the manifest, None = the mesh could not be packed; and what to tell of it."""
+"""A row of the manifest, or None if the mesh could not be packed, and a message for the user."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +96,7 @@ class _Task:
 
     path: Path
     folder: Path
-    """Textures may lie anywhere in it."""
+    """Folder in which textures may lie."""
     out: Path
     entry: PackEntry
     up: str | None
@@ -103,7 +104,7 @@ class _Task:
 
 
 def main(options: Options) -> int:
-    """Run from the command line; the exit code is 1 where a file could not be packed."""
+    """Run from the command line; the exit code is 1 if a file could not be packed."""
     tasks = list(_tasks(options))
     if not tasks:
         suffixes = ", ".join(_SUFFIXES)
@@ -128,7 +129,7 @@ def main(options: Options) -> int:
 
 
 def _results(tasks: list[_Task], workers: int) -> Iterator[_Result]:
-    """Pack meshes in so many processes, one = this one; yield results in the order of the tasks.
+    """Pack meshes in so many processes, or in this one if it is one; yield results in order.
 
     Raises:
         UserError: a process was killed.
@@ -146,10 +147,10 @@ def _results(tasks: list[_Task], workers: int) -> Iterator[_Result]:
 
 
 def _tasks(options: Options) -> Iterator[_Task]:
-    """Yield what is to be packed, in the order of paths.
+    """Yield the tasks of all meshes, in the order of their paths.
 
     Raises:
-        UserError: an option or the table of words is wrong, or two files have one name.
+        UserError: an option or the table of words is wrong, or two files have the same id.
     """
     if not options.meshes.is_dir():
         raise UserError(f"{options.meshes}: expected a folder of mesh files, found none")
@@ -213,7 +214,7 @@ def _made(task: _Task) -> _Result:
 
 
 def _stored(path: Path) -> dict[str, str]:
-    """Return what an object's file says of itself; nothing where it is missing or damaged."""
+    """Return what an object's file says about itself; nothing if it is missing or damaged."""
     try:
         with np.load(path) as file:
             told = {
@@ -225,7 +226,7 @@ def _stored(path: Path) -> dict[str, str]:
 
 
 def _mesh_files(folder: Path) -> list[Path]:
-    """Return the mesh files below a folder; hidden ones are left out."""
+    """Return the mesh files in a folder and its subfolders, without hidden ones."""
     found = [
         path
         for path in folder.rglob("*")
@@ -237,7 +238,7 @@ def _mesh_files(folder: Path) -> list[Path]:
 
 
 def _words(path: Path) -> dict[str, dict[str, str]]:
-    """Read the table of words, by path.
+    """Read the table of words; return the words of each path.
 
     Raises:
         UserError: it cannot be read, or a column is missing or unknown.
@@ -257,7 +258,7 @@ def _words(path: Path) -> dict[str, dict[str, str]]:
 
 
 def _rows_of(pack: Path) -> dict[str, dict[str, str]]:
-    """Return the rows of the pack so far, by id."""
+    """Return the rows that the pack has so far, by id."""
     path = pack / MANIFEST
     if not path.is_file():
         return {}
@@ -267,7 +268,7 @@ def _rows_of(pack: Path) -> dict[str, dict[str, str]]:
 
 
 def _write_rows(pack: Path, rows: dict[str, dict[str, str]]) -> None:
-    """Write the manifest, by id."""
+    """Write the manifest, in the order of ids."""
     further = {name for row in rows.values() for name in row} - set(_COLUMNS)
     with (
         atomic_path(pack / MANIFEST) as temporary,
@@ -280,18 +281,18 @@ def _write_rows(pack: Path, rows: dict[str, dict[str, str]]) -> None:
 
 
 def _caption(name: str) -> str:
-    """Return the words of a name that say something: "RedStool_02" is a red stool."""
+    """Return the words of a name that say something: "red stool" for "RedStool_02"."""
     words = re.sub(r"(?<=[a-z])(?=[A-Z])|[\W\d_]+", " ", name).lower().split()
     return " ".join(word for word in words if len(word) > 1 and word not in _SAYS_NOTHING)
 
 
 def _plain(name: str) -> str:
-    """Return a name of lower-case letters, digits and underscores."""
+    """Return a name made of lower-case letters, digits and underscores."""
     return re.sub(r"\W+", "_", name.lower()).strip("_") or "_"
 
 
 def _chance(noun: str) -> float:  # in [0, 1)
-    """Return a number that is even over nouns and a function of each alone."""
+    """Return a number that depends only on the noun and is evenly distributed over nouns."""
     return int.from_bytes(hashlib.sha256(noun.encode()).digest()[:6], "big") / 2**48
 
 

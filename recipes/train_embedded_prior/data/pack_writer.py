@@ -2,9 +2,10 @@
 
 Conventions
 -----------
-* A mesh of few enough faces keeps them. Others are decimated (MeshLab, quadric errors); a point of
-  a new face has the mean colour of the nearest samples of the old surface that face alike.
-* Faces that are all but transparent are left out and counted.
+* A mesh with few enough faces keeps them. Others are decimated (MeshLab, quadric errors). A point
+  of a new face gets the mean colour of the nearest samples of the old surface that face the same
+  way.
+* Nearly transparent faces are left out and counted.
 """
 
 from __future__ import annotations
@@ -30,28 +31,31 @@ from splatcomplete_data.mesh.files.load import Mesh
 from splatcomplete_data.mesh.files.parts import GREY
 
 MOST_FACES = 8000
-"""With more, the block of the texture that two faces share would be smaller than 4 px."""
+"""With more faces, the block of the texture that two faces share would be smaller than 4 px."""
 _TEXTURE_PX, _LARGEST_BLOCK_PX = 256, 64
+"""Largest sides of the texture and of a block."""
 _MERGED = 2e-5
-"""Corners in the same cell of a grid of this side are one vertex, object sizes."""
+"""Corners in the same cell of a grid with this spacing become one vertex, object sizes."""
 _LEAST_ALPHA = 0.1
+"""Faces with a smaller mean alpha are left out."""
 _SAMPLES, _NEAREST, _MEAN_OF = 200_000, 6, 3
-"""Of the nearest samples, those that are nearest once facing counts are averaged."""
+"""Samples of the old surface; how many of the nearest are compared; how many of these are averaged:
+those that are nearest when their facing counts as well."""
 _FACING = 0.01
-"""A sample that is turned by a right angle counts as this much farther away, object sizes."""
+"""A sample that faces at a right angle counts as this much farther away, object sizes."""
 _FLAT = 0.02
-"""A face whose colours differ from their mean by less has one colour."""
+"""A face whose colours differ from their mean by less is stored with one colour."""
 _JPEG_QUALITY = 92
 
 
 @dataclass(frozen=True, slots=True)
 class PackedMesh:
-    """The fields of an object's file, and what the manifest says of it."""
+    """The fields of an object's file, and what the manifest says about the object."""
 
     fields: dict[str, Any]
     """Arrays by name, as ``mesh_pack`` reads them."""
     colour: str
-    """``texture``, ``flat`` (several plain colours), ``single``, or ``none``: the file has none."""
+    """``texture``, ``flat`` (several plain colours), ``single``, or ``none`` (no colours given)."""
     faces: int
     faces_source: int
     see_through: int
@@ -62,11 +66,11 @@ class PackedMesh:
 
 @dataclass(frozen=True, slots=True)
 class _Texels:
-    """The texels of all faces: N of them."""
+    """The N texels of all faces."""
 
     face: NDArray[np.int64]  # [N]
     weights: FloatArray  # [N, 3] barycentric
-    row: NDArray[np.int64]  # [N] in the picture
+    row: NDArray[np.int64]  # [N] row in the picture
     column: NDArray[np.int64]  # [N]
     block_px: int
     side_px: int
@@ -77,15 +81,17 @@ def packed(
     upright: NDArray[np.float64],  # [3, 3] turns the file's axes into z-up ones
     most_faces: int,
 ) -> PackedMesh:
-    """Reduce a mesh: z up, box centred, longest side 1, few faces, a small texture or a palette.
+    """Turn a mesh z up, centre its box, scale its longest side to 1, and reduce it to few faces.
+
+    Its colours become a small texture or a palette.
 
     Args:
         mesh: the surface, as read.
         upright: a rotation.
-        most_faces: a mesh of more is decimated to about so many.
+        most_faces: a mesh with more faces is decimated to about so many.
 
     Raises:
-        UserError: nothing of it can be seen, or it cannot be decimated to ``MOST_FACES``.
+        UserError: the mesh is transparent, or cannot be decimated to ``MOST_FACES``.
     """
     source = np.concatenate([part.vertices for part in mesh.parts]).astype(np.float64) @ upright.T
     seen = np.flatnonzero(_alphas(mesh) >= _LEAST_ALPHA)
@@ -123,10 +129,10 @@ def write_packed(path: Path, mesh: PackedMesh, *, unit_m: float, made_of: str) -
     """Write an object's file, whole or not at all.
 
     Args:
-        path: of the file; its folder is made.
+        path: the file; its folder is made.
         mesh: the object.
-        unit_m: metres of the mesh file's unit; NaN = not known.
-        made_of: kept with it.
+        unit_m: unit of the mesh file in metres; NaN = not known.
+        made_of: digest of what the object is made of, stored in the file.
 
     Raises:
         UserError: it cannot be written.
@@ -151,7 +157,7 @@ def _alphas(mesh: Mesh) -> FloatArray:  # [T]
 def _merged(
     corners: NDArray[np.float64],  # [T, 3, 3]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:  # [V, 3], [F, 3], [F]
-    """Join corners that are in one place; return vertices, faces, and of which triangles they are.
+    """Merge corners in the same place; return vertices, faces, and the triangle of each face.
 
     Triangles that lose a corner by it are left out.
     """
@@ -167,7 +173,7 @@ def _decimated(
     faces: NDArray[np.int64],  # [F, 3]
     count: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Reduce a mesh to about so many faces.
+    """Decimate a mesh to about so many faces; return its vertices and faces.
 
     Raises:
         UserError: pymeshlab is missing or failed.
@@ -191,7 +197,7 @@ def _decimated(
 
 
 def _texels(faces: int) -> _Texels:
-    """Lay out a picture for so many faces, two to a block, as ``mesh_pack`` reads it."""
+    """Lay out a picture for so many faces, two per block, as ``mesh_pack`` reads it."""
     columns = math.ceil(math.sqrt(math.ceil(faces / 2)))
     block = min(_TEXTURE_PX // columns, _LARGEST_BLOCK_PX)
     y, x = (axis.reshape(-1) for axis in np.mgrid[:block, :block])
@@ -212,12 +218,12 @@ def _texels(faces: int) -> _Texels:
 
 def _nearest_colors(
     mesh: Mesh,
-    source: NDArray[np.float64],  # [T, 3, 3] its triangles, as packed
-    seen: NDArray[np.int64],  # [S] those that can be seen
-    corners: NDArray[np.float64],  # [F, 3, 3] of the faces that stand for them
+    source: NDArray[np.float64],  # [T, 3, 3] triangles of the mesh, as placed in the pack
+    seen: NDArray[np.int64],  # [S] numbers of the triangles that are not left out
+    corners: NDArray[np.float64],  # [F, 3, 3] corners of the decimated faces
     texels: _Texels,
 ) -> FloatArray:  # [N, 3]
-    """Return the colours of the nearest places of the old surface that face alike."""
+    """Return mean colours of the nearest places of the old surface that face the same way."""
     triangle, weights = sample_triangles(source[seen].astype(np.float32), _SAMPLES, 1)
     colors = mesh.colors_at(seen[triangle], weights)[:, :3]
     places = np.einsum("nk,nkc->nc", weights, source[seen[triangle]])
@@ -231,7 +237,7 @@ def _nearest_colors(
 
 
 def _units(corners: NDArray[np.float64]) -> NDArray[np.float64]:  # [F, 3, 3] -> [F, 3]
-    """Return the unit normals of triangles; zero where there is no area."""
+    """Return the unit normals of triangles; zero for triangles without area."""
     _, normals = triangle_areas_and_normals(corners)  # type: ignore[arg-type]
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.asarray(normals / np.maximum(length, 1e-30), np.float64)
@@ -242,7 +248,7 @@ def _stored_colors(
     texels: _Texels,
     faces: int,
 ) -> tuple[str, dict[str, Any]]:
-    """Return what kind of colours they are, and the fields that hold them."""
+    """Return the kind of the colours (``PackedMesh.colour``) and the fields that hold them."""
     counts = np.bincount(texels.face, minlength=faces)
     sums = [np.bincount(texels.face, channel, minlength=faces) for channel in colors.T]
     means = np.stack(sums, axis=1) / counts[:, None]

@@ -1,12 +1,13 @@
-"""What the answer scorer learns from: parts, what the network answers about them, how true that is.
+"""Training data of the answer scorer: parts, the network's answers about them, their true scores.
 
 Conventions
 -----------
-* Parts are cut as in ``real_objects.unseen``, two of each object: a pure function of (seed, the
-  object's id).
-* An answer's true score is the intersection over union of shadows of cells, its own and those of
-  the complete object, both with P's: along the axes and two level diagonals, on average.
-* Parts are kept in files of ``FILE_OBJECTS`` objects, made once.
+* Two parts of each object are cut as in ``real_objects.unseen``. They depend only on the seed and
+  the object's id.
+* An answer's true score compares the shadows of its cells and of the complete object's, P's cells
+  added to both: it is the mean of their intersections over unions along the axes and along two
+  level diagonals.
+* Parts are kept in files of ``FILE_OBJECTS`` objects, which are made once.
 """
 
 from __future__ import annotations
@@ -47,20 +48,21 @@ ANSWERS = CANDIDATES + 1
 _KINDS: tuple[PartKind, ...] = (
     "scan", "half", "arc", "box", "scan", "half", "middle", "scan",
 )  # fmt: skip
-"""As often as they are drawn."""
+"""A kind is drawn as often as it stands here."""
 _WEIGHTS: dict[PartKind, float] = {"arc": 2.0}
-"""Of parts in training; of kinds that are not here 1. Without it arcs lose what scans gain."""
+"""Weights of parts in training; other kinds have weight 1. With equal weights, answers to arcs get
+worse by as much as those to scans get better."""
 LEVEL, _LEVEL_ONE_VIEW = -0.25, -1.0
-"""Logits from which on cells count as filled; the second of parts that one view shows, whose
-surfaces are made from there on, too."""
+"""Cells with at least this logit count as filled. The second is for parts that one view shows,
+whose surfaces lie at that level, too."""
 
 
 @dataclass(frozen=True, slots=True)
 class AnswerSets:
     """N parts with up to ``ANSWERS`` answers each."""
 
-    features: FloatArray  # [N, ANSWERS, F] 0 where nothing was asked
-    true_scores: FloatArray  # [N, ANSWERS] NaN where nothing was asked
+    features: FloatArray  # [N, ANSWERS, F] 0 where there is no answer
+    true_scores: FloatArray  # [N, ANSWERS] NaN where there is no answer
     weights: FloatArray  # [N]
 
     def __len__(self) -> int:
@@ -84,7 +86,7 @@ def shadow_ious(
 
 @dataclass(frozen=True, slots=True)
 class AskedPart:
-    """A part that the network was asked about."""
+    """A part and the network's answers about it."""
 
     ending: Ending
     answers: Answers
@@ -92,7 +94,7 @@ class AskedPart:
 
 
 def asked_part(framed: FramedObject | None) -> AskedPart | None:
-    """Ask the network about a part as a run does; None = a run asks nothing."""
+    """Ask the network about a part as a run does; None = a run would not ask it."""
     if framed is None:
         return None
     assert framed.truth is not None
@@ -114,7 +116,7 @@ def asked_part(framed: FramedObject | None) -> AskedPart | None:
 
 
 def answer_sets_of(task: ObjectTask) -> AnswerSets:
-    """Ask about two parts of one object."""
+    """Return the sets of two parts of one object."""
     turned = task.turned(task.seed)
     first, second = (_KINDS[k] for k in turned.rng.permutation(len(_KINDS))[:2])
     if first == second:
@@ -133,13 +135,13 @@ def answer_sets_of(task: ObjectTask) -> AnswerSets:
 
 
 def _no_sets() -> AnswerSets:
-    """Return sets of no part: of some objects a run asks nothing."""
+    """Return empty sets, for objects about which a run would not ask the network."""
     shapes = ((0, ANSWERS, len(FEATURES)), (0, ANSWERS), (0,))
     return AnswerSets(*(np.empty(shape, np.float32) for shape in shapes))
 
 
 def _padded(features: FloatArray, true_scores: FloatArray, weight: float) -> AnswerSets:
-    """Fill up to ``ANSWERS``."""
+    """Return the sets of one part, filled up to ``ANSWERS`` answers."""
     missing = ANSWERS - len(true_scores)
     return AnswerSets(
         np.pad(features, ((0, missing), (0, 0)))[None],
@@ -149,13 +151,13 @@ def _padded(features: FloatArray, true_scores: FloatArray, weight: float) -> Ans
 
 
 def asked_with() -> str:
-    """Name the weights that answers depend on."""
+    """Return the digests of the weights that answers depend on."""
     files = (SHAPE_FILE, COARSE_SCORER_FILE, FINE_SCORER_FILE)
     return " ".join(sha256_of(packaged_weights() / file) for file in files)
 
 
 def answer_sets(config: PerceptronConfig) -> list[AnswerSets]:
-    """Return sets, one entry a file; make those not yet made."""
+    """Return the sets of every file; make the files that are missing."""
     contents = f"{asked_with()} {' '.join(FEATURES)}"
     make = answer_sets_of
     return sets_of_objects(config, AnswerSets, "answers", contents, make, FILE_OBJECTS)

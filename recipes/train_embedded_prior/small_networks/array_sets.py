@@ -1,7 +1,7 @@
-"""Records of arrays with one row a part, in files that are made once.
+"""Records of arrays with one row per part, in files that are made once.
 
-What is trained on them is trained often, and making a part takes a second: an interrupted run goes
-on with the files that are there.
+Networks are trained on them often, and making a part takes a second. An interrupted run goes on
+with the files that exist.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from gscomplete.util.atomic import atomic_path
 
 Task = TypeVar("Task")
 Sets = TypeVar("Sets")
-"""A dataclass of arrays of as many rows."""
+"""A dataclass of arrays that have the same number of rows."""
 
 
 def joined(parts: Sequence[Sets]) -> Sets:
-    """Put sets, at least one, one after the other."""
+    """Concatenate sets, of which there is at least one."""
     kind = type(parts[0])
     return kind(*(np.concatenate([getattr(p, name) for p in parts]) for name in _names(kind)))
 
@@ -39,14 +39,14 @@ def made_once(
     workers: int,
     description: str,
 ) -> list[Sets]:
-    """Return the sets of all files; make those not yet made.
+    """Return the sets of all files; make the files that are missing.
 
     Args:
         kind: the dataclass.
-        paths: of the files, by the first object of each.
-        make: makes the file of that first object, by an executor.
+        paths: paths of the files by the number of each file's first object.
+        make: returns the contents of the file with that first object, made by an executor.
         workers: processes of the executor.
-        description: of the progress.
+        description: label of the progress bar.
     """
     missing = [start for start, path in paths.items() if not path.is_file()]
     context = multiprocessing.get_context("spawn")
@@ -60,7 +60,7 @@ def made_once(
 
 
 def stem_of(folder: Path, kind: str, contents: str) -> Path:
-    """Return where the paths of files of a kind begin: other contents are other files."""
+    """Return what the paths of a kind's files start with; other contents get another path."""
     return folder / f"{kind}-{hashlib.sha256(contents.encode()).hexdigest()[:8]}"
 
 
@@ -72,14 +72,14 @@ def made_of_tasks(
     per_file: int,
     workers: int,
 ) -> list[Sets]:
-    """Return the sets of tasks, so many to a file; make the files not yet made.
+    """Return the sets of tasks, which are kept in files; make the files that are missing.
 
     Args:
         kind: the dataclass.
-        stem: of the files' paths; the number of their first task follows.
+        stem: start of the files' paths, which the number of a file's first task follows.
         make: makes the sets of one task; picklable.
-        tasks: in their order.
-        per_file: tasks of a file.
+        tasks: tasks in the order of their sets.
+        per_file: number of tasks per file.
         workers: processes that make them.
     """
     stem.parent.mkdir(parents=True, exist_ok=True)

@@ -1,12 +1,12 @@
-"""What the benefit scorer learns from: complete objects and parts, and what completing them gains.
+"""Training data of the benefit scorer: complete objects, parts, and what completing each gains.
 
 Conventions
 -----------
-* Of every object all of it and one part are asked about: a pure function of (seed, the object's
-  id). What passes for closed or is mirrored through a square cut is left out, as a run leaves it
-  out.
-* The gain is in intersection over union of shadows of cells (``answer_sets``): that of the answer
-  which the answer scorer puts first, less P's own.
+* The network is asked about every object as a whole and about one part of it. The part depends only
+  on the seed and the object's id. Left out is what a run does not ask about: what appears to be
+  complete, and what is mirrored in the plane of its cut.
+* The gain is a difference of true scores (``answer_sets``): the score of the answer that the answer
+  scorer puts first, minus the score of P alone.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ FILE_OBJECTS = 48
 _KINDS: tuple[PartKind, ...] = (
     "scan", "half", "arc", "box", "box", "half", "middle", "arc",
 )  # fmt: skip
-"""As often as they are drawn."""
+"""A kind is drawn as often as it stands here."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,14 +45,14 @@ class BenefitSets:
 
     features: FloatArray  # [N, F]
     gains: FloatArray  # [N]
-    complete: FloatArray  # [N] 1 where nothing was taken away
+    complete: FloatArray  # [N] 1 for complete objects, 0 for parts
 
     def __len__(self) -> int:
         return len(self.gains)
 
 
 def benefit_of(asked: AskedPart) -> tuple[FloatArray, float]:  # [F]
-    """Return what the scorer reads of a part, and what completing it gains."""
+    """Return the scorer's input for a part, and what completing the part gains."""
     answers = asked.answers
     chosen = int(packaged_answer_scorer()(answer_features(answers)).argmax())
     assert asked.ending.features is not None
@@ -66,7 +66,7 @@ def _score(answers: Answers, asked: AskedPart, index: int) -> float:
 
 
 def benefit_sets_of(task: ObjectTask) -> BenefitSets:
-    """Ask about one object and a part of it."""
+    """Return the sets of one object as a whole and of a part of it."""
     turned = task.turned(task.seed)
     kinds: tuple[PartKind, ...] = ("complete", _KINDS[int(turned.rng.integers(len(_KINDS)))])
     rows = [BenefitSets(np.empty((0, len(FEATURES)), np.float32), *np.empty((2, 0), np.float32))]
@@ -80,7 +80,7 @@ def benefit_sets_of(task: ObjectTask) -> BenefitSets:
 
 
 def benefit_sets(config: PerceptronConfig) -> list[BenefitSets]:
-    """Return sets, one entry a file; make those not yet made."""
+    """Return the sets of every file; make the files that are missing."""
     contents = f"{asked_with()} {packaged_answer_scorer().digest()} {' '.join(FEATURES)}"
     make = benefit_sets_of
     return sets_of_objects(config, BenefitSets, "benefits", contents, make, FILE_OBJECTS)

@@ -1,10 +1,12 @@
-"""What the surface depth learns from: points of predicted surfaces, and how deep the truth lies.
+"""Training data of the surface depth: points of predicted surfaces and their true depths.
 
 Conventions
 -----------
-* Parts are cut as in ``real_objects.unseen``, two of each object: a pure function of its id. Each
-  is guessed as in a run, up to where its surface is covered; what a run leaves is left out.
-* The true depth is that of the first true surface on the way in, cells; NaN where none is near.
+* Two parts of each object are cut as in ``real_objects.unseen``. They depend only on its id. Each
+  is guessed as in a run, up to the points of its new surface. Parts to which a run adds nothing are
+  left out.
+* The true depth of a point is that of the first true surface on the way in, in cells. It is NaN
+  where no true surface is near.
 """
 
 from __future__ import annotations
@@ -39,17 +41,20 @@ FILE_OBJECTS = 48
 _KINDS: tuple[PartKind, ...] = (
     "scan", "half", "arc", "box", "scan", "arc", "middle", "scan",
 )  # fmt: skip
-"""As often as they are drawn."""
+"""A kind is drawn as often as it stands here."""
 _DRAWS = 77
+"""Seed of turns and parts, beside the object's id."""
 _POINTS = 1500
-"""Of a part."""
+"""Most points per part."""
 _DEPTHS = np.arange(-2.0, 4.01, 0.25)
-"""Where the truth is looked for, cells."""
+"""Depths at which the true surface is looked for, cells."""
 _NEAR, _PASSED = 0.35, 0.1
-"""A true surface is found where it comes this near, cells, and is then left by the second ..."""
+"""A true surface is found where the way in comes within the first distance of it, cells, and then
+recedes from it by the second, ..."""
 _NEAR_ENOUGH = 0.5
-"""... or comes this near to any place on the way."""
+"""... or else where the whole way in comes nearest to one, within this distance, cells."""
 _FARTHEST = 2.5
+"""The true surface is not looked for beyond this distance from a place on the way, cells."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +63,7 @@ class DepthSets:
 
     features: FloatArray  # [N, F]
     depths: FloatArray  # [N] true ones, cells
-    insets: FloatArray  # [N] how deep points were set without a network, cells
+    insets: FloatArray  # [N] depths that are taken without a network, cells
 
     def __len__(self) -> int:
         return len(self.depths)
@@ -72,9 +77,9 @@ def first_depths(
     """Return how deep the first surface lies inside points, cells; NaN where none is near.
 
     Args:
-        distance: of places [M, 3] from the surface, cells.
-        points: from which to look.
-        normals: against which to look.
+        distance: returns the distances of places [M, 3] from the true surface, cells.
+        points: points from which the true surface is looked for.
+        normals: their outward normals; the true surface is looked for in the opposite direction.
     """
     count = len(points)
     found, nearest = np.full(count, np.nan, np.float32), np.full(count, np.inf)
@@ -89,7 +94,7 @@ def first_depths(
 
 
 def depth_sets_of(task: ObjectTask) -> DepthSets:
-    """Guess two parts of one object."""
+    """Return the sets of two parts of one object."""
     turned = task.turned(_DRAWS)
     rows = [DepthSets(np.empty((0, len(FEATURES)), np.float32), *np.empty((2, 0), np.float32))]
     for kind in (_KINDS[k] for k in turned.rng.permutation(len(_KINDS))[:2]):
@@ -100,7 +105,7 @@ def depth_sets_of(task: ObjectTask) -> DepthSets:
 
 
 def _sets_of_part(framed: FramedObject, seed: int) -> list[DepthSets]:  # one or none
-    """Guess one part as a run does, up to the surface."""
+    """Guess one part as a run does, up to its new surface; return the sets of that surface."""
     prior, partial = packaged_prior(), framed.partial
     ending = ending_of(partial, "guess")
     if ending.is_complete:
@@ -137,6 +142,6 @@ def _sets_of_part(framed: FramedObject, seed: int) -> list[DepthSets]:  # one or
 
 
 def depth_sets(config: PerceptronConfig) -> list[DepthSets]:
-    """Return sets, one entry a file; make those not yet made."""
+    """Return the sets of every file; make the files that are missing."""
     contents = f"{asked_with()} {AssembleSettings()} {' '.join(FEATURES)}"
     return sets_of_objects(config, DepthSets, "depths", contents, depth_sets_of, FILE_OBJECTS)

@@ -1,9 +1,9 @@
-"""Objects that perceptrons learn from: those of the pack's train split, turned, and parts of them.
+"""Objects that perceptrons learn from: the pack's train split, turned, and parts of its objects.
 
 Conventions
 -----------
-* An object is turned about the up axis, and cut, by random numbers of its own: a pure function of
-  its id and of the seeds that are given.
+* An object is turned about the up axis and cut by random numbers that depend only on its id and on
+  the seeds that are given.
 * Parts are framed as a run frames them.
 """
 
@@ -31,12 +31,12 @@ from recipes.train_embedded_prior.small_networks.array_sets import made_of_tasks
 from recipes.train_embedded_prior.small_networks.perceptron_training import PerceptronConfig
 
 Sets = TypeVar("Sets")
-"""A dataclass of arrays of as many rows."""
+"""A dataclass of arrays that have the same number of rows."""
 
 
 @dataclass(frozen=True, slots=True)
 class TurnedObject:
-    """A complete object, and what its parts are drawn with."""
+    """A complete object and the random numbers that its parts are drawn with."""
 
     entry: PackEntry
     complete: Splats
@@ -44,11 +44,11 @@ class TurnedObject:
     rng: np.random.Generator
 
     def part(self, kind: PartKind) -> Splats:
-        """Draw a part."""
+        """Draw a part of this kind."""
         return part_of(self.complete, kind, self.rng, self.turn_deg)
 
     def framed(self, part: Splats, kind: str) -> FramedObject | None:
-        """Frame a part as a run does; None = it is next to nothing."""
+        """Frame a part as a run does; None = it is too small to be framed."""
         item = RealObject(self.entry.id, self.entry.caption, "Z", part, self.complete, kind)
         return framed_item(item)
 
@@ -62,7 +62,7 @@ class ObjectTask:
     seed: int
 
     def turned(self, *seeds: int) -> TurnedObject:
-        """Read the object and turn it by random numbers of these seeds."""
+        """Read the object and turn it by a random angle that these seeds decide."""
         rng = np.random.default_rng((self.entry.number, *seeds))
         turn_deg = float(rng.uniform(0, 360))
         complete = complete_object(read_mesh(self.meshes, self.entry), self.entry, turn_deg)
@@ -71,13 +71,13 @@ class ObjectTask:
 
 @functools.cache
 def packaged_prior() -> EmbeddedPrior:
-    """Return the prior that ships, on one thread of this process."""
+    """Return the prior that ships with the package; this process then uses one thread."""
     torch.set_num_threads(1)
     return EmbeddedPrior.from_folder(packaged_weights())
 
 
 def framed_item(item: RealObject) -> FramedObject | None:
-    """Frame a part as a run does; None = it is next to nothing."""
+    """Frame a part as a run does; None = it is too small to be framed."""
     try:
         return frame_object(item, packaged_prior())
     except UserError:
@@ -105,16 +105,16 @@ def sets_of_objects(
     per_file: int,
     share: float = 1.0,
 ) -> list[Sets]:
-    """Return sets, one entry a file of so many objects; make those not yet made.
+    """Return the sets of every file; make the files that are missing.
 
     Args:
-        config: names pack, folder, seed, objects and processes.
+        config: pack, folder, seed, objects and processes.
         kind: the dataclass.
-        name: of the files.
-        contents: what else decides what is in them: other contents are other files.
+        name: name that the files start with.
+        contents: what else decides what the files hold; other contents get other files.
         make: makes the sets of one object; picklable.
-        per_file: objects of a file.
-        share: of the objects, the first of them.
+        per_file: number of objects per file.
+        share: share of the objects to use; the first ones are taken.
     """
     tasks = object_tasks(config.meshes, config.seed, config.objects)
     stem = stem_of(config.run, name, f"{config.seed} {contents}")

@@ -1,11 +1,12 @@
-"""What the outline scorer learns from: parts from all sides, and how whole their outlines are.
+"""Training data of the outline scorer: parts seen from all sides, and how whole their outlines are.
 
 Conventions
 -----------
-* Of every object a scan, an arc of 100 degrees, another arc of any width, a cut part and, of every
-  third, all of it; of the first of them two more cut parts, one without a box: a pure function of
-  (seed, the object's id). A third of the parts is noisy and has holes.
-* An outline's share is how much of the complete object's outline P's covers.
+* Every object gives a scan, an arc of 100 degrees, an arc of any width and a cut part. About every
+  third object is also used as a whole, and the first ``_MORE_CUT_SHARE`` of the objects give two
+  more cut parts, one of which lacks a box. All this depends only on the seed and the object's id.
+* About a third of the parts (``_NOISY_SHARE``) is noisy and has holes.
+* An outline's share is the share of the complete object's outline that P's outline covers.
 """
 
 from __future__ import annotations
@@ -38,16 +39,17 @@ FILE_OBJECTS = 48
 KINDS = ("scan", "arc", "wide", "half", "middle", "box", "complete")
 VIEWS = len(views_at(1.0))
 _CUT: tuple[PartKind, ...] = ("half", "half", "middle", "box")
-"""As often as they are drawn."""
+"""A kind is drawn as often as it stands here."""
 _MORE_CUT_SHARE = 0.75
-"""Of the objects."""
+"""Share of the objects that give more cut parts."""
 _COMPLETE_SHARE = 1 / 3
+"""Share of the objects that are also used as a whole."""
 _SPANS_DEG, _MOST_SCANNERS, _MOST_ELEVATION_DEG = (40.0, 200.0), 5, 40.0
-"""Of arcs of any width."""
+"""For arcs of any width: their range of widths, the most scanners, the largest elevation."""
 _NOISY_SHARE, _MOST_NOISE, _MOST_HOLES = 0.35, 0.006, 4
 _HOLE_RADII = (0.02, 0.1)
 _FEWEST_LEFT = 0.5
-"""Share of a part that holes leave; else it keeps what they took."""
+"""If holes leave a smaller share of a part, it gets none."""
 _FEWEST_SPLATS = 500
 
 
@@ -64,12 +66,12 @@ class OutlineSets:
 
 
 def outline_sets_of(task: ObjectTask) -> OutlineSets:
-    """Look at the parts of one object."""
+    """Return the sets of the parts of one object."""
     return _sets_of(task, (), _parts)
 
 
 def cut_sets_of(task: ObjectTask) -> OutlineSets:
-    """Look at two more cut parts of one object."""
+    """Return the sets of two more cut parts of one object."""
     return _sets_of(task, (1,), _more_cut_parts)
 
 
@@ -115,7 +117,7 @@ def _more_cut_parts(turned: TurnedObject) -> Iterator[tuple[str, Splats]]:
 
 
 def _wide_arc(complete: Splats, rng: np.random.Generator) -> Splats:
-    """Return what a few scanners see from an arc of any width."""
+    """Return what a few scanners see that stand on an arc of random width."""
     half = math.radians(float(rng.uniform(*_SPANS_DEG))) / 2
     count = int(rng.integers(2, _MOST_SCANNERS + 1))
     azimuths = float(rng.uniform(0, 2 * math.pi)) + np.linspace(-half, half, count)
@@ -124,7 +126,7 @@ def _wide_arc(complete: Splats, rng: np.random.Generator) -> Splats:
 
 
 def _worn(part: Splats, rng: np.random.Generator) -> Splats:
-    """Add noise and holes to some."""
+    """Add noise and holes to the part, if it is one of those that get them."""
     if rng.random() >= _NOISY_SHARE or len(part) < _FEWEST_SPLATS:
         return part
     noise = rng.normal(0.0, float(rng.uniform(0, _MOST_NOISE)), (len(part), 3))
@@ -140,8 +142,8 @@ def _worn(part: Splats, rng: np.random.Generator) -> Splats:
 
 
 def outline_shares(
-    points: FloatArray,  # [N, 3] P, object frame
-    truth: FloatArray,  # [M, 3] of the complete object
+    points: FloatArray,  # [N, 3] P's points, object frame
+    truth: FloatArray,  # [M, 3] points of the complete object
     views: ViewDistribution,
 ) -> FloatArray:  # [V]
     """Return the share of the complete object's outline that P's covers, from each view."""
@@ -156,7 +158,7 @@ def outline_shares(
 
 
 def outline_sets(config: PerceptronConfig) -> list[OutlineSets]:
-    """Return sets, one entry a file; make those not yet made."""
+    """Return the sets of every file; make the files that are missing."""
     contents = " ".join(FEATURES)
     ways = (("outlines", outline_sets_of, 1.0), ("cuts", cut_sets_of, _MORE_CUT_SHARE))
     made = [

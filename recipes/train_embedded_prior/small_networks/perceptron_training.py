@@ -1,4 +1,4 @@
-"""Training of perceptrons: of those that judge P and answers, and of the surface's depth."""
+"""Train perceptrons: those that judge P and answers, and the one that predicts surface depths."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class PerceptronConfig:
 def fit_perceptron(
     config: PerceptronConfig,
     features: Tensor,  # [N, ..., F]
-    asked: Tensor,  # bool [N, ...] rows that count for centre and spread
+    asked: Tensor,  # bool [N, ...] rows from which centre and spread are computed
     batch_loss: BatchLoss,
 ) -> Perceptron:
     """Train a perceptron of three layers; the learning rate falls to zero along a cosine."""
@@ -83,14 +83,16 @@ def train_on_files(
     fit: Callable[[Sets], Perceptron],
     told: Callable[[str, Perceptron, Sets], str],
 ) -> None:
-    """Train a scorer, say how good it is, and write it.
+    """Train a scorer, log how good it is, and write it.
+
+    It is first trained without the held-out files, to measure it on these, and then on all files.
 
     Args:
-        config: names the file to write.
-        files: parts, by the file.
-        held_out_every: so many files; the first of them is learned from at the end alone.
-        fit: trains on parts.
-        told: says in words what a scorer makes of parts that are called so.
+        config: the file to write.
+        files: parts, one entry per file.
+        held_out_every: the first of every so many files is held out.
+        fit: trains a scorer on parts.
+        told: describes how a scorer does on parts, given what these are called.
     """
     held_out = joined(files[::held_out_every])
     others = [sets for k, sets in enumerate(files) if k % held_out_every]

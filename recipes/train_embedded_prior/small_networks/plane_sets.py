@@ -1,11 +1,13 @@
-"""What the symmetry scorers learn from: parts, planes, true scores of planes.
+"""Training data of the symmetry scorers: parts, planes, and the true scores of planes.
 
 Conventions
 -----------
-* Object k is that of the shape network's sets of another seed; it is a pure function of (seed, k).
-* Objects are kept in files of ``FILE_OBJECTS``: made once, whatever is trained on them. Those of
-  the first file are of the held-out seed: of a pack of meshes, they show its validation split.
-* An object's planes are those that the coarse scorer puts first, then the best by the truth.
+* Object k is object k of the shape network's sets, for another seed. It depends only on (seed, k).
+* Objects are kept in files of ``FILE_OBJECTS``, which are made once, whatever is trained on them.
+  The first file has objects of the held-out seed. With a pack of meshes, those from the pack are of
+  its validation split.
+* An object's planes are those that the coarse scorer puts first, followed by those with the highest
+  true scores.
 """
 
 from __future__ import annotations
@@ -36,7 +38,7 @@ from recipes.train_embedded_prior.small_networks.array_sets import joined, made_
 
 FILE_OBJECTS = 200
 BEST_PLANES = 4
-"""By the truth, so that there is always something to prefer."""
+"""So many planes with the highest true scores are added, so that there always is one to prefer."""
 _MOST_CELLS = 5000
 
 
@@ -48,14 +50,14 @@ class PlaneSets:
     evidence: NDArray[np.uint8]  # [N, 3, C/2, C/2, C/2] shares in 255ths
     planes: NDArray[np.int16]  # [N, K, 2] angle, offset
     features: FloatArray  # [N, K, F]
-    logits: FloatArray  # [N, K] the coarse scorer's
+    logits: FloatArray  # [N, K] of the coarse scorer
     true_scores: FloatArray  # [N, K]
 
     def __len__(self) -> int:
         return len(self.true_scores)
 
     def first(self, count: int) -> PlaneSets:
-        """Return the first objects."""
+        """Return the sets of the first objects."""
         names = [field.name for field in dataclasses.fields(self)]
         return PlaneSets(*(getattr(self, name)[:count] for name in names))
 
@@ -82,12 +84,12 @@ def planes_of(posed: PosedObject, rng: np.random.Generator) -> PlaneSets:
 def plane_sets(
     folder: Path, seed: int, objects: int, workers: int, meshes: Path | None
 ) -> PlaneSets:
-    """Return the first objects of a seed, rounded up to whole files; make those not yet made.
+    """Return the first objects of a seed; make the files that are missing.
 
     Args:
-        folder: for the files.
-        seed: of the objects; below ``HELD_OUT_SEED_OFFSET``.
-        objects: how many, the held-out ones of the first file included.
+        folder: folder of the files.
+        seed: seed of the objects; below ``HELD_OUT_SEED_OFFSET``.
+        objects: how many, rounded up to whole files; the held-out ones of the first file count.
         workers: processes that make them.
         meshes: pack of meshes to take objects from beside procedural ones; None = none.
     """
@@ -107,14 +109,14 @@ def plane_sets(
 
 
 Task = tuple[int, int, Path | None]
-"""Seed, index, and the pack of meshes."""
+"""Seed, index of the object, and pack of meshes."""
 
 
 def posed_object(task: Task) -> tuple[PosedObject, np.random.Generator]:
-    """Return an object with a part of it, and what further draws are made from."""
+    """Return an object with a part of it, and the generator of further random numbers."""
     seed, index, meshes = task
     rng = np.random.default_rng((seed, index, 2))
-    # Where little is missing, copies show little: planes are learned where they matter.
+    # Where little is missing, mirror images show little; planes are learned where they matter.
     data = ShapeDataConfig(slight_share=0.0)
     source: Source = procedural_source if meshes is None else MixedSource(meshes, data.mesh_share)
     return ShapeSetMaker(source, data, Tokenizer((), 1), seed).posed(index, rng), rng

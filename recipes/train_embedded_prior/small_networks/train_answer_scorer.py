@@ -39,13 +39,15 @@ from recipes.train_embedded_prior.small_networks.perceptron_training import (
 
 _HELD_OUT_EVERY = 8
 _SCALE = 20.0
-"""Of differences between true scores."""
+"""Factor on differences between true scores."""
 _MOST_ABOVE, _MOST_LOST = 0.15, 0.25
-"""Larger differences from the mean, and from the best, count as these."""
+"""Larger differences of a true score from the mean and from the best are clamped to these."""
 _SHARPNESS = 1.5
-"""Factor on scores where one answer is drawn by them."""
+"""Factor on scores in the softmax that an answer is drawn by."""
 _ABOVE_WEIGHT = 0.5
+"""Weight of the error of differences from the mean."""
 _NEVER = -99.0
+"""Score in place of an answer that does not exist, which is never drawn."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,13 @@ def loss_of(
     true_scores: Tensor,  # [B, K]
     asked: Tensor,  # bool [B, K]
 ) -> Tensor:  # []
-    """Return what is lost by drawing answers by their scores, and the error of differences."""
+    """Return the loss: what drawing answers by their scores loses, and the error of scores.
+
+    Args:
+        scores: scores of answers.
+        true_scores: their true scores.
+        asked: whether an answer exists.
+    """
     count = asked.sum(dim=1, keepdim=True)
     above = scores - (scores * asked).sum(dim=1, keepdim=True) / count
     mean = (true_scores * asked).sum(dim=1, keepdim=True) / count
@@ -95,7 +103,7 @@ def loss_of(
 def true_scores_of_choice(
     scorer: Perceptron, sets: AnswerSets
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # [N] each
-    """Return true scores of the answers put first, of those to the likeliest planes, the best."""
+    """Return true scores of the first answers, of those to the likeliest planes, of the best."""
     rows = np.arange(len(sets))
     asked = ~np.isnan(sets.true_scores)
     chosen = np.where(asked, scorer(sets.features), -np.inf).argmax(axis=1)
@@ -106,7 +114,7 @@ def true_scores_of_choice(
 
 
 def told(name: str, scorer: Perceptron, sets: AnswerSets) -> str:
-    """Return in words what the scorer makes of parts."""
+    """Describe how well the scorer chooses for parts."""
     first, likeliest, best = true_scores_of_choice(scorer, sets)
     low, high = bootstrap_interval((first - likeliest).tolist())
     return (

@@ -37,13 +37,15 @@ from recipes.train_embedded_prior.small_networks.perceptron_training import (
 
 _HELD_OUT_EVERY = 6
 _MOST_LOST, _MOST_GAINED = 0.2, 0.1
-"""Larger losses and gains count as these."""
+"""Larger losses and gains are clamped to these."""
 _SCALE = 40.0
-"""Of gains beside the cross entropy."""
+"""Weight of gains in the loss."""
 _ENTROPY_WEIGHT = 0.3
+"""Weight of the cross entropy."""
 _CLEAR = 0.05
-"""From this gain or loss on the cross entropy counts in full."""
+"""From this gain or loss on, the cross entropy counts in full; below, in proportion."""
 _WORSE = 0.005
+"""A completion counts as worse than P if it loses more."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ def fit(config: BenefitScorerConfig, sets: BenefitSets) -> Perceptron:
 
 
 def loss_of(scores: Tensor, gains: Tensor) -> Tensor:  # [B] both -> []
-    """Return what is lost by completing parts by their scores, and the error of these."""
+    """Return the loss: what completing parts by their scores loses, and the cross entropy."""
     gains = gains.clamp(-_MOST_LOST, _MOST_GAINED)
     entropy = F.binary_cross_entropy_with_logits(scores, (gains > 0).float(), reduction="none")
     clear = (gains.abs() / _CLEAR).clamp(max=1)
@@ -82,7 +84,7 @@ def loss_of(scores: Tensor, gains: Tensor) -> Tensor:  # [B] both -> []
 
 
 def told(name: str, scorer: Perceptron, sets: BenefitSets) -> str:
-    """Return in words what the scorer makes of complete objects and of parts."""
+    """Describe what the scorer decides about complete objects and about parts."""
     lines = []
     for kind, of_kind in (("complete", sets.complete > 0), ("parts", sets.complete == 0)):
         gains = sets.gains[of_kind]

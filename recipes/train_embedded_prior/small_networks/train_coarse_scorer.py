@@ -38,7 +38,7 @@ from recipes.train_embedded_prior.small_networks.plane_sets import Task, posed_o
 _LOG = logging.getLogger(__name__)
 _HELD_OUT_EVERY = 5
 _SHARPNESS = 16.0
-"""Factor on the planes' true scores in the target."""
+"""Factor on true scores in the softmax that is the target."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def fit(config: CoarseScorerConfig, features: Tensor, true_scores: Tensor) -> Pe
 def score_of_choice(
     scorer: Perceptron, features: Tensor, true_scores: Tensor
 ) -> tuple[float, float]:
-    """Return the mean score of the planes that the scorer puts first, and of the best ones."""
+    """Return the mean true score of the planes that the scorer puts first, and of the best ones."""
     first = torch.from_numpy(scorer(features.numpy())).flatten(1).argmax(dim=1)
     flat = true_scores.flatten(1)
     return float(flat[torch.arange(len(flat)), first].mean()), float(flat.amax(dim=1).mean())

@@ -63,11 +63,11 @@ _RUN = "fine_scorer.json"
 _DECAY_FROM = 0.4
 """Share of the steps after which the learning rate falls, as a cosine, to 0."""
 _SHARPNESS = 10.0
-"""Factor on the planes' true scores in the target."""
+"""Factor on true scores in the softmax that is the target."""
 _SCORE_WEIGHT = 3.0
-"""Of the squared error of true scores."""
+"""Weight of the squared error of true scores."""
 _WITHOUT_EFFECT = {"run", "out", "checkpoint_every", "workers"}
-"""Options that leave the weights as they are."""
+"""Options that do not affect the weights."""
 
 
 @dataclass(frozen=True)
@@ -101,16 +101,16 @@ class FineScorerConfig:
 
 @dataclass(frozen=True, slots=True)
 class PlaneBatch:
-    """A batch: the planes of all its objects one after the other."""
+    """A batch: the planes of its B objects, P of each, one object after the other."""
 
     volumes: FoldedVolumes
     features: Tensor  # [B P, F]
-    ranked: Tensor  # [B P] the coarse scorer's logits
+    ranked: Tensor  # [B P] logits of the coarse scorer
     true_scores: Tensor  # [B P]
 
 
 def batch_of(sets: PlaneSets, config: FineScorerConfig, step: int) -> PlaneBatch:
-    """Draw the batch of a step: objects with colours changed, turned, and seen from either side."""
+    """Draw the batch of a step: objects with other colours, mirrored, and with sides swapped."""
     rng = np.random.default_rng((config.seed, step))
     drawn = []
     for index in rng.integers(FILE_OBJECTS, len(sets), config.batch_objects):
@@ -136,9 +136,9 @@ def _planes(
 
     Args:
         sets: objects.
-        index: of the object.
-        chosen: which of its planes.
-        rng: for changes that leave true scores as they are; None = none.
+        index: number of the object.
+        chosen: numbers of its planes.
+        rng: for random changes that keep true scores; None = nothing is changed.
     """
     cells = colored_cells(unpack_cells(sets.cells[index][None])[0])
     if rng is not None:
@@ -177,7 +177,7 @@ class FineScorerTraining:
     """The networks and the optimiser, kept in a file."""
 
     def __init__(self, config: FineScorerConfig, features: Tensor) -> None:
-        """Start anew; ``features`` [N, K, F] gives their scaling."""
+        """Start from the first step; the scaling of features is that of ``features`` [N, K, F]."""
         torch.manual_seed(config.seed)
         self.config = config
         self.scorer = FineSymmetryScorer()
@@ -230,7 +230,7 @@ class FineScorerTraining:
             save_file({k: v.contiguous() for k, v in tensors.items()}, temporary)
 
     def resume(self) -> None:
-        """Go on from the checkpoint, if there is one."""
+        """Continue from the checkpoint, if there is one."""
         path = self.config.run / _CHECKPOINT
         if not path.is_file():
             return
@@ -265,7 +265,7 @@ def open_run(config: FineScorerConfig) -> None:
 
 @torch.no_grad()
 def score_of_choice(scorer: FineSymmetryScorer, sets: PlaneSets) -> tuple[float, float, float]:
-    """Return mean true scores of the fine scorer's planes, the coarse scorer's, and the best."""
+    """Return mean true scores: of the fine scorer's planes, the coarse scorer's, and the best."""
     found = []
     for index in range(len(sets)):
         one = _planes(sets, index, np.arange(FINELY_SCORED), None)
@@ -277,7 +277,7 @@ def score_of_choice(scorer: FineSymmetryScorer, sets: PlaneSets) -> tuple[float,
 
 
 def train(config: FineScorerConfig) -> int:
-    """Train, from the last checkpoint if there is one, and write the scorer."""
+    """Train, from the last checkpoint on if there is one, and write the scorer."""
     open_run(config)
     folder = config.run / "objects"
     sets = plane_sets(folder, config.seed, config.objects, config.workers, config.meshes)

@@ -40,13 +40,13 @@ from recipes.train_embedded_prior.small_networks.perceptron_training import (
 
 _HELD_OUT_EVERY = 6
 WHOLE = 0.985
-"""Share of the complete object's outline."""
+"""An outline is whole if it covers at least this share of the complete object's."""
 _CLEAR = 0.03
-"""Outlines that lack so much more than that count once; ..."""
+"""Outlines that lack this share more than that have weight 1; ..."""
 _LEAST_WEIGHT, _MOST_WEIGHT, _WHOLE_WEIGHT = 0.1, 4.0, 0.5
-"""... those that lack less or more by these, whole ones by the last."""
+"""... weights are in proportion to it, between the first two. Whole outlines have the last."""
 _LACKING = 0.95
-"""Outlines below it are errors that show."""
+"""Taking an outline with a smaller share for whole is an error that shows."""
 
 
 @dataclass(frozen=True)
@@ -79,13 +79,13 @@ def fit(config: OutlineScorerConfig, sets: OutlineSets) -> Perceptron:
 
 
 def weights_of(shares: Tensor) -> Tensor:
-    """Return how much outlines count: the more of the object's they lack, the more."""
+    """Return the weights of outlines, which grow with the share of the object's that they lack."""
     lacking = ((WHOLE - shares) / _CLEAR).clamp(_LEAST_WEIGHT, _MOST_WEIGHT)
     return torch.where(shares >= WHOLE, _WHOLE_WEIGHT, lacking)
 
 
 def told(name: str, scorer: Perceptron, sets: OutlineSets) -> str:
-    """Return in words what the scorer makes of parts of each kind."""
+    """Describe what the scorer takes for whole outlines in parts of each kind."""
     lines = []
     for index, kind in enumerate(KINDS):
         chosen = sets.kinds == index

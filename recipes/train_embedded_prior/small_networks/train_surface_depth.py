@@ -36,7 +36,7 @@ from recipes.train_embedded_prior.small_networks.perceptron_training import (
 
 _HELD_OUT_EVERY = 6
 _ROUNDED_BELOW = 0.2
-"""Errors smaller than this count squared, cells."""
+"""Errors smaller than this count by their square, larger ones in proportion, cells."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def fit(config: SurfaceDepthConfig, sets: DepthSets) -> Perceptron:
 
 
 def told(name: str, scorer: Perceptron, sets: DepthSets) -> str:
-    """Return in words what the perceptron makes of points."""
+    """Describe how well the perceptron predicts the depths of points."""
     is_known = np.isfinite(sets.depths)
     if not is_known.any():
         return f"{name}: no point is near a true surface"
