@@ -30,14 +30,7 @@ def test_folders_of_other_data_do_not_mix():
     assert len({spec().key(), spec(seed=1).key(), spec(words=WORDS[:2]).key()}) == 3
 
 
-def test_workers_make_the_same_sets_from_the_middle(tmp_path):
-    with ShardReader(spec(), tmp_path, workers=1, first=9) as reader:
-        read = reader.read(range(9, 12))
-    made = spec().maker()
-    assert read.tobytes() == np.stack([made(k) for k in range(9, 12)]).tobytes()
-
-
-def test_older_sets_that_are_gone_are_made_again(tmp_path):
+def test_workers_make_the_same_sets_from_the_middle_and_older_ones_that_are_gone(tmp_path):
     """A run resumed without its buffer, or with other data, replays sets of before."""
     with ShardReader(spec(), tmp_path, workers=2, first=16, behind=3) as reader:
         read = reader.read([5, 16, 17])

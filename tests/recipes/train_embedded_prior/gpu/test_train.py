@@ -7,6 +7,7 @@ import pytest
 from gscomplete.errors import UserError
 from gscomplete.priors.embedded.text import Tokenizer
 from recipes.train_embedded_prior.config import ShapeDataConfig
+from recipes.train_embedded_prior.data import source
 from recipes.train_embedded_prior.data.findings import read_findings
 from recipes.train_embedded_prior.data.mesh_source import MixedSource
 from recipes.train_embedded_prior.data.shape_dataset import TEXT_LENGTH, ShapeSetMaker
@@ -18,22 +19,22 @@ from tests.builders.mesh_pack import write_pack
 from tests.builders.training import tiny_shape_run
 
 
-def test_a_run_begins_with_the_parts_of_which_something_is_known(tmp_path):
+def test_a_run_begins_with_the_parts_of_which_something_is_known(tmp_path, monkeypatch):
     """End to end on the CPU: the loop asks nothing of a GPU but its speed."""
+    monkeypatch.setattr(source, "_CAPTIONS_READ", 10)  # a thousand objects take 10 s
     pack, known = write_pack(tmp_path / "pack"), tmp_path / "findings.npy"
-    make_findings.main(
-        make_findings.Options(pack, known, first=2, last=3, seed=3, mesh_share=1.0, jobs=1)
-    )
+    data = ShapeDataConfig(mesh_share=1.0)
+    maker = ShapeSetMaker(MixedSource(pack, 1.0), data, Tokenizer((), TEXT_LENGTH), 3)
+    np.save(known, np.stack([maker.findings(2).stored(2)]))
     make_findings.main(
         make_findings.Options(pack, known, first=2, last=4, seed=3, mesh_share=1.0, jobs=1)
     )
-    assert sorted(read_findings([known])) == [2, 3]
+    assert sorted(read_findings([known])) == [2, 3]  # the first is kept, the other added
     before = known.stat().st_mtime_ns
     make_findings.main(make_findings.Options(pack, known, first=2, last=4))
     assert known.stat().st_mtime_ns == before  # nothing is left to make
 
     model = tiny_shape_run(tmp_path).model
-    data = ShapeDataConfig(mesh_share=1.0)
     run = tiny_shape_run(
         tmp_path / "run",
         minutes=0.01,
@@ -45,8 +46,7 @@ def test_a_run_begins_with_the_parts_of_which_something_is_known(tmp_path):
         data=data,
         model=dataclasses.replace(model, vocabulary_size=1200),
     )
-    maker = ShapeSetMaker(MixedSource(pack, 1.0), data, Tokenizer((), TEXT_LENGTH), 3)
-    np.save(tmp_path / "held_out.npy", np.stack([maker(0)]))
+    np.save(tmp_path / "held_out.npy", np.stack(maker.variants(2, 1, read_findings([known])[2])))
     options = Options(
         run,
         (known,),

@@ -1,6 +1,9 @@
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import torch
 
+from recipes.train_embedded_prior.small_networks import array_sets
 from recipes.train_embedded_prior.small_networks.array_sets import stem_of
 from recipes.train_embedded_prior.small_networks.object_tasks import (
     ObjectTask,
@@ -37,16 +40,24 @@ def test_an_object_and_its_parts_are_a_function_of_the_seeds(tmp_path):
     assert one.framed(part.select(torch.arange(0)), "half") is None
 
 
+def _never(task):
+    raise AssertionError("made before")
+
+
 def _row(task):
     return OutlineSets(*(np.full((1,), task.entry.number, np.float32) for _ in range(3)))
 
 
-def test_files_are_made_once_and_other_contents_are_other_files(tmp_path):
+def test_files_are_made_once_and_other_contents_are_other_files(tmp_path, monkeypatch):
     pack, run = write_pack(tmp_path), tmp_path / "run"
     config = PerceptronConfig(pack, run, run / "x", 2, 3, 16, 1, 1, 0.0, workers=1)
     made = sets_of_objects(config, OutlineSets, "rows", "a", _row, 1)
     numbers = [task.entry.number for task in object_tasks(pack, 3, 2)]
     assert [float(sets.kinds[0]) for sets in made] == [np.float32(n) for n in numbers]
+    again = sets_of_objects(config, OutlineSets, "rows", "a", _never, 1)
+    assert [sets.kinds.tolist() for sets in again] == [sets.kinds.tolist() for sets in made]
+    threads = lambda workers, mp_context: ThreadPoolExecutor(workers)  # noqa: E731
+    monkeypatch.setattr(array_sets, "ProcessPoolExecutor", threads)  # processes are tested above
     assert len(sets_of_objects(config, OutlineSets, "rows", "b", _row, 1, share=0.5)) == 1
     stems = {stem_of(run, "rows", f"3 {contents}").name for contents in "ab"}
     assert {file.name.rsplit("-", 1)[0] for file in run.iterdir()} == stems
