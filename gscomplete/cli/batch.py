@@ -55,7 +55,7 @@ class BatchOptions(HowToComplete):
     gscomplete batch scans.csv --out s3://lab/completed --ray auto
     """
 
-    source: Annotated[str, tyro.conf.Positional]
+    source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
     """Dataset, folder or manifest, as a path or URL."""
     out: Annotated[str, tyro.conf.arg(metavar="RUNS")]
     """Folder for the run folders and the ledger (.batch/ledger.jsonl), as a path or URL."""

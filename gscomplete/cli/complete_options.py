@@ -102,7 +102,7 @@ class CompleteOptions(HowToComplete):
     gscomplete complete objects/mug
     """
 
-    partial: Annotated[Path, tyro.conf.Positional]
+    partial: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PARTIAL")]
     """Splat file of the partial object: a PLY in the layout of the original 3DGS, or any format
     that splatcomplete-data convert reads (it is converted to PLY first); or an object folder."""
     out: Path | None = None

@@ -48,7 +48,7 @@ class Options:
     out: Path
     """File to write, ``.npz``."""
     objects: int = 500
-    """How many, evenly spread over the list; those without colours are left out."""
+    """Number of meshes, evenly spread over the list; those without colours are left out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

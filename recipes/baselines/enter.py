@@ -49,11 +49,11 @@ class Options:
     out: Path
     """Folder for ID.ply; what is there already is kept."""
     count: int = 60_000
-    """Splats that a mesh becomes."""
+    """Splats to convert a mesh into."""
     rotations: int = 1000
-    """Rotations that the alignment tries."""
+    """Number of rotations that the alignment tries."""
     report: Path | None = None
-    """Measure all that is in OUT and write this HTML page."""
+    """Measure all results in OUT and write this HTML page."""
     beside: tuple[str, ...] = ()
     """With --report: other folders of runs; NAME=FOLDER names the method."""
 

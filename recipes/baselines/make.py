@@ -38,7 +38,7 @@ class Options:
     out: Path
     """Folder for METHOD/ID.ply."""
     methods: tuple[Method, ...] = ALL
-    """Which baselines."""
+    """Baselines to make."""
     bank: Path | None = None
     """The file of ``recipes.baselines.bank``; None = ``nearest_mesh`` is left out."""
 

@@ -64,11 +64,11 @@ class Options:
     size_px: int = 1024
     """Side of the pictures."""
     paint: bool = False
-    """Inpaint with SDXL what has not come back yet."""
+    """Inpaint pictures that are not there yet with SDXL."""
     weights: str = PAINTER
     """With --paint: folder or name of the weights; nothing is downloaded."""
     seed: int = 0
-    """With --paint: of its noise."""
+    """With --paint: seed of its noise."""
 
 
 def cameras_of(known: ObjectFolder, size_px: int) -> Cameras:

@@ -65,17 +65,17 @@ class Options:
     meshes: Path
     """Folder of the pack of meshes."""
     split: Literal["validation", "train"] = "validation"
-    """Which objects; ``train`` to develop on."""
+    """Split of the pack; ``train`` for development."""
     objects: int = 30
-    """How many, evenly spread over the list."""
+    """Number of objects, evenly spread over the list."""
     offset: int = 0
-    """Other ones of ``train``: so many further down the list."""
+    """Shift by so many objects along the list, to use others of ``train``."""
     only: tuple[str, ...] = ()
-    """Of these, those whose id ends so; none = all."""
+    """Only objects whose ids have these endings; none = all."""
     rotations: int = 1000
-    """Rotations that the alignment tries."""
+    """Number of rotations that the alignment tries."""
     distort: Distortion = "none"
-    """How the result differs from the object, beside pose and brightness."""
+    """How the result differs from the object, in addition to pose and brightness."""
     seed: int = 0
 
 

@@ -55,7 +55,7 @@ class Options:
     out: Path | None = None
     """Folder for table and pictures; None = print only."""
     seed: int = 0
-    """Of where the holes are."""
+    """Seed of the positions of holes."""
 
 
 FIVE: tuple[tuple[str, UpAxis], ...] = (

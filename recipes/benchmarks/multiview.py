@@ -47,7 +47,7 @@ class Options:
     start: str = "auto"
     """Initial splats: auto, points or random."""
     hold_out: int = 8
-    """Every this many-th photo is held out."""
+    """N = hold out every Nth photo."""
     json: Path | None = None
     """Add the numbers to the list in this file, for ``recipes.benchmarks.curves``."""
 

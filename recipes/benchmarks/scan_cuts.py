@@ -44,7 +44,7 @@ class Options:
     data: Path = Path("../shared/data")
     """Folder with MANIFEST.tsv."""
     meshes: int = 20
-    """How many, evenly spread over the textured meshes."""
+    """Number of meshes, evenly spread over the textured ones."""
     count: int = 40_000
     """Splats per mesh."""
 

@@ -57,13 +57,13 @@ class Options:
     out: Path
     """Folder for ``results.json``; an interrupted study goes on from it."""
     priors: tuple[PriorName, ...] = get_args(Kind)
-    """Which priors."""
+    """Priors to use."""
     ways: tuple[str, ...] = ("paper", "distill")
-    """Which settings, by name."""
+    """Settings to use, by name."""
     steps: tuple[int, ...] = (600,)
-    """Optimiser steps, each for all ways."""
+    """Numbers of optimiser steps; each is run with all ways."""
     objects: int = 12
-    """Parts, half of them scans, half of them halves."""
+    """Number of parts, half of them scans, half of them halves."""
     seeds: tuple[int, ...] = (0,)
     resolution_px: int = 256
     """Side of the known priors' images."""

@@ -94,7 +94,7 @@ class Options:
     kinds: tuple[PartKind, ...] = get_args(PartKind)
     """Kinds of parts."""
     objects: int | None = None
-    """Only so many objects, evenly spread over the list; None = all."""
+    """Number of objects, evenly spread over the list; None = all."""
     weights: Path | None = None
     """Folder of weights; None = the package's."""
     keep: bool = False

@@ -29,14 +29,14 @@ class Options:
     """Kill jobs at random moments."""
 
     kills: int = 100
-    """How many, over all jobs."""
+    """Number of kills, over all jobs."""
     seed: int = 0
-    """Of moments and signals; when exactly a signal arrives is the machine's business."""
+    """Seed of moments and signals; when exactly a signal arrives is the machine's business."""
     disk: Path | None = None
     """Folder on a small file system, which is filled; None = a folder for temporary files, which
     is not."""
     jobs: tuple[Literal["complete", "build", "batch"], ...] = ("complete", "build", "batch")
-    """Which jobs."""
+    """Jobs to kill."""
 
 
 def main(options: Options) -> int:

@@ -53,7 +53,7 @@ class Options:
     parts: int = 200
     """Held-out parts."""
     orientations: int = ORIENTATIONS
-    """In how many of the eight orientations each network is asked; their mean counts."""
+    """Orientations, of eight, in which each network is evaluated; its answers are averaged."""
     seed: int = 0
 
 

@@ -63,7 +63,7 @@ class RunConfig:
     meshes: Path | None = None
     """Pack of meshes to train on (``mesh_pack``) beside procedural objects; None = none."""
     mesh_count: int | None = None
-    """Only so many meshes of the pack, to learn what more of them bring; None = all."""
+    """Use only so many meshes of the pack, to measure what more of them gain; None = all."""
     steps: int | None = None
     """Length of training in steps; None = set by ``minutes``. Exactly one of them is given."""
     seed: int = 0

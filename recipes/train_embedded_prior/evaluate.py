@@ -186,14 +186,14 @@ def _predict(
 
 @dataclass(frozen=True, slots=True)
 class EvaluateConfig:
-    """Which weights to look at."""
+    """Which weights to evaluate."""
 
     out: Path
     """PNG for the sample sheet."""
     weights: Path = field(default_factory=packaged_weights)
     """Folder of exported weights; the default is the package's own."""
     sets: int = 32
-    """Held-out sets to measure on."""
+    """Number of held-out sets."""
     seed: int = 0
     """Seed of the training run, from which the held-out seed follows."""
     precision: Literal["bfloat16", "float32"] = "bfloat16"

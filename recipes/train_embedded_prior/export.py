@@ -58,7 +58,7 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class ExportConfig:
-    """What to export, and where to."""
+    """What to export, and where."""
 
     run: Path | None = None
     """Folder of the denoiser's training run; None = keep the denoiser that ``out`` holds."""

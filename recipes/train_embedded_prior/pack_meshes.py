@@ -68,11 +68,11 @@ class Options:
     out: Path
     """Folder of the pack; objects are added to those that it has."""
     licence: str
-    """Of the meshes, as their authors state it, such as CC0-1.0; weights' cards name it."""
+    """Licence of the meshes, as their authors state it, such as CC0-1.0; weights' cards name it."""
     author: str = ""
-    """Whom CC-BY asks to name."""
+    """Author to name, as CC-BY asks."""
     source: str | None = None
-    """Where the meshes are from: the first part of ids; None = the folder's name."""
+    """Source of the meshes, the first part of ids; None = the folder's name."""
     words: Path | None = None
     """Table (.tsv or .csv) with a column path (within FOLDER) and any of noun, caption, split,
     licence, author; empty cells count as missing. None = by names."""
@@ -81,7 +81,7 @@ class Options:
     validation_share: float = 0.0
     """About this share of the nouns is held out (split ``validation``), in [0, 1]."""
     faces: int = 4000
-    """Meshes of more are decimated to about so many."""
+    """Meshes with more faces are decimated to about so many."""
     workers: int = 2
     """Processes, at least one."""
 

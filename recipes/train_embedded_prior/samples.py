@@ -82,15 +82,15 @@ class Options:
     nouns: int = 0
     """Prompts of nouns of the pack, instead of families' captions."""
     known_shapes: bool = True
-    """Whether the denoiser is shown the known shape of a prompt's noun."""
+    """Whether the denoiser gets the known shape of a prompt's noun."""
     text_scale: float | None = None
-    """How strongly the prompt pulls; None = the prior's own scale."""
+    """Guidance scale of the prompt; None = the prior's own scale."""
     blind: Path | None = None
-    """Folder for numbered pictures in random order, and what they are (``key.json``)."""
+    """Folder for numbered pictures in random order and for the key to them (``key.json``)."""
     steps: int = 8
     """Denoising steps of a sample."""
     fitted: int = 12
-    """Samples whose consistency is measured, evenly chosen; 0 = none."""
+    """Number of samples whose consistency is measured, evenly chosen; 0 = none."""
     fit_steps: int = 250
     """Optimiser steps of a fit."""
     seed: int = 0

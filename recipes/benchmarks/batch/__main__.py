@@ -57,7 +57,7 @@ class Options:
     meshes: Path | None = None
     """Folder of the pack of meshes; None = no parts of it."""
     objects: int = 64
-    """How many; the dataset's first."""
+    """Number of objects, the dataset's first."""
     ways: tuple[Way, ...] = ("one-by-one", "local", "killed", "ray", "alternate")
     """What to do, in order; the others are compared with ``one-by-one``."""
     kills: int = 12
@@ -65,9 +65,9 @@ class Options:
     alternating: int = 24
     """Objects of ``alternate``."""
     preset: str = "default"
-    """Of all runs."""
+    """Preset of all runs."""
     seed: int = 0
-    """Of the moments of kills."""
+    """Seed of the moments of kills."""
 
 
 def main(options: Options) -> int:

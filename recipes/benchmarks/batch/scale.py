@@ -49,13 +49,13 @@ class Options:
     runs: Path | None = None
     """Folder of results of a batch; None = measure only."""
     objects: int = 10_000_000
-    """How many of their kind."""
+    """Number of objects of their kind to extrapolate to."""
     cores: int = 1_000
-    """That do them, a worker on each."""
+    """Cores to extrapolate to, with a worker on each."""
     deaths_per_hour: float = 0.05
-    """Of a worker: preempted machines, memory, hardware."""
+    """Deaths of a worker per hour (preempted machines, memory, hardware)."""
     seed: int = 0
-    """Of the simulation."""
+    """Seed of the simulation."""
 
 
 def main(options: Options) -> None:

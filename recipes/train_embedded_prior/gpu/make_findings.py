@@ -33,7 +33,7 @@ class Options:
     meshes: Path
     """Pack of meshes."""
     out: Path
-    """File of the findings; what it holds already is kept."""
+    """File of the findings; those in it already are kept."""
     first: int
     """First part."""
     last: int
@@ -42,7 +42,7 @@ class Options:
     mesh_share: float = 0.7
     """Share of parts of meshes, as in training."""
     minutes: float = 60.0
-    """Stop after so long."""
+    """Stop after so many minutes."""
     jobs: int = 2
 
 
