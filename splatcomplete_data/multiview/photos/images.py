@@ -85,7 +85,7 @@ def left_out_note(folder: Path) -> str | None:
     if not counts:
         return None
     kinds = ", ".join(f"{count} {suffix}" for suffix, count in sorted(counts.items()))
-    return f"photos left out, as their format is not read ({kinds}): convert them to JPEG or PNG"
+    return f"photos of formats that are not read ({kinds}): convert them to JPEG or PNG"
 
 
 def read_photo(path: Path) -> NDArray[np.uint8]:  # [H, W, 3 or 4]

@@ -226,7 +226,7 @@ def test_grid_counts_what_it_would_have_missed() -> None:
         mesh_of(np.array([tiny, plate])), spacing=1.0, settings=ConvertSettings(mode="grid")
     )
     assert len(made.splats) == 1 + 10
-    assert "1 triangles lie between" in made.steps[1].note
+    assert "1 triangles contain no grid point" in made.steps[1].note
     slanted = np.array([[[0, 0, 0], [4, 0, 4], [0, 4, 0]]])
     scales = convert_mesh(
         mesh_of(slanted), spacing=1.0, settings=ConvertSettings(mode="grid", sigma_per_cell=1.0)

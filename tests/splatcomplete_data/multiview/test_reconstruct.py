@@ -188,7 +188,7 @@ def test_training_that_has_begun_keeps_its_structure_from_motion(tmp_path):
     with pytest.raises(UserError, match="another sfm: lens_per_photo: the run has False"):
         prepared(folder, out, resume=True, sfm=SfmSettings(lens_per_photo=True))
     (folder / "photo_03.png").write_bytes((folder / "photo_02.png").read_bytes())
-    with pytest.raises(UserError, match="cannot resume: it was made from other photos"):
+    with pytest.raises(UserError, match="cannot resume, as it was made from other photos"):
         prepared(folder, out, resume=True)
     assert contents(out / "sfm") == before
     (out / "capture.json").unlink()  # as after a run that found too few cameras
@@ -203,7 +203,7 @@ def test_photos_that_are_left_out_are_noted(tmp_path, capsys):
     for name in ("a.HEIC", "b.heic", "c.dng", "photo_00.dng", "list.txt"):
         (folder / name).write_bytes(b"x")
     assert images(folder, out) == 0
-    told = "photos that are left out (1 .dng, 2 .heic): convert them to JPEG or PNG"
+    told = "photos of formats that are not read (1 .dng, 2 .heic): convert them to JPEG or PNG"
     assert told in capsys.readouterr().out
     assert any(told in note for note in json.loads((out / "capture.json").read_text())["notes"])
 
@@ -215,7 +215,7 @@ def test_folders_of_photos_that_are_not_read_are_named(tmp_path, capsys, inner):
     for index in range(5):
         (folder / f"{index}.AVIF").write_bytes(b"x")
     assert images(tmp_path / "c", tmp_path / "a") == 2
-    assert "found photos that are left out (5 .avif): convert" in capsys.readouterr().err
+    assert "found photos of formats that are not read (5 .avif): convert" in capsys.readouterr().err
 
 
 def test_settings_of_structure_from_motion_only_matter_where_it_is_used(photos, tmp_path):

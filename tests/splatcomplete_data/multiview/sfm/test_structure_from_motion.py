@@ -62,7 +62,7 @@ def test_too_few_photos_stay_too_few_until_asked_for_otherwise(photos, colmap, t
     found = sfm.find_poses(photos, tmp_path / "w", sfm.SfmSettings(lens_per_photo=True))
     assert len(colmap.requests) == 2
     assert len(found.photos) == 8
-    assert "anew" in found.notes[0]
+    assert "starts again" in found.notes[0]
     assert "made from other settings" in found.notes[0]
 
 
@@ -72,7 +72,7 @@ def test_other_photos_start_anew_and_leave_what_is_not_ours(photos, colmap, tmp_
     (work / "database.db").write_text("features of the old photos")
     (work / "letter.txt").write_text("mine")
     Image.new("RGB", (32, 32)).save(photos / "photo_03.png")
-    with pytest.raises(UserError, match="w: cannot resume: it was made from other photos"):
+    with pytest.raises(UserError, match="w: cannot resume, as it was made from other photos"):
         sfm.find_poses(photos, work, anew=False)
     assert (work / "database.db").exists()
     assert "made from other photos" in sfm.find_poses(photos, work).notes[0]
