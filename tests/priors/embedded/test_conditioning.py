@@ -59,7 +59,7 @@ def test_a_shape_is_seen_from_the_rings_cameras(bank):
 def test_the_users_report_names_the_shape(bank):
     assert upright(told(), bank, 0).report == (
         "read",
-        "prompt: the prior is shown a known shape, a/chair",
+        "prompt: the prior sees the known shape a/chair",
     )
 
 
