@@ -23,7 +23,8 @@ def test_the_truth_itself_is_perfect():
     found = hidden_surface_errors(truth, partial, truth)
     assert found is not None
     assert (found.chamfer, found.f_score_1, found.f_score_3) == (0.0, 1.0, 1.0)
-    assert found.hidden_share == pytest.approx(0.2 / 0.4, abs=0.05)
+    # One of the 40 columns of splats is next to P's and does not count as hidden.
+    assert found.hidden_share == pytest.approx(0.2 / 0.4, abs=1.5 / 40)
 
 
 def test_nothing_new_scores_nothing_and_a_lifted_copy_its_height():

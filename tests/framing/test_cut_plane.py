@@ -39,7 +39,8 @@ def test_a_cut_through_the_middle_is_one_of_symmetry_and_shows_what_was_cut_away
     assert found.is_symmetric
     assert abs(found.offset - np.array([5.0, 3.0, 1e3]) @ normal) < 10.0
     both = np.concatenate([kept, found.mirrored(kept)])
-    np.testing.assert_allclose(both.mean(axis=0), [5.0, 3.0, 1e3], atol=12.0)
+    # The ball is 800 wide; the plane lies up to a spacing off. Measured: 3.5.
+    np.testing.assert_allclose(both.mean(axis=0), [5.0, 3.0, 1e3], atol=7.0)
 
 
 @pytest.mark.parametrize("offset", [-0.15, 0.15])

@@ -25,7 +25,8 @@ def test_numbers_are_read_back_from_cameras(azimuth, elevation, radius, fov, tar
         target=torch.tensor(target, dtype=torch.float64),
     )
     found = ring_numbers(cameras)
-    assert float(found[0]) == pytest.approx(elevation, abs=1e-2)
+    # Numbers are float32, and at 80 degrees a sine's error counts six times. Measured: 5e-6.
+    assert float(found[0]) == pytest.approx(elevation, abs=1e-3)
     assert float(found[1]) == pytest.approx(radius, rel=1e-3, abs=1e-4)
     assert float(found[2]) == pytest.approx(fov, rel=1e-4)
 

@@ -87,7 +87,8 @@ def test_far_from_every_source_the_nearest_is_taken():
     images = [torch.from_numpy(s.apply(partial.means.numpy())) for s in inputs.symmetries]
     places = torch.stack([partial.means, *images])
     nearest = (places + torch.tensor([0.7, 0.0, 0.0])).norm(dim=2).amin(dim=0).argmin()
-    torch.testing.assert_close(taken[0], partial.base_colors[nearest], atol=0.1, rtol=0)
+    # Several near splats are mixed, whose colours differ a little. Measured: 0.006.
+    torch.testing.assert_close(taken[0], partial.base_colors[nearest], atol=0.02, rtol=0)
 
 
 @pytest.mark.parametrize("count", [1, 3])

@@ -80,10 +80,11 @@ def test_lengths():
     part = moved(half(ball(radius=0.2)), (0.1, 0.0, 0.0))  # x from 0.1 to 0.3
     found = features_of(part)
     at = OFFSETS.index(0.4)
-    assert found["gap"][0, at] == pytest.approx(0.1, abs=0.01)
+    # Points do not lie at the very ends. Measured: 0.0007, 0.002 and 0.001.
+    assert found["gap"][0, at] == pytest.approx(0.1, abs=0.005)
     assert found["gap"][0, OFFSETS.index(0.2)] == 0
-    assert found["width"][0, at] == pytest.approx(0.2, abs=0.02)
-    assert found["edge"][0, OFFSETS.index(0.2)] == pytest.approx(0.5, abs=0.05)
+    assert found["width"][0, at] == pytest.approx(0.2, abs=0.01)
+    assert found["edge"][0, OFFSETS.index(0.2)] == pytest.approx(0.5, abs=0.01)
     assert found["offset"][0, at] == pytest.approx(0.4)
 
 
@@ -97,4 +98,4 @@ def test_few_or_equal_points_break_nothing(count):
 def test_normals_are_unit_and_spread():
     normals = plane_normals()
     assert np.linalg.norm(normals, axis=1) == pytest.approx(1.0)
-    assert math.degrees(math.acos(float(normals[0] @ normals[1]))) == pytest.approx(5.0, abs=0.01)
+    assert math.degrees(math.acos(float(normals[0] @ normals[1]))) == pytest.approx(5.0, abs=1e-3)

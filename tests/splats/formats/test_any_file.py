@@ -50,11 +50,13 @@ def test_round_trip(tmp_path: Path, kind: str) -> None:
     assert len(back) == len(splats)
     a, b = splats, back.select(torch.cdist(splats.means, back.means).argmin(dim=1))
     torch.testing.assert_close(a.means, b.means, atol=5e-3, rtol=0)
-    torch.testing.assert_close(a.opacities, b.opacities, atol=0.01, rtol=0)
-    torch.testing.assert_close(a.base_colors, b.base_colors, atol=0.02, rtol=0)
+    torch.testing.assert_close(a.opacities, b.opacities, atol=0.51 / 255, rtol=0)
+    # SPZ's steps are the coarsest: a byte for 6.7 of the coefficient. Measured: 0.0037.
+    torch.testing.assert_close(a.base_colors, b.base_colors, atol=0.004, rtol=0)
     size = a.scales.amax(dim=1).square()[:, None, None]
     assert ((covariances(a) - covariances(b)).abs() / size).median() < 0.05
     if kind == "spz":
+        # Half a step of 1/128 here; writers may keep 4 of the 8 bits, in steps of 1/8.
         torch.testing.assert_close(a.sh[:, 1:], b.sh[:, 1:], atol=0.08, rtol=0)
 
 

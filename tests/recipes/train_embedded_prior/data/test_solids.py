@@ -12,6 +12,7 @@ def test_a_sphere_is_filled_and_a_cup_is_not():
     tangents = np.full((len(sphere), 2, 3), 1e-4, np.float32)
     ball = solid_cells(sphere, tangents)
     expected = 4 / 3 * np.pi * 0.4**3 / (1.44 / CELLS) ** 3
+    # Cells that the surface touches are filled whole: as if it were 0.65 cells larger, 15 % more.
     assert ball.sum() == pytest.approx(expected, rel=0.2)
     cup = solid_cells(sphere[sphere[:, 2] < 0.1], tangents)
     assert cup[CELLS // 2, CELLS // 2, CELLS // 2] == 0

@@ -31,7 +31,8 @@ SOLIDS = {
 @pytest.mark.parametrize("name", SOLIDS)
 def test_closed_shapes_enclose_their_volume_with_normals_outward(name):
     make, expected = SOLIDS[name]
-    assert volume(make()) == pytest.approx(expected, rel=0.03)
+    # The ellipsoid's facets lack 0.14 % of its volume, those of the others less.
+    assert volume(make()) == pytest.approx(expected, rel=0.005)
 
 
 @settings(max_examples=40, deadline=None)

@@ -36,7 +36,8 @@ SOLIDS = {
 @pytest.mark.parametrize("name", SOLIDS)
 def test_closed_shapes_enclose_their_volume_with_normals_outward(name):
     make, expected = SOLIDS[name]
-    assert volume(make()) == pytest.approx(expected, rel=0.03)
+    # A polygon of n sides lacks 2 pi^2 / (3 n^2) of its circle: 0.64 % for 32, the fewest here.
+    assert volume(make()) == pytest.approx(expected, rel=0.01)
 
 
 def test_a_loft_through_squares_is_a_box():
