@@ -81,9 +81,6 @@ _GAP_SPACINGS = 3.0
 _NEARLY_ALL = 0.9
 """If at least this share of P's splats has a copy, copies may be all that is added
 (``AssembleSettings.image_is_all``); where fewer are left, the others would have hidden P."""
-_NEXT_TO_NOTHING = 0.02
-"""If the prompt changes a smaller share of the filled cells, users are told that it has no visible
-effect."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,7 +238,7 @@ def _surface_logit(prediction: Prediction, settings: AssembleSettings) -> float:
     share = _missing_share(prediction)
     levels = (settings.occupancy_threshold_high, settings.occupancy_threshold_low)
     by_share = float(np.interp(share, settings.threshold_missing_shares, levels))
-    if not _is_mirrored(prediction):
+    if not is_mirrored(prediction):
         return by_share
     return max(
         by_share,
@@ -254,7 +251,7 @@ def _is_scan(prediction: Prediction) -> bool:
     return not prediction.ends_in_plane and prediction.voxels.shown_at_once >= ONE_VIEW_SHARE
 
 
-def _is_mirrored(prediction: Prediction) -> bool:
+def is_mirrored(prediction: Prediction) -> bool:
     """Say whether the network was given any mirror image."""
     return prediction.seen.symmetries[0].score > 0
 
@@ -263,35 +260,6 @@ def mirror_plane_of(symmetry: SymmetryMap) -> MirrorPlane:
     """Return a mirror image's plane as users write it, to the digits that they see."""
     angle, offset = plane_of(symmetry)
     return MirrorPlane(round(math.degrees(angle), 1), round(offset, 3))
-
-
-def notes_of(prediction: Prediction, mirrored: int) -> tuple[str, ...]:
-    """Tell users what decided the guess: their prompt, and the plane that P was mirrored through.
-
-    Args:
-        prediction: what the network was given, and its answer.
-        mirrored: how many of the new splats are P's own.
-    """
-    prompt = _prompt_note(prediction.prompt_share)
-    return (*prompt, _mirror_note(prediction, mirrored))
-
-
-def _prompt_note(share: float | None) -> tuple[str, ...]:
-    if share is None:
-        return ()
-    if share < _NEXT_TO_NOTHING:
-        decides = "P alone determines it (--prompt-decides lets the prompt do so)"
-        return (f"prompt: hardly changes the guessed shape ({share:.1%}): {decides}",)
-    return (f"prompt: changes {share:.0%} of the guessed shape",)
-
-
-def _mirror_note(prediction: Prediction, mirrored: int) -> str:
-    """Name the plane as users would ask for it."""
-    if not _is_mirrored(prediction):
-        return "not mirrored"
-    plane = mirror_plane_of(prediction.seen.symmetries[0])
-    how = "P's mirror image is added" if mirrored else "P's mirror image guides the guess"
-    return f"{how}: upright plane {plane} (--mirror)"
 
 
 def image_of_half(

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,8 +26,9 @@ from gscomplete.shape.assemble import (
     AssembleSettings,
     assemble_splats,
     hides_nothing,
+    is_mirrored,
     is_mirrored_by_splats,
-    notes_of,
+    mirror_plane_of,
 )
 from gscomplete.shape.bank.as_answer import DECIDING, LIKE_PARTIAL, occupancy_of
 from gscomplete.shape.bank.fit import FitLimits, FittedShape, fit_known_shapes
@@ -52,6 +54,9 @@ from gscomplete.views import ViewDistribution
 
 _MOST_SHOWN = 3
 """Known shapes that the network is shown."""
+_NEXT_TO_NOTHING = 0.02
+"""If the prompt changes a smaller share of the filled cells, users are told that it has no visible
+effect."""
 _LEFT_NOTE = (
     "P seems to lack little or nothing, by its surface and by what the network would add: nothing "
     "is added (--mirror none completes it all the same)"
@@ -155,6 +160,7 @@ def guess_complete(
     *,
     mirror_is_cut: bool = False,
     of_ending: FloatArray | None = None,  # [len(benefit.OF_ENDING)]
+    plane_back: Callable[[MirrorPlane], MirrorPlane] | None = None,
 ) -> Guess:
     """Guess the complete object.
 
@@ -169,6 +175,7 @@ def guess_complete(
         mirror_is_cut: whether P was cut squarely along that plane.
         of_ending: features that tell whether P lacks anything (``benefit.OF_ENDING``); None = P is
             completed in any case.
+        plane_back: takes mirror planes to the frame that notes name them in; None = as they are.
 
     Returns:
         The new splats, object frame, with what decided them; none if P is better left as it is.
@@ -179,8 +186,8 @@ def guess_complete(
         nothing = partial.with_sh_degree(0).select(torch.arange(0))
         return Guess(nothing, (), (_LEFT_NOTE,))
     notes: tuple[str, ...] = ()
-    is_mirrored = isinstance(mirror, MirrorPlane) or is_mirrored_by_splats(plain)
-    if known.decide or not is_mirrored:  # else little is left to guess from a noun
+    takes_image = isinstance(mirror, MirrorPlane) or is_mirrored_by_splats(plain)
+    if known.decide or not takes_image:  # else little is left to guess from a noun
         found = _by_known_shapes(asked, plain, partial, views, mirror, known, settings, generator)
         if found is not None:
             return dataclasses.replace(found, notes=known.notes(found.known) + found.notes)
@@ -194,7 +201,8 @@ def guess_complete(
         assembled = assemble_splats(plain, partial, settings, generator, fitted)
     if assembled.contradicted:
         notes += (known.contradiction(fitted(), assembled.contradicted),)
-    return Guess(assembled.splats, (), notes + notes_of(plain, assembled.mirrored))
+    told = notes_of(plain, assembled.mirrored, plane_back)
+    return Guess(assembled.splats, (), notes + told)
 
 
 def _by_known_shapes(
@@ -265,6 +273,46 @@ def ask_about(asked: Asked, partial: Splats, views: ViewDistribution, mirror: Mi
         bfloat16=asked.bfloat16,
         mirror_plane=mirror,
     )
+
+
+def notes_of(
+    prediction: Prediction,
+    mirrored: int,
+    plane_back: Callable[[MirrorPlane], MirrorPlane] | None = None,
+) -> tuple[str, ...]:
+    """Tell users what decided the guess: their prompt, and the plane that P was mirrored through.
+
+    Args:
+        prediction: what the network was given, and its answer.
+        mirrored: how many of the new splats are P's own.
+        plane_back: takes a plane of the prediction's frame to the user's; None = they are one.
+    """
+    prompt = _prompt_note(prediction.prompt_share)
+    return (*prompt, _mirror_note(prediction, mirrored, plane_back))
+
+
+def _prompt_note(share: float | None) -> tuple[str, ...]:
+    if share is None:
+        return ()
+    if share < _NEXT_TO_NOTHING:
+        decides = "P alone determines it (--prompt-decides lets the prompt do so)"
+        return (f"prompt: hardly changes the guessed shape ({share:.1%}): {decides}",)
+    return (f"prompt: changes {share:.0%} of the guessed shape",)
+
+
+def _mirror_note(
+    prediction: Prediction,
+    mirrored: int,
+    plane_back: Callable[[MirrorPlane], MirrorPlane] | None,
+) -> str:
+    """Name the plane as users would ask for it."""
+    if not is_mirrored(prediction):
+        return "not mirrored"
+    plane = mirror_plane_of(prediction.seen.symmetries[0])
+    if plane_back is not None:
+        plane = plane_back(plane)
+    how = "P's mirror image is added" if mirrored else "P's mirror image guides the guess"
+    return f"{how}: upright plane {plane} (--mirror)"
 
 
 def _carried(prediction: Prediction, frame: Similarity) -> Prediction:

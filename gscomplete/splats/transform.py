@@ -1,4 +1,4 @@
-"""Similarity transforms: uniform scale, rotation, translation; of points and of splats.
+"""Similarity transforms of points and of splats; linear maps that stretch splats.
 
 Conventions
 -----------
@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from gscomplete.splats.record import Splats
+from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.splats.sh import rotate_sh
 
 ROTATION_TOLERANCE = 1e-6
@@ -99,25 +100,30 @@ class Similarity:
             raise ValueError(f"similarity: expected {expected}, found {data!r}") from error
 
 
-def quaternion_from_rotation(rotation: Tensor) -> Tensor:  # [3, 3] -> [4]
-    """Return the unit quaternion (w, x, y, z), w >= 0, of a rotation matrix, in float64.
+def quaternions_from_rotations(rotations: Tensor) -> Tensor:  # [N, 3, 3] -> [N, 4]
+    """Return the unit quaternions (w, x, y, z), w >= 0, of rotation matrices, in float64.
 
-    Its outer product with itself is linear in the matrix; the column with the largest diagonal
-    entry is the quaternion times its largest component, so nothing is divided by less than 1/2.
+    A quaternion's outer product with itself is linear in the matrix; the column with the largest
+    diagonal entry is the quaternion times its largest component, so nothing is divided by less than
+    1/2.
     """
-    (a, b, c), (d, e, f), (g, h, i) = rotation.to(torch.float64).tolist()
-    outer = torch.tensor(
-        [
-            [1 + a + e + i, h - f, c - g, d - b],
-            [h - f, 1 + a - e - i, b + d, c + g],
-            [c - g, b + d, 1 - a + e - i, f + h],
-            [d - b, c + g, f + h, 1 - a - e + i],
-        ],
-        dtype=torch.float64,
+    a, b, c, d, e, f, g, h, i = rotations.to(torch.float64).flatten(1).unbind(1)
+    rows = (
+        (1 + a + e + i, h - f, c - g, d - b),
+        (h - f, 1 + a - e - i, b + d, c + g),
+        (c - g, b + d, 1 - a + e - i, f + h),
+        (d - b, c + g, f + h, 1 - a - e + i),
     )
-    column = outer[:, int(outer.diagonal().argmax())]
-    unit = column / column.norm()
-    return -unit if unit[0] < 0 else unit
+    outer = torch.stack([torch.stack(row, dim=1) for row in rows], dim=1)
+    largest = outer.diagonal(dim1=1, dim2=2).argmax(dim=1)
+    column = outer[torch.arange(len(outer)), largest]
+    unit = column / column.norm(dim=1, keepdim=True)
+    return torch.where(unit[:, :1] < 0, -unit, unit)
+
+
+def quaternion_from_rotation(rotation: Tensor) -> Tensor:  # [3, 3] -> [4]
+    """Return the quaternion of one rotation matrix; see :func:`quaternions_from_rotations`."""
+    return quaternions_from_rotations(rotation[None])[0]
 
 
 def multiply_quaternions(a: Tensor, b: Tensor) -> Tensor:  # [..., 4], [..., 4] -> [..., 4]
@@ -154,4 +160,32 @@ def transform_splats(splats: Splats, similarity: Similarity) -> Splats:
         scales=(splats.scales.to(torch.float64) * similarity.scale).to(splats.scales.dtype),
         opacities=splats.opacities,
         sh=rotate_sh(splats.sh, similarity.rotation),
+    )
+
+
+def stretch_splats(splats: Splats, matrix: Tensor) -> Splats:  # [3, 3] invertible
+    """Map splats linearly, by different factors along different axes.
+
+    Gaussians remain Gaussians. Harmonics stay as they are, and eigenvectors of equal eigenvalues
+    may be any: the third axis is the thinnest one.
+
+    Args:
+        splats: N splats.
+        matrix: takes their means to the new ones.
+
+    Returns:
+        N splats, row by row.
+    """
+    given = torch.as_tensor(matrix).to("cpu", torch.float64)
+    axes = rotation_matrices(splats.quaternions.to(torch.float64))
+    spread = given @ axes @ torch.diag_embed(splats.scales.to(torch.float64))
+    variances, turned = torch.linalg.eigh(spread @ spread.transpose(1, 2))
+    turned = turned.flip(2)
+    turned[:, :, 2] *= torch.linalg.det(turned)[:, None]  # a reflection becomes a rotation
+    return Splats(
+        means=(splats.means.to(torch.float64) @ given.T).to(splats.means.dtype),
+        quaternions=quaternions_from_rotations(turned).to(splats.quaternions.dtype),
+        scales=variances.flip(1).clamp_min(0.0).sqrt().to(splats.scales.dtype),
+        opacities=splats.opacities,
+        sh=splats.sh,
     )

@@ -12,13 +12,13 @@ from gscomplete.shape.assemble import (
     contradicted_by,
     image_of_half,
     is_mirrored_by_splats,
-    notes_of,
     select_consistent,
     stands_off,
 )
 from gscomplete.shape.bank.fit import FittedShape
 from gscomplete.shape.bank.pose import Pose
 from gscomplete.shape.bank.store import ShapeName
+from gscomplete.shape.guess import notes_of
 from gscomplete.shape.mirror_plane import MirrorPlane
 from gscomplete.shape.network import ShapeOutput
 from gscomplete.shape.partial_voxels import voxelize_partial

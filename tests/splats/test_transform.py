@@ -1,4 +1,4 @@
-"""Similarity transforms: group laws, JSON, and splats that look the same in the new frame."""
+"""Transforms: group laws, JSON, and splats that look the same or are stretched in the new frame."""
 
 import dataclasses
 import json
@@ -14,6 +14,7 @@ from gscomplete.splats.transform import (
     Similarity,
     multiply_quaternions,
     quaternion_from_rotation,
+    stretch_splats,
     transform_splats,
 )
 from tests.builders.objects import random_splats
@@ -140,3 +141,27 @@ def test_scales_beyond_the_range_of_float32_lose_no_splat():
     )
     there = transform_splats(tiny, Similarity(1e44, torch.eye(3), torch.zeros(3)))
     assert torch.allclose(there.scales, torch.tensor(10.0), rtol=0.01)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10**6), factor=st.floats(0.05, 20.0))
+def test_stretched_splats_keep_their_gaussians(seed, factor):
+    splats = random_splats(6, 1, seed, scale=1.0).to(dtype=torch.float64)
+    turn = random_similarity(seed).rotation
+    matrix = turn @ torch.diag(torch.tensor([factor, 1.0, 1.0], dtype=torch.float64)) @ turn.T
+    there = stretch_splats(splats, matrix)
+    back = stretch_splats(there, torch.linalg.inv(matrix))
+    assert torch.allclose(there.means, splats.means @ matrix.T)
+    assert (there.scales[:, 2] <= there.scales.amin(dim=1)).all()
+    for i in range(6):
+        unit = torch.nn.functional.normalize(splats.quaternions[i], dim=0)
+        axes = matrix_of(unit) * splats.scales[i]
+        expected = matrix @ axes @ axes.T @ matrix.T
+        found = matrix_of(there.quaternions[i]) * there.scales[i]
+        # eigenvalues are right to 1e-16 of the largest; squares of factors reach 400
+        error = (found @ found.T - expected).norm() / expected.norm()
+        assert error < 1e-12
+        returned = matrix_of(back.quaternions[i]) * back.scales[i]
+        assert (returned @ returned.T - axes @ axes.T).norm() < 1e-9 * (axes @ axes.T).norm()
+    assert torch.equal(there.sh, splats.sh)
+    assert torch.equal(there.opacities, splats.opacities)

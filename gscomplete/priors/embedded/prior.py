@@ -30,6 +30,7 @@ from gscomplete.priors.base import Conditioning, FirstGuess, FourViews, Guidance
 from gscomplete.priors.ddim import ddim, even_times
 from gscomplete.priors.embedded.conditioning import EmbeddedConditioning, about_partial
 from gscomplete.priors.embedded.diffusion import NUM_TIMESTEPS, add_noise, scales_like
+from gscomplete.priors.embedded.elongated import shortening_of
 from gscomplete.priors.embedded.ending import ending_of, ends_in_plane, mirror_of_half
 from gscomplete.priors.embedded.inputs import images_to_color_alpha, network_images
 from gscomplete.priors.embedded.int8 import in_bytes
@@ -209,10 +210,20 @@ class EmbeddedPrior:
             return FirstGuess(nothing, told + ending.notes)
         asked = self.asked(conditioning, ends_in_plane=ending.in_plane)
         assert asked is not None
-        about = partial, distribution, ending.mirror, known, count, generator
         cut = ending.image_is_all
+        if not cut and not prompt_decides:
+            long = shortening_of(partial.means.double().numpy())
+            through = None if long is None else long.mirror(ending.mirror)
+            if long is not None and through is not None:
+                there = long.splats(partial), long.views(distribution), through
+                guess = guess_complete(
+                    asked, *there, KnownShapes(None, conditioning.prompt), count, generator,
+                    of_ending=ending.features, plane_back=long.plane_back,
+                )  # fmt: skip
+                return FirstGuess(long.splats_back(guess.splats), (long.note, *guess.notes))
+        about = partial, distribution, ending.mirror, known, count, generator
         guess = guess_complete(asked, *about, mirror_is_cut=cut, of_ending=ending.features)
-        notes = ending.notes if ending.image_is_all else ()
+        notes = ending.notes if cut else ()
         return FirstGuess(guess.splats, notes + guess.notes)
 
     def asked(self, conditioning: Conditioning, *, ends_in_plane: bool) -> Asked | None:

@@ -1,0 +1,95 @@
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from gscomplete.priors import load_prior
+from gscomplete.priors.embedded.elongated import shortening_of
+from gscomplete.shape.mirror_plane import MirrorPlane
+from gscomplete.splats import Splats
+from gscomplete.views import ViewDistribution
+from tests.builders.objects import cylinder
+
+VIEWS = ViewDistribution(30.0, 20.0)
+
+
+def pole(axis: str = "z") -> Splats:
+    """Cover a pole of radius .06 and length .9 along an axis."""
+    stretched = cylinder()
+    means = stretched.means / stretched.means.abs().amax(dim=0) * torch.tensor([0.06, 0.06, 0.45])
+    order = {"z": [0, 1, 2], "x": [2, 0, 1]}[axis]
+    turned = means[:, order]
+    small = stretched.scales.clamp_max(0.02)
+    return dataclasses.replace(stretched, means=turned, scales=small)
+
+
+def test_only_what_is_long_is_shortened():
+    assert shortening_of(np.random.default_rng(0).uniform(-0.5, 0.5, (500, 3))) is None
+    assert shortening_of(np.zeros((1, 3))) is None
+    assert shortening_of(np.zeros((5, 3))) is None
+    points = pole().means.double().numpy()
+    long = shortening_of(points)
+    assert long is not None
+    extents = np.ptp(points @ long.matrix.T, axis=0)
+    assert extents.max() == pytest.approx(1.0, abs=0.01)
+    assert extents[2] == extents.max()
+    assert long.factor == pytest.approx(0.25)  # which is as short as anything becomes
+    beside = points + np.array([0.2, 0, 0])  # what lacks its other half is wider than it seems
+    assert shortening_of(beside) is None
+
+
+def test_the_long_axis_may_lie_in_any_direction():
+    points = pole("x").means.double().numpy()
+    angle = np.radians(30)
+    turn = np.array(
+        [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
+    )
+    long = shortening_of(points @ turn.T)
+    assert long is not None
+    assert abs(long.axis @ turn[:, 0]) == pytest.approx(1.0, abs=1e-3)
+    there = points @ turn.T @ long.matrix.T
+    assert np.ptp(there @ turn[:, 0]) == pytest.approx(1.0, abs=0.02)
+
+
+def test_splats_come_back_and_views_are_carried():
+    long = shortening_of(pole().means.double().numpy())
+    assert long is not None
+    there = long.splats(pole())
+    assert torch.allclose(long.splats_back(there).means, pole().means, atol=1e-6)
+    carried = long.views(VIEWS)
+    seen = long.matrix @ VIEWS.direction()
+    assert carried.direction() == pytest.approx(seen / np.linalg.norm(seen))
+    assert carried.azimuth_deg == pytest.approx(30.0)
+    assert carried.radius == VIEWS.radius
+
+
+def test_upright_planes_are_carried_both_ways_if_the_axis_is_upright():
+    upright, level = (shortening_of(pole(axis).means.double().numpy()) for axis in ("z", "x"))
+    assert upright is not None
+    assert level is not None
+    plane = MirrorPlane(40.0, 0.1)
+    there = upright.mirror(plane)
+    assert isinstance(there, MirrorPlane)
+    assert upright.plane_back(there) == plane
+    assert level.mirror(plane) is None  # no reflection there is one here
+    assert upright.mirror(MirrorPlane(40.0, 0.9)) is None  # off the grid
+    assert level.mirror("guess") == upright.mirror("guess") == "guess"
+    along = level.plane_back(MirrorPlane(0.0, 0.5))  # across the axis
+    assert along.offset == pytest.approx(0.5 / level.matrix[0, 0], abs=1e-3)
+
+
+def test_a_long_thing_is_as_thick_as_it_should_be():
+    """Half a pole is completed on its true surface; unless shortened, it is six cells wide."""
+    whole = pole()
+    part = whole.select(whole.means[:, 0] > 0.01)
+    prior = load_prior("embedded")
+    guess = prior.first_guess(
+        part, VIEWS, prior.condition("a pole"), torch.Generator().manual_seed(0), 2000
+    )
+    assert any("P is long" in note for note in guess.notes)
+    new = guess.splats.means[guess.splats.means[:, 2].abs() < 0.4]
+    assert (new[:, 0] < 0).float().mean() > 0.5
+    off = (new[:, :2].norm(dim=1) - 0.06).abs()
+    # half a cell is .0125; in the shortened frame it is .0035 of the pole's width
+    assert float(off.median()) < 0.006
