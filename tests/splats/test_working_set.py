@@ -29,7 +29,7 @@ def test_unusable_rows_are_left_out_with_a_reason():
     chosen = working_set(dataclasses.replace(splats, means=means), None, "p.ply")
     assert len(chosen.splats) == 9
     assert chosen.unusable == {"non_finite_mean": 1}
-    assert chosen.summary == "9 of 10 splats of P take part; 1 left out (non finite mean)"
+    assert chosen.summary == "9 of 10 splats of P are used; 1 left out (non finite mean)"
     nothing = dataclasses.replace(splats, means=means * torch.nan)
     with pytest.raises(UserError, match=r"p\.ply: .* found none of 10 \(10 non finite mean\)"):
         working_set(nothing, None, "p.ply")
