@@ -96,8 +96,18 @@ class Shortening:
         return MirrorPlane(round(azimuth_deg, 1), round(offset, 3))
 
 
-def shortening_of(points: FloatArray) -> Shortening | None:  # [N, 3] P, object frame
-    """Return how P is shortened; None = it is not long."""
+def shortening_of(
+    points: FloatArray,  # [N, 3] P, object frame
+    *,
+    ends_in_plane: bool,
+) -> Shortening | None:
+    """Return how P is shortened; None = it is not.
+
+    Args:
+        points: P's points.
+        ends_in_plane: whether P was cut along a plane. Then its own splats are likely to be
+            mirrored, and a mirror image stays one only if the long axis is upright.
+    """
     if len(points) < 2:
         return None
     level = points[:, :2] - points[:, :2].mean(axis=0)
@@ -106,7 +116,7 @@ def shortening_of(points: FloatArray) -> Shortening | None:  # [N, 3] P, object 
     extents = 2 * np.abs(points @ along.T).max(axis=0)
     _, second, first = np.sort(extents)
     longest = int(extents.argmax())
-    if not 0 < second < _LONG * first or longest == 2:
+    if not 0 < second < _LONG * first or longest == 2 or (ends_in_plane and longest > 0):
         return None
     factor = max(second / first / _SHORTENED_TO, _LEAST_FACTOR)
     return Shortening(along[longest], float(factor), float(1 / max(factor * first, second)))

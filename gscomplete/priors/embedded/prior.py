@@ -212,7 +212,8 @@ class EmbeddedPrior:
         assert asked is not None
         cut = ending.image_is_all
         if not cut and not prompt_decides:
-            long = shortening_of(partial.means.double().numpy())
+            points = partial.means.double().numpy()
+            long = shortening_of(points, ends_in_plane=ending.in_plane)
             through = None if long is None else long.mirror(ending.mirror)
             if long is not None and through is not None:
                 there = long.splats(partial), long.views(distribution), through

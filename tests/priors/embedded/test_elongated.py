@@ -5,13 +5,17 @@ import pytest
 import torch
 
 from gscomplete.priors import load_prior
-from gscomplete.priors.embedded.elongated import shortening_of
+from gscomplete.priors.embedded.elongated import Shortening, shortening_of
 from gscomplete.shape.mirror_plane import MirrorPlane
 from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution
 from tests.builders.objects import cylinder
 
 VIEWS = ViewDistribution(30.0, 20.0)
+
+
+def found(points: np.ndarray, *, ends_in_plane: bool = False) -> Shortening | None:
+    return shortening_of(points, ends_in_plane=ends_in_plane)
 
 
 def pole(axis: str = "z") -> Splats:
@@ -25,18 +29,18 @@ def pole(axis: str = "z") -> Splats:
 
 
 def test_only_what_is_long_is_shortened():
-    assert shortening_of(np.random.default_rng(0).uniform(-0.5, 0.5, (500, 3))) is None
-    assert shortening_of(np.zeros((1, 3))) is None
-    assert shortening_of(np.zeros((5, 3))) is None
+    assert found(np.random.default_rng(0).uniform(-0.5, 0.5, (500, 3))) is None
+    assert found(np.zeros((1, 3))) is None
+    assert found(np.zeros((5, 3))) is None
     points = pole().means.double().numpy()
-    long = shortening_of(points)
+    long = found(points)
     assert long is not None
     extents = np.ptp(points @ long.matrix.T, axis=0)
     assert extents.max() == pytest.approx(1.0, abs=0.01)
     assert extents[2] == extents.max()
     assert long.factor == pytest.approx(0.25)  # which is as short as anything becomes
     beside = points + np.array([0.2, 0, 0])  # what lacks its other half is wider than it seems
-    assert shortening_of(beside) is None
+    assert found(beside) is None
 
 
 def test_the_long_axis_may_lie_in_any_direction():
@@ -45,7 +49,7 @@ def test_the_long_axis_may_lie_in_any_direction():
     turn = np.array(
         [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
     )
-    long = shortening_of(points @ turn.T)
+    long = found(points @ turn.T)
     assert long is not None
     assert abs(long.axis @ turn[:, 0]) == pytest.approx(1.0, abs=1e-3)
     there = points @ turn.T @ long.matrix.T
@@ -53,7 +57,7 @@ def test_the_long_axis_may_lie_in_any_direction():
 
 
 def test_splats_come_back_and_views_are_carried():
-    long = shortening_of(pole().means.double().numpy())
+    long = found(pole().means.double().numpy())
     assert long is not None
     there = long.splats(pole())
     assert torch.allclose(long.splats_back(there).means, pole().means, atol=1e-6)
@@ -65,13 +69,15 @@ def test_splats_come_back_and_views_are_carried():
 
 
 def test_upright_planes_are_carried_both_ways_if_the_axis_is_upright():
-    upright, level = (shortening_of(pole(axis).means.double().numpy()) for axis in ("z", "x"))
+    upright, level = (found(pole(axis).means.double().numpy()) for axis in ("z", "x"))
     assert upright is not None
     assert level is not None
     plane = MirrorPlane(40.0, 0.1)
     there = upright.mirror(plane)
     assert isinstance(there, MirrorPlane)
     assert upright.plane_back(there) == plane
+    assert found(pole("x").means.double().numpy(), ends_in_plane=True) is None
+    assert found(pole("z").means.double().numpy(), ends_in_plane=True) is not None
     assert level.mirror(plane) is None  # no reflection there is one here
     assert upright.mirror(MirrorPlane(40.0, 0.9)) is None  # off the grid
     assert level.mirror("guess") == upright.mirror("guess") == "guess"
