@@ -5,14 +5,16 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from gscomplete.shape.network import ShapeCompleter, ShapeModelConfig
+from gscomplete.shape.network import ShapeCompleter, ShapeModelConfig, ShapeOutput
 from gscomplete.shape.partial_voxels import ShapeInputs, voxelize_partial
 from gscomplete.shape.planes.proposals import candidate_planes
-from gscomplete.shape.symmetry import SymmetryMap
+from gscomplete.shape.predict import Prediction
+from gscomplete.shape.symmetry import SOURCES, SymmetryMap
 from gscomplete.shape.symmetry_choice import CANDIDATES
-from gscomplete.shape.voxels import COARSE_CELLS
+from gscomplete.shape.voxels import CELLS, COARSE_CELLS, cell_centers
 from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution
+from tests.builders.objects import ball, half
 
 TINY = ShapeModelConfig(vocabulary_size=8, widths=(8, 8, 16), blocks=(1, 1, 1), embedding=8)
 
@@ -41,3 +43,13 @@ def mirrors() -> tuple[SymmetryMap, SymmetryMap, SymmetryMap]:
         SymmetryMap(np.diag([1.0, -1.0, 1.0]).astype(np.float32), nothing, 0.2),
         SymmetryMap(np.diag([-1.0, -1.0, 1.0]).astype(np.float32), nothing, 0.4),
     )
+
+
+def predicted(symmetry_score: float, *, confidence: float = 200.0) -> Prediction:
+    """Half a ball and its mirror image, of which the network thinks a ball (blurred inwards)."""
+    partial = half(ball())
+    voxels = voxelize_partial(partial, ViewDistribution(0.0, 10.0))
+    distance = torch.from_numpy(np.linalg.norm(cell_centers(CELLS), axis=-1))
+    nothing = torch.zeros(1, SOURCES + 1, *(COARSE_CELLS,) * 3)
+    output = ShapeOutput((confidence * (0.42 - distance))[None], nothing[:, :3], nothing)
+    return Prediction(voxels, voxels.with_copies(mirrors()), output, symmetry_score, True, None)

@@ -18,31 +18,19 @@ from gscomplete.shape.assemble import (
 from gscomplete.shape.bank.fit import FittedShape
 from gscomplete.shape.bank.pose import Pose
 from gscomplete.shape.bank.store import ShapeName
-from gscomplete.shape.guess import notes_of
 from gscomplete.shape.mirror_plane import MirrorPlane
-from gscomplete.shape.network import ShapeOutput
 from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.predict import Prediction
 from gscomplete.shape.surface import SurfaceSettings, surface_splats
-from gscomplete.shape.symmetry import SOURCES, mirror_image, no_symmetries
-from gscomplete.shape.voxels import CELLS, COARSE_CELLS, cell_centers
+from gscomplete.shape.symmetry import mirror_image, no_symmetries
+from gscomplete.shape.voxels import CELLS
 from gscomplete.splats import concatenate
 from gscomplete.views import ViewDistribution
 from tests.builders.known_shapes import box_cells, cell_points
 from tests.builders.objects import ball, half, round_splats
-from tests.builders.shape_network import mirrors
+from tests.builders.shape_network import mirrors, predicted
 
 VIEWS = ViewDistribution(0.0, 10.0)
-
-
-def predicted(symmetry_score: float, *, confidence: float = 200.0) -> Prediction:
-    """Half a ball and its mirror image, of which the network thinks a ball (blurred inwards)."""
-    partial = half(ball())
-    voxels = voxelize_partial(partial, VIEWS)
-    distance = torch.from_numpy(np.linalg.norm(cell_centers(CELLS), axis=-1))
-    nothing = torch.zeros(1, SOURCES + 1, *(COARSE_CELLS,) * 3)
-    output = ShapeOutput((confidence * (0.42 - distance))[None], nothing[:, :3], nothing)
-    return Prediction(voxels, voxels.with_copies(mirrors()), output, symmetry_score, True, None)
 
 
 def put_together(prediction: Prediction, **changes: object):
@@ -257,25 +245,6 @@ def test_what_the_network_leaves_empty_is_mirrored_through_a_certain_plane_alone
     found = assemble_splats(given, half(ball()), AssembleSettings(count=100), generator)
     assert (found.mirrored > 0.9 * len(half(ball()))) == is_certain
     assert (found.mirrored == 0) == (not is_certain)
-
-
-def test_notes_tell_the_plane_as_users_ask_for_it():
-    assert notes_of(predicted(0.9), 7) == (
-        "P's mirror image is added: upright plane 0.0,0.000 (--mirror)",
-    )
-    assert "guides the guess" in notes_of(predicted(0.9), 0)[0]
-    prediction = predicted(0.0)
-    alone = prediction.voxels.with_copies(no_symmetries())
-    assert notes_of(dataclasses.replace(prediction, seen=alone), 0) == ("not mirrored",)
-
-
-def test_notes_tell_how_much_the_prompt_decides():
-    told = [
-        notes_of(dataclasses.replace(predicted(0.9), prompt_share=share), 0)[0]
-        for share in (0.0199, 0.25)
-    ]
-    assert "hardly changes the guessed shape (2.0%)" in told[0]
-    assert told[1] == "prompt: changes 25% of the guessed shape"
 
 
 def test_where_no_mirrored_splat_is_left_the_networks_surface_is_all():

@@ -7,15 +7,16 @@ import torch
 from gscomplete.shape import guess as module
 from gscomplete.shape.bank.store import BANK_FILE, ShapeName, write_bank
 from gscomplete.shape.benefit import OF_ANSWERS, OF_ENDING
-from gscomplete.shape.guess import Asked, KnownShapes, guess_complete
+from gscomplete.shape.guess import Asked, KnownShapes, guess_complete, notes_of
 from gscomplete.shape.mirror_plane import MirrorPlane
 from gscomplete.shape.network import ShapeCompleter, ShapeOutput
+from gscomplete.shape.symmetry import no_symmetries
 from gscomplete.shape.voxels import COARSE_CELLS
 from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution
 from tests.builders.known_shapes import cell_points, chair_cells
 from tests.builders.objects import round_splats
-from tests.builders.shape_network import TINY
+from tests.builders.shape_network import TINY, predicted
 
 # the chair's back is at low x: c sees its front
 VIEWS = ViewDistribution(0.0, 15.0)
@@ -174,3 +175,24 @@ def test_p_is_left_as_it_is_where_the_scorer_says_so_and_no_user_decides(asked, 
     assert len(guess(asked, "a unicorn", None, MirrorPlane(0.0, -0.1), numbers).splats) > 0
     assert len(guess(asked, "a unicorn", None, "guess").splats) > 0
     assert len(told) == 1
+
+
+def test_notes_tell_the_plane_as_users_ask_for_it():
+    assert notes_of(predicted(0.9), 7) == (
+        "P's mirror image is added: upright plane 0.0,0.000 (--mirror)",
+    )
+    assert "guides the guess" in notes_of(predicted(0.9), 0)[0]
+    elsewhere = notes_of(predicted(0.9), 7, lambda plane: MirrorPlane(30.0, plane.offset + 0.1))
+    assert "upright plane 30.0,0.100 (--mirror)" in elsewhere[0]
+    prediction = predicted(0.0)
+    alone = prediction.voxels.with_copies(no_symmetries())
+    assert notes_of(dataclasses.replace(prediction, seen=alone), 0) == ("not mirrored",)
+
+
+def test_notes_tell_how_much_the_prompt_decides():
+    told = [
+        notes_of(dataclasses.replace(predicted(0.9), prompt_share=share), 0)[0]
+        for share in (0.0199, 0.25)
+    ]
+    assert "hardly changes the guessed shape (2.0%)" in told[0]
+    assert told[1] == "prompt: changes 25% of the guessed shape"

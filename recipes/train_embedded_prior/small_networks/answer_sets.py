@@ -94,7 +94,10 @@ class AskedPart:
 
 
 def asked_part(framed: FramedObject | None) -> AskedPart | None:
-    """Ask the network about a part as a run does; None = a run would not ask it."""
+    """Ask the network about a part as a run does; None = a run would not ask it.
+
+    Long parts are not shortened, unlike in a run (``embedded.elongated``).
+    """
     if framed is None:
         return None
     assert framed.truth is not None

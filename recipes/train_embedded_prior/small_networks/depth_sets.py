@@ -4,7 +4,7 @@ Conventions
 -----------
 * Two parts of each object are cut as in ``real_objects.unseen``. They depend only on its id. Each
   is guessed as in a run, up to the points of its new surface. Parts to which a run adds nothing are
-  left out.
+  left out. Long parts are not shortened here, as a run does (``embedded.elongated``).
 * The true depth of a point is that of the first true surface on the way in, in cells. It is NaN
   where no true surface is near.
 """
