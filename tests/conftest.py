@@ -1,6 +1,7 @@
 """Settings of the test process, made before anything loads the OpenMP runtime."""
 
 import os
+import signal
 
 from hypothesis import settings
 
@@ -10,6 +11,10 @@ os.environ.setdefault("GOMP_SPINCOUNT", "3000")
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 """Processes of tests share the cores; tests of threads set their numbers themselves."""
+
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+"""A shell starts jobs in the background with interrupts ignored; tests interrupt what they start."""
 
 settings.register_profile("busy machine", deadline=None)
 settings.load_profile("busy machine")
