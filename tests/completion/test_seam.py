@@ -53,7 +53,8 @@ def test_a_pattern_stays():
     near = matched.base_colors[NEW.means[:, 0] < 0.02]
     contrast = oklab_from_srgb(near[1::2]) - oklab_from_srgb(near[::2])
     before = oklab_from_srgb(torch.full((1, 3), 0.6)) - oklab_from_srgb(torch.full((1, 3), 0.4))
-    assert torch.allclose(contrast[:, 0].mean(), before[0, 0], rtol=0.1)
+    # the shift of a splat differs from its neighbour's by under a hundredth of their contrast
+    assert torch.allclose(contrast[:, 0].mean(), before[0, 0], rtol=0.01, atol=0.0)
 
 
 def test_equal_colours_stay_equal():

@@ -36,7 +36,8 @@ def test_half_a_cylinder_is_seen_from_outside_and_completed(
 def test_a_complete_object_keeps_its_box() -> None:
     guess = guess_framing(cylinder())
     assert np.linalg.norm(guess.center) < 0.02
-    assert guess.size == pytest.approx(1.0, abs=0.02)
+    # samples lie up to one spacing (rad) beside the ends of a diameter, where it hardly changes
+    assert guess.size == pytest.approx(1.0, abs=(2 * np.pi / 3000) ** 2)
 
 
 @given(st.integers(-5, 5), st.floats(-1e3, 1e3))
@@ -48,9 +49,10 @@ def test_place_and_size_carry_through(power: int, shift: float) -> None:
         part, Similarity(scale, torch.eye(3), scale * torch.tensor([shift, 0.0, -shift]))
     )
     plain, found = guess_framing(part), guess_framing(moved)
-    assert found.size / scale == pytest.approx(plain.size, abs=2e-3)
+    few = 4 * 2.0**-14  # steps of float32 below 1024
+    assert found.size / scale == pytest.approx(plain.size, abs=few)
     expected = np.array(plain.center) + np.array([shift, 0.0, -shift])
-    np.testing.assert_allclose(np.array(found.center) / scale, expected, atol=5e-3)
+    np.testing.assert_allclose(np.array(found.center) / scale, expected, rtol=0, atol=few)
 
 
 @pytest.mark.parametrize("distance", [1.0, 1e3, 1e12])

@@ -36,7 +36,8 @@ def test_only_what_is_long_is_shortened():
     long = found(points)
     assert long is not None
     extents = np.ptp(points @ long.matrix.T, axis=0)
-    assert extents.max() == pytest.approx(1.0, abs=0.01)
+    # of 3000 random heights the last ends up to a few spacings inside the end
+    assert extents.max() == pytest.approx(1.0, abs=3 / 3000)
     assert extents[2] == extents.max()
     assert long.factor == pytest.approx(0.25)  # which is as short as anything becomes
     beside = points + np.array([0.2, 0, 0])  # what lacks its other half is wider than it seems
@@ -53,7 +54,8 @@ def test_the_long_axis_may_lie_in_any_direction():
     assert long is not None
     assert abs(long.axis @ turn[:, 0]) == pytest.approx(1.0, abs=1e-3)
     there = points @ turn.T @ long.matrix.T
-    assert np.ptp(there @ turn[:, 0]) == pytest.approx(1.0, abs=0.02)
+    # random samples turn the axis found by .007, and the pole is .53 wide there
+    assert np.ptp(there @ turn[:, 0]) == pytest.approx(1.0, abs=0.007 * 0.53)
 
 
 def test_splats_come_back_and_views_are_carried():

@@ -16,7 +16,8 @@ def test_resizing_keeps_the_mean_and_is_differentiable(size):
     images = torch.rand(4, 3, 32, 32, requires_grad=True)
     resized = resize_images(images, size)
     assert resized.shape == (4, 3, size, size)
-    torch.testing.assert_close(resized.mean(), images.mean(), rtol=0.02, atol=0.0)
+    # float32 rounding of means
+    torch.testing.assert_close(resized.mean(), images.mean(), rtol=1e-6, atol=0.0)
     resized.sum().backward()
     assert (images.grad > 0).all()
 
