@@ -59,7 +59,8 @@ def test_the_stream_holds_its_shares_and_every_family():
     drawn = [family_of(1, index) for index in range(3000)]
     assert set(drawn) == set(FAMILIES)
     share = np.mean([name in ABSTRACT for name in drawn])
-    assert share == pytest.approx(ABSTRACT_SHARE, abs=0.03)
+    error = (ABSTRACT_SHARE * (1 - ABSTRACT_SHARE) / len(drawn)) ** 0.5  # standard error
+    assert share == pytest.approx(ABSTRACT_SHARE, abs=2 * error)
     assert len(CONCRETE) >= 40
 
 

@@ -61,14 +61,15 @@ def test_thin_parts_get_finer_points():
     parts = [box((1, 1, 1)), rod((0, 0, 1), (0, 0, 2), 0.01)]
     samples = sample_quads(parts, 6000, np.random.default_rng(5))
     coarse, fine = (samples.spacing[samples.part == k][0] for k in range(2))
-    assert fine == pytest.approx(FINEST * coarse, rel=0.1)
+    assert fine == pytest.approx(FINEST * coarse, rel=1e-6)  # float32
     assert len(samples.points) == 6000
 
 
 def test_spacings_use_up_the_budget():
     areas, features = np.array([6.0, 0.3, 0.1]), np.array([np.inf, 0.05, 0.02])
     spacing = spacing_per_part(areas, features, 9000)
-    assert (areas / spacing.astype(np.float64) ** 2).sum() == pytest.approx(9000, rel=0.02)
+    # float32, squared: four iterations leave less
+    assert (areas / spacing.astype(np.float64) ** 2).sum() == pytest.approx(9000, rel=1e-6)
 
 
 def test_same_generator_state_same_points():
