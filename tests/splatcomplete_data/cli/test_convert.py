@@ -55,6 +55,8 @@ def test_a_folders_up_is_up_in_spz(tall, tmp_path):
     target = tmp_path / "a.spz"
     assert main(["convert", str(tall / "complete.ply"), str(target)]) == 0
     raw = torch.from_numpy(gsply.read_spz(target).means)
-    assert raw[:, 1].min() == pytest.approx(0.0, abs=0.05)
-    assert raw[:, 1].max() == pytest.approx(3.0, abs=0.05)
-    assert spz.read_spz(target).means[:, 1].max() == pytest.approx(0.0, abs=0.05)
+    # discs are sunk by half a pixel of 512 for the side of 3; SPZ's steps are 1 / 4096
+    sunk, step = 0.5 * 3.0 / 512, 1 / 4096
+    assert raw[:, 1].min() == pytest.approx(sunk, abs=step)
+    assert raw[:, 1].max() == pytest.approx(3.0 - sunk, abs=step)
+    assert spz.read_spz(target).means[:, 1].max() == pytest.approx(-sunk, abs=step)

@@ -37,7 +37,8 @@ def test_splats_that_cannot_be_drawn_are_left_out_and_counted(tmp_path):
     assert (step["name"], step["before"], step["after"]) == ("drawable", len(BALL), len(BALL) - 2)
     assert step["reasons"] == {"non_finite_mean": 2}
     assert record["counts"]["complete"] == len(BALL) - 2
-    assert record["frame"]["size_file"] == pytest.approx(1.0, abs=0.01)
+    # heights on a ball are uniform: the outermost of 4000 lie some 1 / 4000 inside
+    assert record["frame"]["size_file"] == pytest.approx(1.0, abs=4 / 4000)
 
 
 def test_a_file_of_nothing_else_is_a_user_error(tmp_path, capsys):
@@ -79,7 +80,7 @@ def test_a_part_of_an_object_remembers_where_the_source_lies(tmp_path):
         for folder in (whole, part)
     )
     assert kept == moved
-    assert np.allclose(moved["translation"], [-500_000, -5_300_000, -300], atol=1)
+    assert moved["translation"] == [-500_000, -5_300_000, -300]
 
 
 def test_a_view_out_of_range_is_named(tmp_path, capsys):

@@ -33,7 +33,7 @@ def test_georeferenced_scans(tmp_path, kind):
     back = moved.inverse().apply(means).numpy()
     np.testing.assert_allclose(np.sort(back, axis=0), np.sort(points, axis=0), atol=1e-6)
     assert any("was subtracted from the coordinates" in note for note in record["notes"])
-    assert record["views"]["azimuth_deg"] == pytest.approx(270, abs=1)
+    assert record["views"]["azimuth_deg"] == pytest.approx(270)
     assert record["boxes"][0]["center"] == [500000.5, 5300000.5, 300.5]
 
 
@@ -138,13 +138,14 @@ def test_proposed_clusters_lead_to_their_objects(tmp_path, capsys):
     assert [path.name for path in (tmp_path / "p").iterdir()] == ["clusters.png"]
     assert len(found) == 2
     assert "2: " in told.err
-    for cluster, place in zip(found, (-0.2, 0.25), strict=True):
-        assert cluster["seed"][0] == pytest.approx(place, abs=0.08)
+    for cluster, place, side in zip(found, (-0.2, 0.25), (0.15, 0.1), strict=True):
+        # on the box; of its sides only the near ones are seen
+        assert cluster["seed"][0] == pytest.approx(place, abs=side / 2)
         seed = "--seed-point=" + ",".join(map(str, cluster["seed"]))
         out = tmp_path / "p"  # what --propose left there gives way, and the object before
         assert cli.main([*words, seed, "--level", "--overwrite", "--out", str(out)]) == 0
         splats = read_splats(out / "partial.ply").splats
-        assert len(splats) == pytest.approx(cluster["count"], rel=0.1)
-        assert float(splats.means[:, 0].median()) == pytest.approx(place, abs=0.08)
+        assert len(splats) == cluster["count"]
+        assert float(splats.means[:, 0].median()) == pytest.approx(place, abs=side / 2)
         record = json.loads((out / "object.json").read_text())
         assert any("planes" in step["reasons"] for step in record["steps"])

@@ -113,10 +113,13 @@ def test_levelling_lifts_the_plane_and_is_recorded() -> None:
     assert part.turn is not None
     plane = np.array([0.0, -np.sin(0.5), np.cos(0.5), 0.0])
     rotation = level_rotation(plane, eye)
-    np.testing.assert_allclose(part.turn.rotation.numpy(), rotation, atol=0.01)
+    # four standard errors of a slope fitted to 6000 points of the table's noise
+    error = 4 * 0.002 / (6000 / 3) ** 0.5
+    np.testing.assert_allclose(part.turn.rotation.numpy(), rotation, rtol=0, atol=error)
     spread = part.splats.means.numpy()
-    assert spread[:, 2].min() == pytest.approx(0.11, abs=0.01)
-    assert spread[:, 2].max() == pytest.approx(0.61, abs=0.01)
+    # heights on a ball are uniform: the outermost of 3000 lie some .5 / 3000 inside
+    assert spread[:, 2].min() == pytest.approx(0.11, abs=4 * 0.5 / 3000)
+    assert spread[:, 2].max() == pytest.approx(0.61, abs=4 * 0.5 / 3000)
     moved = part.turn.inverse().apply(part.splats.means.double()).numpy()
     kept = points[labels == 1]
     assert np.linalg.norm(moved[:50, None] - kept[None], axis=2).min(axis=1).max() < 1e-5
@@ -176,7 +179,8 @@ def test_without_a_viewpoint_up_is_where_the_points_that_stay_lie(
     z = make_part(cloud, settings, "scene").splats.means[:, 2]
     ground = -height if turned_over else height
     assert float(z.min()) > ground
-    assert float(z.max()) == pytest.approx(ground + 0.8, abs=0.02)
+    # of 2000 random heights the last ends up to a few spacings inside the end
+    assert float(z.max()) == pytest.approx(ground + 0.8, abs=4 * 0.75 / 2000)
 
 
 @pytest.mark.parametrize("level", [False, True])
@@ -192,12 +196,14 @@ def test_georeferenced_points_keep_their_digits(level: bool) -> None:
     )
     assert near.offset is None
     assert near.file_from_source is near.turn
-    np.testing.assert_allclose(part.offset, far, atol=1.0)
+    ball = (points + far)[labels == 1]
+    # tenths, as the ball is smaller than a unit; its end splats may be left out as outliers
+    middle = (ball.min(axis=0) + ball.max(axis=0)) / 2
+    np.testing.assert_allclose(part.offset, middle, rtol=0, atol=0.1 / 2 + 0.005)
     moved = part.file_from_source
     assert moved is not None
     back = moved.inverse().apply(part.splats.means.double()).numpy()
-    kept = (points + far)[labels == 1]
-    assert np.linalg.norm(back[:50, None] - kept[None], axis=2).min(axis=1).max() < 1e-6
+    assert np.linalg.norm(back[:50, None] - ball[None], axis=2).min(axis=1).max() < 1e-6
     assert part.sigma == pytest.approx(near.sigma, rel=1e-6)
     assert len(part.splats) == len(near.splats)
     assert len(part.splats.means.unique(dim=0)) == len(part.splats)
