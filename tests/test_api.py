@@ -56,7 +56,8 @@ def test_a_mesh_becomes_splats_and_a_part(tmp_path):
     path = tmp_path / "square.obj"
     path.write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3\nf 1 3 4\n")
     square = data.mesh_to_splats(path, 400)
-    assert len(square) == 400  # a square number of equal cells
+    # the search for a spacing stops within 1 %
+    assert len(square) == pytest.approx(400, rel=0.01)
     # Azimuth 0 looks from +x: the half with x above the middle is taken away.
     half = data.cut(square, ["plane:0"])
     assert float(half.means[:, 0].max()) <= 0.5 + 1e-6
