@@ -12,7 +12,6 @@ from gscomplete.errors import UserError
 from splatcomplete_data.cli.mesh import MeshOptions, make
 from splatcomplete_data.mesh.files.load import BakedLight, load_mesh, mesh_to_discs
 from splatcomplete_data.mesh.files.parts import GREY
-from splatcomplete_data.mesh.files.textures import srgb_from_linear
 
 DATA = Path(__file__).resolve().parents[4] / "../shared/data/mesh"
 
@@ -90,11 +89,11 @@ def test_gltf_factors_are_linear_unless_told_otherwise(tmp_path: Path) -> None:
     material = trimesh.visual.material.PBRMaterial(baseColorFactor=factor)
     box.visual = trimesh.visual.TextureVisuals(material=material)
     box.export(tmp_path / "a.glb")
-    rgb = np.array(factor[:3], np.float32)
-    for kind, expected in (("linear", srgb_from_linear(rgb)), ("srgb", rgb)):
+    encoded = (0.484529, 0.665185, 0.797738)  # 1.055 x ** (1 / 2.4) - 0.055
+    for kind, expected in (("linear", encoded), ("srgb", factor[:3])):
         mesh = load_mesh(tmp_path / "a.glb", gltf_colors=kind)
         found = mesh_to_discs(mesh, 50).base_colors.numpy()
-        # float32; the factors are whole 255ths, which a byte holds too
+        # six digits and float32; the factors are whole 255ths, which a byte holds too
         np.testing.assert_allclose(found, np.tile(expected, (50, 1)), rtol=0, atol=1e-6)
 
 
