@@ -14,7 +14,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
-"""A shell starts jobs in the background with interrupts ignored; tests interrupt what they start."""
+"""A shell starts background jobs with interrupts ignored; tests interrupt what they start."""
 
 settings.register_profile("busy machine", deadline=None)
 settings.load_profile("busy machine")

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from gscomplete.errors import UserError
-from gscomplete.util.file_names import splat_stem
+from gscomplete.util.file_names import require_suffix, splat_stem
 
 if TYPE_CHECKING:
     from gscomplete.evaluate.kept import Kept
@@ -73,6 +73,7 @@ def run(options: EvaluateOptions) -> int:
     from gscomplete.evaluate.tables import markdown, unavailable_of
     from gscomplete.util import jsonio
 
+    check_tables(options.csv, options.markdown, options.latex)
     jobs = list_jobs(options)
     failures: list[Failure] = []
     rows = [found.row for found in measured(jobs, options, failures)]
@@ -88,6 +89,17 @@ def run(options: EvaluateOptions) -> int:
         for name, why in unavailable_of(rows):
             print(f"{name}: unavailable: {why}")
     return 1 if failures else 0
+
+
+def check_tables(csv: Path | None, markdown: Path | None, latex: Path | None) -> None:
+    """Check the names of the tables before anything is measured.
+
+    Raises:
+        UserError: one is not named as a table of its kind.
+    """
+    require_suffix("--csv", csv, (".csv", ".tsv", ".txt"))
+    require_suffix("--markdown", markdown, (".md", ".markdown", ".txt"))
+    require_suffix("--latex", latex, (".tex", ".txt"))
 
 
 def write_tables(

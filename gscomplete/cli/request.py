@@ -74,8 +74,6 @@ def request_of(options: CompleteOptions, prior: Prior) -> RunRequest:
         UserError: an option has the wrong form.
     """
     given = given_to(options)
-    if options.new_only is not None:
-        _check_new_only(options.new_only)
     settings = settings_of(options, prior)
     framing = FramingRequest(
         given.up,
@@ -165,20 +163,6 @@ def _require_plain_fill(options: HowToComplete) -> None:
     found = [name for name, given in heedless.items() if given]
     if found:
         raise UserError(f"--fill: closes gaps without a prior; expected no {', '.join(found)}")
-
-
-def _check_new_only(path: Path) -> None:
-    """Check before the run that the new splats can be written on their own.
-
-    Raises:
-        UserError: it is no name of a PLY file, it exists, or its folder does not.
-    """
-    if path.suffix.lower() != ".ply":
-        raise UserError(f"--new-only: expected the name of a .ply file, found {str(path)!r}")
-    if path.exists():
-        raise UserError(f"--new-only: {path}: it exists; choose another name")
-    if not path.parent.is_dir():
-        raise UserError(f"--new-only: {path}: expected a folder that exists, found none")
 
 
 def given_to(options: CompleteOptions) -> Given:

@@ -42,7 +42,12 @@ from gscomplete.util import jsonio
 from gscomplete.util.atomic import atomic_path, forget_leftovers
 from gscomplete.util.device import peak_gpu_bytes
 from gscomplete.util.digests import sha256_of
-from gscomplete.util.folder_lock import FolderLock, create_folder, lock_folder
+from gscomplete.util.folder_lock import (
+    FolderLock,
+    create_folder,
+    lock_folder,
+    require_free,
+)
 from gscomplete.util.stages import current_profile, stage
 from gscomplete.util.versions import differences_note, made_with
 
@@ -96,6 +101,40 @@ class Run:
         return self.prepared.steps
 
 
+def check_outputs(out: Path, new_only: Path | None, *, resume: bool) -> None:
+    """Check, before any work is done, that a run can write where it is asked to.
+
+    Args:
+        out: the run folder.
+        new_only: file for the new splats alone; None = none.
+        resume: whether the run in ``out`` is continued; then it may have written ``new_only``.
+
+    Raises:
+        UserError: there is nothing to continue, or something to overwrite.
+    """
+    if not resume:
+        require_free(out)
+    elif not (out / RUN_FILE).exists():
+        raise UserError(f"{out}: nothing to resume: there is no {RUN_FILE}; start without --resume")
+    if new_only is None:
+        return
+    if new_only.suffix.lower() != ".ply":
+        raise UserError(f"--new-only: expected the name of a .ply file, found {str(new_only)!r}")
+    if not new_only.parent.is_dir():
+        raise UserError(f"--new-only: {new_only}: expected a folder that exists, found none")
+    place = new_only.parent.resolve()
+    if out.resolve() in (place, *place.parents):
+        raise UserError(f"--new-only: {new_only}: expected a file outside the run folder {out}")
+    if new_only.exists() and not (resume and _is_written_by(out / RUN_FILE, new_only)):
+        raise UserError(f"--new-only: {new_only}: it exists; choose another name")
+
+
+def _is_written_by(run_file: Path, new_only: Path) -> bool:
+    """Tell whether a run says that it writes its new splats to this file."""
+    content = jsonio.read_json(run_file)
+    return isinstance(content, dict) and content.get("new_only") == str(new_only.resolve())
+
+
 def prepare(request: RunRequest, prior: Prior, device: torch.device | str = "cpu") -> Run:
     """Read P, decide the frame and views, and set up step 0 or the step of the last checkpoint.
 
@@ -109,11 +148,8 @@ def prepare(request: RunRequest, prior: Prior, device: torch.device | str = "cpu
     """
     started = time.perf_counter()
     lock = None
+    check_outputs(request.out, request.new_only, resume=request.resume)
     if request.resume:
-        if not (request.out / RUN_FILE).exists():
-            raise UserError(
-                f"{request.out}: nothing to resume: there is no {RUN_FILE}; start without --resume"
-            )
         lock = lock_folder(request.out)
         forget_leftovers(request.out, _FILES)
     with stage("read"):
@@ -255,7 +291,7 @@ def _draw_alternatives(run: Run, completed: Completed) -> list[str]:
 
 def _write_run_file(run: Run, status: str, result: dict[str, Any] | None) -> dict[str, Any]:
     """Write and return the content of ``run.json``."""
-    folder = run.request.object_folder
+    folder, new_only = run.request.object_folder, run.request.new_only
     content = {
         "schema": "gscomplete.run",
         "version": 1,
@@ -267,6 +303,7 @@ def _write_run_file(run: Run, status: str, result: dict[str, Any] | None) -> dic
             "sources": run.request.sources,
         },
         "identity": run.identity,
+        "new_only": None if new_only is None else str(new_only.resolve()),
         "notes": list(run.notes),
         "versions": made_with(),
         "timings": {name: round(seconds, 3) for name, seconds in run.timings.items()},

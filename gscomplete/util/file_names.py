@@ -1,6 +1,9 @@
 """Names of the files that make object, run and dataset folders, of splat files, and of objects."""
 
+from pathlib import Path
 from typing import Any, TypeGuard
+
+from gscomplete.errors import UserError
 
 OBJECT_FILE = "object.json"
 PARTIAL_FILE = "partial.ply"
@@ -36,3 +39,19 @@ def splat_stem(name: str) -> str | None:
     fitting = (suffix for suffix in SPLAT_SUFFIXES if name.lower().endswith(suffix))
     suffix = next(fitting, None)
     return None if suffix is None else name[: -len(suffix)] or None
+
+
+def require_suffix(name: str, path: Path | None, suffixes: tuple[str, ...]) -> None:
+    """Check that a file to be written, and replaced if it exists, is named as one of its kind.
+
+    Args:
+        name: the option that names it.
+        path: the file; None = none is written.
+        suffixes: of files of that kind, in lower case.
+
+    Raises:
+        UserError: it has another suffix, as a splat file named by mistake has.
+    """
+    if path is not None and path.suffix.lower() not in suffixes:
+        kinds = ", ".join(suffixes)
+        raise UserError(f"{name}: expected a file name ending in {kinds}, found {str(path)!r}")

@@ -23,6 +23,11 @@ try:
 except ImportError:  # not on Windows
     fcntl = None  # type: ignore[assignment]
 
+_NOT_EMPTY = (
+    "{}: the output folder exists and is not empty; choose another --out, or continue the run in "
+    "it with --resume"
+)
+
 
 class FolderLock:
     """A folder that belongs to this process as long as the object lives."""
@@ -86,8 +91,7 @@ def create_folder(out: Path, names: Iterable[str]) -> FolderLock | None:
     Raises:
         UserError: it exists with something in it, or cannot be created.
     """
-    if out.exists() and not out.is_dir():
-        raise UserError(f"{out}: --out: expected a folder to create, found a file")
+    require_free(out)
     try:
         out.mkdir(parents=True, exist_ok=True)
         lock = lock_folder(out)
@@ -96,8 +100,19 @@ def create_folder(out: Path, names: Iterable[str]) -> FolderLock | None:
     except OSError as error:
         raise UserError(f"{out}: cannot create the output folder: {error.strerror}") from error
     if not is_empty:
-        raise UserError(
-            f"{out}: the output folder exists and is not empty; choose another --out, or continue "
-            "the run in it with --resume"
-        )
+        raise UserError(_NOT_EMPTY.format(out))
     return lock
+
+
+def require_free(out: Path) -> None:
+    """Check, before any work for it is done, that an output folder can be created.
+
+    Hidden files are left to :func:`create_folder`: a writer that was killed may have left them.
+
+    Raises:
+        UserError: it exists with something in it, or is a file.
+    """
+    if out.exists() and not out.is_dir():
+        raise UserError(f"{out}: --out: expected a folder to create, found a file")
+    if out.is_dir() and any(not path.name.startswith(".") for path in out.iterdir()):
+        raise UserError(_NOT_EMPTY.format(out))

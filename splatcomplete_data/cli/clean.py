@@ -52,7 +52,7 @@ class CleanOptions:
     picture: Path | None = None
     """Picture to write; None = clean.png in the current folder, or --out's name with .png."""
     overwrite: bool = False
-    """Replace --out, and the picture with it, if they exist."""
+    """Replace --out and the picture that is named, or beside --out, if they exist."""
     json: bool = False
     """Print only counts and file names, as JSON, on standard output."""
 
@@ -70,12 +70,14 @@ def run(options: CleanOptions) -> int:
     from splatcomplete_data.multiview.scene import read_scene
 
     path = options.picture or Path(_PICTURE)
+    named = [] if options.picture is None else [options.picture]
     if options.out is not None:
         writable_format_of(options.out)
         path = options.picture or options.out.with_suffix(".png")
-        for file in (options.out, path):
-            if file.exists() and not options.overwrite:
-                raise UserError(f"{file}: it exists; replace it with --overwrite")
+        named = [options.out, path]
+    for file in named:
+        if file.exists() and not options.overwrite:
+            raise UserError(f"{file}: it exists; replace it with --overwrite")
     scene = read_scene(options.file, None if options.up == "auto" else parse_up(options.up))
     rules: list[Rule] = [*options.rules]
     if options.background:

@@ -158,6 +158,9 @@ def test_a_run_of_another_part_is_refused(dataset, tmp_path):
         ({"dataset": Path("b"), "runs": ("nowhere",)}, "nowhere: --runs: expected a folder"),
         ({"dataset": Path("b"), "runs": ("x=a", "x=b")}, "a name for each"),
         ({"paths": (Path("a"),), "size_px": 8}, "--size-px: expected 32 to 4096"),
+        ({"paths": (Path("a"),), "csv": Path("a.ply")}, "--csv: expected a file name ending in"),
+        ({"paths": (Path("a"),), "markdown": Path("a.csv")}, "--markdown: expected a file name"),
+        ({"paths": (Path("a"),), "latex": Path("a")}, "--latex: expected a file name ending in"),
     ],
 )
 def test_options_that_make_no_sense_are_refused(options, message):

@@ -36,11 +36,17 @@ COLORS_ALONE = dataclasses.replace(QUICK, mode="distill", moves="colors")
 """As the embedded prior's ``distill`` moves them."""
 
 
-def begin(folder: Path, *, resume: bool = False, settings: CompletionSettings = QUICK) -> Run:
+def begin(
+    folder: Path,
+    *,
+    resume: bool = False,
+    settings: CompletionSettings = QUICK,
+    new_only: Path | None = None,
+) -> Run:
     write_splats(folder / "p.ply", HALF)
     framing = FramingRequest(view_deg=(0.0, 10.0), center_file=(0.0, 0.0, 0.0), size_file=0.8)
     asked = Request("a ball", dataclasses.replace(settings, checkpoint_every=1), framing)
-    request = RunRequest(folder / "p.ply", folder / "out", asked, resume=resume)
+    request = RunRequest(folder / "p.ply", folder / "out", asked, resume=resume, new_only=new_only)
     return prepare(request, GuessingPrior(BALL, NOTHING))
 
 
@@ -137,6 +143,37 @@ def test_a_file_in_place_of_the_folder_is_named(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="--out: expected a folder to create, found a file"):
         begin(tmp_path)
     assert (tmp_path / "out").read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["out/completed.ply", "out/../out/new.ply", "link/new.ply"])
+def test_new_splats_are_not_written_into_the_run_folder(tmp_path: Path, name: str) -> None:
+    """There they would take the place of P and what completes it."""
+    (tmp_path / "out").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "out")
+    with pytest.raises(UserError, match=r"--new-only: .* expected a file outside the run folder"):
+        begin(tmp_path, new_only=tmp_path / name)
+    assert not any((tmp_path / "out").iterdir())
+
+
+def test_a_resumed_run_replaces_its_own_file_of_new_splats_and_no_other(tmp_path: Path) -> None:
+    own, other = tmp_path / "new.ply", tmp_path / "other.ply"
+    begin(tmp_path, new_only=own)
+    for file in (own, other):
+        file.write_bytes(b"written")
+    with pytest.raises(UserError, match=r"other\.ply: it exists; choose another name"):
+        begin(tmp_path, new_only=other, resume=True)
+    execute(begin(tmp_path, new_only=own, resume=True), lambda report: None)
+    assert own.read_bytes().startswith(b"ply")
+    assert other.read_bytes() == b"written"
+
+
+def test_a_folder_with_something_in_it_is_refused_before_any_work(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/mine.txt").write_text("mine")
+    (tmp_path / "p.ply").write_bytes(b"not even read")
+    request = RunRequest(tmp_path / "p.ply", tmp_path / "out", Request("a ball", QUICK))
+    with pytest.raises(UserError, match="the output folder exists and is not empty"):
+        prepare(request, GuessingPrior(BALL, NOTHING))
 
 
 def test_a_run_records_what_its_bytes_depend_on_and_tells_of_changes(stopped: Path) -> None:

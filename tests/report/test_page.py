@@ -103,3 +103,5 @@ def test_errors_are_drawn_where_p_is():
 def test_numbers_of_splats_are_checked(tmp_path):
     with pytest.raises(UserError, match="--most-splats: expected 100 to 1,000,000, found 3"):
         run(ReportOptions((tmp_path,), most_splats=3))
+    with pytest.raises(UserError, match=r"--out: expected a file name ending in \.html"):
+        run(ReportOptions((tmp_path,), out=tmp_path / "completed.ply"))

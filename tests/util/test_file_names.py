@@ -1,9 +1,12 @@
 """Names say which files hold splats, and which names may be those of folders."""
 
+from pathlib import Path
+
 import pytest
 
+from gscomplete.errors import UserError
 from gscomplete.splats.formats.any_file import READ
-from gscomplete.util.file_names import SPLAT_SUFFIXES, is_plain_name, splat_stem
+from gscomplete.util.file_names import SPLAT_SUFFIXES, is_plain_name, require_suffix, splat_stem
 
 
 def test_the_suffixes_are_those_of_the_formats_that_are_read():
@@ -30,3 +33,11 @@ def test_plain_names_stay_within_their_folder():
     assert all(map(is_plain_name, ("mug", "a mug", "mug.v2", "Krug_für_2", "茶杯")))
     odd = ("", ".mug", "..", "a/b", "../../evil", "a\\b", "a\0", "a\nb", "a\tb", "a" * 201, 3, None)
     assert not any(map(is_plain_name, odd))
+
+
+def test_a_file_to_be_replaced_has_to_be_named_as_one_of_its_kind():
+    for path in (None, Path("a.csv"), Path("A.CSV")):
+        require_suffix("--csv", path, (".csv",))
+    for name in ("mug.ply", "mug", ".csv", "csv"):
+        with pytest.raises(UserError, match=r"--csv: expected a file name ending in \.csv, found"):
+            require_suffix("--csv", Path(name), (".csv",))

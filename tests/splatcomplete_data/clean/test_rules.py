@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -147,6 +148,10 @@ def test_the_command_copies_records_and_tells_counts(tmp_path, monkeypatch, caps
     assert main(["clean", "a.ply", "--out", "b.ply"]) == 2
     assert "b.png: it exists; replace it with --overwrite" in capsys.readouterr().err
     assert main(["clean", "a.ply", "--out", "b.ply", "--overwrite"]) == 0
+    Path("mine.png").write_text("mine")
+    assert main(["clean", "a.ply", "--picture", "mine.png"]) == 2
+    assert "mine.png: it exists; replace it with --overwrite" in capsys.readouterr().err
+    assert Path("mine.png").read_text() == "mine"
     assert main(["clean", "a.ply", "--strength", "2"]) == 2
     assert "--strength: expected 0 to 1, found 2" in capsys.readouterr().err
     assert main(["clean", "a.ply", "--out", "c.sog", "--rules", "haze", "--strength", "0.4"]) == 0
