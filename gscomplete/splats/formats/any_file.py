@@ -202,10 +202,12 @@ def write_any_splats(
             a PLY, whose up is -Y.
 
     Raises:
-        UserError: the name says no format that is written, a splat is not finite, or the file
-            cannot be written.
+        UserError: the name says no format that is written, a splat is not finite, there are no
+            splats and the format is not PLY, or the file cannot be written.
     """
     kind = writable_format_of(path)
+    if len(splats) == 0 and kind != "ply":
+        raise UserError(f"{path}: expected splats that can be drawn, found none")
     usable, reasons = usable_rows(splats)
     if not bool(usable.all()):
         raise UserError(

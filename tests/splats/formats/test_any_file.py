@@ -154,3 +154,15 @@ def test_real_files_agree_with_their_ply(kind: str) -> None:
     torch.testing.assert_close(real.means, other.means, atol=2e-4, rtol=0)
     relative = (covariances(real) - covariances(other)).abs()
     assert (relative / covariances(real).abs().amax(dim=(1, 2), keepdim=True)).max() < 0.1
+
+
+@pytest.mark.parametrize("suffix", ["splat", "glb", "sog", "spz", "compressed.ply", "usda"])
+def test_no_splats_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str
+) -> None:
+    (tmp_path / "none.ply").write_bytes(make_ply(random_table(0, 0), "binary_little_endian"))
+    path = tmp_path / f"a.{suffix}"
+    assert main(["convert", str(tmp_path / "none.ply"), str(path)]) == 2
+    error = capsys.readouterr().err
+    assert f"{path}: expected splats that can be drawn, found none" in error
+    assert not path.exists()
