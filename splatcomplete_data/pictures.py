@@ -1,4 +1,4 @@
-"""What readers of pictures share: how large they may be, what a bad one raises, EXIF, and masks.
+"""What readers of pictures share: size limits, errors, EXIF, pictures of 16 bits, and masks.
 
 Conventions
 -----------
@@ -7,6 +7,7 @@ Conventions
   opaque; editors add an opaque one), else through the brightest of its channels.
 * The largest number tells what white is: of a mask that holds nothing above 1 it is 1, of one up
   to 255 it is 255, beyond that 65535.
+* Of photos and textures of integers wider than 8 bits, white is 65535; of floats it is as of masks.
 """
 
 from __future__ import annotations
@@ -70,8 +71,36 @@ def read_mask(path: Path) -> NDArray[np.uint8]:  # [H, W]
             values = _mask_values(image)
     except UNREADABLE as error:
         raise UserError(f"{path}: mask: cannot read it as a picture ({error})") from error
+    return _bytes(values, _white(values))
+
+
+def eight_bits(image: Image.Image) -> Image.Image:
+    """Return a photo or texture in a mode of 8 bits a channel, which Pillow converts correctly.
+
+    Args:
+        image: of any mode; greys of more bits are scaled so that their white (module conventions;
+            of integers beyond 65535 the largest) becomes 255, others are returned as they are.
+    """
+    if image.mode not in _WIDE_MODES:
+        return image
+    values = np.nan_to_num(np.asarray(image))
+    is_float = np.issubdtype(values.dtype, np.floating)
+    white = _white(values) if is_float else max(65535, int(values.max(initial=0)))
+    grey = _bytes(values, white)
+    clear = image.info.get("transparency")
+    if isinstance(clear, int):  # the grey that a PNG shows as transparent
+        grey = np.dstack([grey, np.where(values == clear, np.uint8(0), np.uint8(255))])
+    return Image.fromarray(grey)
+
+
+def _white(values: NDArray[Any]) -> int:
+    """Return which number stands for white: the least usual one that no value is above."""
     largest = values.max(initial=0)
-    white = next((top for top in (1, 255) if largest <= top), 65535)
+    return next((top for top in (1, 255) if largest <= top), 65535)
+
+
+def _bytes(values: NDArray[Any], white: int) -> NDArray[np.uint8]:
+    """Scale numbers so that white becomes 255, rounding to nearest."""
     if white == 255 and values.dtype == np.uint8:
         return np.asarray(values)
     return np.clip(np.rint(values * (255.0 / white)), 0, 255).astype(np.uint8)

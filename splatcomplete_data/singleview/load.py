@@ -21,7 +21,7 @@ from gscomplete.errors import UserError
 from gscomplete.splats.thinning import every_nth
 from gscomplete.views import UpAxis
 from splatcomplete_data.objects import StepRecord
-from splatcomplete_data.pictures import UNREADABLE, read_mask
+from splatcomplete_data.pictures import UNREADABLE, eight_bits, read_mask
 from splatcomplete_data.scan.cloud import PointCloud
 from splatcomplete_data.singleview import intrinsics as lens
 from splatcomplete_data.singleview.depth_file import DepthImage, DepthKind, metric_depth, read_depth
@@ -117,7 +117,7 @@ def load_single_view(
         offset=chosen.disparity_offset,
     )
     notes += [how, camera.summary()]
-    resized = picture.convert("RGB").resize((width, height), Image.Resampling.BOX)
+    resized = eight_bits(picture).convert("RGB").resize((width, height), Image.Resampling.BOX)
     color = np.asarray(resized, np.float32) / np.float32(255.0)
     keep, steps = _select(z, depth, picture, chosen, str(depth_path))
     points = unproject(z, camera, keep)

@@ -14,7 +14,7 @@ from gscomplete.errors import UserError
 from splatcomplete_data import cli
 from splatcomplete_data.dataset import build
 from splatcomplete_data.mesh.files.textures import open_image
-from splatcomplete_data.pictures import MAX_PIXELS, allow_large_pictures, read_mask
+from splatcomplete_data.pictures import MAX_PIXELS, allow_large_pictures, eight_bits, read_mask
 
 LEFT = np.zeros((6, 8), bool)
 LEFT[:, :3] = True
@@ -59,6 +59,38 @@ def test_soft_and_black_masks_stay(tmp_path: Path) -> None:
     np.testing.assert_allclose(found, exact, rtol=0, atol=0.5 + 1e-4)
     Image.new("L", (8, 6)).save(tmp_path / "black.png")
     assert not read_mask(tmp_path / "black.png").any()
+
+
+GREYS = np.array([[0, 64, 128, 255], [255, 1, 2, 3]], np.uint8)
+WIDE = {
+    "16 bits": (GREYS.astype(np.uint16) * 257, "png"),
+    "32 bits": (GREYS.astype(np.int32) * 257, "tif"),
+    "32 bits beyond 16": (GREYS.astype(np.int32) * 8_000_000, "tif"),
+    "floats up to 1": (GREYS.astype(np.float32) / 255, "tif"),
+    "floats up to 255": (GREYS.astype(np.float32), "tif"),
+    "8 bits": (GREYS, "png"),
+}
+
+
+@pytest.mark.parametrize("kind", WIDE)
+def test_wide_greys_are_scaled(tmp_path: Path, kind: str) -> None:
+    values, suffix = WIDE[kind]
+    Image.fromarray(values).save(tmp_path / f"a.{suffix}")
+    with Image.open(tmp_path / f"a.{suffix}") as image:
+        np.testing.assert_array_equal(np.asarray(eight_bits(image)), GREYS)
+
+
+def test_a_dark_picture_of_16_bits_stays_dark() -> None:
+    dark = Image.fromarray(np.full((2, 2), 200, np.uint16))
+    assert np.asarray(eight_bits(dark)).tolist() == [[1, 1], [1, 1]]
+
+
+def test_the_transparent_grey_of_16_bits_stays_transparent(tmp_path: Path) -> None:
+    values = np.array([[0, 65535], [1000, 30000]], np.uint16)
+    Image.fromarray(values).save(tmp_path / "a.png", transparency=1000)
+    with Image.open(tmp_path / "a.png") as image:
+        alpha = np.asarray(eight_bits(image).convert("RGBA"))[..., 3]
+    assert alpha.tolist() == [[255, 255], [0, 255]]
 
 
 def test_unreadable_masks_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

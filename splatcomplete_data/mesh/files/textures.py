@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from gscomplete.errors import UserError
-from splatcomplete_data.pictures import UNREADABLE
+from splatcomplete_data.pictures import UNREADABLE, eight_bits
 
 FloatArray = NDArray[np.float32]
 
@@ -62,7 +62,7 @@ def open_image(path: Path) -> Image.Image:
 
 def texture_array(image: Image.Image, has_alpha: bool, max_px: int) -> FloatArray:  # [H, W, 4]
     """Turn an image into colours in [0, 1], reduced so that no side is above twice ``max_px``."""
-    image = image.convert("RGBA")
+    image = eight_bits(image).convert("RGBA")
     factor = max(image.size) // max_px
     if factor > 1:
         image = image.reduce(factor)

@@ -30,7 +30,7 @@ from gscomplete.errors import UserError
 from gscomplete.views import Cameras
 from splatcomplete_data.multiview.photos.lens import Lens, SourceMap, undistort
 from splatcomplete_data.multiview.photos.posed import PosedPhoto, PosedPhotos
-from splatcomplete_data.pictures import SHOWN_AXES, UPRIGHT, orientation, read_mask
+from splatcomplete_data.pictures import SHOWN_AXES, UPRIGHT, eight_bits, orientation, read_mask
 
 MaskMeaning = Literal["object", "ignore"]
 """``object``: outside the mask nothing is to be reconstructed. ``ignore``: pixels outside the mask
@@ -97,8 +97,9 @@ def read_photo(path: Path) -> NDArray[np.uint8]:  # [H, W, 3 or 4]
         UserError: the file is not a picture, or is damaged.
     """
     with _opened(path) as image:
-        has_alpha = "A" in image.getbands() or "transparency" in image.info
-        return np.asarray(image.convert("RGBA" if has_alpha else "RGB"))
+        narrow = eight_bits(image)
+        has_alpha = "A" in narrow.getbands() or "transparency" in narrow.info
+        return np.asarray(narrow.convert("RGBA" if has_alpha else "RGB"))
 
 
 def photo_size(path: Path) -> tuple[int, int]:

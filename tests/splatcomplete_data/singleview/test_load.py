@@ -71,6 +71,14 @@ def test_points_project_back_to_their_pixels(tmp_path: Path) -> None:
     np.testing.assert_allclose(view.cloud.colors, view.color[rows, columns])
 
 
+def test_a_grey_photo_of_16_bits_keeps_its_shades(tmp_path: Path) -> None:
+    greys = np.linspace(0, 255, WIDTH).astype(np.uint16)[None].repeat(HEIGHT, 0)
+    Image.fromarray(greys * 257).save(tmp_path / "photo.png")
+    settings = SingleViewSettings(fov_deg=60.0)
+    view = load_single_view(tmp_path / "photo.png", write_depth(tmp_path, "npy"), settings)
+    np.testing.assert_allclose(view.color[..., 0] * 255, greys, atol=1e-4)
+
+
 def test_disparity_and_inverse_depth() -> None:
     from splatcomplete_data.singleview.depth_file import DepthImage
 

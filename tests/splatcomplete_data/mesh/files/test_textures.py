@@ -1,6 +1,7 @@
 import numpy as np
+from PIL import Image
 
-from splatcomplete_data.mesh.files.textures import sample_texture
+from splatcomplete_data.mesh.files.textures import sample_texture, texture_array
 
 
 def test_texture_lookup_wraps_and_interpolates() -> None:
@@ -13,3 +14,10 @@ def test_texture_lookup_wraps_and_interpolates() -> None:
     middle = sample_texture(texture, np.array([[0.5, 0.5], [0.0, 0.0], [np.nan, 0.5]], np.float32))
     np.testing.assert_allclose(middle[:2, 0], 1.5, atol=1e-6)
     assert np.isfinite(middle).all()
+
+
+def test_greys_of_16_bits_keep_their_shades() -> None:
+    greys = np.array([[0, 64], [128, 255]], np.uint16)
+    texture = texture_array(Image.fromarray(greys * 257), has_alpha=False, max_px=8)
+    np.testing.assert_allclose(texture[..., 1] * 255, greys, atol=1e-4)
+    assert (texture[..., 3] == 1).all()

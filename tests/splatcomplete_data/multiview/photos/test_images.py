@@ -208,6 +208,12 @@ def test_grey_and_palette_photos_are_read_as_rgb(tmp_path):
         assert read_photo(path).shape == (3, 4, 3)
 
 
+def test_greys_of_16_bits_keep_their_shades(tmp_path):
+    greys = np.array([[0, 64], [128, 255]], np.uint16)
+    Image.fromarray(greys * 257).save(tmp_path / "a.png")
+    np.testing.assert_array_equal(read_photo(tmp_path / "a.png"), np.dstack([greys] * 3))
+
+
 def test_scaling_never_enlarges():
     assert scaled_size(1080, 1920, 480) == (270, 480)
     assert scaled_size(10, 20, 480) == (10, 20)
