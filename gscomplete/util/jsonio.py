@@ -93,11 +93,20 @@ def read_json(path: Path) -> Any:
         raise UserError(f"{path}: expected JSON, found what cannot be held ({error})") from error
 
 
+def describe(data: Any) -> str:
+    """Show a value of JSON or YAML, which has dates too, briefly in an error message."""
+    try:
+        text = json.dumps(data, default=str, skipkeys=True)
+    except (ValueError, RecursionError):  # it holds itself, or is nested too deeply
+        text = f"a {type(data).__name__} that cannot be shown"
+    return text if len(text) <= 40 else text[:37] + "..."
+
+
 def _dataclass_from_json(cls: type[T], data: Any, source: str, where: str) -> T:
     """Build ``cls`` from ``data`` found at field path ``where`` of ``source``."""
     name = where or "the top level"
     if not isinstance(data, dict):
-        raise UserError(f"{source}: {name}: expected an object, found {_describe(data)}")
+        raise UserError(f"{source}: {name}: expected an object, found {describe(data)}")
     hints = get_type_hints(cls)
     names = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]
     unknown = sorted(set(data) - set(names))
@@ -125,12 +134,12 @@ def _convert(hint: Any, data: Any, source: str, where: str) -> Any:
         if data in get_args(hint) and not isinstance(data, bool):
             return data
         choices = ", ".join(repr(choice) for choice in get_args(hint))
-        raise UserError(f"{source}: {where}: expected one of {choices}, found {_describe(data)}")
+        raise UserError(f"{source}: {where}: expected one of {choices}, found {describe(data)}")
     if origin in (tuple, list):
         return _convert_sequence(origin, get_args(hint), data, source, where)
     if origin is dict or hint is dict:
         if not isinstance(data, dict):
-            raise UserError(f"{source}: {where}: expected an object, found {_describe(data)}")
+            raise UserError(f"{source}: {where}: expected an object, found {describe(data)}")
         item = get_args(hint)[1] if get_args(hint) else Any
         return {key: _convert(item, value, source, f"{where}.{key}") for key, value in data.items()}
     if hint is Any:
@@ -152,7 +161,7 @@ def _convert_union(choices: tuple[Any, ...], data: Any, source: str, where: str)
             return _convert(choice, data, source, where)
         except UserError as error:
             failure = error
-    raise failure or UserError(f"{source}: {where}: expected null, found {_describe(data)}")
+    raise failure or UserError(f"{source}: {where}: expected null, found {describe(data)}")
 
 
 def _convert_sequence(
@@ -160,7 +169,7 @@ def _convert_sequence(
 ) -> Any:
     """Convert an array to a list, a homogeneous tuple or a tuple of fixed length."""
     if not isinstance(data, list):
-        raise UserError(f"{source}: {where}: expected an array, found {_describe(data)}")
+        raise UserError(f"{source}: {where}: expected an array, found {describe(data)}")
     fixed = origin is tuple and Ellipsis not in items
     if fixed and len(data) != len(items):
         raise UserError(f"{source}: {where}: expected {len(items)} values, found {len(data)}")
@@ -182,7 +191,7 @@ def _convert_scalar(hint: Any, data: Any, source: str, where: str) -> Any:
         return Path(data)
     expected = {float: "a finite number", int: "an integer", str: "a string", Path: "a path"}
     wanted = expected.get(hint, "true or false" if hint is bool else getattr(hint, "__name__", "?"))
-    raise UserError(f"{source}: {where}: expected {wanted}, found {_describe(data)}")
+    raise UserError(f"{source}: {where}: expected {wanted}, found {describe(data)}")
 
 
 def _is_finite(number: float) -> bool:
@@ -191,9 +200,3 @@ def _is_finite(number: float) -> bool:
         return math.isfinite(number)
     except OverflowError:
         return False
-
-
-def _describe(data: Any) -> str:
-    """Show a value of JSON or YAML, which has dates too, briefly in an error message."""
-    text = json.dumps(data, default=str, skipkeys=True)
-    return text if len(text) <= 40 else text[:37] + "..."

@@ -25,9 +25,9 @@ from typing import Any
 from gscomplete.errors import UserError
 from gscomplete.util import jsonio
 from gscomplete.util.file_names import is_plain_name
-from gscomplete.util.optional import import_optional
 from splatcomplete_data.cuts.boxes import BOXES_SUFFIX
 from splatcomplete_data.cuts.named import parse_cut
+from splatcomplete_data.dataset.plain_yaml import read_yaml
 
 SCHEMA = "splatcomplete.recipe"
 SCHEMA_VERSION = 1
@@ -145,18 +145,13 @@ def read_recipe(path: Path) -> Recipe:
     Raises:
         UserError: it is missing, no YAML, or an entry is wrong; the message names the entry.
     """
-    yaml = import_optional("yaml", "reading recipes")
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"{path}: cannot read it ({error})") from error
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise UserError(f"{path}: expected YAML ({error})") from error
+    data = read_yaml(path, "reading recipes")
     if not isinstance(data, dict):
         raise UserError(f"{path}: expected a mapping, found {type(data).__name__}")
     for name, expected in (("schema", SCHEMA), ("version", SCHEMA_VERSION)):
         if data.get(name) != expected:
-            raise UserError(f"{path}: {name}: expected {expected!r}, found {data.get(name)!r}")
+            found = jsonio.describe(data.get(name))
+            raise UserError(f"{path}: {name}: expected {expected!r}, found {found}")
     unknown = sorted(set(map(str, data)) - {"schema", "version", "name", "captures", "objects"})
     if unknown:
         raise UserError(f"{path}: unknown field {unknown[0]!r}")
@@ -172,7 +167,10 @@ def read_recipe(path: Path) -> Recipe:
         for needed in entry.captures():
             if needed not in known:
                 raise UserError(f"{path}: {entry.id}: no capture is called {needed!r}")
-    return Recipe(str(data.get("name") or path.stem), captures, objects)
+    name = data.get("name") or path.stem
+    if isinstance(name, list | dict):
+        raise UserError(f"{path}: name: expected a text, found {jsonio.describe(name)}")
+    return Recipe(str(name), captures, objects)
 
 
 def _box_files(values: dict[str, Any]) -> list[str]:
@@ -195,7 +193,7 @@ def _entries(path: Path, rows: Any, *, is_capture: bool) -> tuple[Entry, ...]:
         if name in [entry.id for entry in entries]:
             raise UserError(f"{path}: {name}: expected each id once, found it twice")
         if not isinstance(command, str) or command not in commands:
-            found = f"expected one of {', '.join(commands)}, found {command!r}"
+            found = f"expected one of {', '.join(commands)}, found {jsonio.describe(command)}"
             raise UserError(f"{path}: {name}: command: {found}")
         values = {str(k): v for k, v in row.items() if k not in ("id", "command")}
         reserved = sorted(set(values) & set(_RESERVED))

@@ -130,3 +130,10 @@ def test_numbers_and_nesting_beyond_all_bounds_are_user_errors(tmp_path: Path, t
 def test_dates_of_yaml_are_shown():
     with pytest.raises(UserError, match='count: expected an integer, found "2026-01-31"'):
         jsonio.from_json(Outer, jsonio.to_json(example()) | {"count": date(2026, 1, 31)}, "a.yaml")
+
+
+def test_values_that_hold_themselves_are_described():
+    held: list = []
+    held.append(held)
+    with pytest.raises(UserError, match="count: expected an integer, found a list that cannot"):
+        jsonio.from_json(Outer, jsonio.to_json(example()) | {"count": held}, "a.yaml")
