@@ -39,7 +39,7 @@ def join(folder: str, name: str) -> str:
 
 
 def read_text(path: str) -> str | None:
-    """Return a file's text; None where there is no such file.
+    """Return a file's text without a byte order mark; None where there is no such file.
 
     Raises:
         UserError: it cannot be read, or is no text.
@@ -47,8 +47,8 @@ def read_text(path: str) -> str | None:
     try:
         if is_url(path):
             system, inner = _open(path)
-            return str(system.cat_file(inner).decode("utf-8"))
-        return Path(path).read_text(encoding="utf-8")
+            return str(system.cat_file(inner).decode("utf-8-sig"))
+        return Path(path).read_text(encoding="utf-8-sig")
     except (FileNotFoundError, NotADirectoryError):
         return None
     except UnicodeDecodeError as error:

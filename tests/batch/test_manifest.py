@@ -39,6 +39,21 @@ def test_a_table_is_the_same_manifest(tmp_path, suffix, tab):
     ]
 
 
+@pytest.mark.parametrize("far", [False, True])
+@pytest.mark.parametrize(
+    ("suffix", "text"),
+    [("csv", "partial,size\r\nmug.ply,2\r\n"), ("jsonl", '{"partial": "mug.ply", "size": 2}\n')],
+)
+def test_a_byte_order_mark_is_no_part_of_a_manifest(tmp_path, suffix, text, far):
+    """Excel writes one into "CSV UTF-8"."""
+    if far:
+        pytest.importorskip("fsspec")
+    path = tmp_path / f"list.{suffix}"
+    path.write_bytes(b"\xef\xbb\xbf" + text.encode())
+    (item,) = plan(f"file://{path}" if far else str(path), FIELDS)
+    assert (item.id, item.options) == ("mug", {"size": 2.0})
+
+
 @pytest.mark.parametrize(
     ("line", "message"),
     [
