@@ -24,7 +24,7 @@ from typing import Any
 
 from gscomplete.errors import UserError
 from gscomplete.util import jsonio
-from gscomplete.util.file_names import is_plain_name
+from gscomplete.util.file_names import DATASET_FILE, OBJECT_FILE, is_plain_name
 from splatcomplete_data.cuts.boxes import BOXES_SUFFIX
 from splatcomplete_data.cuts.named import parse_cut
 from splatcomplete_data.dataset.plain_yaml import read_yaml
@@ -42,6 +42,8 @@ OBJECT_COMMANDS = {
 CAPTURE_COMMANDS = {"images": "ImagesOptions"}
 _RENAMED = {"size": "splat_size", "size_whole": "object_size"}
 """Old names of options, which are understood for one version."""
+_TAKEN_IDS = (DATASET_FILE, OBJECT_FILE)
+"""Names that say what a dataset folder is, in any case, as some file systems know none."""
 _RESERVED = ("out", "json", "overwrite", "resume", "propose", "pick", "allow_outside")
 
 
@@ -190,6 +192,9 @@ def _entries(path: Path, rows: Any, *, is_capture: bool) -> tuple[Entry, ...]:
         name, command = row["id"], row.get("command")
         if not is_plain_name(name):
             raise UserError(f"{path}: entry {number}: id: expected a plain name, found {name!r}")
+        if not is_capture and name.lower() in _TAKEN_IDS:
+            found = f"expected another name than the dataset's {' and '.join(_TAKEN_IDS)}"
+            raise UserError(f"{path}: entry {number}: id: {found}, found {name!r}")
         if name in [entry.id for entry in entries]:
             raise UserError(f"{path}: {name}: expected each id once, found it twice")
         if not isinstance(command, str) or command not in commands:

@@ -319,6 +319,8 @@ def test_a_folder_that_the_build_did_not_make_is_left_alone(
         ("objects: [{id: a, command: mesh, file: x, out: y}]\n", "out"),
         ("objects: [{id: a, command: crop, file: x, pick: true}]\n", "pick: set by build"),
         ("objects: [{id: ../a, command: mesh, file: x}]\n", "id"),
+        ("objects: [{id: dataset.json, command: mesh, file: x}]\n", "entry 1: id: .* found 'data"),
+        ("objects: [{id: Object.json, command: mesh, file: x}]\n", "entry 1: id: .* found 'Obj"),
         ("objects: [{id: a, command: crop, file: 'capture:b'}]\n", "capture"),
         (
             "objects: [{id: a, command: mesh, file: x}, {id: a, command: mesh, file: y}]\n",
