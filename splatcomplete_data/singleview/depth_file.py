@@ -132,9 +132,16 @@ def metric_depth(
 
 
 def _plain(values: NDArray[np.generic], frame: int, path: Path) -> DepthImage:
-    """Turn an array into a depth image."""
-    if values.dtype == object or not np.issubdtype(values.dtype, np.number):
-        raise UserError(f"{path}: depth: expected numbers, found {values.dtype}")
+    """Turn an array into a depth image.
+
+    Raises:
+        UserError: it holds no real numbers, those of 8 bits, or has another shape.
+    """
+    is_real = np.issubdtype(values.dtype, np.number) and not np.iscomplexobj(values)
+    if not is_real:
+        raise UserError(f"{path}: depth: expected real numbers, found {values.dtype}")
+    if values.dtype.itemsize == 1:
+        raise UserError(_too_few_bits(path))
     while values.ndim > 2 and values.shape[-1] == 1:
         values = values[..., 0]
     if values.ndim == 3 and values.shape[-1] in (3, 4) and len(values) > 8:

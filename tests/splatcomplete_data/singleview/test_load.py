@@ -242,6 +242,25 @@ def test_pictures_of_bytes_are_no_depth(tmp_path: Path) -> None:
             read_depth(tmp_path / name)
 
 
+@pytest.mark.parametrize(
+    ("dtype", "message"),
+    [
+        ("u1", "expected 16 bits a pixel, found 8"),
+        ("i1", "expected 16 bits a pixel, found 8"),
+        ("c8", "expected real numbers, found complex64"),
+        ("c16", "expected real numbers, found complex128"),
+    ],
+)
+@pytest.mark.parametrize("suffix", ["npy", "npz"])
+def test_arrays_of_bytes_or_complex_numbers_are_no_depth(
+    tmp_path: Path, dtype: str, message: str, suffix: str
+) -> None:
+    values, path = np.full((HEIGHT, WIDTH), 100).astype(dtype), tmp_path / f"a.{suffix}"
+    np.save(path, values) if suffix == "npy" else np.savez(path, depth=values)
+    with pytest.raises(UserError, match=rf"a\.{suffix}: depth: {message}"):
+        read_depth(path)
+
+
 def test_pictures_of_floats_in_an_npz_are_not_black(tmp_path: Path) -> None:
     depth = plane()[None].astype(np.float32)
     np.savez(tmp_path / "a.npz", depth=depth, image=np.full((1, HEIGHT, WIDTH, 3), 0.4))
