@@ -8,6 +8,9 @@ Conventions
 * Versions 1 to 3 are one gzip stream: a header of 16 bytes, then 19 bytes (version 3: 20) and the
   harmonics of every splat. Version 4 has its header and a table of its zstd streams in the open.
 * What follows the splats is an extension, and may be small.
+* Positions are fixed-point numbers of 24 bits; the header says how many of them are fractional
+  (``write_spz`` takes as many as the farthest splat leaves). A byte of a log scale holds
+  ``SCALE_RANGE``.
 """
 
 from __future__ import annotations
@@ -33,11 +36,22 @@ SpzVersion = Literal[3, 4]
 """3: gzip, read everywhere; 4: zstandard, smaller."""
 TURN = Similarity(1.0, torch.diag(torch.tensor([1.0, -1.0, -1.0])), torch.zeros(3))
 
+SCALE_RANGE = (math.exp(-10.0), math.exp(-10.0 + 255 / 16))
+"""Scales that the format holds; others are written as the nearest of them."""
+COARSEST_STEP = 1e-3
+"""Positions in coarser steps, over the extent of the splats, are refused."""
+
 _MAGIC = b"NGSP"
 _HARMONICS = {0: 0, 1: 3, 2: 8, 3: 15}
 _BLOCK_BYTES = 1 << 20
 _EXTENSION_BYTES = 1 << 20
 _FIRST_ZSTD_VERSION = 4
+_LARGEST_FIXED = 2**23 - 1
+_FEWEST_BITS, _MOST_BITS = 1, 24
+"""Fractional bits that readers take."""
+_HALF_SCALE_STEP = math.exp(1 / 32)
+_INNER = (0.05, 0.95)
+"""Quantiles of the coordinates that bound the splats' extent, so that floaters do not widen it."""
 
 
 def read_spz(path: Path) -> Splats:
@@ -78,12 +92,50 @@ def write_spz(
         turn: from the splats' axes to SPZ's.
 
     Raises:
-        UserError: the file cannot be written.
+        UserError: positions would be in steps coarser than ``COARSEST_STEP``, or the file cannot
+            be written.
     """
     gsply = import_optional("gsply", "writing SPZ files")
+    turned = transform_splats(splats, turn)
+    bits = _fractional_bits(path, turned)
     with atomic_path(path) as temporary:
-        gsply.write_spz(temporary, to_gsply(gsply, transform_splats(splats, turn)), version=version)
-    return ("values are quantised",)
+        gsply.write_spz(temporary, to_gsply(gsply, turned), version=version, fractional_bits=bits)
+    return (f"values are quantised (positions in steps of {2.0**-bits:.2g})", *_clipped(splats))
+
+
+def _fractional_bits(path: Path, splats: Splats) -> int:
+    """Return with how many fractional bits the farthest coordinate still fits.
+
+    Raises:
+        UserError: the steps are too coarse for the splats' extent, or no number of bits is enough.
+    """
+    means = splats.means.double().numpy()
+    reach = max(float(np.abs(means).max()), 2.0**-_MOST_BITS)
+    bits = min(_MOST_BITS, math.floor(math.log2(_LARGEST_FIXED / reach)))
+    low, high = np.quantile(means, _INNER, axis=0)
+    extent = float((high - low).max()) or float(splats.scales.clamp(*SCALE_RANGE).max())
+    step = 2.0**-bits
+    if bits < _FEWEST_BITS or step > COARSEST_STEP * extent:
+        raise UserError(
+            f"{path}: SPZ: expected positions in steps of at most 1/{1 / COARSEST_STEP:.0f} of the "
+            f"splats' extent of {extent:.3g}, found steps of {step:.3g} (the farthest coordinate "
+            f"is {reach:.3g}); write .ply or .glb, or leave floaters out "
+            "(splatcomplete-data clean)"
+        )
+    return bits
+
+
+def _clipped(splats: Splats) -> tuple[str, ...]:
+    """Tell how many splats have a scale beyond what the format holds."""
+    low, high = SCALE_RANGE
+    notes = []
+    for count, word, end in (
+        (int((splats.scales < low / _HALF_SCALE_STEP).any(dim=1).sum()), "below", low),
+        (int((splats.scales > high * _HALF_SCALE_STEP).any(dim=1).sum()), "above", high),
+    ):
+        if count:
+            notes.append(f"scales {word} {end:.3g} of {count:,} splats (written as {end:.3g})")
+    return tuple(notes)
 
 
 def to_gsply(gsply: Any, splats: Splats) -> Any:
