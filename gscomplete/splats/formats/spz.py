@@ -9,8 +9,8 @@ Conventions
   harmonics of every splat. Version 4 has its header and a table of its zstd streams in the open.
 * What follows the splats is an extension, and may be small.
 * Positions are fixed-point numbers of 24 bits; the header says how many of them are fractional
-  (``write_spz`` takes as many as the farthest splat leaves). A byte of a log scale holds
-  ``SCALE_RANGE``.
+  (``write_spz`` takes as many as ``FINE_STEP`` needs, if the farthest splat leaves so many). A byte
+  of a log scale holds ``SCALE_RANGE``.
 """
 
 from __future__ import annotations
@@ -40,6 +40,8 @@ SCALE_RANGE = (math.exp(-10.0), math.exp(-10.0 + 255 / 16))
 """Scales that the format holds; others are written as the nearest of them."""
 COARSEST_STEP = 1e-3
 """Positions in coarser steps, over the extent of the splats, are refused."""
+FINE_STEP = 1e-5
+"""Finer steps, over the extent of the splats, would only make larger files."""
 
 _MAGIC = b"NGSP"
 _HARMONICS = {0: 0, 1: 3, 2: 8, 3: 15}
@@ -104,16 +106,17 @@ def write_spz(
 
 
 def _fractional_bits(path: Path, splats: Splats) -> int:
-    """Return with how many fractional bits the farthest coordinate still fits.
+    """Return how many fractional bits positions get, so that the farthest coordinate fits.
 
     Raises:
         UserError: the steps are too coarse for the splats' extent, or no number of bits is enough.
     """
     means = splats.means.double().numpy()
     reach = max(float(np.abs(means).max()), 2.0**-_MOST_BITS)
-    bits = min(_MOST_BITS, math.floor(math.log2(_LARGEST_FIXED / reach)))
     low, high = np.quantile(means, _INNER, axis=0)
     extent = float((high - low).max()) or float(splats.scales.clamp(*SCALE_RANGE).max())
+    needed = max(math.ceil(-math.log2(FINE_STEP * extent)), _FEWEST_BITS)
+    bits = min(_MOST_BITS, needed, math.floor(math.log2(_LARGEST_FIXED / reach)))
     step = 2.0**-bits
     if bits < _FEWEST_BITS or step > COARSEST_STEP * extent:
         raise UserError(

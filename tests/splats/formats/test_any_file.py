@@ -39,13 +39,13 @@ def covariances(splats: Splats) -> torch.Tensor:
     return axes @ axes.transpose(1, 2)
 
 
-# Half a step of a coordinate: SPZ's, with 20 fractional bits for coordinates up to 8; 10 bits for a
+# Half a step of a coordinate: SPZ's, with 15 fractional bits for an extent of 4; 10 bits for a
 # range of 7; 16 bits for a logarithm of +-1.6, which grows by up to 4.7 when it is undone. The
 # others keep float32.
 HALF_STEPS = {
     "ply": 0.0,
     "splat": 0.0,
-    "spz": 0.51 / 2**20,
+    "spz": 0.51 / 2**15,
     "compressed.ply": 0.51 * 7 / 1023,
     "glb": 0.0,
     "sog": 0.51 * 3.2 / 65535 * 4.7,
