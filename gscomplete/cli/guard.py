@@ -101,6 +101,7 @@ def run_process(main: Callable[[], int]) -> NoReturn:
         main: runs the command and returns its exit code.
     """
     gc.set_threshold(_OBJECTS_BETWEEN_COLLECTIONS)
+    _open_closed_streams()
     code = main()
     others = set(threading.enumerate()) - {threading.main_thread()}
     if not all(thread.daemon for thread in others):  # Python knows what to wait for
@@ -219,6 +220,23 @@ def _told(stop: KeyboardInterrupt, interrupted: str) -> str:
 def _exit_code(stop: KeyboardInterrupt) -> int:
     """Return the exit code after an interrupt."""
     return 128 + (stop.number if isinstance(stop, Stopped) else signal.SIGINT)
+
+
+def _open_closed_streams() -> None:
+    """Have closed standard streams read nothing and discard what is written, as daemons need it.
+
+    The system gives the next opened file the number of a closed stream, and what a library prints
+    would go into that file.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # takes the lowest free number
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            mode = "w" if number else "r"
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
 
 
 def _forget_stdout() -> None:

@@ -194,3 +194,25 @@ def test_a_process_waits_for_its_threads() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout) == (4, "late\n")
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_a_closed_stream_ends_no_command(closed: str, tmp_path: Path) -> None:
+    """Not even one whose library prints, and no print ends in a file that was opened since."""
+    code = (
+        "import os, subprocess, sys\n"
+        "from gscomplete.cli.guard import run_guarded, run_process\n"
+        "def work():\n"
+        "    with open('made', 'w') as made:\n"
+        "        print('told', flush=True)\n"
+        "        print('warned', file=sys.stderr, flush=True)\n"
+        "        for number in (1, 2): os.write(number, b'by a library')\n"
+        "        subprocess.run(['sh', '-c', 'echo child; echo child >&2'], check=True)\n"
+        "        made.write(f'read {sys.stdin.read()!r}')\n"
+        "    return 0\n"
+        "run_process(lambda: run_guarded('mug', work, ''))\n"
+    )
+    command = ["sh", "-c", f'"$0" -c "$1" {closed}', sys.executable, code]
+    done = subprocess.run(command, cwd=tmp_path, stdin=subprocess.DEVNULL, timeout=60)
+    assert done.returncode == 0
+    assert (tmp_path / "made").read_text() == "read ''"
