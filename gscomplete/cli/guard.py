@@ -16,9 +16,11 @@ Conventions
 from __future__ import annotations
 
 import atexit
+import codecs
 import contextlib
 import ctypes
 import gc
+import io
 import os
 import signal
 import sys
@@ -102,6 +104,7 @@ def run_process(main: Callable[[], int]) -> NoReturn:
     """
     gc.set_threshold(_OBJECTS_BETWEEN_COLLECTIONS)
     _open_closed_streams()
+    _have_all_characters_written()
     code = main()
     others = set(threading.enumerate()) - {threading.main_thread()}
     if not all(thread.daemon for thread in others):  # Python knows what to wait for
@@ -237,6 +240,24 @@ def _open_closed_streams() -> None:
         if getattr(sys, name) is None:
             mode = "w" if number else "r"
             setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
+
+
+def _have_all_characters_written() -> None:
+    """Have standard output and error write the code of what their encoding lacks.
+
+    Bytes of file names that are no text are written as they are.
+    """
+
+    def replaced(error: UnicodeError) -> tuple[str | bytes, int]:
+        try:
+            return codecs.lookup_error("surrogateescape")(error)
+        except UnicodeError:
+            return codecs.backslashreplace_errors(error)
+
+    codecs.register_error("gscomplete", replaced)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="gscomplete")
 
 
 def _forget_stdout() -> None:

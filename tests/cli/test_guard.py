@@ -216,3 +216,28 @@ def test_a_closed_stream_ends_no_command(closed: str, tmp_path: Path) -> None:
     done = subprocess.run(command, cwd=tmp_path, stdin=subprocess.DEVNULL, timeout=60)
     assert done.returncode == 0
     assert (tmp_path / "made").read_text() == "read ''"
+
+
+@pytest.mark.parametrize(
+    ("encoding", "written"),
+    [
+        ("utf-8", "\u0447 \u2022 \xe9 ".encode() + b"\xff\n"),
+        ("latin-1", b"\\u0447 \\u2022 \xe9 \xff\n"),
+        ("ascii", rb"\u0447 \u2022 \xe9 " + b"\xff\n"),
+    ],
+)
+def test_characters_that_a_terminal_lacks_end_no_command(encoding: str, written: bytes) -> None:
+    code = (
+        "import sys\n"
+        "from gscomplete.cli.guard import run_guarded, run_process\n"
+        "def work():\n"
+        "    for stream in (sys.stdout, sys.stderr):\n"
+        "        print('\\u0447 \\u2022 \\xe9 \\udcff', file=stream)\n"
+        "    return 0\n"
+        "run_process(lambda: run_guarded('mug', work, ''))\n"
+    )
+    settings = os.environ | {"PYTHONIOENCODING": encoding}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=settings, capture_output=True, timeout=60
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, written, written)
