@@ -33,6 +33,7 @@ from gscomplete.splats import Similarity, Splats, read_splats, write_splats
 from gscomplete.util import jsonio
 from gscomplete.util.digests import sha256_of
 from gscomplete.util.file_names import is_plain_name
+from gscomplete.util.parse import is_text
 from gscomplete.views import FrameOrigin, ObjectFrame, ViewDistribution
 from splatcomplete_data.atomic_folder import atomic_folder
 from splatcomplete_data.cuts.boxes import CropBox
@@ -143,7 +144,8 @@ class ObjectRecord:
         """Check what would make the object useless.
 
         Raises:
-            ValueError: the id or a file's name is no plain file name, or the prompt is empty.
+            ValueError: the id or a file's name is no plain file name, or the prompt is empty or
+                no Unicode text.
         """
         for name in self.files:
             if not is_plain_name(name):
@@ -152,6 +154,8 @@ class ObjectRecord:
             raise ValueError(f"id: expected a plain file name, found {self.id!r}")
         if not self.prompt.strip():
             raise ValueError("prompt: expected a name of the complete object, found an empty text")
+        if not is_text(self.prompt):
+            raise ValueError(f"prompt: expected Unicode text, found {self.prompt!r}")
 
     def to_json(self) -> dict[str, Any]:
         """Return the JSON form."""

@@ -302,7 +302,7 @@ def _write_log(task: Task, text: str) -> str:
     local = Path(task.work) / f"{task.item.id}.log"
     try:
         local.parent.mkdir(parents=True, exist_ok=True)
-        local.write_text(text, encoding="utf-8")
+        local.write_text(text, encoding="utf-8", errors="backslashreplace")
         storage.put(local, path)
         local.unlink()
     except (OSError, UserError):

@@ -121,7 +121,8 @@ def _weights_digest(prior: str) -> str:
     digest = hashlib.sha256()
     files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())
     for file in files:
-        digest.update(f"{file.relative_to(path.parent)} {sha256_of(file)}\n".encode())
+        line = f"{file.relative_to(path.parent)} {sha256_of(file)}\n"
+        digest.update(line.encode(errors="surrogatepass"))
     return digest.hexdigest()[:32]
 
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from gscomplete.errors import UserError
-from gscomplete.util.file_names import require_suffix, splat_stem
+from gscomplete.util.file_names import require_suffix, shown_name, splat_stem
 
 if TYPE_CHECKING:
     from gscomplete.evaluate.kept import Kept
@@ -120,7 +120,7 @@ def write_tables(
     ):
         if path is not None:
             with atomic_path(path) as temporary:
-                temporary.write_text(text, encoding="utf-8")
+                temporary.write_text(shown_name(text), encoding="utf-8")
 
 
 def settings_of(options: EvaluateOptions) -> EvaluationSettings:

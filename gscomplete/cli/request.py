@@ -23,7 +23,7 @@ from gscomplete.folders import OBJECT_FILE, ObjectFolder, object_folder_of
 from gscomplete.framing.decide import FramingRequest
 from gscomplete.priors.base import Prior, ShapePrior
 from gscomplete.shape.mirror_plane import ChosenMirror, HalfCut, MirrorPlane
-from gscomplete.util.parse import parse_numbers, parse_view
+from gscomplete.util.parse import parse_numbers, parse_view, require_prompt, require_text
 from gscomplete.views import UpAxis, parse_up
 from gscomplete.views.distribution import AZIMUTH_RANGE_DEG, ELEVATION_RANGE_DEG
 
@@ -74,6 +74,7 @@ def request_of(options: CompleteOptions, prior: Prior) -> RunRequest:
         UserError: an option has the wrong form.
     """
     given = given_to(options)
+    require_text(options.negative_prompt, "--negative-prompt")
     settings = settings_of(options, prior)
     framing = FramingRequest(
         given.up,
@@ -289,11 +290,10 @@ def _prompt(options: Options, found: ObjectFolder | None, sources: dict[str, str
     """Return the prompt.
 
     Raises:
-        UserError: there is none, or it is empty.
+        UserError: there is none, or it is empty or no Unicode text.
     """
+    require_prompt(options.prompt)
     if options.prompt is not None:
-        if not options.prompt.strip():
-            raise UserError("--prompt: expected a name of the complete object, found an empty text")
         sources["prompt"] = "--prompt"
         return options.prompt
     if found is None and not options.needs_prompt:

@@ -18,6 +18,7 @@ from typing import Any, get_args
 from gscomplete.errors import UserError
 from gscomplete.util.file_names import COMPLETE_FILE, OBJECT_FILE, PARTIAL_FILE, is_plain_name
 from gscomplete.util.jsonio import read_json
+from gscomplete.util.parse import is_text
 from gscomplete.views import FrameOrigin, ObjectFrame, ViewDistribution
 
 SCHEMA = "splatcomplete.object"
@@ -143,6 +144,6 @@ def _is_ours(path: Path) -> bool:
 def _text(data: dict[str, Any], name: str, path: Path) -> str:
     """Return a text field that is not empty."""
     value = data.get(name)
-    if not isinstance(value, str) or not value.strip():
+    if not isinstance(value, str) or not value.strip() or not is_text(value):
         raise UserError(f"{path}: {name}: expected a text, found {value!r}")
     return value

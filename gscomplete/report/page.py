@@ -26,6 +26,8 @@ from gscomplete.evaluate.tables import (
 )
 from gscomplete.report.packed_splats import LARGEST, REACH, SMALLEST
 from gscomplete.util.atomic import atomic_path
+from gscomplete.util.file_names import shown_name
+from gscomplete.util.jsonio import with_surrogates_escaped
 
 _ASSETS = ("page.css", "viewer.js", "page.js")
 
@@ -109,16 +111,17 @@ def embedded(data: Any) -> str:
     Args:
         data: JSON values.
     """
-    return json.dumps(data, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
+    text = json.dumps(data, ensure_ascii=False, allow_nan=False)
+    return with_surrogates_escaped(text).replace("<", "\\u003c")
 
 
 def escaped(text: str) -> str:
-    """Write text that is no markup.
+    """Write text that is no markup and that UTF-8 can hold.
 
     Args:
         text: anything.
     """
-    return text.replace("&", "&amp;").replace("<", "&lt;")
+    return shown_name(text).replace("&", "&amp;").replace("<", "&lt;")
 
 
 def asset(name: str) -> str:

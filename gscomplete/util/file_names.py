@@ -1,5 +1,6 @@
 """Names of the files that make object, run and dataset folders, of splat files, and of objects."""
 
+import re
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -23,6 +24,15 @@ def is_plain_name(name: Any) -> TypeGuard[str]:
     if not isinstance(name, str) or not 0 < len(name) <= _LONGEST_NAME:
         return False
     return not name.startswith(".") and not set(name) & set("/\\") and name.isprintable()
+
+
+def shown_name(name: str) -> str:
+    """Return a name as text: bytes that are no text become U+FFFD.
+
+    Args:
+        name: of a file, as Python gives it: a lone surrogate for each such byte.
+    """
+    return re.sub("[\ud800-\udfff]", "\ufffd", name)
 
 
 def splat_stem(name: str) -> str | None:

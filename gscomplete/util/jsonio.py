@@ -1,10 +1,12 @@
-"""Dataclasses to JSON and back, strictly.
+r"""Dataclasses to JSON and back, strictly.
 
 Conventions
 -----------
 * A JSON object holds every field of its dataclass by name: nothing missing, nothing unknown.
 * Numbers are finite; an integer is accepted where a float is expected, never the reverse.
 * Tuples are JSON arrays; ``Path`` is a string; ``None`` is null; nested dataclasses are objects.
+* A lone surrogate (a byte of a file name that is no text) is written as ``\udcff``, its escape in
+  JSON, and is read back as it was.
 * Files are written atomically: a reader sees the old text or the new one, never half of it.
 """
 
@@ -61,7 +63,17 @@ def from_json(cls: type[T], data: Any, source: str) -> T:
 
 def dumps(value: Any) -> str:
     """Write a value as indented JSON text ending in a newline, stable for a given value."""
-    return json.dumps(to_json(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    text = json.dumps(to_json(value), indent=2, ensure_ascii=False, allow_nan=False)
+    return with_surrogates_escaped(text) + "\n"
+
+
+def with_surrogates_escaped(text: str) -> str:
+    """Return JSON text that UTF-8 can hold: lone surrogates become their escapes.
+
+    Args:
+        text: JSON, in which surrogates stand inside strings only.
+    """
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def write_json(path: Path, value: Any) -> None:

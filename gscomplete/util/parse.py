@@ -54,6 +54,32 @@ def require_positive(value: float | None, option: str) -> None:
         raise UserError(f"{option}: expected a positive length, found {value:g}")
 
 
+def require_text(value: str | None, option: str) -> None:
+    """Refuse words for a model that are no Unicode text; None (not given) passes.
+
+    Raises:
+        UserError: a byte of it was no UTF-8, or it holds half a surrogate pair.
+    """
+    if value is not None and not is_text(value):
+        raise UserError(f"{option}: expected UTF-8 text, found {value!r}")
+
+
+def require_prompt(value: str | None, option: str = "--prompt") -> None:
+    """Refuse a prompt that says nothing; None (not given) passes.
+
+    Raises:
+        UserError: it is empty, or no Unicode text.
+    """
+    require_text(value, option)
+    if value is not None and not value.strip():
+        raise UserError(f"{option}: expected a name of the complete object, found an empty text")
+
+
+def is_text(value: str) -> bool:
+    """Tell whether UTF-8 can hold a text: names from the system may have other bytes."""
+    return not any("\ud800" <= character <= "\udfff" for character in value)
+
+
 def with_new_names(arguments: Sequence[str], renamed: Mapping[str, str]) -> list[str]:
     """Replace old names of options by their new ones, with a note on standard error.
 

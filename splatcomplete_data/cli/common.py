@@ -24,7 +24,8 @@ from typing import TYPE_CHECKING, Any
 from gscomplete.cli.bars import progress_bar
 from gscomplete.errors import UserError
 from gscomplete.util import jsonio
-from gscomplete.util.parse import parse_numbers, parse_view
+from gscomplete.util.file_names import shown_name
+from gscomplete.util.parse import parse_numbers, parse_view, require_prompt
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -193,9 +194,9 @@ def store_object(options: ObjectOptions, made: ObjectDraft) -> ObjectRecord:
     is_file = made.source_file.is_file()
     try:
         record = ObjectRecord(
-            id=options.id or folder.name,
+            id=options.id or shown_name(folder.name),
             subset=made.subset,
-            prompt=options.prompt or made.source_file.stem.replace("_", " ").strip() or "an object",
+            prompt=options.prompt or _prompt_from(made.source_file),
             source=SourceRecord(
                 made.source_file.as_posix(),
                 sha256_of(made.source_file) if is_file else None,
@@ -253,7 +254,7 @@ def check_out(options: ObjectOptions, source_file: Path) -> None:
 
     Raises:
         UserError: it holds something, and ``--overwrite`` is not given or it is no object folder;
-            an option is a number that is not finite, or the prompt is empty.
+            an option is a number that is not finite, or the prompt is empty or no Unicode text.
     """
     from splatcomplete_data.atomic_folder import check_destination
     from splatcomplete_data.objects import PROPOSED_FILES, RECORD_FILE
@@ -263,14 +264,18 @@ def check_out(options: ObjectOptions, source_file: Path) -> None:
         if isinstance(value, float) and not math.isfinite(value):
             name = field.name.replace("_", "-")
             raise UserError(f"--{name}: expected a finite number, found {value:g}")
-    if options.prompt is not None and not options.prompt.strip():
-        raise UserError("--prompt: expected a name of the complete object, found an empty text")
+    require_prompt(options.prompt)
     check_destination(
         options.out or default_folder(source_file),
         marker=RECORD_FILE,
         spare=PROPOSED_FILES,
         overwrite=options.overwrite,
     )
+
+
+def _prompt_from(source_file: Path) -> str:
+    """Return the prompt of an object when ``--prompt`` is not given."""
+    return shown_name(source_file.stem).replace("_", " ").strip() or "an object"
 
 
 def default_folder(source_file: Path) -> Path:

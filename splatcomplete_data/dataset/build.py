@@ -193,11 +193,12 @@ def fingerprint(entry: Entry, data: Path, out: Path, reach: Path | None = None) 
     for path in paths:
         inner = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())
         for file in inner:
-            digest.update(f"{file.relative_to(path.parent)} {sha256_of(file)}\n".encode())
+            line = f"{file.relative_to(path.parent)} {sha256_of(file)}\n"
+            digest.update(line.encode(errors="surrogatepass"))
         near = Reach.of(path, reach)
         for name, file in side_files(path, near).items():
             content = sha256_of(file) if near.reads(file) else near.refusal(file) or "missing"
-            digest.update(f"{name} {content}\n".encode())
+            digest.update(f"{name} {content}\n".encode(errors="surrogatepass"))
     return digest.hexdigest()
 
 

@@ -317,7 +317,8 @@ def _identity(
     for view in views:
         camera = view.camera
         shown = "everything" if view.alpha is None else "an object"
-        digest.update(f"{view.name}\n{camera.width} {camera.height} {shown}\n".encode())
+        facts = f"{view.name}\n{camera.width} {camera.height} {shown}\n"
+        digest.update(facts.encode(errors="surrogatepass"))
         for values in (camera.camera_from_world, camera.focal_px, camera.center_px):
             digest.update(values.numpy().tobytes())
         for pixels in (view.colors, view.weight, view.alpha):

@@ -1,5 +1,6 @@
 """One object: recognised, gone on with, published in one step, wherever a kill met it."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -67,6 +68,13 @@ def test_what_fails_leaves_a_log_and_what_was_there(task):
     Path(task.item.source).write_bytes(b"good")
     assert do(task).status == "finished"
     assert not Path(row.log).exists()
+
+
+def test_a_log_may_name_a_file_whose_name_is_no_text(task):
+    source = Path(task.item.source).with_name("n\udcff.ply")
+    source.write_bytes(b"bad")
+    row = do(changed(task, item=dataclasses.replace(task.item, source=str(source))))
+    assert Path(row.log).read_text(encoding="utf-8").endswith("n\\udcff.ply: it is bad\n")
 
 
 def test_an_unexpected_error_is_a_failure_with_its_traceback(task):

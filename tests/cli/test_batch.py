@@ -86,9 +86,9 @@ def test_nothing_but_what_decides_results_is_the_batch_s_identity(tmp_path):
     plain = identity_of(HowToComplete())
     assert identity_of(HowToComplete(device="cpu", checkpoint_every=7)) == plain
     assert identity_of(HowToComplete(preset="fast")) != plain
-    (tmp_path / "weights").write_bytes(b"1")
+    (tmp_path / "weights\udcff").write_bytes(b"1")
     first = identity_of(HowToComplete(prior=str(tmp_path)))
-    (tmp_path / "weights").write_bytes(b"2")
+    (tmp_path / "weights\udcff").write_bytes(b"2")
     assert identity_of(HowToComplete(prior=str(tmp_path))) != first
 
 

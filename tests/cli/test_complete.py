@@ -10,6 +10,20 @@ from gscomplete.priors import load_prior
 from gscomplete.shape.mirror_plane import HalfCut, MirrorPlane
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ({"prompt": "\udcff cup"}, r"--prompt: expected UTF-8 text, found '\\udcff cup'"),
+        ({"prompt": " "}, "--prompt: expected a name"),
+        ({"prompt": "a cup", "negative_prompt": "\udcff"}, "--negative-prompt: expected UTF-8"),
+    ],
+)
+def test_words_that_no_prior_can_read_are_refused(words, message):
+    options = CompleteOptions(partial=Path("half.ply"), **words)
+    with pytest.raises(UserError, match=message):
+        request_of(options, SimpleNamespace(name="known"))
+
+
 @pytest.mark.parametrize("mirror", ["none", "30,0.1", "cut", "cut:30"])
 def test_a_plane_is_refused_where_the_prior_cannot_guess_the_complete_object(mirror):
     """``reconstruct`` starts from a guess, but only if the prior has one."""

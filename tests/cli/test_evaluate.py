@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from gscomplete.cli.evaluate import EvaluateOptions, named, run
+from gscomplete.cli.evaluate import EvaluateOptions, named, run, write_tables
 from gscomplete.errors import UserError
 from gscomplete.evaluate import perceptual
+from gscomplete.evaluate.rows import Row
 from gscomplete.splats import concatenate, read_splats, write_splats
 from gscomplete.splats.transform import transform_splats
 from gscomplete.views import ObjectFrame, ViewDistribution
@@ -82,6 +83,11 @@ def test_a_dataset_is_measured_method_by_method(dataset, capsys, tmp_path):
     assert "| ours | 2 |" in (tmp_path / "t.md").read_text()
     assert "other & 1 &" in (tmp_path / "t.tex").read_text()
     assert len((tmp_path / "t.csv").read_text().splitlines()) == 4
+
+
+def test_tables_show_names_that_are_no_text(tmp_path):
+    write_tables([Row("n\udcff", "cup", None, {})], tmp_path / "t.csv", tmp_path / "t.md", None)
+    assert all("n\ufffd" in path.read_text(encoding="utf-8") for path in tmp_path.iterdir())
 
 
 def test_what_is_kept_is_measured_once_and_again_when_a_file_changes(dataset, capsys, tmp_path):

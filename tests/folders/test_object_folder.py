@@ -62,6 +62,7 @@ def test_an_object_file_of_another_program_is_none_of_ours(tmp_path):
         ("version", 2, "version: expected 1, found 2"),
         ("id", "../../evil", r"id: expected a plain name, found '\.\./\.\./evil'"),
         ("prompt", " ", "prompt: expected a text, found ' '"),
+        ("prompt", "\udcff", "prompt: expected a text, found"),
         ("frame_origin", "luck", "frame_origin: expected one of truth, guess, given, found 'luck'"),
         ("frame", None, "frame: the top level: expected an object"),
         ("views", None, "views: view distribution: expected an object"),

@@ -105,3 +105,12 @@ def test_numbers_of_splats_are_checked(tmp_path):
         run(ReportOptions((tmp_path,), most_splats=3))
     with pytest.raises(UserError, match=r"--out: expected a file name ending in \.html"):
         run(ReportOptions((tmp_path,), out=tmp_path / "completed.ply"))
+
+
+def test_names_that_are_no_text_are_shown(tmp_path):
+    """As of a run whose input has such a name."""
+    inputs = {"means": ""}
+    card = {"prompt": "\udcff cup", "notes": ["n\udcff.ply"], "input": inputs}
+    write_page(tmp_path / "page.html", "n\udcff", [], [card])
+    assert "<title>n\ufffd</title>" in (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert data_of(tmp_path / "page.html")["cards"][0] == card | {"input": 0}

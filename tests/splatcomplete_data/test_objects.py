@@ -127,6 +127,7 @@ def test_empty_and_unwritable_objects_are_user_errors(tmp_path: Path) -> None:
         ({"version": 2}, "version"),
         ({"unknown": 1}, "unknown"),
         ({"prompt": " "}, "prompt"),
+        ({"prompt": "\udcff"}, "prompt"),
         ({"id": "../up"}, "id"),
         ({"subset": "video"}, "subset"),
         ({"views": {}}, "views"),

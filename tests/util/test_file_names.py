@@ -6,7 +6,13 @@ import pytest
 
 from gscomplete.errors import UserError
 from gscomplete.splats.formats.any_file import READ
-from gscomplete.util.file_names import SPLAT_SUFFIXES, is_plain_name, require_suffix, splat_stem
+from gscomplete.util.file_names import (
+    SPLAT_SUFFIXES,
+    is_plain_name,
+    require_suffix,
+    shown_name,
+    splat_stem,
+)
 
 
 def test_the_suffixes_are_those_of_the_formats_that_are_read():
@@ -41,3 +47,8 @@ def test_a_file_to_be_replaced_has_to_be_named_as_one_of_its_kind():
     for name in ("mug.ply", "mug", ".csv", "csv"):
         with pytest.raises(UserError, match=r"--csv: expected a file name ending in \.csv, found"):
             require_suffix("--csv", Path(name), (".csv",))
+
+
+def test_bytes_that_are_no_text_are_shown_as_such():
+    assert shown_name("n\udcff ж.ply") == "n\ufffd ж.ply"
+    assert is_plain_name(shown_name("n\udcff"))

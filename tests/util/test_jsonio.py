@@ -137,3 +137,11 @@ def test_values_that_hold_themselves_are_described():
     held.append(held)
     with pytest.raises(UserError, match="count: expected an integer, found a list that cannot"):
         jsonio.from_json(Outer, jsonio.to_json(example()) | {"count": held}, "a.yaml")
+
+
+def test_names_that_are_no_text_are_kept(tmp_path: Path) -> None:
+    """Python gives a byte of a file name that is not UTF-8 as a lone surrogate."""
+    value = example(path=Path("\udcff ж"))
+    jsonio.write_json(tmp_path / "a.json", value)
+    assert r'"\udcff ж"' in (tmp_path / "a.json").read_text(encoding="utf-8")
+    assert jsonio.from_json(Outer, jsonio.read_json(tmp_path / "a.json"), "a.json") == value

@@ -26,6 +26,8 @@ from trimesh.resolvers import Resolver
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats
+from gscomplete.util.file_names import shown_name
+from gscomplete.util.parse import is_text
 from gscomplete.views import UpAxis, up_rotation
 from splatcomplete_data.mesh.discs import (
     discs_at,
@@ -213,7 +215,7 @@ class _NamedFiles(Resolver):
 
     def __init__(self, path: Path, reach: Reach) -> None:
         self.path, self.reach = path, reach
-        self.file_path, self.file_name = str(path), path.name
+        self.file_path, self.file_name = str(path), shown_name(path.name)
 
     @functools.cached_property
     def libraries(self) -> dict[str, Path]:
@@ -267,14 +269,22 @@ def _load_scene(path: Path, resolver: Resolver) -> tuple[Any, Counter[str]]:
     """
     lost: Counter[str] = Counter()
     if path.suffix.lower() in file_checks.GLTF_SUFFIXES:  # of these trimesh drops none
-        return trimesh.load_scene(str(path), resolver=resolver), lost
-    scene = trimesh.load_scene(str(path), resolver=resolver, process=False)
+        return _load_file(path, resolver), lost
+    scene = _load_file(path, resolver, process=False)
     for name, geometry in scene.geometry.items():
         if isinstance(geometry, trimesh.Trimesh):
             faces = len(geometry.faces)
             geometry.process()
             lost[name] = faces - len(geometry.faces)
     return scene, lost
+
+
+def _load_file(path: Path, resolver: Resolver, **more: Any) -> Any:
+    """Load a scene; trimesh names parts after a file and encodes the names, which may fail."""
+    if is_text(path.name):
+        return trimesh.load_scene(str(path), resolver=resolver, **more)
+    with path.open("rb") as stream:
+        return trimesh.load_scene(stream, file_type=path.suffix[1:], resolver=resolver, **more)
 
 
 def _offset(placed: Iterator[tuple[str, NDArray[np.float64]]]) -> Offset | None:

@@ -10,6 +10,7 @@ from gscomplete.cli.program import Command
 from gscomplete.cli.request import given_to
 from gscomplete.splats import write_splats
 from splatcomplete_data import cli
+from splatcomplete_data.objects import read_record
 from tests.builders.objects import BALL
 
 
@@ -43,3 +44,13 @@ def test_a_complete_object_alone_has_no_such_line(tmp_path, capsys):
     assert "complete it" not in capsys.readouterr().out
     assert cli.main([*arguments, "--overwrite", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["complete_command"] is None
+
+
+def test_a_file_whose_name_is_no_text_becomes_an_object(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_splats("n\udcff.ply", BALL)
+    assert cli.main(["partial", "n\udcff.ply", "--cut=plane:90", "--json"]) == 0
+    capsys.readouterr().out.encode()
+    record = read_record(tmp_path / "n\udcff_object")
+    assert (record.id, record.prompt) == ("n\ufffd_object", "n\ufffd")
+    assert record.source.file == "n\udcff.ply"

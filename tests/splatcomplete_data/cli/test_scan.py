@@ -63,9 +63,10 @@ def test_numbers_that_are_not_finite_are_named_before_the_work(tmp_path, capsys,
     assert f"{named}: expected a finite number" in capsys.readouterr().err
 
 
-def test_an_empty_prompt_is_refused(tmp_path, capsys):
+@pytest.mark.parametrize("prompt", [" ", "\udcff cube"])
+def test_a_prompt_that_says_nothing_is_refused(tmp_path, capsys, prompt):
     np.savetxt(tmp_path / "a.xyz", np.random.default_rng(0).uniform(0, 1, (500, 3)))
-    words = ["scan", str(tmp_path / "a.xyz"), "--prompt", " ", "--out", str(tmp_path / "o")]
+    words = ["scan", str(tmp_path / "a.xyz"), "--prompt", prompt, "--out", str(tmp_path / "o")]
     assert cli.main(words) == 2
     assert "--prompt: expected" in capsys.readouterr().err
 

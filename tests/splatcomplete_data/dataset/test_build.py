@@ -1,5 +1,6 @@
 """Datasets build, stay, go on after failures, and validate names what is wrong."""
 
+import dataclasses
 import json
 import shutil
 from pathlib import Path
@@ -179,6 +180,9 @@ def test_what_decides_an_object_is_in_its_fingerprint(
         return len(seen) > before
 
     assert not differs()
+    shutil.copy(data / "a.obj", data / "\udcff.obj")
+    no_text = dataclasses.replace(entry, values=entry.values | {"file": "\udcff.obj"})
+    assert fingerprint(no_text, data, tmp_path) not in seen
     (data / "a.mtl").write_text("newmtl m\nmap_Kd a.png\n")
     assert differs()
     (data / "a.png").write_bytes(b"one")

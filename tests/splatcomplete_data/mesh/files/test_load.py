@@ -31,6 +31,15 @@ def textured_quad(folder: Path) -> Path:
     return folder / "quad.obj"
 
 
+@pytest.mark.parametrize("kind", ["obj", "stl", "ply", "glb"])
+def test_a_name_that_is_no_text_is_as_good_as_another(tmp_path: Path, kind: str) -> None:
+    plain, other = tmp_path / f"box.{kind}", tmp_path / f"\udcff.{kind}"
+    trimesh.creation.box().export(plain)
+    other.write_bytes(plain.read_bytes())
+    expected, found = (mesh_to_discs(load_mesh(path), 500) for path in (plain, other))
+    np.testing.assert_array_equal(found.means, expected.means)
+
+
 def test_texture_lies_the_right_way_up(tmp_path: Path) -> None:
     splats = mesh_to_discs(load_mesh(textured_quad(tmp_path)), 2000)
     x, y = splats.means[:, 0].numpy(), splats.means[:, 1].numpy()
