@@ -10,12 +10,16 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from gscomplete.cli.complete_options import CompleteOptions
+from gscomplete.cli.guard import how_to_go_on
 from gscomplete.errors import UserError
 from gscomplete.priors.latent.settings import LatentPriorSettings
 
 if TYPE_CHECKING:
     from gscomplete.completion.optimise import StepReport
     from gscomplete.completion.run_folder import Run
+
+
+_RESUMES = "--resume continues from the last checkpoint"
 
 
 class GpuMemoryError(UserError):
@@ -51,7 +55,7 @@ def run(options: CompleteOptions) -> int:
     except torch.OutOfMemoryError as error:
         raise GpuMemoryError(
             "the GPU ran out of memory; a smaller --diffusion.memory (8gb) or --device cpu needs "
-            "less, and --resume continues from the last checkpoint"
+            f"less, and {_RESUMES}"
         ) from error
 
 
@@ -72,6 +76,7 @@ def _complete(options: CompleteOptions) -> int:
         prior = load_prior(options.prior, device, knobs)
     with _without_collections():  # a dozen libraries are loaded where they are first needed
         job = prepare(request_of(options, prior), prior, render_device)
+    how_to_go_on.set(_RESUMES)
     _say(options, *job.notes, *([fallback] if fallback else []))
     if job.steps.step_number:
         _say(options, f"resuming at step {job.steps.step_number}")

@@ -26,6 +26,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from types import FrameType
 from typing import NoReturn
 
@@ -45,6 +46,10 @@ _LARGEST_OF_OLD_GLIBC = 2**25
 
 
 _OBJECTS_BETWEEN_COLLECTIONS = 100_000
+
+
+how_to_go_on: ContextVar[str] = ContextVar("how_to_go_on")
+"""What the running command tells after an interrupt; it may change that as it goes on."""
 
 
 class Stopped(KeyboardInterrupt):
@@ -122,8 +127,17 @@ def run_guarded(program: str, command: Callable[[], int], interrupted: str) -> i
     Args:
         program: the console command's name, which starts every message.
         command: the body.
-        interrupted: message after Ctrl-C.
+        interrupted: message after Ctrl-C, unless the command changes ``how_to_go_on``.
     """
+    before = how_to_go_on.set(interrupted)
+    try:
+        return _guarded(program, command)
+    finally:
+        how_to_go_on.reset(before)
+
+
+def _guarded(program: str, command: Callable[[], int]) -> int:
+    """Call ``command`` as ``run_guarded`` does."""
 
     def say(message: str) -> None:
         with contextlib.suppress(OSError):  # the terminal may be gone
@@ -131,7 +145,7 @@ def run_guarded(program: str, command: Callable[[], int], interrupted: str) -> i
 
     received: list[KeyboardInterrupt] = []
     try:
-        with _signals_raise(program, interrupted, received):
+        with _signals_raise(program, received):
             code = command()
         sys.stdout.flush()  # what is buffered may find its reader gone only now
         return code
@@ -139,7 +153,7 @@ def run_guarded(program: str, command: Callable[[], int], interrupted: str) -> i
         say(f"error: {error}")
         return error.exit_code
     except KeyboardInterrupt as stop:
-        say(_told(stop, interrupted))
+        say(_told(stop))
         return _exit_code(stop)
     except BrokenPipeError:
         _forget_stdout()
@@ -152,7 +166,7 @@ def run_guarded(program: str, command: Callable[[], int], interrupted: str) -> i
         return 4
     except Exception as error:
         if received:
-            say(_told(received[0], interrupted))
+            say(_told(received[0]))
             return _exit_code(received[0])
         if _ALLOCATOR in str(error):
             say("error: out of memory")
@@ -167,14 +181,11 @@ def run_guarded(program: str, command: Callable[[], int], interrupted: str) -> i
 
 
 @contextlib.contextmanager
-def _signals_raise(
-    program: str, interrupted: str, received: list[KeyboardInterrupt]
-) -> Iterator[None]:
+def _signals_raise(program: str, received: list[KeyboardInterrupt]) -> Iterator[None]:
     """Have SIGINT, SIGTERM and SIGHUP interrupt the block, but for those that are ignored.
 
     Args:
         program: the console command's name.
-        interrupted: message when the process ends at once.
         received: the raised exceptions are appended to it.
     """
     if threading.current_thread() is not threading.main_thread():
@@ -189,7 +200,7 @@ def _signals_raise(
         with contextlib.suppress(OSError, RuntimeError, ValueError):
             sys.stdout.flush()
         with contextlib.suppress(OSError):
-            os.write(2, f"{program}: {_told(reason, interrupted)}\n".encode())
+            os.write(2, f"{program}: {_told(reason)}\n".encode())
         os._exit(_exit_code(reason))
 
     names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
@@ -214,10 +225,10 @@ def _is_importing(frame: FrameType | None) -> bool:
     return False
 
 
-def _told(stop: KeyboardInterrupt, interrupted: str) -> str:
+def _told(stop: KeyboardInterrupt) -> str:
     """Return the message about an interrupt."""
     name = f"stopped by {stop}" if isinstance(stop, Stopped) else "interrupted"
-    return f"{name}; {interrupted}"
+    return f"{name}; {how_to_go_on.get()}"
 
 
 def _exit_code(stop: KeyboardInterrupt) -> int:

@@ -34,7 +34,7 @@ _RUNNERS: dict[type, Callable[[Any], int]] = {
 _GOES_ON: dict[type, str] = {
     batch.BatchOptions: "the same command continues with the unfinished objects"
 }
-"""What to tell after Ctrl-C; for all others, that --resume continues."""
+"""What to tell after Ctrl-C where the same command does not start again from the beginning."""
 
 Command = (
     Annotated[batch.BatchOptions, tyro.conf.subcommand("batch")]
@@ -63,5 +63,5 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return run_guarded(
         "gscomplete",
         lambda: _RUNNERS[type(options)](options),
-        _GOES_ON.get(type(options), "--resume continues from the last checkpoint"),
+        _GOES_ON.get(type(options), "the same command starts again"),
     )

@@ -5,9 +5,12 @@ import pytest
 
 from gscomplete.cli.complete_options import CompleteOptions
 from gscomplete.cli.request import request_of
+from gscomplete.completion import run_folder
 from gscomplete.errors import UserError
 from gscomplete.priors import load_prior
 from gscomplete.shape.mirror_plane import HalfCut, MirrorPlane
+from gscomplete.splats import validation
+from tests.builders.commands import SAMPLE, run_here
 
 
 @pytest.mark.parametrize(
@@ -22,6 +25,23 @@ def test_words_that_no_prior_can_read_are_refused(words, message):
     options = CompleteOptions(partial=Path("half.ply"), **words)
     with pytest.raises(UserError, match=message):
         request_of(options, SimpleNamespace(name="known"))
+
+
+def test_resuming_is_told_of_once_there_is_a_run_to_resume(monkeypatch, tmp_path):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    words = "complete", SAMPLE, "--prompt", "a mug", "--out", tmp_path / "run"
+    monkeypatch.setattr(run_folder, "prepare", interrupted)
+    assert "interrupted; the same command starts again\n" in run_here(*words).stderr
+    begun = SimpleNamespace(notes=(), steps=SimpleNamespace(step_number=0, finished=True))
+    monkeypatch.setattr(run_folder, "prepare", lambda *_: begun)
+    monkeypatch.setattr(run_folder, "execute", interrupted)
+    told = run_here(*words)
+    assert told.returncode == 130
+    assert "interrupted; --resume continues from the last checkpoint\n" in told.stderr
+    monkeypatch.setattr(validation, "validate_file", interrupted)
+    assert "interrupted; the same command starts again\n" in run_here("validate", SAMPLE).stderr
 
 
 @pytest.mark.parametrize("mirror", ["none", "30,0.1", "cut", "cut:30"])

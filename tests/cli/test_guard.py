@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gscomplete.cli.guard import run_guarded
+from gscomplete.cli.guard import how_to_go_on, run_guarded
 from tests.builders.commands import SAMPLE
 
 SPY = """
@@ -123,6 +123,20 @@ def test_a_signal_to_end_is_answered_as_an_interrupt(number: int, capsys) -> Non
         signal.signal(number, started_with)
     name = signal.Signals(number).name
     assert capsys.readouterr().err == f"mug: stopped by {name}; --resume goes on\n"
+
+
+def test_a_command_says_how_to_go_on_from_where_it_is(capsys) -> None:
+    def work(says: bool) -> int:
+        if says:
+            how_to_go_on.set("--resume goes on")
+        raise KeyboardInterrupt
+
+    assert run_guarded("mug", lambda: run_guarded("mug", lambda: work(True), "no"), "no") == 130
+    assert run_guarded("mug", lambda: work(False), "nothing was done") == 130
+    assert capsys.readouterr().err.splitlines() == [
+        "mug: interrupted; --resume goes on",
+        "mug: interrupted; nothing was done",
+    ]
 
 
 def test_a_signal_that_a_library_turns_into_its_own_error_is_still_that_signal(capsys) -> None:
