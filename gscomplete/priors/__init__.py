@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -109,7 +110,8 @@ def _load_callable(name: str, device: torch.device | str) -> Prior:
     """Import a prior of the user's own and make it.
 
     Raises:
-        UserError: there is no such module or function, or what it returns is no prior.
+        UserError: there is no such module or function, it takes other arguments than the device,
+            or what it returns is no prior.
     """
     module, _, function = name.partition(":")
     try:
@@ -118,6 +120,19 @@ def _load_callable(name: str, device: torch.device | str) -> Prior:
         raise UserError(
             f"--prior {name}: expected MODULE:FUNCTION, found no such ({error})"
         ) from error
+    wanted = "expected a function of one argument, the device"
+    if not callable(make):
+        raise UserError(f"--prior {name}: {wanted}, found {type(make).__name__}")
+    try:
+        signature = inspect.signature(make)
+    except ValueError:  # some functions written in C have none
+        signature = None
+    try:
+        if signature is not None:
+            signature.bind(device)
+    except TypeError as error:
+        found = f"{function}{signature} ({error})"
+        raise UserError(f"--prior {name}: {wanted}, found {found}") from error
     prior: Prior = make(device)
     require_prior(prior, f"--prior {name}")
     return prior

@@ -77,3 +77,24 @@ def test_without_the_extra_there_is_one_line(home):
     assert "install the extra gscomplete[mvdream]" in result.stderr
     assert len(result.stderr.splitlines()) == 1
     assert not (home / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [
+        ("os:getcwd", r"getcwd\(\) \(too many positional arguments\)"),
+        ("operator:add", r"add\(a, b, /\) \(missing a required argument: 'b'\)"),
+        ("os:name", "str"),
+    ],
+)
+def test_a_function_of_other_arguments_is_named(name, found):
+    message = rf"--prior {name}: expected a function of one argument, the device, found {found}"
+    with pytest.raises(UserError, match=message):
+        load_prior(name)
+
+
+def test_an_error_within_a_prior_of_ones_own_stays_itself(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "prior_with_a_bug.py").write_text("def make(device):\n    return len(3)\n")
+    with pytest.raises(TypeError, match="has no len"):
+        load_prior("prior_with_a_bug:make")
