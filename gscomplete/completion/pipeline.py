@@ -267,7 +267,8 @@ def prepare(
         settings, skipped = _without_idle_steps(settings, partial)
     steps = Optimisation(partial, start.splats, prior, conditioning, views, settings, device)
 
-    notes += (start.note, *((moved,) if moved else ()), *skipped, *conditioning.report)
+    report = () if settings.start == "fill" else conditioning.report  # gaps heed no prompt
+    notes += (start.note, *((moved,) if moved else ()), *skipped, *report)
     doubts = doubts_of_partial(partial)
     if start.is_guess and len(start.splats):
         doubts += doubts_of_guess(partial, start.splats, views)

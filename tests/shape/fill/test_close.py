@@ -95,7 +95,9 @@ def test_the_command_fills_without_a_prompt(tmp_path, capsys) -> None:
         partial=tmp_path / "part.ply", out=out, fill=True, new_only=new, device="cpu"
     )
     assert run(options) == 0
-    assert "gaps closed" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "gaps closed" in told
+    assert "prompt" not in told
     completed, alone = read_splats(out / "completed.ply"), read_splats(new)
     assert completed.n_rows == len(part) + alone.n_rows
     with pytest.raises(UserError, match=r"--fill: .* expected no --mirror"):
