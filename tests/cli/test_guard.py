@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from gscomplete.cli.guard import how_to_go_on, run_guarded
-from tests.builders.commands import SAMPLE
+from tests.builders.commands import PATIENCE_S, SAMPLE
 
 SPY = """
 import importlib.abc, os, sys
@@ -100,7 +100,7 @@ def test_a_signal_while_a_library_is_imported_ends_at_once(number: int, tmp_path
     assert child.stdout.readline() == "before\n"
     assert child.stdout.readline() == "importing\n"
     child.send_signal(number)
-    _, told = child.communicate(timeout=20)
+    _, told = child.communicate(timeout=PATIENCE_S)
     assert child.returncode == 128 + number
     said = "interrupted" if number == signal.SIGINT else "stopped by SIGTERM"
     assert told == f"mug: {said}; nothing was done\n"
@@ -193,7 +193,9 @@ def test_a_process_that_ends_early_has_told_and_tidied_everything() -> None:
         "    return 3\n"
         "run_process(main)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S
+    )
     assert (done.returncode, done.stdout, done.stderr) == (3, "told tidied\n", "")
 
 
@@ -206,7 +208,9 @@ def test_a_process_waits_for_its_threads() -> None:
         "    print('late', flush=True)\n"
         "run_process(lambda: threading.Thread(target=late).start() or 4)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S
+    )
     assert (done.returncode, done.stdout) == (4, "late\n")
 
 
@@ -227,7 +231,7 @@ def test_a_closed_stream_ends_no_command(closed: str, tmp_path: Path) -> None:
         "run_process(lambda: run_guarded('mug', work, ''))\n"
     )
     command = ["sh", "-c", f'"$0" -c "$1" {closed}', sys.executable, code]
-    done = subprocess.run(command, cwd=tmp_path, stdin=subprocess.DEVNULL, timeout=60)
+    done = subprocess.run(command, cwd=tmp_path, stdin=subprocess.DEVNULL, timeout=PATIENCE_S)
     assert done.returncode == 0
     assert (tmp_path / "made").read_text() == "read ''"
 
@@ -252,6 +256,6 @@ def test_characters_that_a_terminal_lacks_end_no_command(encoding: str, written:
     )
     settings = os.environ | {"PYTHONIOENCODING": encoding}
     done = subprocess.run(
-        [sys.executable, "-c", code], env=settings, capture_output=True, timeout=60
+        [sys.executable, "-c", code], env=settings, capture_output=True, timeout=PATIENCE_S
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, written, written)

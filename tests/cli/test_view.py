@@ -8,6 +8,7 @@ import pytest
 
 from gscomplete.cli import main
 from gscomplete.splats import write_splats
+from tests.builders.commands import PATIENCE_S
 from tests.builders.objects import random_splats
 
 
@@ -22,10 +23,10 @@ def test_the_command_serves_until_it_is_interrupted(tmp_path):
             assert process.stdout is not None
             assert process.stdout.readline() == "a: 50 splats\n"
             address = process.stdout.readline().split()[0]
-            with urllib.request.urlopen(address, timeout=20) as page:
+            with urllib.request.urlopen(address, timeout=PATIENCE_S) as page:
                 assert page.status == 200
             process.send_signal(signal.SIGINT)
-            assert process.wait(timeout=20) == 0
+            assert process.wait(timeout=PATIENCE_S) == 0
         finally:
             process.kill()
     assert os.listdir(tmp_path) == ["a.ply"]

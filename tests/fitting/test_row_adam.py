@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from gscomplete.fitting.row_adam import MOMENTS, RowAdam, _update
+from tests.builders.commands import PATIENCE_S
 
 RATES = {"means": 3e-3, "opacity_logits": 0.3}
 
@@ -111,4 +112,4 @@ def test_the_compiler_of_pytorch_stays_unloaded():
         "assert float(value.max()) < -0.9\n"
         "assert 'torch._dynamo' not in sys.modules\n"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=PATIENCE_S)

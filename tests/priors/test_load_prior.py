@@ -13,6 +13,7 @@ from gscomplete.priors import load_prior
 from gscomplete.priors.latent.settings import LatentPriorSettings
 from gscomplete.priors.latent.text import CACHE_VARIABLE
 from gscomplete.priors.mvdream.store import MVDREAM, find_mvdream
+from tests.builders.commands import PATIENCE_S
 
 
 @pytest.fixture
@@ -70,7 +71,7 @@ def test_without_the_extra_there_is_one_line(home):
         [sys.executable, "-c", code, str(path), str(home / "out")],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
         cwd=Path(__file__).resolve().parents[2],
     )
     assert result.returncode == 2, result.stderr

@@ -24,6 +24,7 @@ from splatcomplete_data.mesh.files.load import load_mesh
 from splatcomplete_data.scan.pcd import lzf_decompress, read_pcd
 from splatcomplete_data.singleview import depth_file
 from splatcomplete_data.singleview.depth_file import read_depth
+from tests.builders.commands import PATIENCE_S
 from tests.builders.objects import ball
 
 MIB = 2**20
@@ -174,5 +175,5 @@ def test_a_bomb_is_refused_in_little_memory(tmp_path: Path) -> None:
         "except UserError: print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)\n"
     )
     command = [sys.executable, "-c", code, str(tmp_path / "d.npz")]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=PATIENCE_S)
     assert int(done.stdout) < 100_000  # kB

@@ -17,6 +17,7 @@ from gscomplete.util.kernels import (
     share_out,
 )
 from gscomplete.util.stages import profiled
+from tests.builders.commands import PATIENCE_S
 
 
 @pytest.mark.parametrize(("count", "threads"), [(0, 2), (1, 4), (7, 1), (100, 3)])
@@ -33,7 +34,7 @@ def test_every_task_is_done_once(count, threads):
 def test_threads_work_at_the_same_time():
     """Both tasks wait for each other."""
     meeting = threading.Barrier(2)
-    share_out(lambda number: meeting.wait(timeout=10), 2, 2)
+    share_out(lambda number: meeting.wait(timeout=PATIENCE_S), 2, 2)
 
 
 def test_the_first_failure_is_raised_after_all_have_ended():
@@ -65,7 +66,7 @@ def test_a_forked_process_has_helpers_of_its_own():
     found = context.SimpleQueue()
     child = context.Process(target=_sum_in_child, args=(found,))
     child.start()
-    child.join(timeout=20)
+    child.join(timeout=PATIENCE_S)
     assert child.exitcode == 0
     assert found.get() == 64
 

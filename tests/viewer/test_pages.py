@@ -9,6 +9,7 @@ import urllib.request
 import pytest
 
 from gscomplete.viewer.pages import is_own_name, mended_page
+from tests.builders.commands import PATIENCE_S
 
 _DIGITS = "".join(chr(c) for c in range(0x21, 0x7F) if chr(c) not in "\"&<>'`")
 
@@ -51,7 +52,7 @@ def test_a_page_of_another_site_is_not_let_in(viewer, origin, is_let_in):
     address, version = f"ws://127.0.0.1:{port}", f"viser-v{viser_version()}"
     if is_let_in:
         with connect(address, origin=chosen, subprotocols=[version], max_size=None) as page:
-            assert page.recv(timeout=20)
+            assert page.recv(timeout=PATIENCE_S)
     else:
         with pytest.raises(InvalidStatus, match="403"):
             connect(address, origin=chosen, subprotocols=[version])
@@ -74,7 +75,7 @@ def test_a_site_whose_name_resolves_to_this_machine_is_not_let_in(viewer):
         )
     request = urllib.request.Request(f"http://127.0.0.1:{port}", headers={"Host": rebound})
     with pytest.raises(urllib.error.HTTPError, match="403"):
-        urllib.request.urlopen(request, timeout=20)
+        urllib.request.urlopen(request, timeout=PATIENCE_S)
 
 
 @pytest.mark.parametrize(
@@ -103,7 +104,7 @@ def test_the_page_makes_corners_of_three_numbers(viewer, encoding):
     """Corners of two have NaN for a third: three.js reports a radius of NaN in the console."""
     address = f"http://127.0.0.1:{viewer.server.get_port()}"
     request = urllib.request.Request(address, headers={"Accept-Encoding": encoding})
-    with urllib.request.urlopen(request, timeout=20) as answer:
+    with urllib.request.urlopen(request, timeout=PATIENCE_S) as answer:
         assert answer.headers["Content-Encoding"] == encoding
         body = answer.read()
         assert len(body) == int(answer.headers["Content-Length"])

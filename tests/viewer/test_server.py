@@ -18,6 +18,7 @@ from gscomplete.viewer.server import (
     show_layer,
 )
 from gscomplete.views import ViewDistribution
+from tests.builders.commands import PATIENCE_S
 from tests.builders.objects import random_splats, round_splats
 
 
@@ -30,7 +31,7 @@ class Page:
 
 def test_the_page_is_served(viewer):
     address = f"http://127.0.0.1:{viewer.server.get_port()}"
-    with urllib.request.urlopen(address, timeout=20) as page:
+    with urllib.request.urlopen(address, timeout=PATIENCE_S) as page:
         assert page.status == 200
         assert b"<html" in page.read().lower()
 

@@ -12,6 +12,7 @@ import pytest
 
 from gscomplete.splats import write_splats
 from splatcomplete_data.cli import main
+from tests.builders.commands import PATIENCE_S
 from tests.builders.objects import random_splats
 
 
@@ -41,7 +42,7 @@ def test_the_page_is_served_until_it_is_interrupted(tmp_path):
     try:
         assert process.stdout is not None
         address = process.stdout.readline().split()[0]
-        with urllib.request.urlopen(address, timeout=20) as page:
+        with urllib.request.urlopen(address, timeout=PATIENCE_S) as page:
             assert page.status == 200
         time.sleep(0.2)  # until it waits
         process.send_signal(signal.SIGINT)
