@@ -56,6 +56,10 @@ class HowToComplete:
     fill: bool = False
     """P is complete except for gaps (scan shadows, slits, a hole under it): close these with a
     smooth surface and add nothing else. Uses no prior and needs no prompt."""
+    edge_colors: Literal["auto", "trust", "ignore"] = "auto"
+    """Colours at P's edges, which depth cameras mix with the background's: trust them in the guess,
+    or ignore those unlike the colours further inside. auto = ignore where object.json says that a
+    scanner or a depth camera saw P (subsets lidar and singleview)."""
     close_slits: bool = True
     """At the end, close the slits between the samples of a scan, which open wherever its surface
     leans away from the scanner (--preset paper leaves them open)."""

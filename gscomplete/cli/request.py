@@ -28,6 +28,8 @@ from gscomplete.views import UpAxis, parse_up
 from gscomplete.views.distribution import AZIMUTH_RANGE_DEG, ELEVATION_RANGE_DEG
 
 DEFAULT_UP: UpAxis = "Z"
+_MIXED_AT_EDGES = ("lidar", "singleview")
+"""Subsets whose colours at P's edges may be mixed with those of what stood behind it."""
 _ANYTHING = "an object"
 """Prompt of what is completed without one."""
 
@@ -65,6 +67,8 @@ class Given:
     """For prompt, up, input_view, V, center and size: the option, object.json, default or guess."""
     notes: tuple[str, ...]
     """What of the object folder was set aside."""
+    subset: str | None
+    """Kind of the object's source; None = unknown."""
 
 
 def request_of(options: CompleteOptions, prior: Prior) -> RunRequest:
@@ -76,6 +80,8 @@ def request_of(options: CompleteOptions, prior: Prior) -> RunRequest:
     given = given_to(options)
     require_text(options.negative_prompt, "--negative-prompt")
     settings = settings_of(options, prior)
+    if options.edge_colors == "auto" and given.subset in _MIXED_AT_EDGES:
+        settings = dataclasses.replace(settings, mixed_edge_colors=True)
     framing = FramingRequest(
         given.up,
         given.view_deg,
@@ -121,6 +127,8 @@ def settings_of(options: HowToComplete, prior: Prior) -> CompletionSettings:
             raise UserError(f"--preserve: expected positive bounds, found {options.preserve!r}")
         hard = HardPreservationSettings(color_bound=bounds[0], depth_bound=bounds[1])
         settings = dataclasses.replace(settings, hard_preservation=hard)
+    if options.edge_colors == "ignore":
+        settings = dataclasses.replace(settings, mixed_edge_colors=True)
     if not options.close_slits:
         settings = dataclasses.replace(settings, close_slits=False)
     if options.match_seam:
@@ -283,6 +291,7 @@ def take_given(options: Options) -> Given:
         None if found is None else found.folder,
         sources,
         tuple(notes),
+        None if found is None else found.subset,
     )
 
 

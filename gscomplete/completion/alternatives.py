@@ -20,6 +20,7 @@ from gscomplete.completion.settings import CompletionSettings
 from gscomplete.completion.start import scale_bounds
 from gscomplete.evaluate.pictures import contact_sheet, render_images
 from gscomplete.priors.base import Conditioning, Prior, ShapePrior
+from gscomplete.shape.colors.edges import without_mixed_edges
 from gscomplete.shape.mirror_plane import ChosenMirror, MirrorPlane
 from gscomplete.splats import Splats, concatenate
 from gscomplete.util.randomness import generator_for
@@ -66,14 +67,15 @@ def guess_alternatives(
     """
     if settings.start != "guess" or not isinstance(prior, ShapePrior):
         return []
-    mirrors = prior.likely_mirrors(partial, distribution, conditioning)
+    seen = without_mixed_edges(partial)[0] if settings.mixed_edge_colors else partial
+    mirrors = prior.likely_mirrors(seen, distribution, conditioning)
     found, bounds = [], scale_bounds(prior.views, settings)
     planes = [mirror for mirror in mirrors if isinstance(mirror, MirrorPlane)]
     others = [mirror for mirror in mirrors if not isinstance(mirror, MirrorPlane)]
     for mirror in (*planes[:count], *others):
         generator = generator_for(settings.seed, 0, "first guess")
         guess = prior.first_guess(
-            partial,
+            seen,
             distribution,
             conditioning,
             generator,

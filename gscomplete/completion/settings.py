@@ -181,6 +181,9 @@ class CompletionSettings:
     loss leaves (the paper)."""
     match_seam_colors: bool = False
     """Match new splats' colours to P's at the seam, at the end; the paper leaves them."""
+    mixed_edge_colors: bool = False
+    """Colours at P's edges are mixed with the background's, as depth cameras mix them: guesses use
+    those further inside instead (``shape.colors.edges``)."""
     close_slits: bool = False
     """Close the slits between a scan's samples, at the end; the paper leaves them."""
     min_scale_px: float = 0.0

@@ -18,6 +18,7 @@ from gscomplete.errors import UserError
 from gscomplete.fitting.finite import require_finite
 from gscomplete.fitting.parameters import Bounds
 from gscomplete.priors.base import Conditioning, Prior, PriorViews, ShapePrior
+from gscomplete.shape.colors.edges import without_mixed_edges
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.util.randomness import generator_for, sphere_points
 from gscomplete.views import ViewDistribution
@@ -98,8 +99,11 @@ def _guess(
     settings: CompletionSettings,
 ) -> Start | None:
     """Return the prior's guess, which is empty where it finds nothing missing; None = no guess."""
+    seen, recolored = partial, 0
+    if settings.mixed_edge_colors:
+        seen, recolored = without_mixed_edges(partial)
     guess = prior.first_guess(
-        partial,
+        seen,
         views,
         conditioning,
         generator_for(settings.seed, 0, "first guess"),
@@ -110,8 +114,13 @@ def _guess(
     )
     if guess is None:
         return None
-    how_many = f"start: {len(guess.splats):,} splats that the prior guesses"
-    return Start(guess.splats, True, "; ".join([how_many, *guess.notes]))
+    notes = [f"start: {len(guess.splats):,} splats that the prior guesses", *guess.notes]
+    if recolored:
+        notes.append(
+            f"{recolored:,} splats at P's edges are unlike those further inside: their colours are "
+            "not used for the guess (--edge-colors trust uses them)"
+        )
+    return Start(guess.splats, True, "; ".join(notes))
 
 
 def scale_bounds(views: PriorViews, settings: CompletionSettings) -> Bounds:

@@ -11,6 +11,8 @@ from gscomplete.priors import load_prior
 from gscomplete.shape.mirror_plane import HalfCut, MirrorPlane
 from gscomplete.splats import validation
 from tests.builders.commands import SAMPLE, run_here
+from tests.builders.folders import write_object_folder
+from tests.builders.objects import ball
 
 
 @pytest.mark.parametrize(
@@ -117,3 +119,26 @@ def test_what_is_counted_in_steps_stretches_with_their_number(steps):
 def test_the_prompt_decides_by_a_guess_with_known_shapes(changes, message):
     with pytest.raises(UserError, match=message):
         request_with(prompt_decides=True, **changes)
+
+
+@pytest.mark.parametrize(
+    ("subset", "edge_colors", "expected"),
+    [
+        ("lidar", "auto", True),
+        ("singleview", "auto", True),
+        ("mesh", "auto", False),
+        ("multiview", "auto", False),
+        (None, "auto", False),
+        ("lidar", "trust", False),
+        (None, "ignore", True),
+    ],
+)
+def test_edge_colours_are_ignored_where_a_depth_camera_mixed_them(
+    tmp_path, subset, edge_colors, expected
+):
+    partial = Path("half.ply")
+    if subset is not None:
+        partial = write_object_folder(tmp_path / "mug", ball(50), subset=subset)
+    options = CompleteOptions(partial=partial, prompt="a mug", edge_colors=edge_colors)
+    settings = request_of(options, SimpleNamespace(name="known")).completion.settings
+    assert settings.mixed_edge_colors is expected
