@@ -129,6 +129,7 @@ def settings_of(options: HowToComplete, prior: Prior) -> CompletionSettings:
         settings = dataclasses.replace(settings, hard_preservation=hard)
     if options.edge_colors == "ignore":
         settings = dataclasses.replace(settings, mixed_edge_colors=True)
+        _require_guess("--edge-colors", options, settings, prior)
     if not options.close_slits:
         settings = dataclasses.replace(settings, close_slits=False)
     if options.match_seam:
@@ -167,6 +168,7 @@ def _require_plain_fill(options: HowToComplete) -> None:
         "--no-known-shapes": not options.known_shapes,
         "--prompt-decides": options.prompt_decides,
         "--text-only": options.text_only,
+        "--edge-colors": options.edge_colors != "auto",
         "--negative-prompt": options.negative_prompt is not None,
     }
     found = [name for name, given in heedless.items() if given]

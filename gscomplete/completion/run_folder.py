@@ -42,12 +42,7 @@ from gscomplete.util import jsonio
 from gscomplete.util.atomic import atomic_path, forget_leftovers
 from gscomplete.util.device import peak_gpu_bytes
 from gscomplete.util.digests import sha256_of
-from gscomplete.util.folder_lock import (
-    FolderLock,
-    create_folder,
-    lock_folder,
-    require_free,
-)
+from gscomplete.util.folder_lock import FolderLock, create_folder, lock_folder, require_free
 from gscomplete.util.stages import current_profile, stage
 from gscomplete.util.versions import differences_note, made_with
 
@@ -101,7 +96,7 @@ class Run:
         return self.prepared.steps
 
 
-def check_outputs(out: Path, new_only: Path | None, *, resume: bool) -> None:
+def _check_outputs(out: Path, new_only: Path | None, *, resume: bool) -> None:
     """Check, before any work is done, that a run can write where it is asked to.
 
     Args:
@@ -148,7 +143,7 @@ def prepare(request: RunRequest, prior: Prior, device: torch.device | str = "cpu
     """
     started = time.perf_counter()
     lock = None
-    check_outputs(request.out, request.new_only, resume=request.resume)
+    _check_outputs(request.out, request.new_only, resume=request.resume)
     if request.resume:
         lock = lock_folder(request.out)
         forget_leftovers(request.out, _FILES)

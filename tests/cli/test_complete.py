@@ -140,5 +140,17 @@ def test_edge_colours_are_ignored_where_a_depth_camera_mixed_them(
     if subset is not None:
         partial = write_object_folder(tmp_path / "mug", ball(50), subset=subset)
     options = CompleteOptions(partial=partial, prompt="a mug", edge_colors=edge_colors)
-    settings = request_of(options, SimpleNamespace(name="known")).completion.settings
+    settings = request_of(options, load_prior("embedded")).completion.settings
     assert settings.mixed_edge_colors is expected
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"fill": True}, "expected no --edge-colors"),
+        ({}, "--edge-colors: expected a run that starts from a guess"),  # MVDream guesses nothing
+    ],
+)
+def test_edge_colours_are_no_matter_without_a_guess(changes, message):
+    with pytest.raises(UserError, match=message):
+        request_with(edge_colors="ignore", **changes)

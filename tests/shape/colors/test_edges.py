@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from gscomplete.completion.alternatives import guess_alternatives
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.completion.start import start_splats
 from gscomplete.priors.base import FirstGuess
@@ -79,4 +80,8 @@ def test_the_prior_guesses_from_these_colours_and_the_note_counts_them():
     settings = dataclasses.replace(MIXED, start="guess")
     start = start_splats(splats, prior, prior.condition("a sheet"), views, settings)
     assert f"{int(on_border.sum())} splats at P's edges are unlike" in start.note
-    assert torch.equal(given[0].base_colors, without_mixed_edges(splats)[0].base_colors)
+    prior.likely_mirrors = lambda partial, *_: given.append(partial) or ("none",)
+    guess_alternatives(prior, splats, views, prior.condition("a sheet"), settings, 1)
+    assert len(given) == 3  # for the run, for the planes, and for the alternative
+    expected = without_mixed_edges(splats)[0].base_colors
+    assert all(torch.equal(seen.base_colors, expected) for seen in given)
