@@ -24,7 +24,7 @@ from gscomplete.shape.evidence import Evidence, gather_evidence
 from gscomplete.shape.mirror_plane import MirrorPlane
 from gscomplete.shape.outline.one_view import ONE_VIEW_SHARE
 from gscomplete.shape.predict import Prediction
-from gscomplete.shape.surface import (
+from gscomplete.shape.surface.cover import (
     SurfaceSettings,
     is_missing,
     median_spacing,

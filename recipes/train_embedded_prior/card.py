@@ -19,7 +19,7 @@ from gscomplete.shape.outline.scorer import OUTLINE_SCORER_FILE
 from gscomplete.shape.planes.answer_scorer import ANSWER_SCORER_FILE
 from gscomplete.shape.planes.coarse_scorer import COARSE_SCORER_FILE
 from gscomplete.shape.planes.fine_scorer import FINE_SCORER_FILE
-from gscomplete.shape.surface_depth import SURFACE_DEPTH_FILE
+from gscomplete.shape.surface.depth import SURFACE_DEPTH_FILE
 from gscomplete.shape.voxels import CELL_SIDE, CELLS
 from recipes.train_embedded_prior.data.mesh_pack import PackEntry
 

@@ -21,7 +21,7 @@ from gscomplete.shape.bank.store import ShapeName
 from gscomplete.shape.mirror_plane import MirrorPlane
 from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.predict import Prediction
-from gscomplete.shape.surface import SurfaceSettings, surface_splats
+from gscomplete.shape.surface.cover import SurfaceSettings, surface_splats
 from gscomplete.shape.symmetry import mirror_image, no_symmetries
 from gscomplete.shape.voxels import CELLS
 from gscomplete.splats import concatenate

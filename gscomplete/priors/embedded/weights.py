@@ -5,7 +5,7 @@ be absent), ``config.json`` what goes with them, and ``CARD.md`` tells people ab
 package's folder also holds ``planes.safetensors``, ``plane_judge.safetensors`` and
 ``answers.safetensors`` (scorers of ``shape.planes``), ``benefit.safetensors`` (``shape.benefit``),
 ``outlines.safetensors`` (``shape.outline``) and ``surface_depth.safetensors``
-(``shape.surface_depth``). These are always read from the package's folder: like the grid, the first
+(``shape.surface.depth``). These are always read from the package's folder: like the grid, the first
 two belong to what the shape network was trained with. ``shapes.safetensors`` (``shape.bank.store``)
 is read from the package's folder if a folder has none.
 

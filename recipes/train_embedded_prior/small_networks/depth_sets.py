@@ -23,8 +23,8 @@ from gscomplete.priors.embedded.ending import ending_of
 from gscomplete.shape.assemble import AssembleSettings, mirrored_copies, surface_settings
 from gscomplete.shape.benefit import is_better_left
 from gscomplete.shape.guess import ask_about
-from gscomplete.shape.surface import new_surface
-from gscomplete.shape.surface_depth import FEATURES, depth_features
+from gscomplete.shape.surface.cover import new_surface
+from gscomplete.shape.surface.depth import FEATURES, depth_features
 from gscomplete.shape.voxels import CELL_SIDE, FloatArray
 from recipes.real_objects.compare import FramedObject
 from recipes.real_objects.unseen import PartKind

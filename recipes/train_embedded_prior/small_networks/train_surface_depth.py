@@ -25,7 +25,7 @@ from torch import Tensor, nn
 
 from gscomplete.networks.perceptron import Perceptron
 from gscomplete.priors.embedded.weights import packaged_weights
-from gscomplete.shape.surface_depth import SURFACE_DEPTH_FILE
+from gscomplete.shape.surface.depth import SURFACE_DEPTH_FILE
 from recipes.entry_point import start
 from recipes.train_embedded_prior.small_networks.depth_sets import DepthSets, depth_sets
 from recipes.train_embedded_prior.small_networks.perceptron_training import (

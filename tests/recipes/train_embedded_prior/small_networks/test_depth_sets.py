@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gscomplete.shape.surface_depth import FEATURES
+from gscomplete.shape.surface.depth import FEATURES
 from gscomplete.shape.voxels import CELL_SIDE
 from recipes.train_embedded_prior.small_networks import depth_sets
 from recipes.train_embedded_prior.small_networks.depth_sets import depth_sets_of, first_depths

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gscomplete.shape.surface_depth import FEATURES
+from gscomplete.shape.surface.depth import FEATURES
 from recipes.train_embedded_prior.small_networks.depth_sets import DepthSets
 from recipes.train_embedded_prior.small_networks.train_surface_depth import (
     SurfaceDepthConfig,

@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 from gscomplete.render import render
 from gscomplete.shape.network import ShapeOutput
 from gscomplete.shape.partial_voxels import voxelize_partial
-from gscomplete.shape.surface import (
+from gscomplete.shape.surface.cover import (
     SurfaceSettings,
     is_missing,
     median_spacing,

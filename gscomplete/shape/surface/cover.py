@@ -5,7 +5,7 @@ Conventions
 * The surface is where the interpolated occupancy logit crosses a level. The logit falls outward.
   The network fills the cells of thin walls whole, so the predicted surface lies about ``_INWARD``
   cells outside the true one. Whether a point is new is decided ``_INWARD`` cells inside the
-  predicted surface; its splat is then placed at the depth that ``surface_depth`` predicts.
+  predicted surface; its splat is then placed at the depth that ``depth`` predicts.
 * Splats are flat discs facing outward. There are none where P has surface already.
 """
 
@@ -24,7 +24,7 @@ from gscomplete.shape.colors.rim import checked_by_rim
 from gscomplete.shape.colors.sources import nearest_colors, source_colors
 from gscomplete.shape.network import ShapeOutput
 from gscomplete.shape.partial_voxels import ShapeInputs
-from gscomplete.shape.surface_depth import surface_depths
+from gscomplete.shape.surface.depth import surface_depths
 from gscomplete.shape.voxels import CELL_SIDE, HALF_SIDE, grown, sample_volume
 from gscomplete.splats import Splats, colors_to_sh, concatenate
 from gscomplete.splats.neighbourhood import one_sidedness
