@@ -8,7 +8,7 @@ and at those of sheets, the surface runs along the plane instead.
 Conventions
 -----------
 * A point is on the rim of a surface if its neighbours lie to one side of it
-  (``splats.neighbourhood``).
+  (``splats.geometry.neighbourhood``).
 * Lengths and places are those of the points given, z up; tolerances are in sides of their box.
 * The plane's normal is horizontal, at an azimuth in degrees, and points to the side cut away.
 """
@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gscomplete.splats.neighbourhood import ON_RIM, normals_of, one_sidedness
+from gscomplete.splats.geometry.neighbourhood import ON_RIM, normals_of, one_sidedness
 from gscomplete.splats.thinning import every_nth
 
 FloatArray = NDArray[np.float64]

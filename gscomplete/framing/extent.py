@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gscomplete.framing.cut_plane import CutPlane
-from gscomplete.splats.neighbourhood import normals_of
+from gscomplete.splats.geometry.neighbourhood import normals_of
 
 FloatArray = NDArray[np.float64]
 

@@ -32,6 +32,7 @@ from gscomplete.framing.end_plane import find_end
 from gscomplete.framing.extent import extended_box, is_closed
 from gscomplete.render import render
 from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.splats.geometry.revolution import box_of, find_revolution
 from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.util.same_bits import fixed_sum
 from gscomplete.views import Cameras, orbit_cameras
@@ -176,6 +177,11 @@ def guess_framing(
     elif cut is not None and cut.is_symmetric and seen_from_deg is None:
         center, size = _box_of_both(points, cut)
         reason = "P ends squarely at a plane: centre and size are those of P with its mirror image"
+    elif (revolution := find_revolution(points)) is not None:
+        center, size = box_of(revolution, points)
+        reason = (
+            "P is part of a surface of revolution: centre and size are those of the whole of it"
+        )
     elif strength < _MIN_OPENNESS:
         center, reason = (
             (low + high) / 2,

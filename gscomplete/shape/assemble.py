@@ -30,6 +30,7 @@ from gscomplete.shape.surface.cover import (
     median_spacing,
     surface_splats,
 )
+from gscomplete.shape.surface.turned import TurnedSurface
 from gscomplete.shape.symmetry import SymmetryMap, mirror, mirror_image, plane_of
 from gscomplete.shape.voxels import CELL_SIDE, missing_surface_share, sample_volume
 from gscomplete.splats import Splats, concatenate
@@ -139,6 +140,7 @@ def assemble_splats(
     settings: AssembleSettings,
     generator: torch.Generator,
     known: Callable[[], Sequence[FittedShape]] = tuple,
+    turned: TurnedSurface | None = None,
 ) -> AssembledSplats:
     """Return the new splats of one object.
 
@@ -149,15 +151,16 @@ def assemble_splats(
         generator: chooses where splats sit.
         known: finds known shapes that suit P; called only if the network doubts enough copies for
             known shapes to decide about them.
+        turned: the surface of revolution that P is part of; None = there is none.
     """
     copies, contradicted = mirrored_copies(prediction, partial, generator, known)
     covering = surface_settings(prediction, settings, copies)
     asked = prediction.output, prediction.seen, partial, covering, generator
     if copies is None:
-        return AssembledSplats(surface_splats(*asked), 0)
+        return AssembledSplats(surface_splats(*asked, turned=turned), 0)
     if settings.image_is_all and len(copies) >= _NEARLY_ALL * len(partial):
         return AssembledSplats(copies, len(copies), len(contradicted))
-    surface = surface_splats(*asked, copies)
+    surface = surface_splats(*asked, copies, turned)
     if len(contradicted):
         surface = surface.select(~stands_off(known(), surface, contradicted))
     return AssembledSplats(concatenate([copies, surface]), len(copies), len(contradicted))

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,11 +44,15 @@ from gscomplete.shape.bank.wider import (
 )
 from gscomplete.shape.benefit import is_better_left
 from gscomplete.shape.colors.prompt import with_prompt_color
+from gscomplete.shape.evidence import gather_evidence
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter
 from gscomplete.shape.predict import Prediction, predict
+from gscomplete.shape.surface.turned import TurnedSurface, turned_surface
+from gscomplete.shape.symmetry import plane_of
 from gscomplete.shape.voxels import FloatArray
 from gscomplete.splats import Splats
+from gscomplete.splats.geometry.revolution import find_revolution
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.util.stages import stage
 from gscomplete.views import ViewDistribution
@@ -57,6 +62,13 @@ _MOST_SHOWN = 3
 _NEXT_TO_NOTHING = 0.02
 """If the prompt changes a smaller share of the filled cells, users are told that it has no visible
 effect."""
+_BESIDE_AXIS = 0.02
+"""The splats of a part of a surface of revolution are not mirrored through planes that pass its
+axis at a larger distance."""
+_TURNED_NOTE = (
+    "P is part of a surface of revolution: it is turned about its axis (--mirror none completes it "
+    "by the network alone)"
+)
 _LEFT_NOTE = (
     "P seems to lack little or nothing, by its surface and by what the network would add: nothing "
     "is added (--mirror none completes it all the same)"
@@ -181,6 +193,10 @@ def guess_complete(
         The new splats, object frame, with what decided them; none if P is better left as it is.
     """
     settings = AssembleSettings(count=count, image_is_all=mirror_is_cut)
+    if mirror == "guess" and not known.decide:
+        turned = _turned(partial, views, generator)
+        if turned is not None:
+            return _turned_guess(asked, partial, views, turned, settings, generator)
     plain = ask_about(asked, partial, views, mirror)
     if not known.decide and is_better_left(of_ending, plain.added):
         nothing = partial.with_sh_degree(0).select(torch.arange(0))
@@ -203,6 +219,37 @@ def guess_complete(
         notes += (known.contradiction(fitted(), assembled.contradicted),)
     told = notes_of(plain, assembled.mirrored, plane_back)
     return Guess(assembled.splats, (), notes + told)
+
+
+def _turned(
+    partial: Splats, views: ViewDistribution, generator: torch.Generator
+) -> TurnedSurface | None:
+    """Return the surface of revolution that P is part of; None = there is none."""
+    with stage("axis"):
+        points = partial.means.double().numpy()
+        revolution = find_revolution(points)
+        if revolution is None:
+            return None
+        return turned_surface(points, revolution, gather_evidence(partial, views), generator)
+
+
+def _turned_guess(
+    asked: Asked,
+    partial: Splats,
+    views: ViewDistribution,
+    turned: TurnedSurface,
+    settings: AssembleSettings,
+    generator: torch.Generator,
+) -> Guess:
+    """Guess what is not part of the turned surface."""
+    plain = ask_about(asked, partial, views, "guess")
+    angle, offset = plane_of(plain.seen.symmetries[0])
+    normal = np.array([math.cos(angle), math.sin(angle)])
+    if abs(turned.revolution.axis.point[:2] @ normal - offset) > _BESIDE_AXIS:
+        plain = dataclasses.replace(plain, symmetry_score=0.0)  # P's splats are not mirrored
+    with stage("surface"):
+        assembled = assemble_splats(plain, partial, settings, generator, turned=turned)
+    return Guess(assembled.splats, (), (_TURNED_NOTE, *_prompt_note(plain.prompt_share)))
 
 
 def _by_known_shapes(

@@ -21,7 +21,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gscomplete.splats.neighbourhood import normals_of
+from gscomplete.splats.geometry.neighbourhood import normals_of
 from gscomplete.splats.record import Splats, colors_to_sh
 from gscomplete.util.nearest import query_nearest
 

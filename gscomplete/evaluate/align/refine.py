@@ -23,7 +23,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from gscomplete.evaluate.align.nearest_grid import FloatArray
-from gscomplete.splats.neighbourhood import normals_of
+from gscomplete.splats.geometry.neighbourhood import normals_of
 
 _NORMAL_LENGTH, _COLOR_LENGTH = 0.035, 0.05
 """Lengths that differences stand for: of perpendicular normals (times the root of 2), and of black

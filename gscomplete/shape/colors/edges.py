@@ -19,7 +19,7 @@ import torch
 from scipy.spatial import cKDTree
 
 from gscomplete.splats import Splats, colors_to_sh
-from gscomplete.splats.neighbourhood import one_sidedness
+from gscomplete.splats.geometry.neighbourhood import one_sidedness
 from gscomplete.splats.oklab import oklab_from_srgb
 from gscomplete.splats.thinning import every_nth
 from gscomplete.util.nearest import query_nearest

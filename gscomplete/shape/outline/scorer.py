@@ -36,7 +36,7 @@ from gscomplete.shape.outline.views import (
     views_at,
 )
 from gscomplete.shape.voxels import FloatArray
-from gscomplete.splats.neighbourhood import ON_RIM, normals_of, one_sidedness
+from gscomplete.splats.geometry.neighbourhood import ON_RIM, normals_of, one_sidedness
 from gscomplete.splats.thinning import every_nth
 from gscomplete.views import ViewDistribution
 

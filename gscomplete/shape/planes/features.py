@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 
 from gscomplete.shape.evidence import Evidence, kind_of
 from gscomplete.shape.voxels import CELLS, HALF_SIDE, FloatArray, grown
-from gscomplete.splats.neighbourhood import ON_RIM, one_sidedness
+from gscomplete.splats.geometry.neighbourhood import ON_RIM, one_sidedness
 from gscomplete.util.kernels import HELPER, KERNEL
 
 ANGLES = 36

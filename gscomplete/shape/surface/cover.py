@@ -7,10 +7,13 @@ Conventions
   cells outside the true one. Whether a point is new is decided ``_INWARD`` cells inside the
   predicted surface; its splat is then placed at the depth that ``depth`` predicts.
 * Splats are flat discs facing outward. There are none where P has surface already.
+* Where P is part of a surface of revolution, P turned about its axis (``turned``) takes the place
+  of the predicted surface. It is exact, so it is covered with smaller splats, at its own depth.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -25,9 +28,10 @@ from gscomplete.shape.colors.sources import nearest_colors, source_colors
 from gscomplete.shape.network import ShapeOutput
 from gscomplete.shape.partial_voxels import ShapeInputs
 from gscomplete.shape.surface.depth import surface_depths
+from gscomplete.shape.surface.turned import TurnedSurface
 from gscomplete.shape.voxels import CELL_SIDE, HALF_SIDE, grown, sample_volume
 from gscomplete.splats import Splats, colors_to_sh, concatenate
-from gscomplete.splats.neighbourhood import one_sidedness
+from gscomplete.splats.geometry.neighbourhood import one_sidedness
 from gscomplete.splats.rotations import quaternions_facing
 from gscomplete.splats.thinning import thinned
 from gscomplete.util.nearest import query_nearest
@@ -53,8 +57,13 @@ _COPY_REACH = 1.2
 """A point belongs on a mirror image of P that is within this distance, cells."""
 _COPY_NEIGHBOURS = 4
 _OPACITY = 0.95
-_OVERLAP = 1.0
-"""Tangent standard deviation per spacing, so that neighbours overlap into a closed surface."""
+_OVERLAP, _TURNED_OVERLAP = 1.0, 0.7
+"""Tangent standard deviation per spacing, so that neighbours overlap into a closed surface; smaller
+beside a turned surface, whose outline is known."""
+_TURNED_SINK = 0.5
+"""Splats of a turned surface lie so many spacings below it: their width would widen outlines."""
+_TURNED_COUNT = 40_000
+"""Most splats beside a turned surface."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +99,7 @@ class SurfacePoints:
     normals: Tensor  # [N, 3] outward
     insets: Tensor  # [N] how far inside it was decided that they are new
     spacing: float
+    is_turned: Tensor  # [N] bool P turned about its axis, not predicted
 
 
 def surface_splats(
@@ -99,6 +109,7 @@ def surface_splats(
     settings: SurfaceSettings,
     generator: torch.Generator,
     mirrored: Splats | None = None,
+    turned: TurnedSurface | None = None,
 ) -> Splats:
     """Return splats that cover the surface of one object where P does not.
 
@@ -109,21 +120,35 @@ def surface_splats(
         settings: knobs.
         generator: chooses where splats are placed.
         mirrored: further splats that exist already and are a source of colours; None = none.
+        turned: the surface of revolution that P is part of; None = there is none.
     """
+    if turned is not None:
+        settings = dataclasses.replace(settings, count=_TURNED_COUNT)
     anchor = thinned(partial, 20_000, generator)
-    there = anchor.means if mirrored is None else torch.cat([anchor.means, mirrored.means])
-    found = new_surface(output, there, settings, generator)
+    there = anchor.means
+    if mirrored is not None:
+        there = torch.cat([there, mirrored.means])
+        if turned is not None:
+            turned = turned.select(
+                is_missing(turned.points, turned.normals, mirrored.means, SurfaceSettings())
+            )
+    found = new_surface(output, there, settings, generator, turned)
     points, normals = found.points, found.normals
     depths = surface_depths(output, inputs, settings.filled_logit, points, normals)
-    points = on_copies(points - depths[:, None] * normals, normals, anchor.means, inputs)
+    predicted = on_copies(points - depths[:, None] * normals, normals, anchor.means, inputs)
+    sunk = points - _TURNED_SINK * found.spacing * normals
+    points = torch.where(found.is_turned[:, None], sunk, predicted)
     if mirrored is None:
-        colors = source_colors(output, inputs, partial, points, generator)
+        # Beside the inner side of a thin wall, what lies a little outside is the outer one's.
+        places = points + CELL_SIDE * found.is_turned[:, None] * normals
+        colors = source_colors(output, inputs, partial, places, generator)
         if settings.rim_decides:
             colors = checked_by_rim(colors, points, normals, partial, generator)
     else:
         colored = concatenate([partial.with_sh_degree(0), mirrored])
         colors = nearest_colors(colored, points, normals, generator)
-    scales = torch.full((len(points), 3), _OVERLAP * found.spacing)
+    overlap = _OVERLAP if turned is None else _TURNED_OVERLAP
+    scales = torch.full((len(points), 3), overlap * found.spacing)
     scales[:, 2] *= _FLATNESS
     return Splats(
         points,
@@ -139,14 +164,16 @@ def new_surface(
     there: Tensor,  # [M, 3]
     settings: SurfaceSettings,
     generator: torch.Generator,
+    turned: TurnedSurface | None = None,
 ) -> SurfacePoints:
-    """Return the predicted surface where there are no splats yet.
+    """Return the surface where there are no splats yet: turned where it can be, else predicted.
 
     Args:
         output: of the network for a batch of one.
         there: centres of the splats that exist already.
         settings: knobs.
         generator: chooses where points lie.
+        turned: the surface of revolution that P is part of; None = there is none.
     """
     logits = (output.occupancy[0].float() - settings.filled_logit).clamp(-8, 8)
     field = _field(logits)
@@ -154,10 +181,20 @@ def new_surface(
     points, normals = points[on_surface], normals[on_surface]
     insets = _insets(field, points, normals)
     inside = points - insets[:, None] * normals
-    new = torch.nonzero(is_missing(inside, normals, there, settings))[:, 0]
-    kept, spacing = _spread(inside[new], normals[new], settings, generator)
-    chosen = new[kept]
-    return SurfacePoints(points[chosen], normals[chosen], insets[chosen], spacing)
+    if turned is not None:
+        there = torch.cat([there, turned.points])
+    is_new = is_missing(inside, normals, there, settings)
+    if turned is not None:
+        is_new &= ~turned.contradicts(inside)
+    inside, points, normals = inside[is_new], points[is_new], normals[is_new]
+    insets = insets[is_new]
+    count = len(points)
+    if turned is not None:
+        inside, points = (torch.cat([own, turned.points]) for own in (inside, points))
+        normals = torch.cat([normals, turned.normals])
+        insets = torch.cat([insets, torch.zeros(len(turned.points))])
+    kept, spacing = _spread(inside, normals, settings, generator)
+    return SurfacePoints(points[kept], normals[kept], insets[kept], spacing, kept >= count)
 
 
 def on_copies(

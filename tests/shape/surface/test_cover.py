@@ -23,7 +23,7 @@ from gscomplete.shape.voxels import (
     sample_volume,
 )
 from gscomplete.splats import concatenate
-from gscomplete.splats.neighbourhood import one_sidedness
+from gscomplete.splats.geometry.neighbourhood import one_sidedness
 from gscomplete.views import ViewDistribution
 from tests.builders.objects import ball, half
 from tests.builders.shape_network import likeliest_inputs, mirrors

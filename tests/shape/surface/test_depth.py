@@ -6,9 +6,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gscomplete.shape.surface import depth as surface_depth
 from gscomplete.shape.network import ShapeOutput
 from gscomplete.shape.partial_voxels import ShapeInputs
+from gscomplete.shape.surface import depth as surface_depth
 from gscomplete.shape.surface.depth import (
     DEPTHS,
     FEATURES,

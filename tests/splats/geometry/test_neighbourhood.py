@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gscomplete.splats.neighbourhood import ON_RIM, normals_of, one_sidedness
+from gscomplete.splats.geometry.neighbourhood import ON_RIM, normals_of, one_sidedness
 
 
 @pytest.mark.parametrize("normal", [[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [-0.48, 0.64, 0.6]])

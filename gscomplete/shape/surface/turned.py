@@ -1,0 +1,223 @@
+"""The rest of a surface of revolution: P turned about its axis, where P has no surface yet.
+
+P's points are given the mean place of the points that are alike in radius, height and normal,
+whatever their azimuth, which takes scanners' noise out. Places where the whole surface goes round
+but P does not are then drawn at random azimuths.
+
+Conventions
+-----------
+* Object frame; axis coordinates as in ``splats.geometry.revolution``.
+* Normals point to the side that V's views see empty, else away from the axis.
+* The body is what of P belongs to the surface of revolution; the rest, such as a handle, is its
+  features.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from gscomplete.shape.evidence import Evidence
+from gscomplete.splats.geometry.neighbourhood import normals_of, one_sidedness
+from gscomplete.splats.geometry.revolution import SECTORS, Revolution, Turning, turned
+from gscomplete.splats.thinning import every_nth
+
+FloatArray = NDArray[np.float64]
+
+_MOST_POINTS = 20_000
+_DRAWN = 60_000
+_NEIGHBOURS = 16
+_OUT = 0.06
+"""Evidence is asked for this far to both sides of P's surface."""
+_MORE_EMPTY = 0.2
+"""A side is the outer one if so many more views see it empty."""
+_WALLS = (0.015, 0.025, 0.04)
+"""Depths at which the other side of a wall is looked for."""
+_LEVEL = 0.3
+"""A surface whose normal's radial part is smaller faces up rather than out."""
+_NORMAL_REACH, _OWN_NORMAL_REACH = 0.1, 0.05
+"""Lengths of normals beside places when points are compared: both walls of a cup are kept apart."""
+_ALIKE = 12
+_NEAR, _NEAR_RIM, _ONE_SIDED = 0.03, 0.01, 0.7
+"""A place is P's own as in ``cover.SurfaceSettings``, but only by the wall that faces its way."""
+_LEAST_MISSING, _MOST_HIDING = 0.03, 0.1
+"""The surface is not used if P lacks less of it, or if views see more of what P lacks in front of
+P."""
+_BEFORE, _FACING = 0.02, 0.7
+"""A point lies before the body if it is so far before the nearest place, in a direction that is so
+near to the normal's (cosine)."""
+_FEATURE_REACH = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class TurnedSurface:
+    """What P lacks of the surface of revolution that it is part of."""
+
+    points: Tensor  # [N, 3]
+    normals: Tensor  # [N, 3] outward
+    missing: float
+    """How much of the whole surface P lacks."""
+    revolution: Revolution
+    body: Turning
+    """P's body, normals outward."""
+    features: FloatArray  # [F, 3]
+    """P's features, axis coordinates."""
+
+    def select(self, mask: Tensor) -> TurnedSurface:  # [N] bool
+        """Return what P lacks of the surface with some of its places only."""
+        return dataclasses.replace(self, points=self.points[mask], normals=self.normals[mask])
+
+    def contradicts(self, points: Tensor) -> Tensor:  # [M, 3] -> [M] bool
+        """Mark the points that would lie before P's body if they were turned to it.
+
+        Where P's body is seen nothing lies before it, so nothing belongs there all round. Beside
+        P's features points are not marked: they may belong to these. So a handle stays the only
+        one.
+        """
+        there = self.revolution.axis.to_axis(points.double().numpy())
+        places = np.stack([np.hypot(there[:, 0], there[:, 1]), there[:, 2]], axis=1)
+        body = np.stack([self.body.radius, self.body.points[:, 2]], axis=1)
+        facing = np.stack([self.body.radial, self.body.normals[:, 2]], axis=1)
+        distance, nearest = cKDTree(body).query(places)
+        before = ((places - body[nearest]) * facing[nearest]).sum(axis=1)
+        marked = (before > _BEFORE) & (before > _FACING * distance)
+        if len(self.features) and marked.any():
+            away, _ = cKDTree(self.features).query(there)
+            marked &= away > _FEATURE_REACH
+        return torch.from_numpy(marked)
+
+
+def turned_surface(
+    points: FloatArray,  # [N, 3]
+    revolution: Revolution,
+    evidence: Evidence,
+    generator: torch.Generator,
+) -> TurnedSurface | None:
+    """Turn P about its axis; None = P lacks next to nothing of the surface, or views contradict it.
+
+    Args:
+        points: centres of P's splats, object frame.
+        revolution: the surface that they are part of.
+        evidence: what V's views say about space.
+        generator: chooses places on the surface.
+    """
+    chosen = every_nth(points, _MOST_POINTS)
+    _, index = cKDTree(chosen).query(chosen, k=_NEIGHBOURS + 1)
+    own = Turning.about(revolution.axis, chosen, _outward(chosen, index, revolution, evidence))
+    body, sectors = own.body(1.0)
+    places, normals = _profile(own, body)
+    sides = _drawn(SECTORS / np.maximum(sectors[body], 1), generator)
+    angle = 2 * math.pi * torch.rand(_DRAWN, generator=generator, dtype=torch.float64).numpy()
+    places, normals = turned(places[sides], angle), turned(normals[sides], angle)
+    lacks = _is_missing(places, normals, own)
+    places, normals = places[lacks], normals[lacks]
+    shown = _seen_empty(evidence, revolution, places) <= 0.5
+    missing = float(lacks.mean())
+    if missing < _LEAST_MISSING or shown.mean() < 1.0 - _MOST_HIDING:
+        return None
+    return TurnedSurface(
+        torch.from_numpy(revolution.axis.from_axis(places[shown])).float(),
+        torch.from_numpy(normals[shown] @ revolution.axis.rotation).float(),
+        missing,
+        revolution,
+        own.select(body),
+        own.points[~body],
+    )
+
+
+def _outward(
+    points: FloatArray,  # [N, 3]
+    neighbours: NDArray[np.int64],  # [N, K]
+    revolution: Revolution,
+    evidence: Evidence,
+) -> FloatArray:  # [N, 3]
+    """Return P's normals, object frame."""
+    normals = normals_of(points[neighbours])
+    ahead, behind = (
+        evidence.classify((points + way * _OUT * normals).astype(np.float32))[:, 0]
+        for way in (1.0, -1.0)
+    )
+    turning = Turning.about(revolution.axis, points, normals)
+    away = np.where(np.abs(turning.radial) > _LEVEL, turning.radial, turning.normals[:, 2])
+    is_seen = np.abs(ahead - behind) > _MORE_EMPTY
+    out = np.where(is_seen, ahead - behind, away)
+    wall = _wall_ahead(points, normals)
+    sign = np.where(np.where(wall != 0, -wall, out) < 0, -1.0, 1.0)
+    return normals * sign[:, None]
+
+
+def _wall_ahead(
+    points: FloatArray,  # [N, 3]
+    normals: FloatArray,  # [N, 3]
+) -> FloatArray:  # [N]
+    """Return 1 where the other side of a thin wall lies ahead, -1 where behind, 0 if neither."""
+    tree = cKDTree(points)
+    found = []
+    for way in (1.0, -1.0):
+        reached = np.zeros(len(points), np.bool_)
+        for depth in _WALLS:
+            distance, _ = tree.query(
+                points + way * depth * normals, distance_upper_bound=0.4 * depth
+            )
+            reached |= np.isfinite(distance)
+        found.append(reached)
+    ahead, behind = found
+    return np.where(ahead == behind, 0.0, np.where(ahead, 1.0, -1.0))
+
+
+def _profile(own: Turning, body: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:  # [B, 3]
+    """Return places and normals of the body's points at azimuth 0, places averaged."""
+    places = np.stack([own.radius, own.points[:, 2]], axis=1)[body]
+    facing = np.stack([own.radial, own.normals[:, 2]], axis=1)[body]
+    facing /= np.linalg.norm(facing, axis=1, keepdims=True).clip(1e-9)
+    like = np.concatenate([places, _NORMAL_REACH * facing], axis=1)
+    _, index = cKDTree(like).query(like, k=range(1, min(_ALIKE, len(like)) + 1))
+    along = ((places[index] - places[:, None]) * facing[:, None]).sum(axis=2).mean(axis=1)
+    places = places + along[:, None] * facing
+    nothing = np.zeros(len(places))
+    return (
+        np.stack([places[:, 0].clip(0.0), nothing, places[:, 1]], axis=1),
+        np.stack([facing[:, 0], nothing, facing[:, 1]], axis=1),
+    )
+
+
+def _drawn(weights: FloatArray, generator: torch.Generator) -> NDArray[np.int64]:  # [B] -> [D]
+    """Draw indices with these weights."""
+    ends = np.cumsum(weights)
+    at = torch.rand(_DRAWN, generator=generator, dtype=torch.float64).numpy() * ends[-1]
+    return np.minimum(np.searchsorted(ends, at, side="right"), len(weights) - 1)
+
+
+def _is_missing(
+    places: FloatArray,  # [D, 3] axis coordinates
+    normals: FloatArray,  # [D, 3]
+    own: Turning,
+) -> NDArray[np.bool_]:  # [D]
+    """Mark the places where P has no surface that faces the same way."""
+    tree = cKDTree(np.concatenate([own.points, _OWN_NORMAL_REACH * own.normals], axis=1))
+    nearest = range(1, min(_ALIKE, len(own.points)) + 1)
+    asked = np.concatenate([places, _OWN_NORMAL_REACH * normals], axis=1)
+    distance, index = tree.query(asked, k=nearest)
+    missing: NDArray[np.bool_] = distance[:, 0] > _NEAR
+    close = np.flatnonzero(~missing)
+    offsets = own.points[index[close]] - places[close, None]
+    along = (offsets * normals[close, None]).sum(axis=2, keepdims=True)
+    beyond = one_sidedness(offsets - along * normals[close, None]) > _ONE_SIDED
+    missing[close] = beyond & (np.linalg.norm(offsets, axis=2).min(axis=1) > _NEAR_RIM)
+    return missing
+
+
+def _seen_empty(
+    evidence: Evidence,
+    revolution: Revolution,
+    places: FloatArray,  # [N, 3] axis coordinates
+) -> NDArray[np.float32]:  # [N]
+    """Return the share of views that find each place in front of P."""
+    return evidence.classify(revolution.axis.from_axis(places).astype(np.float32))[:, 0]

@@ -1,0 +1,47 @@
+"""Surfaces of revolution for tests: a vase with a foot, and its parts."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+HEIGHT, HANDLE_RADIUS = 0.9, 0.42
+
+
+def vase_radius(height: FloatArray) -> FloatArray:  # [N] in [0, HEIGHT] -> [N]
+    """Return the radius of the wall at each height."""
+    return 0.22 + 0.08 * np.sin(7.0 * height)
+
+
+def vase(
+    count: int = 12_000,
+    azimuths_deg: tuple[float, float] = (0.0, 360.0),
+    flattened: float = 1.0,
+    seed: int = 0,
+) -> FloatArray:  # [N, 3]
+    """Return points on a vase about the z axis, between two azimuths; the foot is at z = 0.
+
+    Args:
+        count: points.
+        azimuths_deg: the part that is kept.
+        flattened: factor on y; with 1 the vase is round.
+        seed: of the points' places.
+    """
+    random = np.random.default_rng(seed)
+    height = random.uniform(0.0, HEIGHT, 4 * count)
+    radius = vase_radius(height)
+    height = height[random.uniform(0.0, 0.3, len(radius)) < radius][:count]
+    radius = vase_radius(height)
+    angle = np.deg2rad(random.uniform(*azimuths_deg, len(height)))
+    return np.stack([radius * np.cos(angle), flattened * radius * np.sin(angle), height], axis=1)
+
+
+def handle(azimuth_deg: float, count: int = 800, seed: int = 1) -> FloatArray:  # [N, 3]
+    """Return points on an upright rod beside the vase."""
+    random = np.random.default_rng(seed)
+    angle, around = np.deg2rad(azimuth_deg), random.uniform(0.0, 2 * np.pi, count)
+    middle = HANDLE_RADIUS * np.array([np.cos(angle), np.sin(angle)])
+    rod = middle + 0.025 * np.stack([np.cos(around), np.sin(around)], axis=1)
+    return np.column_stack([rod, random.uniform(0.2, 0.7, count)])
