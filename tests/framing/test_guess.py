@@ -18,7 +18,8 @@ from gscomplete.framing.guess import (
     score_views,
 )
 from gscomplete.splats import Similarity, concatenate, transform_splats
-from tests.builders.objects import angle_between, cylinder, half_cylinder
+from tests.builders.objects import angle_between, cylinder, half_cylinder, round_splats
+from tests.builders.vases import HEIGHT, handle, vase
 
 
 @pytest.mark.parametrize("azimuth_deg", [0.0, 75.0, 200.0])
@@ -31,6 +32,16 @@ def test_half_a_cylinder_is_seen_from_outside_and_completed(
     assert np.linalg.norm(guess.center) < 0.05  # the box of P is off by 0.25
     assert guess.size == pytest.approx(1.0, abs=0.1)
     assert "extended" in guess.box_reason
+
+
+def test_a_part_of_a_vase_has_the_box_of_the_whole_vase_and_its_handle() -> None:
+    part = np.concatenate([vase(azimuths_deg=(20.0, 160.0)), handle(90.0)])
+    guess = guess_framing(round_splats(torch.from_numpy(part).float(), scale=0.008))
+    whole = np.concatenate([vase(), handle(90.0)])
+    low, high = whole.min(axis=0), whole.max(axis=0)
+    np.testing.assert_allclose(guess.center, (low + high) / 2, atol=0.02)  # two spacings
+    assert guess.size == pytest.approx(HEIGHT, abs=0.02)
+    assert "surface of revolution" in guess.box_reason
 
 
 def test_a_complete_object_keeps_its_box() -> None:

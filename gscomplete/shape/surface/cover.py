@@ -62,6 +62,9 @@ _OVERLAP, _TURNED_OVERLAP = 1.0, 0.7
 beside a turned surface, whose outline is known."""
 _TURNED_SINK = 0.5
 """Splats of a turned surface lie so many spacings below it: their width would widen outlines."""
+_TURNED_SPACINGS = 3.7
+"""Splats are at least so many median distances between its places apart: then cells of that side
+hold three places on average, and hardly any is empty."""
 _TURNED_COUNT = 40_000
 """Most splats beside a turned surface."""
 
@@ -122,16 +125,16 @@ def surface_splats(
         mirrored: further splats that exist already and are a source of colours; None = none.
         turned: the surface of revolution that P is part of; None = there is none.
     """
-    if turned is not None:
-        settings = dataclasses.replace(settings, count=_TURNED_COUNT)
     anchor = thinned(partial, 20_000, generator)
     there = anchor.means
     if mirrored is not None:
         there = torch.cat([there, mirrored.means])
         if turned is not None:
-            turned = turned.select(
-                is_missing(turned.points, turned.normals, mirrored.means, SurfaceSettings())
-            )
+            asked = turned.points, turned.normals, mirrored.means, SurfaceSettings()
+            turned = turned.beside_copies(is_missing(*asked))
+    if turned is not None:
+        spacing = max(_TURNED_SPACINGS * median_spacing(turned.points), settings.least_spacing)
+        settings = dataclasses.replace(settings, count=_TURNED_COUNT, least_spacing=spacing)
     found = new_surface(output, there, settings, generator, turned)
     points, normals = found.points, found.normals
     depths = surface_depths(output, inputs, settings.filled_logit, points, normals)

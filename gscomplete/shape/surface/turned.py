@@ -7,7 +7,8 @@ but P does not are then drawn at random azimuths.
 Conventions
 -----------
 * Object frame; axis coordinates as in ``splats.geometry.revolution``.
-* Normals point to the side that V's views see empty, else away from the axis.
+* Normals point away from the other side of a thin wall, else to the side that V's views see empty,
+  else away from the middle.
 * The body is what of P belongs to the surface of revolution; the rest, such as a handle, is its
   features.
 """
@@ -28,11 +29,14 @@ from gscomplete.shape.evidence import Evidence
 from gscomplete.splats.geometry.neighbourhood import normals_of, one_sidedness
 from gscomplete.splats.geometry.revolution import SECTORS, Revolution, Turning, turned
 from gscomplete.splats.thinning import every_nth
+from gscomplete.util.nearest import query_nearest
 
 FloatArray = NDArray[np.float64]
 
 _MOST_POINTS = 20_000
 _DRAWN = 60_000
+_TIMES, _SIDEWAYS = 4, 0.01
+"""So many places are made of each one that is drawn, within this distance to both sides."""
 _NEIGHBOURS = 16
 _OUT = 0.06
 """Evidence is asked for this far to both sides of P's surface."""
@@ -41,7 +45,7 @@ _MORE_EMPTY = 0.2
 _WALLS = (0.015, 0.025, 0.04)
 """Depths at which the other side of a wall is looked for."""
 _LEVEL = 0.3
-"""A surface whose normal's radial part is smaller faces up rather than out."""
+"""A surface whose normal's radial part is smaller faces up or down rather than out."""
 _NORMAL_REACH, _OWN_NORMAL_REACH = 0.1, 0.05
 """Lengths of normals beside places when points are compared: both walls of a cup are kept apart."""
 _ALIKE = 12
@@ -50,6 +54,7 @@ _NEAR, _NEAR_RIM, _ONE_SIDED = 0.03, 0.01, 0.7
 _LEAST_MISSING, _MOST_HIDING = 0.03, 0.1
 """The surface is not used if P lacks less of it, or if views see more of what P lacks in front of
 P."""
+_LEAST_BESIDE_COPIES = 0.2
 _BEFORE, _FACING = 0.02, 0.7
 """A point lies before the body if it is so far before the nearest place, in a direction that is so
 near to the normal's (cosine)."""
@@ -70,9 +75,16 @@ class TurnedSurface:
     features: FloatArray  # [F, 3]
     """P's features, axis coordinates."""
 
-    def select(self, mask: Tensor) -> TurnedSurface:  # [N] bool
-        """Return what P lacks of the surface with some of its places only."""
-        return dataclasses.replace(self, points=self.points[mask], normals=self.normals[mask])
+    def beside_copies(self, is_missing: Tensor) -> TurnedSurface | None:  # [N] bool
+        """Return what is missing beside mirrored splats; None = too little to be used.
+
+        Narrow strips are better closed by the network's surface, which meets both of their sides.
+        """
+        asked = is_missing.numpy(), self.points.double().numpy(), self.normals.double().numpy()
+        kept = torch.from_numpy(_mostly(*asked))
+        if float(kept.double().mean()) < _LEAST_BESIDE_COPIES:
+            return None
+        return dataclasses.replace(self, points=self.points[kept], normals=self.normals[kept])
 
     def contradicts(self, points: Tensor) -> Tensor:  # [M, 3] -> [M] bool
         """Mark the points that would lie before P's body if they were turned to it.
@@ -116,15 +128,16 @@ def turned_surface(
     sides = _drawn(SECTORS / np.maximum(sectors[body], 1), generator)
     angle = 2 * math.pi * torch.rand(_DRAWN, generator=generator, dtype=torch.float64).numpy()
     places, normals = turned(places[sides], angle), turned(normals[sides], angle)
-    lacks = _is_missing(places, normals, own)
+    lacks = _mostly(_is_missing(places, normals, own), places, normals)
     places, normals = places[lacks], normals[lacks]
     shown = _seen_empty(evidence, revolution, places) <= 0.5
     missing = float(lacks.mean())
     if missing < _LEAST_MISSING or shown.mean() < 1.0 - _MOST_HIDING:
         return None
+    places, normals = _denser(places[shown], normals[shown], generator)
     return TurnedSurface(
-        torch.from_numpy(revolution.axis.from_axis(places[shown])).float(),
-        torch.from_numpy(normals[shown] @ revolution.axis.rotation).float(),
+        torch.from_numpy(revolution.axis.from_axis(places)).float(),
+        torch.from_numpy(normals @ revolution.axis.rotation).float(),
         missing,
         revolution,
         own.select(body),
@@ -145,7 +158,9 @@ def _outward(
         for way in (1.0, -1.0)
     )
     turning = Turning.about(revolution.axis, points, normals)
-    away = np.where(np.abs(turning.radial) > _LEVEL, turning.radial, turning.normals[:, 2])
+    height = turning.points[:, 2]
+    away_up = turning.normals[:, 2] * np.sign(height - (height.min() + height.max()) / 2)
+    away = np.where(np.abs(turning.radial) > _LEVEL, turning.radial, away_up)
     is_seen = np.abs(ahead - behind) > _MORE_EMPTY
     out = np.where(is_seen, ahead - behind, away)
     wall = _wall_ahead(points, normals)
@@ -202,16 +217,43 @@ def _is_missing(
 ) -> NDArray[np.bool_]:  # [D]
     """Mark the places where P has no surface that faces the same way."""
     tree = cKDTree(np.concatenate([own.points, _OWN_NORMAL_REACH * own.normals], axis=1))
-    nearest = range(1, min(_ALIKE, len(own.points)) + 1)
     asked = np.concatenate([places, _OWN_NORMAL_REACH * normals], axis=1)
-    distance, index = tree.query(asked, k=nearest)
-    missing: NDArray[np.bool_] = distance[:, 0] > _NEAR
-    close = np.flatnonzero(~missing)
-    offsets = own.points[index[close]] - places[close, None]
+    distance, _ = query_nearest(tree, asked, within=_NEAR)
+    beside, _ = query_nearest(cKDTree(own.points), places, within=_NEAR_RIM)
+    missing: NDArray[np.bool_] = ~np.isfinite(distance) & ~np.isfinite(beside)
+    close = np.flatnonzero(np.isfinite(distance) & ~np.isfinite(beside))
+    _, index = query_nearest(tree, asked[close], range(1, min(_ALIKE, len(own.points)) + 1))
+    offsets = own.points[index] - places[close, None]
     along = (offsets * normals[close, None]).sum(axis=2, keepdims=True)
-    beyond = one_sidedness(offsets - along * normals[close, None]) > _ONE_SIDED
-    missing[close] = beyond & (np.linalg.norm(offsets, axis=2).min(axis=1) > _NEAR_RIM)
+    missing[close] = one_sidedness(offsets - along * normals[close, None]) > _ONE_SIDED
     return missing
+
+
+def _mostly(
+    missing: NDArray[np.bool_],  # [D]
+    places: FloatArray,  # [D, 3]
+    normals: FloatArray,  # [D, 3]
+) -> NDArray[np.bool_]:  # [D]
+    """Keep the missing places among whose neighbours most are missing, too: no specks."""
+    like = np.concatenate([places, _OWN_NORMAL_REACH * normals], axis=1)
+    lacking = np.flatnonzero(missing)
+    _, index = query_nearest(cKDTree(like), like[lacking], range(1, _ALIKE + 1))
+    kept = np.zeros_like(missing)
+    kept[lacking] = missing[index].mean(axis=1) > 0.5
+    return kept
+
+
+def _denser(
+    places: FloatArray,  # [D, 3] axis coordinates
+    normals: FloatArray,  # [D, 3]
+    generator: torch.Generator,
+) -> tuple[FloatArray, FloatArray]:  # [_TIMES * D, 3]
+    """Add places a little to both sides of each one, as seen from the axis."""
+    places, normals = (np.tile(rows, (_TIMES, 1)) for rows in (places, normals))
+    radius = np.hypot(places[:, 0], places[:, 1])
+    way = 2 * torch.rand(len(places), generator=generator, dtype=torch.float64).numpy() - 1
+    angle = way * np.minimum(_SIDEWAYS / radius.clip(1e-9), math.pi)
+    return turned(places, angle), turned(normals, angle)
 
 
 def _seen_empty(

@@ -14,6 +14,7 @@ from gscomplete.shape.surface.cover import (
     on_copies,
     surface_splats,
 )
+from gscomplete.shape.surface.turned import turned_surface
 from gscomplete.shape.symmetry import SOURCES
 from gscomplete.shape.voxels import (
     CELL_SIDE,
@@ -24,6 +25,7 @@ from gscomplete.shape.voxels import (
 )
 from gscomplete.splats import concatenate
 from gscomplete.splats.geometry.neighbourhood import one_sidedness
+from gscomplete.splats.geometry.revolution import find_revolution
 from gscomplete.views import ViewDistribution
 from tests.builders.objects import ball, half
 from tests.builders.shape_network import likeliest_inputs, mirrors
@@ -49,6 +51,24 @@ def guess(settings=None, output=None, partial=None):
         settings or SurfaceSettings(),
         generator,
     )
+
+
+def test_a_turned_surface_takes_the_place_of_a_wrong_prediction():
+    partial = half(ball())
+    points = partial.means.double().numpy()
+    revolution = find_revolution(points)
+    assert revolution is not None
+    voxels = voxelize_partial(partial, VIEWS)
+    draw = torch.Generator().manual_seed(0)
+    turned = turned_surface(points, revolution, voxels.evidence, draw)
+    assert turned is not None
+    asked = ball_output(0.47), likeliest_inputs(partial, VIEWS), partial, SurfaceSettings(), draw
+    wrong, right = surface_splats(*asked), surface_splats(*asked, turned=turned)
+    # the ball's radius is .4
+    for splats, is_right in ((wrong, False), (right, True)):
+        radius = splats.means.norm(dim=1)
+        assert (float((radius - 0.4).abs().quantile(0.95)) < 0.02) == is_right
+    assert float(right.scales[:, :2].max()) < float(wrong.scales[:, :2].max())
 
 
 def test_interpolation_reads_cell_centres():
