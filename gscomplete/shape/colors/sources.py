@@ -25,6 +25,7 @@ from gscomplete.shape.symmetry import SOURCES
 from gscomplete.shape.voxels import CELL_SIDE, sample_volume
 from gscomplete.splats import Splats
 from gscomplete.splats.thinning import thinned
+from gscomplete.util.nearest import query_nearest
 
 _SHARPNESS = 8.0
 """Factor on the network's logits, so that sources mix only where one gives way to another."""
@@ -119,7 +120,7 @@ class _Known:
         The nearest splats are chosen with heights scaled by ``_HEIGHT_WEIGHT``; the distance to the
         first of them, in object sizes, is not scaled.
         """
-        distance, index = self._tree.query(places * self._stretch, k=self._nearest)
+        distance, index = query_nearest(self._tree, places * self._stretch, self._nearest)
         weight = torch.from_numpy(1.0 / (distance + 0.2 * CELL_SIDE) ** 2).float()
         weight /= weight.sum(dim=1, keepdim=True)
         color = (weight[:, :, None] * self._base[torch.from_numpy(index)]).sum(dim=1)

@@ -65,7 +65,7 @@ _TURNED_SINK = 0.5
 _TURNED_SPACINGS = 3.7
 """Splats are at least so many median distances between its places apart: then cells of that side
 hold three places on average, and hardly any is empty."""
-_TURNED_COUNT = 40_000
+_TURNED_COUNT = 30_000
 """Most splats beside a turned surface."""
 
 
@@ -133,14 +133,15 @@ def surface_splats(
             asked = turned.points, turned.normals, mirrored.means, SurfaceSettings()
             turned = turned.beside_copies(is_missing(*asked))
     if turned is not None:
-        spacing = max(_TURNED_SPACINGS * median_spacing(turned.points), settings.least_spacing)
+        spacing = max(_TURNED_SPACINGS * turned.spacing(), settings.least_spacing)
         settings = dataclasses.replace(settings, count=_TURNED_COUNT, least_spacing=spacing)
     found = new_surface(output, there, settings, generator, turned)
     points, normals = found.points, found.normals
-    depths = surface_depths(output, inputs, settings.filled_logit, points, normals)
-    predicted = on_copies(points - depths[:, None] * normals, normals, anchor.means, inputs)
-    sunk = points - _TURNED_SINK * found.spacing * normals
-    points = torch.where(found.is_turned[:, None], sunk, predicted)
+    predicted, facing = points[~found.is_turned], normals[~found.is_turned]
+    depths = surface_depths(output, inputs, settings.filled_logit, predicted, facing)
+    predicted = on_copies(predicted - depths[:, None] * facing, facing, anchor.means, inputs)
+    points = points - _TURNED_SINK * found.spacing * normals
+    points[~found.is_turned] = predicted
     if mirrored is None:
         # Beside the inner side of a thin wall, what lies a little outside is the outer one's.
         places = points + CELL_SIDE * found.is_turned[:, None] * normals
@@ -188,7 +189,7 @@ def new_surface(
         there = torch.cat([there, turned.points])
     is_new = is_missing(inside, normals, there, settings)
     if turned is not None:
-        is_new &= ~turned.contradicts(inside)
+        is_new[is_new.clone()] = ~turned.contradicts(inside[is_new])
     inside, points, normals = inside[is_new], points[is_new], normals[is_new]
     insets = insets[is_new]
     count = len(points)

@@ -55,6 +55,7 @@ _LEAST_MISSING, _MOST_HIDING = 0.03, 0.1
 """The surface is not used if P lacks less of it, or if views see more of what P lacks in front of
 P."""
 _LEAST_BESIDE_COPIES = 0.2
+_SPACED = 2000
 _BEFORE, _FACING = 0.02, 0.7
 """A point lies before the body if it is so far before the nearest place, in a direction that is so
 near to the normal's (cosine)."""
@@ -86,6 +87,13 @@ class TurnedSurface:
             return None
         return dataclasses.replace(self, points=self.points[kept], normals=self.normals[kept])
 
+    def spacing(self) -> float:
+        """Return the median distance of places from their nearest neighbours."""
+        places = self.points.numpy()
+        asked = every_nth(places, _SPACED)
+        distance, _ = cKDTree(places).query(asked, k=range(1, min(2, len(places)) + 1))
+        return float(np.median(distance[:, -1])) if len(places) else 0.0
+
     def contradicts(self, points: Tensor) -> Tensor:  # [M, 3] -> [M] bool
         """Mark the points that would lie before P's body if they were turned to it.
 
@@ -97,11 +105,11 @@ class TurnedSurface:
         places = np.stack([np.hypot(there[:, 0], there[:, 1]), there[:, 2]], axis=1)
         body = np.stack([self.body.radius, self.body.points[:, 2]], axis=1)
         facing = np.stack([self.body.radial, self.body.normals[:, 2]], axis=1)
-        distance, nearest = cKDTree(body).query(places)
+        distance, nearest = query_nearest(cKDTree(body), places)
         before = ((places - body[nearest]) * facing[nearest]).sum(axis=1)
         marked = (before > _BEFORE) & (before > _FACING * distance)
         if len(self.features) and marked.any():
-            away, _ = cKDTree(self.features).query(there)
+            away, _ = query_nearest(cKDTree(self.features), there, within=2 * _FEATURE_REACH)
             marked &= away > _FEATURE_REACH
         return torch.from_numpy(marked)
 
