@@ -189,7 +189,8 @@ def new_surface(
         there = torch.cat([there, turned.points])
     is_new = is_missing(inside, normals, there, settings)
     if turned is not None:
-        is_new[is_new.clone()] = ~turned.contradicts(inside[is_new])
+        about = 0.5 * (points + inside)  # about where splats are placed
+        is_new[is_new.clone()] = ~turned.contradicts(about[is_new])
     inside, points, normals = inside[is_new], points[is_new], normals[is_new]
     insets = insets[is_new]
     count = len(points)

@@ -42,7 +42,7 @@ _OUT = 0.06
 """Evidence is asked for this far to both sides of P's surface."""
 _MORE_EMPTY = 0.2
 """A side is the outer one if so many more views see it empty."""
-_WALLS = (0.015, 0.025, 0.04)
+_WALLS = (0.015, 0.025, 0.04, 0.06, 0.09)
 """Depths at which the other side of a wall is looked for."""
 _LEVEL = 0.3
 """A surface whose normal's radial part is smaller faces up or down rather than out."""
@@ -56,7 +56,7 @@ _LEAST_MISSING, _MOST_HIDING = 0.03, 0.1
 P."""
 _LEAST_BESIDE_COPIES = 0.2
 _SPACED = 2000
-_BEFORE, _FACING = 0.02, 0.7
+_BEFORE, _FACING = 0.01, 0.5
 """A point lies before the body if it is so far before the nearest place, in a direction that is so
 near to the normal's (cosine)."""
 _FEATURE_REACH = 0.05
