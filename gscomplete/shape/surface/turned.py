@@ -35,6 +35,7 @@ FloatArray = NDArray[np.float64]
 
 _MOST_POINTS = 20_000
 _DRAWN = 60_000
+"""Places on the whole surface, P's part included."""
 _TIMES, _SIDEWAYS = 4, 0.01
 """So many places are made of each one that is drawn, within this distance to both sides."""
 _NEIGHBOURS = 16
@@ -55,7 +56,9 @@ _LEAST_MISSING, _MOST_HIDING = 0.03, 0.1
 """The surface is not used if P lacks less of it, or if views see more of what P lacks in front of
 P."""
 _LEAST_BESIDE_COPIES = 0.2
+"""Least share of the places that mirrored splats leave for the surface to be used beside them."""
 _SPACED = 2000
+"""About so many places tell how far apart all are."""
 _BEFORE, _FACING = 0.01, 0.5
 """A point lies before the body if it is so far before the nearest place, in a direction that is so
 near to the normal's (cosine)."""
@@ -132,6 +135,8 @@ def turned_surface(
     _, index = cKDTree(chosen).query(chosen, k=_NEIGHBOURS + 1)
     own = Turning.about(revolution.axis, chosen, _outward(chosen, index, revolution, evidence))
     body, sectors = own.body(1.0)
+    if not body.any():
+        return None
     places, normals = _profile(own, body)
     sides = _drawn(SECTORS / np.maximum(sectors[body], 1), generator)
     angle = 2 * math.pi * torch.rand(_DRAWN, generator=generator, dtype=torch.float64).numpy()
@@ -159,7 +164,7 @@ def _outward(
     revolution: Revolution,
     evidence: Evidence,
 ) -> FloatArray:  # [N, 3]
-    """Return P's normals, object frame."""
+    """Return P's normals, object frame, turned outward as said above."""
     normals = normals_of(points[neighbours])
     ahead, behind = (
         evidence.classify((points + way * _OUT * normals).astype(np.float32))[:, 0]
