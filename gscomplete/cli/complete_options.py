@@ -66,10 +66,11 @@ class HowToComplete:
     match_seam: bool = False
     """At the end, shift the colours of new splats near P towards P's, to hide the seam."""
     mirror: str = "guess"
-    """Upright plane that P is mirrored through: guess, none, or AZIMUTH,OFFSET (azimuth of its
-    normal in degrees, as in --view; distance from the frame's centre in object sizes). A run prints
-    the plane that it used. cut: P is one half of a symmetric object, and only its mirror image in
-    the plane that P ends at is added; if that takes the wrong plane, cut:AZIMUTH names the rough
+    """Upright plane that P is mirrored through: guess (bowls, bottles and the like are turned about
+    their axis instead), none (the prior's answer alone), or AZIMUTH,OFFSET (azimuth of its normal
+    in degrees, as in --view; distance from the frame's centre in object sizes). A run prints the
+    plane that it used. cut: P is one half of a symmetric object, and only its mirror image in the
+    plane that P ends at is added; if that takes the wrong plane, cut:AZIMUTH names the rough
     azimuth of the missing half."""
     known_shapes: bool = True
     """Let known shapes of the prompt's noun ("chair") that fit P help the guess where P alone does

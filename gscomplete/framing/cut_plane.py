@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gscomplete.splats.geometry.neighbourhood import ON_RIM, normals_of, one_sidedness
+from gscomplete.splats.geometry.neighbourhood import ON_RIM, normals_at, one_sidedness
 from gscomplete.splats.thinning import every_nth
 
 FloatArray = NDArray[np.float64]
@@ -30,7 +30,6 @@ FloatArray = NDArray[np.float64]
 _MOST_POINTS = 6000
 _TESTED = 1500
 _NEIGHBOURS = 24
-_NORMAL_NEIGHBOURS = 16
 _FEWEST_RIM = 8
 _LEAST_RIM_SHARE = 0.01
 _STEP_DEG = 2.0
@@ -171,16 +170,6 @@ def _refined(normal: FloatArray, in_plane: FloatArray) -> FloatArray:  # [3], [K
     x, y = vectors[:, 0]
     sign = math.copysign(1.0, x * normal[0] + y * normal[1])
     return np.array([sign * x, sign * y, 0.0])
-
-
-def normals_at(
-    places: FloatArray,  # [K, 3]
-    points: FloatArray,  # [N, 3]
-    tree: cKDTree,
-) -> FloatArray:  # [K, 3]
-    """Return unit normals of the surface of points, of either sign; ``tree`` holds the points."""
-    _, index = tree.query(places, k=_NORMAL_NEIGHBOURS + 1)
-    return normals_of(points[index])
 
 
 def _rim(points: FloatArray, tree: cKDTree) -> FloatArray:  # [N, 3] -> [R, 3]

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gscomplete.framing.cut_plane import CutPlane, UprightPlane, normals_at
+from gscomplete.framing.cut_plane import CutPlane, UprightPlane
+from gscomplete.splats.geometry.neighbourhood import normals_at
 from gscomplete.splats.thinning import every_nth
 
 FloatArray = NDArray[np.float64]

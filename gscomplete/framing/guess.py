@@ -130,7 +130,8 @@ def guess_framing(
     """Guess centre, size and input view of the complete object.
 
     Floaters are left out of P's box. The input view is the candidate with the best
-    ``ViewScores.score``. If P is open towards a side, the box grows that way (``extended_box``);
+    ``ViewScores.score``. If P is part of a surface of revolution, the box is that of all of it
+    (``revolution.box_of``). If P is open towards a side, the box grows that way (``extended_box``);
     it never grows vertically, because scans lack the side that an object stands on, nor where P's
     surface is closed (``extent``).
 

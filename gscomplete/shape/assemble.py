@@ -1,5 +1,7 @@
 """The guess of the complete object: P mirrored where consistent, the network's surface elsewhere.
 
+Where P is part of a surface of revolution, P turned about its axis comes before the network's.
+
 Conventions
 -----------
 * Lengths are in object sizes. What P does not have is called new. "Copies" are P's splats,

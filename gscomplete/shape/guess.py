@@ -1,10 +1,12 @@
 """The guess of the complete object, from P and the prompt to new splats.
 
-1. The network is asked (``predict``).
-2. If P's own splats are not to be mirrored, known shapes of the prompt's noun are fitted to P
+1. If P is part of a surface of revolution, it is turned about its axis (``surface.turned``). Of the
+   network's answer only what this does not contradict is used, and step 3 is left out.
+2. The network is asked (``predict``).
+3. If P's own splats are not to be mirrored, known shapes of the prompt's noun are fitted to P
    (``bank.fit``) and the network is asked again with them (``bank.shown``), in the object frame or
    in a wider one that has room for them (``bank.wider``).
-3. The answer becomes splats (``assemble``).
+4. The answer becomes splats (``assemble``).
 
 If the user lets the prompt decide, the known shape that suits P best takes the place of the answer
 (``bank.as_answer``), in the colour that the prompt names (``colors.prompt``).

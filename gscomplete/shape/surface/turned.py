@@ -26,7 +26,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from gscomplete.shape.evidence import Evidence
-from gscomplete.splats.geometry.neighbourhood import normals_of, one_sidedness
+from gscomplete.splats.geometry.neighbourhood import normals_at, one_sidedness
 from gscomplete.splats.geometry.revolution import SECTORS, Revolution, Turning, turned
 from gscomplete.splats.thinning import every_nth
 from gscomplete.util.nearest import query_nearest
@@ -38,13 +38,12 @@ _DRAWN = 60_000
 """Places on the whole surface, P's part included."""
 _TIMES, _SIDEWAYS = 4, 0.01
 """So many places are made of each one that is drawn, within this distance to both sides."""
-_NEIGHBOURS = 16
 _OUT = 0.06
 """Evidence is asked for this far to both sides of P's surface."""
 _MORE_EMPTY = 0.2
 """A side is the outer one if so many more views see it empty."""
-_WALLS = (0.015, 0.025, 0.04, 0.06, 0.09)
-"""Depths at which the other side of a wall is looked for."""
+_WALLS, _WALL_REACH = (0.015, 0.025, 0.04, 0.06, 0.09), 0.4
+"""Depths at which the other side of a wall is looked for, and how far about these, in depths."""
 _LEVEL = 0.3
 """A surface whose normal's radial part is smaller faces up or down rather than out."""
 _NORMAL_REACH, _OWN_NORMAL_REACH = 0.1, 0.05
@@ -71,8 +70,6 @@ class TurnedSurface:
 
     points: Tensor  # [N, 3]
     normals: Tensor  # [N, 3] outward
-    missing: float
-    """How much of the whole surface P lacks."""
     revolution: Revolution
     body: Turning
     """P's body, normals outward."""
@@ -132,8 +129,7 @@ def turned_surface(
         generator: chooses places on the surface.
     """
     chosen = every_nth(points, _MOST_POINTS)
-    _, index = cKDTree(chosen).query(chosen, k=_NEIGHBOURS + 1)
-    own = Turning.about(revolution.axis, chosen, _outward(chosen, index, revolution, evidence))
+    own = Turning.about(revolution.axis, chosen, _outward(chosen, revolution, evidence))
     body, sectors = own.body(1.0)
     if not body.any():
         return None
@@ -144,14 +140,12 @@ def turned_surface(
     lacks = _mostly(_is_missing(places, normals, own), places, normals)
     places, normals = places[lacks], normals[lacks]
     shown = _seen_empty(evidence, revolution, places) <= 0.5
-    missing = float(lacks.mean())
-    if missing < _LEAST_MISSING or shown.mean() < 1.0 - _MOST_HIDING:
+    if lacks.mean() < _LEAST_MISSING or shown.mean() < 1.0 - _MOST_HIDING:
         return None
     places, normals = _denser(places[shown], normals[shown], generator)
     return TurnedSurface(
         torch.from_numpy(revolution.axis.from_axis(places)).float(),
         torch.from_numpy(normals @ revolution.axis.rotation).float(),
-        missing,
         revolution,
         own.select(body),
         own.points[~body],
@@ -160,12 +154,12 @@ def turned_surface(
 
 def _outward(
     points: FloatArray,  # [N, 3]
-    neighbours: NDArray[np.int64],  # [N, K]
     revolution: Revolution,
     evidence: Evidence,
 ) -> FloatArray:  # [N, 3]
     """Return P's normals, object frame, turned outward as said above."""
-    normals = normals_of(points[neighbours])
+    tree = cKDTree(points)
+    normals = normals_at(points, points, tree)
     ahead, behind = (
         evidence.classify((points + way * _OUT * normals).astype(np.float32))[:, 0]
         for way in (1.0, -1.0)
@@ -176,7 +170,7 @@ def _outward(
     away = np.where(np.abs(turning.radial) > _LEVEL, turning.radial, away_up)
     is_seen = np.abs(ahead - behind) > _MORE_EMPTY
     out = np.where(is_seen, ahead - behind, away)
-    wall = _wall_ahead(points, normals)
+    wall = _wall_ahead(points, normals, tree)
     sign = np.where(np.where(wall != 0, -wall, out) < 0, -1.0, 1.0)
     return normals * sign[:, None]
 
@@ -184,15 +178,15 @@ def _outward(
 def _wall_ahead(
     points: FloatArray,  # [N, 3]
     normals: FloatArray,  # [N, 3]
+    tree: cKDTree,
 ) -> FloatArray:  # [N]
-    """Return 1 where the other side of a thin wall lies ahead, -1 where behind, 0 if neither."""
-    tree = cKDTree(points)
+    """Return 1 where the other side of a thin wall lies ahead, -1 where behind, 0 if unknown."""
     found = []
     for way in (1.0, -1.0):
         reached = np.zeros(len(points), np.bool_)
         for depth in _WALLS:
             distance, _ = tree.query(
-                points + way * depth * normals, distance_upper_bound=0.4 * depth
+                points + way * depth * normals, distance_upper_bound=_WALL_REACH * depth
             )
             reached |= np.isfinite(distance)
         found.append(reached)

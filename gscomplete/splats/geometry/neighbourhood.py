@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 ON_RIM = 0.5
 """Points of which ``one_sidedness`` is larger are on the rim."""
+_NORMAL_NEIGHBOURS = 16
 
 
 def one_sidedness(ways: NDArray[np.floating]) -> NDArray[np.floating]:  # [N, K, 3] -> [N]
@@ -35,3 +37,13 @@ def normals_of(
     """
     offsets = neighbours - neighbours.mean(axis=1, keepdims=True)
     return np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))[1][:, :, 0]
+
+
+def normals_at(
+    places: NDArray[np.float64],  # [K, 3]
+    points: NDArray[np.float64],  # [N, 3]
+    tree: cKDTree,
+) -> NDArray[np.float64]:  # [K, 3]
+    """Return unit normals of the surface of points, of either sign; ``tree`` holds the points."""
+    _, index = tree.query(places, k=_NORMAL_NEIGHBOURS + 1)
+    return normals_of(points[index])

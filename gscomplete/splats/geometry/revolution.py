@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gscomplete.splats.geometry.neighbourhood import normals_of
+from gscomplete.splats.geometry.neighbourhood import normals_at
 from gscomplete.splats.thinning import every_nth
 
 FloatArray = NDArray[np.float64]
@@ -33,7 +33,6 @@ _MOST_POINTS = 20_000
 _TESTED = 2500
 _FEWEST_POINTS = 200
 _FEWEST_STEEP = 100
-_NEIGHBOURS = 16
 _PAIRS = 500
 _STEEP = 0.3
 """Only normals whose horizontal part is larger than this tell where the axis is."""
@@ -46,6 +45,8 @@ _TILT, _MOST_TILT = 0.1, 0.2
 """Tilts are small: standard deviation of the prior, and largest tangent."""
 _STEPS, _RADIUS_STEPS = 12, 4
 _LARGEST_STEP = 0.02
+_MOST_TANGENTIAL = 0.25
+"""Only points whose normals have a smaller tangential part tell the axis by their radii."""
 _ALIKE = 0.06
 """Points are alike within this distance in radius, height and, weighted by the next, normal."""
 _NORMAL_WEIGHT = 0.15
@@ -55,10 +56,12 @@ _CELL, SECTORS = 0.04, 36
 _LEAST_ROUND = 0.35
 """What P shows in fewer sectors than this share of the median is no part of the body: a handle."""
 _FEWEST_SECTORS = 4
+_OUTERMOST = 0.995
+"""Share of the body within its radius; the rest is noise."""
 _NEAR_AXIS = 0.03
 """Within this radius every point belongs to the body."""
-_BODY_SINE = 1.3
-"""Points of the body may be off by this much more than ``_OFF`` and ``_OFF_SINE``."""
+_BODY_OFF = 1.3
+"""Normals of the body may pass the axis by this factor more than ``_OFF`` and ``_OFF_SINE``."""
 _TURNS_RAD = (0.35, 1.6)
 _SPREAD, _SAME_SURFACE = 0.05, 0.02
 _SAME_NORMAL = 0.8
@@ -155,7 +158,7 @@ class Turning:
 
     def body(self, side: float) -> tuple[BoolArray, NDArray[np.int64]]:  # [N], [N]
         """Return which points belong to the body, and in how many sectors P has their like."""
-        meets = (self.horizontal < _STEEP) | (self.off_axis(side) < _BODY_SINE)
+        meets = (self.horizontal < _STEEP) | (self.off_axis(side) < _BODY_OFF)
         profile = np.stack([self.radius, self.points[:, 2]], axis=1)
         cells = np.floor(profile / (_CELL * side)).astype(np.int64)
         _, cell = np.unique(cells, axis=0, return_inverse=True)
@@ -185,19 +188,19 @@ def find_revolution(points: FloatArray) -> Revolution | None:  # [N, 3] z up
     chosen = (chosen - middle) / side
     tested = every_nth(chosen, _TESTED)
     tree = cKDTree(chosen)
-    normals = _normals(tested, chosen, tree)
+    normals = normals_at(tested, chosen, tree)
     start = _upright_axis(tested, normals)
     if start is None or not _is_met(start, tested, normals, _LEAST_UPRIGHT_SHARE):
         return None
     axis = _by_radii(_by_normals(start, tested, normals), tested, normals)
     if not _is_met(axis, tested, normals, _LEAST_SHARE):
         return None
-    turning = Turning.about(axis, chosen, _normals(chosen, chosen, tree))
+    turning = Turning.about(axis, chosen, normals_at(chosen, chosen, tree))
     body, _ = turning.body(1.0)
     if body.mean() < _LEAST_BODY:
         return None
     heights = float(turning.points[:, 2].min()), float(turning.points[:, 2].max())
-    radius = float(np.quantile(turning.radius[body], 0.995))
+    radius = float(np.quantile(turning.radius[body], _OUTERMOST))
     if 2 * radius < _LEAST_WIDTH or heights[1] - heights[0] < 2 * _LEAST_FLATNESS * radius:
         return None
     met, fit = turned_fit(turning, body)
@@ -249,12 +252,6 @@ def turned(points: FloatArray, angle_rad: FloatArray) -> FloatArray:  # [N, 3], 
     cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
     x, y, z = points.T
     return np.stack([x * cosine - y * sine, x * sine + y * cosine, z], axis=1)
-
-
-def _normals(places: FloatArray, points: FloatArray, tree: cKDTree) -> FloatArray:  # [K, 3]
-    """Return normals, of either sign, of the surface of ``points`` at K places."""
-    _, index = tree.query(places, k=_NEIGHBOURS + 1)
-    return normals_of(points[index])
 
 
 def _upright_axis(points: FloatArray, normals: FloatArray) -> Axis | None:  # [N, 3] each
@@ -324,7 +321,7 @@ def _by_radii(start: Axis, points: FloatArray, normals: FloatArray) -> Axis:  # 
     for _ in range(_RADIUS_STEPS):
         turning = Turning.about(axis, points, normals)
         is_body = (
-            (np.abs(turning.tangential) < 0.25)
+            (np.abs(turning.tangential) < _MOST_TANGENTIAL)
             & (np.abs(turning.radial) > _STEEP)
             & (turning.radius > _NEAR_AXIS)
         )
