@@ -16,6 +16,8 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 """A shell starts background jobs with interrupts ignored; tests interrupt what they start."""
 
-settings.register_profile("busy machine", deadline=None)
-settings.load_profile("busy machine")
-"""How long an example takes says more about what else runs than about the code."""
+settings.register_profile("explore", deadline=None)
+settings.register_profile("same examples", deadline=None, derandomize=True)
+settings.load_profile("same examples")
+"""A suite of the same code gives the same result; ``--hypothesis-profile explore`` draws new
+examples. How long an example takes says more about what else runs than about the code."""
