@@ -27,6 +27,7 @@ from gscomplete.shape.colors.rim import checked_by_rim
 from gscomplete.shape.colors.sources import nearest_colors, source_colors
 from gscomplete.shape.network import ShapeOutput
 from gscomplete.shape.partial_voxels import ShapeInputs
+from gscomplete.shape.surface.continuation import OrientedPoints
 from gscomplete.shape.surface.depth import surface_depths
 from gscomplete.shape.surface.turned import TurnedSurface
 from gscomplete.shape.voxels import CELL_SIDE, HALF_SIDE, grown, sample_volume
@@ -138,7 +139,8 @@ def surface_splats(
     found = new_surface(output, there, settings, generator, turned)
     points, normals = found.points, found.normals
     predicted, facing = points[~found.is_turned], normals[~found.is_turned]
-    depths = surface_depths(output, inputs, settings.filled_logit, predicted, facing)
+    oriented = OrientedPoints.of(anchor.means.numpy())
+    depths = surface_depths(output, inputs, settings.filled_logit, predicted, facing, oriented)
     predicted = on_copies(predicted - depths[:, None] * facing, facing, anchor.means, inputs)
     points = points - _TURNED_SINK * found.spacing * normals
     points[~found.is_turned] = predicted
