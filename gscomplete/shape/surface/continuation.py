@@ -35,12 +35,12 @@ CROSSING_DEPTHS = tuple(_FIRST + _STEP * k for k in range(13))
 _REACH = 0.14
 """Splats count by the cosine between the normals, and by a Gaussian of their distance of this
 standard deviation, object sizes."""
-_SPLATS = 1500
+_FARTHEST = 0.45
+"""Splats farther away do not count; the distance of the nearest one if none counts."""
+_SPLATS = 800
 """Most splats of P that are continued."""
 _FEW = 1e-2
 """Counts are told by their logarithms, and this is added to them."""
-_FARTHEST = 1.0
-"""Distance of the nearest splat that counts if there is none, object sizes."""
 _GRAIN = 500
 """Fewest points for which handing work to another thread saves time."""
 _MOST_DEPTH = len(CROSSING_DEPTHS)
@@ -108,30 +108,33 @@ def count_crossings(
 ) -> None:
     """Fill the rows of the points from ``first`` up to ``last``."""
     depths = len(CROSSING_DEPTHS)
+    squares, reached, cosines = np.empty((3, len(places)))
     for i in range(first, last):
         row = found[i]
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         u, v, w = normals[i, 0], normals[i, 1], normals[i, 2]
+        for j in range(len(places)):  # without branches, so that it is vectorised
+            a, b, c = facing[j, 0], facing[j, 1], facing[j, 2]
+            dx, dy, dz = x - places[j, 0], y - places[j, 1], z - places[j, 2]
+            cosine = u * a + v * b + w * c
+            along = math.copysign(1.0, cosine) * (dx * a + dy * b + dz * c)
+            along += dx * u + dy * v + dz * w
+            cosines[j] = abs(cosine)
+            reached[j] = (along / ((1.0 + abs(cosine)) * CELL_SIDE) - _FIRST) / _STEP
+            squares[j] = dx * dx + dy * dy + dz * dz
         nearest = _FARTHEST * _FARTHEST
         for j in range(len(places)):
-            a, b, c = facing[j, 0], facing[j, 1], facing[j, 2]
-            cosine = u * a + v * b + w * c
-            dx, dy, dz = x - places[j, 0], y - places[j, 1], z - places[j, 2]
-            sign = 1.0 if cosine > 0.0 else -1.0
-            along = sign * (dx * a + dy * b + dz * c) + dx * u + dy * v + dz * w
-            depth = along / ((1.0 + abs(cosine)) * CELL_SIDE)
-            place = (depth - _FIRST) / _STEP
-            if not 0.0 <= place <= depths - 1.0:
+            place, squared = reached[j], squares[j]
+            if squared > _FARTHEST * _FARTHEST or not 0.0 <= place <= depths - 1.0:
                 continue
-            squared = dx * dx + dy * dy + dz * dz
-            weight = abs(cosine) * math.exp(-0.5 * squared / (_REACH * _REACH))
+            weight = cosines[j] * math.exp(-0.5 * squared / (_REACH * _REACH))
             low = min(int(place), depths - 2)
             row[low] += (1.0 - place + low) * weight
             row[low + 1] += (place - low) * weight
             if squared < nearest:
                 nearest = squared
-                row[_NEAREST_DEPTH] = depth
-                row[_NEAREST_COSINE] = abs(cosine)
+                row[_NEAREST_DEPTH] = _FIRST + _STEP * place
+                row[_NEAREST_COSINE] = cosines[j]
         row[_NEAREST_DISTANCE] = math.sqrt(nearest)
         most = 0
         for k in range(depths):

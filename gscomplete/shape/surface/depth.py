@@ -68,11 +68,7 @@ FEATURES = (
     "off_axis",
     "level",
     "score",
-    *(
-        f"{who}_continued_{name}"
-        for who in ("partial", "first_copy", "others")
-        for name in CROSSINGS
-    ),
+    *(f"{who}_continued_{name}" for who in _CONTINUED for name in CROSSINGS),
 )
 
 

@@ -19,7 +19,7 @@ from gscomplete.shape.surface.depth import (
     softmax,
     surface_depths,
 )
-from gscomplete.shape.symmetry import COPIES, SOURCES
+from gscomplete.shape.symmetry import COPIES, SOURCES, SymmetryMap
 from gscomplete.shape.voxels import CELL_SIDE, CELLS, COARSE_CELLS, cell_centers
 from tests.builders.shape_network import mirrors
 from tests.builders.threads import each_thread_count
@@ -76,8 +76,13 @@ def test_logits_are_read_along_the_way_in(slope_x, slope_z):
 def test_a_turned_object_has_the_same_features():
     logits = torch.randn(CELLS, CELLS, CELLS, generator=torch.Generator().manual_seed(1))
     inputs, output = seen(), answer(logits)
+    turn = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     turned_inputs = dataclasses.replace(
         inputs,
+        symmetries=tuple(
+            SymmetryMap(turn.numpy() @ s.matrix @ turn.numpy().T, s.shift @ turn.numpy().T, s.score)
+            for s in inputs.symmetries
+        ),
         volumes=np.rot90(inputs.volumes, 1, (2, 3)).copy(),
         evidence=np.rot90(inputs.evidence, 1, (1, 2)).copy(),
     )
@@ -86,7 +91,6 @@ def test_a_turned_object_has_the_same_features():
         output.colors,
         torch.rot90(output.sources, 1, (2, 3)),
     )
-    turn = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     turned_splats = OrientedPoints(*(a @ turn.numpy().T for a in (SPLATS.points, SPLATS.normals)))
     places, normals = points()
     found = depth_features(output, inputs, 0.3, places, normals, SPLATS)
