@@ -144,9 +144,16 @@ def surface_splats(
     predicted = on_copies(predicted - depths[:, None] * facing, facing, anchor.means, inputs)
     points = points - _TURNED_SINK * found.spacing * normals
     points[~found.is_turned] = predicted
+    is_turned = found.is_turned
+    if turned is not None:
+        every = torch.cat([there, turned.points])
+        stays = is_turned | (
+            ~turned.contradicts(points) & is_missing(points, normals, every, settings)
+        )
+        points, normals, is_turned = points[stays], normals[stays], is_turned[stays]
     if mirrored is None:
         # Beside the inner side of a thin wall, what lies a little outside is the outer one's.
-        places = points + CELL_SIDE * found.is_turned[:, None] * normals
+        places = points + CELL_SIDE * is_turned[:, None] * normals
         colors = source_colors(output, inputs, partial, places, generator)
         if settings.rim_decides:
             colors = checked_by_rim(colors, points, normals, partial, generator)
