@@ -1,7 +1,7 @@
 """Find where P's surface, continued along arcs, crosses the way into a predicted surface.
 
-Much of what P lacks continues what P or its mirror image has: a wall, a table top, the side of a
-bottle. There P's splats show where the true surface is, more exactly than the network's cells do.
+Much of what P lacks continues what P has: a wall, a table top, the side of a bottle. There P's
+splats show where the true surface is, more exactly than the network's cells do.
 
 Conventions
 -----------
@@ -16,7 +16,6 @@ Conventions
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numba
@@ -24,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gscomplete.shape.symmetry import SymmetryMap
 from gscomplete.shape.voxels import CELL_SIDE, FloatArray
 from gscomplete.splats.geometry.neighbourhood import normals_at
 from gscomplete.util.kernels import KERNEL, run_kernel
@@ -60,7 +58,7 @@ continued beyond ``CROSSING_DEPTHS`` do not count."""
 
 @dataclass(frozen=True, slots=True)
 class OrientedPoints:
-    """Splats of P or of its mirror images."""
+    """Some of P's splats."""
 
     points: NDArray[np.float64]  # [M, 3]
     normals: NDArray[np.float64]  # [M, 3] unit, of either sign
@@ -72,15 +70,6 @@ class OrientedPoints:
         drawn = np.random.default_rng(0).permutation(len(places))[:_SPLATS]
         chosen = places[np.sort(drawn)]
         return cls(chosen, normals_at(chosen, places, cKDTree(places)))
-
-    def images(self, symmetries: Sequence[SymmetryMap]) -> OrientedPoints:
-        """Return the images under one map or under several together."""
-        turns = [symmetry.matrix.astype(np.float64).T for symmetry in symmetries]
-        shifts = [symmetry.shift for symmetry in symmetries]
-        moved = [self.points @ turn + shift for turn, shift in zip(turns, shifts, strict=True)]
-        return OrientedPoints(
-            np.concatenate(moved), np.concatenate([self.normals @ turn for turn in turns])
-        )
 
 
 def crossings(

@@ -57,7 +57,6 @@ sizes."""
 _LEAST_DEPTH = 0.0
 """A smaller one is predicted for 1 % of the points of validation objects; the median of the true
 ones is 0.5 there."""
-_CONTINUED = ("partial", "first_copy", "other_copies")
 FEATURES = (
     *(f"logit_{d}" for d in DEPTHS),
     *(f"smooth_{d}" for d in _SMOOTH_DEPTHS),
@@ -71,7 +70,7 @@ FEATURES = (
     "off_axis",
     "level",
     "score",
-    *(f"{who}_continued_{name}" for who in _CONTINUED for name in CROSSINGS),
+    *(f"continued_{name}" for name in CROSSINGS),
 )
 
 
@@ -157,8 +156,6 @@ def depth_features(
     profile = along(logits, DEPTHS)
     inside = points - CELL_SIDE * normals
     zero = DEPTHS.index(0.0)
-    first, *others = inputs.symmetries
-    continued = (splats, splats.images([first]), splats.images(others))
     columns = [
         profile,
         along(smooth, _SMOOTH_DEPTHS),
@@ -172,7 +169,7 @@ def depth_features(
         points[:, :2].norm(dim=1, keepdim=True),
         points.new_full((len(points), 1), level),
         points.new_full((len(points), 1), inputs.symmetries[0].score),
-        *(torch.from_numpy(crossings(points.numpy(), normals.numpy(), who)) for who in continued),
+        torch.from_numpy(crossings(points.numpy(), normals.numpy(), splats)),
     ]
     found: FloatArray = torch.cat(columns, dim=1).numpy()
     return found

@@ -13,8 +13,7 @@ from gscomplete.shape.surface.continuation import (
     crossings,
 )
 from gscomplete.shape.voxels import CELL_SIDE
-from tests.builders.objects import ball, half
-from tests.builders.shape_network import mirrors
+from tests.builders.objects import ball
 from tests.builders.threads import each_thread_count
 
 
@@ -95,18 +94,6 @@ def test_a_ball_is_crossed_where_it_goes_on(height, azimuth_rad, depth):
     if near.any():
         assert column(found, "nearest_depth")[0] == pytest.approx(depth, abs=1e-4)
         assert column(found, "most_depth")[0] == pytest.approx(depth, abs=1e-4)
-
-
-def test_images_cross_where_the_way_in_mirrored_back_crosses_p():
-    splats = OrientedPoints.of(half(ball()).means.numpy())
-    points, normals = surface()
-    one, other, both = mirrors()
-    back = np.diag([-1.0, 1.0, 1.0])
-    found = crossings(points, normals, splats.images([one]))
-    expected = crossings(points @ back, normals @ back, splats)
-    # float64, sums in the same order
-    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
-    assert len(splats.images([other, both]).points) == 2 * len(splats.points)
 
 
 def test_far_splats_do_not_count():
