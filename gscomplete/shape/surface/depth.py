@@ -55,7 +55,7 @@ _NEIGHBOURS, _NORMALS_WEIGH = 8, 0.05
 same way: in the distance between two points, normals one radian apart count as this length, object
 sizes."""
 _LEAST_DEPTH = 0.0
-"""A smaller one is predicted for 1 % of the points of validation objects; the median of the true
+"""A smaller one is predicted for 0.6 % of points of validation objects; the median of the true
 ones is 0.5 there."""
 FEATURES = (
     *(f"logit_{d}" for d in DEPTHS),
