@@ -1,4 +1,4 @@
-"""Small perceptrons in numpy: a few numbers in, one score or several out.
+"""Small perceptrons in numpy: a few numbers in, one score out.
 
 Conventions
 -----------
@@ -6,7 +6,7 @@ Conventions
 * Rows are multiplied a few at a time: BLAS shares out larger products among its threads, whose
   number would then change the last bits.
 * A file holds float32 tensors: ``center`` and ``spread`` [F], then ``weight0`` [H, F], ``bias0``
-  [H], and so on up to ``weight2`` [K, H] and ``bias2`` [K].
+  [H], and so on.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _FARTHEST = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Perceptron:
-    """Features in, scores out."""
+    """Features in, score out."""
 
     tensors: dict[str, NDArray[np.float32]]
 
@@ -43,14 +43,7 @@ class Perceptron:
         self,
         features: NDArray[np.float32],  # [..., F]
     ) -> NDArray[np.float32]:  # [...]
-        """Return the first score."""
-        return np.ascontiguousarray(self.scores(features)[..., 0])
-
-    def scores(
-        self,
-        features: NDArray[np.float32],  # [..., F]
-    ) -> NDArray[np.float32]:  # [..., K]
-        """Return all scores."""
+        """Return the scores."""
         t = self.tensors
         rows = features.reshape(-1, features.shape[-1])
         padded = np.zeros((-(-len(rows) // _ROWS), _ROWS, rows.shape[1]), np.float32)
@@ -60,8 +53,8 @@ class Perceptron:
             x = x @ t[f"weight{layer}"].T + t[f"bias{layer}"]
             if layer < LAYERS - 1:
                 x = x / (1 + np.exp(-x.clip(-_FARTHEST, _FARTHEST)))
-        scores = x.reshape(-1, x.shape[-1])[: len(rows)]
-        return scores.reshape(*features.shape[:-1], x.shape[-1]).astype(np.float32)
+        scores = x[..., 0].ravel()[: len(rows)].reshape(features.shape[:-1])
+        return np.ascontiguousarray(scores, dtype=np.float32)
 
     def digest(self) -> str:
         """Return a digest of the weights, which identifies data sets that were made with them."""
@@ -89,11 +82,11 @@ class Perceptron:
         return cls({name: value.float().numpy().copy() for name, value in tensors.items()})
 
     @classmethod
-    def load(cls, path: Path, features: int, scores: int = 1) -> Perceptron:
-        """Read the weights of a perceptron of so many features and scores.
+    def load(cls, path: Path, features: int) -> Perceptron:
+        """Read the weights of a perceptron of so many features.
 
         Raises:
-            UserError: the file is missing, damaged, or has other numbers of them.
+            UserError: the file is missing, damaged, or does not fit the features.
         """
         try:
             tensors = load_file(path)
@@ -102,8 +95,4 @@ class Perceptron:
         wide = tensors["weight0"].shape[1] if "weight0" in tensors else 0
         if wide != features:
             raise UserError(f"{path}: weight0: expected {features} columns, found {wide}")
-        last = f"weight{LAYERS - 1}"
-        long = len(tensors[last]) if last in tensors else 0
-        if long != scores:
-            raise UserError(f"{path}: {last}: expected {scores} rows, found {long}")
         return cls(tensors)

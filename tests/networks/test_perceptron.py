@@ -53,24 +53,6 @@ def test_a_trained_network_gives_the_same_scores():
     np.testing.assert_allclose(found, expected.numpy(), rtol=1e-5, atol=1e-5)
 
 
-def test_a_network_may_have_several_scores(tmp_path):
-    torch.manual_seed(0)
-    layers = nn.Linear(5, 7), nn.SiLU(), nn.Linear(7, 4), nn.SiLU(), nn.Linear(4, 3)
-    net = Perceptron.of(nn.Sequential(*layers), torch.zeros(5), torch.ones(5))
-    features = torch.randn(2, 9, 5)
-    with torch.no_grad():
-        expected = nn.Sequential(*layers)(features)
-    # float32 on both sides, in other orders of sums
-    np.testing.assert_allclose(net.scores(features.numpy()), expected, rtol=1e-5, atol=1e-5)
-    np.testing.assert_array_equal(net(features.numpy()), net.scores(features.numpy())[..., 0])
-    assert net.scores(np.zeros((0, 5), np.float32)).shape == (0, 3)
-    path = tmp_path / "three.safetensors"
-    net.save(path)
-    assert Perceptron.load(path, 5, 3).digest() == net.digest()
-    with pytest.raises(UserError, match="weight2: expected 1 rows, found 3"):
-        Perceptron.load(path, 5)
-
-
 def test_extreme_features_give_finite_scores():
     features = np.full((1, 1, 5), 1e6, np.float32)
     assert np.isfinite(perceptron()(features)).all()

@@ -27,7 +27,6 @@ from gscomplete.shape.colors.rim import checked_by_rim
 from gscomplete.shape.colors.sources import nearest_colors, source_colors
 from gscomplete.shape.network import ShapeOutput
 from gscomplete.shape.partial_voxels import ShapeInputs
-from gscomplete.shape.surface.continuation import OrientedPoints
 from gscomplete.shape.surface.depth import surface_depths
 from gscomplete.shape.surface.turned import TurnedSurface
 from gscomplete.shape.voxels import CELL_SIDE, HALF_SIDE, grown, sample_volume
@@ -139,21 +138,13 @@ def surface_splats(
     found = new_surface(output, there, settings, generator, turned)
     points, normals = found.points, found.normals
     predicted, facing = points[~found.is_turned], normals[~found.is_turned]
-    oriented = OrientedPoints.of(anchor.means.numpy())
-    depths = surface_depths(output, inputs, settings.filled_logit, predicted, facing, oriented)
+    depths = surface_depths(output, inputs, settings.filled_logit, predicted, facing)
     predicted = on_copies(predicted - depths[:, None] * facing, facing, anchor.means, inputs)
     points = points - _TURNED_SINK * found.spacing * normals
     points[~found.is_turned] = predicted
-    is_turned = found.is_turned
-    if turned is not None:
-        every = torch.cat([there, turned.points])
-        stays = is_turned | (
-            ~turned.contradicts(points) & is_missing(points, normals, every, settings)
-        )
-        points, normals, is_turned = points[stays], normals[stays], is_turned[stays]
     if mirrored is None:
         # Beside the inner side of a thin wall, what lies a little outside is the outer one's.
-        places = points + CELL_SIDE * is_turned[:, None] * normals
+        places = points + CELL_SIDE * found.is_turned[:, None] * normals
         colors = source_colors(output, inputs, partial, places, generator)
         if settings.rim_decides:
             colors = checked_by_rim(colors, points, normals, partial, generator)

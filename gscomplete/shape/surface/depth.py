@@ -2,22 +2,19 @@
 
 Where the shape network is certain, its logits fall steeply, and the true surface is where they
 fall. Where it is uncertain, they fall slowly, and thin walls are filled whole. The logits along the
-normal, where P and its mirror images lie along it, and where P's surface would cross it if it were
-continued (``continuation``) show how deep the true surface is. A small network has learned this
-from parts of meshes whose true surface is known (``recipes/train_embedded_prior``).
+normal, and where P and its mirror images lie along it, show how deep the true surface is. A small
+network has learned this from parts of meshes whose true surface is known
+(``recipes/train_embedded_prior``).
 
 Conventions
 -----------
 * Depths are measured inward along the normal from where the logits cross their level.
-* The network's scores are logits of ``DEPTH_BINS``. Where it hesitates between two walls, their
-  mean would lie between them; so the predicted depth is the median.
 """
 
 from __future__ import annotations
 
 import functools
 
-import numpy as np
 import torch
 import torch.nn.functional as F
 from scipy.spatial import cKDTree
@@ -26,7 +23,6 @@ from torch import Tensor
 from gscomplete.networks.perceptron import Perceptron
 from gscomplete.shape.network import PACKAGED_WEIGHTS, ShapeOutput
 from gscomplete.shape.partial_voxels import ShapeInputs
-from gscomplete.shape.surface.continuation import CROSSINGS, OrientedPoints, crossings
 from gscomplete.shape.symmetry import SOURCES
 from gscomplete.shape.voxels import CELL_SIDE, FloatArray, sample_volume
 from gscomplete.util.nearest import query_nearest
@@ -35,8 +31,6 @@ from gscomplete.util.same_bits import fixed_softmax
 SURFACE_DEPTH_FILE = "surface_depth.safetensors"
 DEPTHS = (-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
 """Depths at which logits are read, cells. The depths below are in cells, too."""
-DEPTH_BINS = tuple(-2.0 + 0.25 * k for k in range(25))
-"""Middles of the bins of predicted depths."""
 _SMOOTH_DEPTHS = (-2.0, 0.0, 2.0, 4.0)
 """Depths at which smoothed logits are read."""
 _FILLED_DEPTHS = (-1.0, 0.0, 1.0, 2.0, 3.0)
@@ -51,12 +45,8 @@ _SMOOTHED = 5
 """Smoothed logits are means over cubes of this side, cells."""
 _MOST_LOGITS = 8.0
 _NEIGHBOURS, _NORMALS_WEIGH = 8, 0.05
-"""The mean of the probabilities of so many neighbours counts, which are near a point and face the
-same way: in the distance between two points, normals one radian apart count as this length, object
-sizes."""
-_LEAST_DEPTH = 0.0
-"""A smaller one is predicted for 0.6 % of points of validation objects; the median of the true
-ones is 0.5 there."""
+"""A point's depth is the mean over so many neighbours, which are near it and face the same way: in
+the distance between two points, normals one radian apart count as this length, object sizes."""
 FEATURES = (
     *(f"logit_{d}" for d in DEPTHS),
     *(f"smooth_{d}" for d in _SMOOTH_DEPTHS),
@@ -70,15 +60,13 @@ FEATURES = (
     "off_axis",
     "level",
     "score",
-    *(f"continued_{name}" for name in CROSSINGS),
 )
 
 
 @functools.cache
 def packaged_surface_depth() -> Perceptron:
     """Return the network that ships with the package."""
-    path = PACKAGED_WEIGHTS / SURFACE_DEPTH_FILE
-    return Perceptron.load(path, len(FEATURES), len(DEPTH_BINS))
+    return Perceptron.load(PACKAGED_WEIGHTS / SURFACE_DEPTH_FILE, len(FEATURES))
 
 
 def surface_depths(
@@ -87,40 +75,15 @@ def surface_depths(
     level: float,
     points: Tensor,  # [N, 3] where logits cross the level
     normals: Tensor,  # [N, 3] outward
-    splats: OrientedPoints,
 ) -> Tensor:  # [N] object sizes
     """Return how deep the true surface lies; arguments as for ``depth_features``."""
     if not len(points):
         return points.new_zeros(0)
-    features = depth_features(output, inputs, level, points, normals, splats)
-    shares = softmax(packaged_surface_depth().scores(features))
+    depths = packaged_surface_depth()(depth_features(output, inputs, level, points, normals))
     places = torch.cat([points, _NORMALS_WEIGH * normals], dim=1).numpy()
     nearest = range(1, min(_NEIGHBOURS, len(points)) + 1)
     _, index = query_nearest(cKDTree(places), places, nearest)
-    depths = median_depth(shares[index].mean(axis=1)).clip(_LEAST_DEPTH)
-    return torch.from_numpy(depths) * CELL_SIDE
-
-
-def softmax(logits: FloatArray) -> FloatArray:  # [N, B] -> [N, B]
-    """Return probabilities."""
-    shares = np.exp(logits - logits.max(axis=1, keepdims=True))
-    return shares / shares.sum(axis=1, keepdims=True)
-
-
-def median_depth(shares: FloatArray) -> FloatArray:  # [N, B] -> [N]
-    """Return the medians, in cells, of depths that are spread evenly within ``DEPTH_BINS``.
-
-    Args:
-        shares: probabilities of the bins.
-    """
-    upto = shares.cumsum(axis=1)
-    middle = 0.5 * upto[:, -1]
-    bins = (upto < middle[:, None]).sum(axis=1)
-    row, width = np.arange(len(shares)), DEPTH_BINS[1] - DEPTH_BINS[0]
-    share = shares[row, bins]
-    within = (middle - (upto[row, bins] - share)) / share
-    depths = np.array(DEPTH_BINS)[bins] + width * (within - 0.5)
-    return depths.astype(np.float32)
+    return torch.from_numpy(depths[index].mean(axis=1)) * CELL_SIDE
 
 
 def depth_features(
@@ -129,7 +92,6 @@ def depth_features(
     level: float,
     points: Tensor,  # [N, 3] where logits cross the level
     normals: Tensor,  # [N, 3] outward
-    splats: OrientedPoints,
 ) -> FloatArray:  # [N, F]
     """Return the small network's input for points of the predicted surface, as ``FEATURES``.
 
@@ -139,7 +101,6 @@ def depth_features(
         level: logit of the surface.
         points: points of the surface, object frame.
         normals: their outward normals.
-        splats: some of P's.
     """
 
     def along(volume: Tensor, depths: tuple[float, ...]) -> Tensor:  # [K, n, n, n] -> [N, K * D]
@@ -169,7 +130,6 @@ def depth_features(
         points[:, :2].norm(dim=1, keepdim=True),
         points.new_full((len(points), 1), level),
         points.new_full((len(points), 1), inputs.symmetries[0].score),
-        torch.from_numpy(crossings(points.numpy(), normals.numpy(), splats)),
     ]
     found: FloatArray = torch.cat(columns, dim=1).numpy()
     return found

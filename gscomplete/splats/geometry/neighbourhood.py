@@ -44,9 +44,6 @@ def normals_at(
     points: NDArray[np.float64],  # [N, 3]
     tree: cKDTree,
 ) -> NDArray[np.float64]:  # [K, 3]
-    """Return unit normals of the surface of points, of either sign; ``tree`` holds the points.
-
-    Of fewer than three points any normals are returned.
-    """
-    _, index = tree.query(places, k=range(1, min(_NORMAL_NEIGHBOURS + 1, len(points)) + 1))
+    """Return unit normals of the surface of points, of either sign; ``tree`` holds the points."""
+    _, index = tree.query(places, k=_NORMAL_NEIGHBOURS + 1)
     return normals_of(points[index])

@@ -5,8 +5,8 @@ Conventions
 * Two parts of each object are cut as in ``real_objects.unseen``. They depend only on its id. Each
   is guessed as in a run, up to the points of its new surface. Parts to which a run adds nothing are
   left out. Long parts are not shortened here, as a run does (``embedded.elongated``).
-* The true depth of a point is that of the first true surface on the way in, in cells. It is the
-  middle of a bin of ``DEPTH_BINS``, and NaN where no true surface is near.
+* The true depth of a point is that of the first true surface on the way in, in cells. It is NaN
+  where no true surface is near.
 """
 
 from __future__ import annotations
@@ -23,9 +23,8 @@ from gscomplete.priors.embedded.ending import ending_of
 from gscomplete.shape.assemble import AssembleSettings, mirrored_copies, surface_settings
 from gscomplete.shape.benefit import is_better_left
 from gscomplete.shape.guess import ask_about
-from gscomplete.shape.surface.continuation import OrientedPoints
 from gscomplete.shape.surface.cover import new_surface
-from gscomplete.shape.surface.depth import DEPTH_BINS, FEATURES, depth_features
+from gscomplete.shape.surface.depth import FEATURES, depth_features
 from gscomplete.shape.voxels import CELL_SIDE, FloatArray
 from recipes.real_objects.compare import FramedObject
 from recipes.real_objects.unseen import PartKind
@@ -47,6 +46,8 @@ _DRAWS = 77
 """Seed of turns and parts, beside the object's id."""
 _POINTS = 1500
 """Most points per part."""
+_DEPTHS = np.arange(-2.0, 4.01, 0.25)
+"""Depths at which the true surface is looked for, cells."""
 _NEAR, _PASSED = 0.35, 0.1
 """A true surface is found where the way in comes within the first distance of it, cells, and then
 recedes from it by the second, ..."""
@@ -83,7 +84,7 @@ def first_depths(
     count = len(points)
     found, nearest = np.full(count, np.nan, np.float32), np.full(count, np.inf)
     is_past = np.zeros(count, np.bool_)
-    for depth in DEPTH_BINS:
+    for depth in _DEPTHS:
         away = distance(points - depth * CELL_SIDE * normals)
         nearer = ~is_past & (away < nearest)
         found[nearer], nearest[nearer] = depth, away[nearer]
@@ -126,9 +127,8 @@ def _sets_of_part(framed: FramedObject, seed: int) -> list[DepthSets]:  # one or
     if not len(chosen):
         return []
     points, normals = surface.points[chosen], surface.normals[chosen]
-    splats = OrientedPoints.of(partial.means.numpy())
     features = depth_features(
-        prediction.output, prediction.seen, settings.filled_logit, points, normals, splats
+        prediction.output, prediction.seen, settings.filled_logit, points, normals
     )
     truth = cKDTree(framed.truth.means.numpy())
 

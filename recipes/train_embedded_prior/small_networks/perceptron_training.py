@@ -50,7 +50,6 @@ def fit_perceptron(
     features: Tensor,  # [N, ..., F]
     asked: Tensor,  # bool [N, ...] rows from which centre and spread are computed
     batch_loss: BatchLoss,
-    scores: int = 1,
 ) -> Perceptron:
     """Train a perceptron of three layers; the learning rate falls to zero along a cosine."""
     generator = torch.Generator().manual_seed(config.seed)
@@ -61,7 +60,7 @@ def fit_perceptron(
     network = nn.Sequential(
         nn.Linear(features.shape[-1], width), nn.SiLU(), nn.Dropout(config.dropout),
         nn.Linear(width, width // 2), nn.SiLU(), nn.Dropout(config.dropout),
-        nn.Linear(width // 2, scores),
+        nn.Linear(width // 2, 1),
     )  # fmt: skip
     optimizer = torch.optim.AdamW(
         network.parameters(), config.learning_rate, weight_decay=config.weight_decay

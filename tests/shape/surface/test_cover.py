@@ -38,7 +38,6 @@ def ball_output(radius=0.4):
     distance = torch.from_numpy(np.linalg.norm(cell_centers(CELLS), axis=-1))
     coarse = torch.zeros(1, 3, COARSE_CELLS, COARSE_CELLS, COARSE_CELLS)
     sources = torch.zeros(1, SOURCES + 1, COARSE_CELLS, COARSE_CELLS, COARSE_CELLS)
-    sources[:, -1] = -8.0  # colours of its own, which a trained network hardly uses
     return ShapeOutput((40 * (radius - distance))[None], coarse, sources)
 
 
