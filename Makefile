@@ -48,7 +48,7 @@ lint: setup
 # Types are checked against the stubs of the newest packages.
 # Tests of a file share what its fixtures make, so a file goes to one process.
 test: $(if $(filter lowest,$(LOCKED)),setup,lint)
-	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile
+	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 bench: setup
 	$(BIN)/python -m recipes.benchmarks.renderer

@@ -1,8 +1,9 @@
-"""Settings of the test process, made before anything loads the OpenMP runtime."""
+"""Settings of the test process, made before anything loads the OpenMP runtime; order of tests."""
 
 import os
 import signal
 
+import pytest
 from hypothesis import settings
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -21,3 +22,11 @@ settings.register_profile("same examples", deadline=None, derandomize=True)
 settings.load_profile("same examples")
 """A suite of the same code gives the same result; ``--hypothesis-profile explore`` draws new
 examples. How long an example takes says more about what else runs than about the code."""
+
+_LONGEST = ("end_to_end", "recipes", "batch", "completion", "priors")
+"""Folders of the files that take longest, longest first."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files that take longest, so that none is left to one process at the end."""
+    items.sort(key=lambda item: [folder not in item.path.parts for folder in _LONGEST])
