@@ -41,6 +41,11 @@ COMPILED_BESIDE: tuple[KernelTypes, ...] = (
         "silu_bytes",
         "(i8, i8, f4[:, ::1], i8, f4[:, ::1], f4[:, ::1], f4, f4, u1[:, ::1])",
     ),
+    KernelTypes(
+        "gscomplete.splats.geometry.poisson_disk",
+        "keep_apart",
+        "(f8[:, ::1], f8[:, ::1], f8)",
+    ),
     KernelTypes("gscomplete.render.cpu.merge", "count_in_front", "(u8[::1], u8[::1])"),
     KernelTypes(
         "gscomplete.render.cpu.merge",

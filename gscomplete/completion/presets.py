@@ -110,7 +110,7 @@ FILL = dataclasses.replace(GUESS, start="fill", hard_preservation=None)
 """P's gaps are closed and nothing else is done. There are no bounds on P's appearance, because what
 is seen through a gap is meant to change."""
 
-SMALL_GUESS = dataclasses.replace(GUESS, new_splats=10_000, hard_preservation=None)
+UNBOUNDED_GUESS = dataclasses.replace(GUESS, hard_preservation=None)
 """The first guess as it is."""
 
 TEXT_ONLY = dataclasses.replace(
@@ -143,7 +143,7 @@ SETTINGS: dict[str, CompletionSettings] = {
     "refine": REFINE,
     "reconstruct": RECONSTRUCT,
     "guess": GUESS,
-    "small guess": SMALL_GUESS,
+    "unbounded guess": UNBOUNDED_GUESS,
     "text only": TEXT_ONLY,
 }
 """What a prior's ``presets`` may name."""

@@ -40,10 +40,10 @@ from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.splats.thinning import thinned
 from gscomplete.views import ViewDistribution
 
-_LEAST_SPACING = 0.002
-_MOST_SPACING = 0.03
-"""Bounds of the spacing of the network's surface beside copies; between them it is the copies' own
-median spacing."""
+_LEAST_SPACING, _MOST_SPACING = 0.0013, 0.02
+"""Bounds of the spacing of the network's surface beside copies; ..."""
+_SPACING_BESIDE = 0.66
+"""... between them it is so many times the copies' own median spacing."""
 _MOST_LOOKED_AT = 20_000
 """Most splats of P that copies are compared with, to tell where P is."""
 _SEAM_SPACINGS, _ONE_SIDED_COPY = 0.5, 0.55
@@ -208,12 +208,13 @@ def surface_settings(
             filled_logit=_surface_logit(prediction, settings),
             rim_decides=not _is_certain(prediction),
         )
+    beside = _SPACING_BESIDE * median_spacing(copies.means)
     return SurfaceSettings(
         settings.count,
         near_partial=settings.reach,
         gap_spacings=_GAP_SPACINGS,
         filled_logit=_LOGIT_BESIDE,
-        least_spacing=min(max(median_spacing(copies.means), _LEAST_SPACING), _MOST_SPACING),
+        least_spacing=min(max(beside, _LEAST_SPACING), _MOST_SPACING),
     )
 
 

@@ -30,7 +30,14 @@ import torch
 from rich.console import Console
 from rich.progress import track
 
-from gscomplete.completion.presets import DISTILL, GUESS, PAPER, RECONSTRUCT, REFINE, SMALL_GUESS
+from gscomplete.completion.presets import (
+    DISTILL,
+    GUESS,
+    PAPER,
+    RECONSTRUCT,
+    REFINE,
+    UNBOUNDED_GUESS,
+)
 from gscomplete.completion.settings import CompletionSettings, HardPreservationSettings
 from gscomplete.evaluate.pictures import save_image
 from gscomplete.fitting.settings import LearningRates
@@ -67,7 +74,7 @@ def ways() -> dict[str, CompletionSettings]:
     rates = DISTILL.learning_rates
     faster = LearningRates(**{name: 4 * value for name, value in dataclasses.asdict(rates).items()})
     return {
-        "fast": SMALL_GUESS,
+        "fast": UNBOUNDED_GUESS,
         "soft": change(GUESS, hard_preservation=None),
         "default": GUESS,
         "strict": change(GUESS, hard_preservation=HardPreservationSettings()),

@@ -27,7 +27,7 @@ from rich.progress import track
 
 from gscomplete.api import complete
 from gscomplete.completion.pipeline import framing_for
-from gscomplete.completion.presets import GUESS, RECONSTRUCT, SMALL_GUESS, TEXT_ONLY
+from gscomplete.completion.presets import GUESS, RECONSTRUCT, TEXT_ONLY, UNBOUNDED_GUESS
 from gscomplete.completion.settings import CompletionSettings, TimestepStage
 from gscomplete.evaluate.metrics import against_truth, preservation
 from gscomplete.evaluate.pictures import contact_sheet, render_images, save_image
@@ -73,7 +73,7 @@ def variants() -> dict[str, CompletionSettings]:
     high = (TimestepStage(0.5, 450.0, 700.0), TimestepStage(1.0, 100.0, 400.0))
     change = dataclasses.replace
     return {
-        "fast": SMALL_GUESS,
+        "fast": UNBOUNDED_GUESS,
         "without bounds": change(GUESS, hard_preservation=None),
         "default": GUESS,
         "reconstruct": RECONSTRUCT,

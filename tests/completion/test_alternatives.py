@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from gscomplete.completion.alternatives import alternatives_sheet, guess_alternatives
-from gscomplete.completion.presets import SMALL_GUESS
+from gscomplete.completion.presets import UNBOUNDED_GUESS
 from gscomplete.priors import load_prior
 from gscomplete.shape.mirror_plane import MirrorPlane
 from gscomplete.util.randomness import generator_for
@@ -13,7 +13,7 @@ from tests.builders.objects import ball, half
 
 PARTIAL = half(ball(2000))
 VIEWS = ViewDistribution(0.0, 10.0)
-SETTINGS = dataclasses.replace(SMALL_GUESS, new_splats=600)
+SETTINGS = dataclasses.replace(UNBOUNDED_GUESS, new_splats=600)
 
 
 @pytest.fixture(scope="module")

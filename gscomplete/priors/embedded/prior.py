@@ -76,7 +76,7 @@ class EmbeddedPrior:
     sees_input = True
     presets: ClassVar[dict[str, str]] = {
         "default": "guess",
-        "fast": "small guess",
+        "fast": "unbounded guess",
         "reconstruct": "reconstruct",
         "distill": "refine",
         "paper": "paper",

@@ -13,6 +13,7 @@ Conventions
 
 from __future__ import annotations
 
+import math
 import warnings
 
 import numpy as np
@@ -49,8 +50,9 @@ _ACROSS = 0.03
 _ALIKE = 0.1
 """Root mean square difference from the rim's colour, in Oklab, at which the weight of the mirror
 image's colour is 1/e."""
-_AVERAGED_STEPS = 20
-"""Averaging steps over neighbours that make that mean."""
+_AVERAGED_REACH = 0.08
+"""Root mean square distance of the places that this mean is over, object sizes."""
+_MOST_AVERAGED_STEPS = 400
 _TINY = 1e-6
 
 
@@ -83,12 +85,28 @@ def checked_by_rim(
     if rim is None:
         return colors
     unlike = (oklab_from_srgb(colors) - oklab_from_srgb(rim)).square().sum(dim=1).numpy()
-    touches = (graph > 0).astype(np.float64)
-    per_row = 1.0 / np.maximum(touches.sum(axis=1), 1.0)
-    for _ in range(_AVERAGED_STEPS):
-        unlike = 0.5 * (unlike + per_row * (touches @ unlike))
+    unlike = _averaged(unlike, graph, places)
     weight = torch.from_numpy(np.exp(-unlike / _ALIKE**2)).float()[:, None]
     return weight * colors + (1 - weight) * rim
+
+
+def _averaged(
+    values: NDArray[np.float64],  # [N]
+    graph: csr_array,  # [N, N]
+    places: NDArray[np.float64],  # [N, 3]
+) -> NDArray[np.float64]:  # [N]
+    """Return means over the places about each, by steps of a random walk that stays half the time.
+
+    A step of it has half of the mean squared length of the graph's edges as its variance.
+    """
+    rows, columns = graph.nonzero()
+    squared = float(((places[rows] - places[columns]) ** 2).sum(axis=1).mean())
+    steps = math.ceil(2.0 * _AVERAGED_REACH**2 / max(squared, _TINY))
+    touches = (graph > 0).astype(np.float64)
+    per_row = 1.0 / np.maximum(touches.sum(axis=1), 1.0)
+    for _ in range(min(steps, _MOST_AVERAGED_STEPS)):
+        values = 0.5 * (values + per_row * (touches @ values))
+    return values
 
 
 def _neighbour_weights(

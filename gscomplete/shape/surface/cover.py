@@ -6,7 +6,7 @@ Conventions
   The network fills the cells of thin walls whole, so the predicted surface lies about ``_INWARD``
   cells outside the true one. Whether a point is new is decided ``_INWARD`` cells inside the
   predicted surface; its splat is then placed at the depth that ``depth`` predicts.
-* Splats are flat discs facing outward. There are none where P has surface already.
+* Splats are flat discs facing outward, evenly spread. There are none where P has surface already.
 * Where P is part of a surface of revolution, P turned about its axis (``turned``) takes the place
   of the predicted surface. It is exact, so it is covered with smaller splats, at its own depth.
 """
@@ -32,6 +32,7 @@ from gscomplete.shape.surface.turned import TurnedSurface
 from gscomplete.shape.voxels import CELL_SIDE, HALF_SIDE, grown, sample_volume
 from gscomplete.splats import Splats, colors_to_sh, concatenate
 from gscomplete.splats.geometry.neighbourhood import one_sidedness
+from gscomplete.splats.geometry.poisson_disk import poisson_disk_sample
 from gscomplete.splats.rotations import quaternions_facing
 from gscomplete.splats.thinning import thinned
 from gscomplete.util.nearest import query_nearest
@@ -57,14 +58,14 @@ _COPY_REACH = 1.2
 """A point belongs on a mirror image of P that is within this distance, cells."""
 _COPY_NEIGHBOURS = 4
 _OPACITY = 0.95
-_OVERLAP, _TURNED_OVERLAP = 1.0, 0.7
+_OVERLAP, _TURNED_OVERLAP = 1.2, 0.9
 """Tangent standard deviation per spacing, so that neighbours overlap into a closed surface; smaller
 beside a turned surface, whose outline is known."""
 _TURNED_SINK = 0.5
 """Splats of a turned surface lie so many spacings below it: their width would widen outlines."""
-_TURNED_SPACINGS = 3.7
-"""Splats are at least so many median distances between its places apart: then cells of that side
-hold three places on average, and hardly any is empty."""
+_TURNED_SPACINGS = 2.45
+"""Splats are at least so many median distances between its places apart, so that there is a place
+to choose wherever there is room for a splat."""
 _TURNED_COUNT = 30_000
 """Most splats beside a turned surface."""
 
@@ -85,7 +86,7 @@ class SurfaceSettings:
     gap_spacings: float | None = None
     """A point lies in a gap if no splat is within so many spacings of the splats, measured along
     the surface. It is then new, however near splats are; None = gaps are left as they are."""
-    least_spacing: float = 0.002
+    least_spacing: float = 0.0013
     """Splats are at least this far apart, even if fewer than ``count`` are placed."""
     filled_logit: float = -1.0
     """Cells with at least this logit count as filled; ``assemble.AssembleSettings`` has the level
@@ -101,7 +102,7 @@ class SurfacePoints:
     points: Tensor  # [N, 3] where the logits cross their level
     normals: Tensor  # [N, 3] outward
     insets: Tensor  # [N] how far inside it was decided that they are new
-    spacing: float
+    spacing: float  # least distance of two that face the same way
     is_turned: Tensor  # [N] bool P turned about its axis, not predicted
 
 
@@ -198,7 +199,9 @@ def new_surface(
         inside, points = (torch.cat([own, turned.points]) for own in (inside, points))
         normals = torch.cat([normals, turned.normals])
         insets = torch.cat([insets, torch.zeros(len(turned.points))])
-    kept, spacing = _spread(inside, normals, settings, generator)
+    asked = inside.double().numpy(), normals.double().numpy()
+    rows, spacing = poisson_disk_sample(*asked, settings.count, settings.least_spacing)
+    kept = torch.from_numpy(rows)
     return SurfacePoints(points[kept], normals[kept], insets[kept], spacing, kept >= count)
 
 
@@ -238,7 +241,7 @@ def _seeds(logits: Tensor, generator: torch.Generator) -> Tensor:  # [N, 3]
     """Draw points in the cells on both sides of the surface."""
     filled = (logits > 0).float()[None]
     mixed = grown(filled) - (1 - grown(1 - filled))
-    cells = torch.nonzero(mixed[0] > 0).repeat(_SEEDS_PER_CELL, 1).float()
+    cells = torch.nonzero(mixed[0] > 0).repeat_interleave(_SEEDS_PER_CELL, dim=0).float()
     jitter = torch.rand(cells.shape, generator=generator)
     return (cells + jitter) * CELL_SIDE - HALF_SIDE
 
@@ -279,39 +282,6 @@ def _insets(field: Tensor, points: Tensor, normals: Tensor) -> Tensor:  # [N]
         slopes = sample_volume(field[1:], points - insets[:, None] * normals)
         rises = rises & ((slopes * normals).sum(dim=1) <= 0)
     return insets
-
-
-def _spread(
-    points: Tensor, normals: Tensor, settings: SurfaceSettings, generator: torch.Generator
-) -> tuple[Tensor, float]:  # [K]
-    """Choose at most ``settings.count`` evenly spread points; return them and their spacing.
-
-    One point is kept per cell of a grid, whose side is found by bisection. Points that face
-    opposite ways are kept separately, so that thin walls have both sides.
-    """
-    order = torch.randperm(len(points), generator=generator)
-    points, normals = points[order], normals[order]
-    count, side_low, side_high = settings.count, settings.least_spacing, 0.2
-    kept = torch.arange(min(count, len(points)))
-    for _ in range(12):
-        side = (side_low * side_high) ** 0.5
-        found = _one_per_cell(points, normals, side)
-        if len(found) > count:
-            side_low = side
-        else:
-            side_high = side
-            kept = found
-    return order[kept], side_high
-
-
-def _one_per_cell(points: Tensor, normals: Tensor, side: float) -> Tensor:  # [K]
-    """Return the index of the first point of each grid cell that faces one way or the other."""
-    cells = torch.floor((points + 1.0) / side).long()
-    facing = (normals @ torch.tensor([0.9, 0.35, 0.25]) > 0).long()
-    keys = ((cells[:, 0] * 4096 + cells[:, 1]) * 4096 + cells[:, 2]) * 2 + facing
-    _, inverse = torch.unique(keys, return_inverse=True)
-    first = torch.full((int(inverse.max()) + 1 if len(keys) else 0,), len(keys))
-    return first.scatter_reduce(0, inverse, torch.arange(len(keys)), "amin")
 
 
 def is_missing(

@@ -1,5 +1,8 @@
+import numpy as np
+import pytest
 import torch
 
+from gscomplete.shape.colors import rim
 from gscomplete.shape.colors.rim import checked_by_rim
 from tests.builders.objects import ball, half, round_splats
 
@@ -42,3 +45,16 @@ def test_what_no_rim_reaches_keeps_its_colours():
     apart = torch.cat([points, away])
     found = checked(shown.repeat(2, 1), partial, apart, normals.repeat(2, 1))
     torch.testing.assert_close(found[len(points) :], shown)
+
+
+@pytest.mark.parametrize("spacing", [0.01, 0.02])
+def test_means_are_over_the_same_reach_however_dense_the_splats(spacing):
+    steps = np.arange(-0.4, 0.4 + spacing / 2, spacing)
+    places = np.stack([*np.meshgrid(steps, steps), np.zeros((len(steps),) * 2)], axis=-1)
+    places = places.reshape(-1, 3)
+    graph = rim._neighbour_weights(places, np.tile([0.0, 0.0, 1.0], (len(places), 1)))
+    off = np.linalg.norm(places, axis=1)
+    found = rim._averaged((off == off.min()).astype(np.float64), graph, places)
+    assert found.sum() == pytest.approx(1.0, rel=0.01)  # borders lose a little
+    spread = np.sqrt((found * places[:, 0] ** 2).sum())
+    assert spread == pytest.approx(rim._AVERAGED_REACH / np.sqrt(2), rel=0.05)  # along one axis
