@@ -46,9 +46,10 @@ _SPACING_BESIDE = 0.66
 """... between them it is so many times the copies' own median spacing."""
 _MOST_LOOKED_AT = 20_000
 """Most splats of P that copies are compared with, to tell where P is."""
-_SEAM_SPACINGS, _ONE_SIDED_COPY = 0.5, 0.55
-"""A copy beyond P's rim counts as new if it is at least so many of P's spacings from P and P's
-nearest splats are at least this one-sided; stricter limits leave a dark line along a cut."""
+_SEAM_SPACINGS, _MOST_SEAM, _ONE_SIDED_COPY = 0.5, 0.01, 0.55
+"""A copy beyond P's rim counts as new if it is at least so many of P's spacings from P, or the
+second distance, and P's nearest splats are at least this one-sided; stricter limits leave a dark
+line along a cut."""
 _LEAST_COPY_LOGIT = -2.0
 """Copies in cells with a lower logit are left out, unless the plane is certain: given half a cow,
 the network doubts the legs on the other side, because no view shows them."""
@@ -297,9 +298,7 @@ def _beyond(copies: Splats, partial: Splats, generator: torch.Generator) -> Spla
     normals = axes.gather(2, thinnest)[:, :, 0]
     anchor = thinned(partial, _MOST_LOOKED_AT, generator)
     seam = _SEAM_SPACINGS * median_spacing(anchor.means)
-    beyond = SurfaceSettings(
-        near_rim=min(SurfaceSettings().near_rim, seam), one_sided=_ONE_SIDED_COPY
-    )
+    beyond = SurfaceSettings(near_rim=min(_MOST_SEAM, seam), one_sided=_ONE_SIDED_COPY)
     return copies.select(is_missing(copies.means, normals, anchor.means, beyond))
 
 

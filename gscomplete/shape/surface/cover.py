@@ -58,7 +58,7 @@ _COPY_REACH = 1.2
 """A point belongs on a mirror image of P that is within this distance, cells."""
 _COPY_NEIGHBOURS = 4
 _OPACITY = 0.95
-_OVERLAP, _TURNED_OVERLAP = 1.2, 0.9
+_OVERLAP, _TURNED_OVERLAP = 1.45, 0.9
 """Tangent standard deviation per spacing, so that neighbours overlap into a closed surface; smaller
 beside a turned surface, whose outline is known."""
 _TURNED_SINK = 0.5
@@ -78,7 +78,7 @@ class SurfaceSettings:
     """Most splats."""
     near_partial: float = 0.03
     """Surface points within this distance of P's splats are P's own, ..."""
-    near_rim: float = 0.01
+    near_rim: float = 0.007
     """... unless they lie beyond P's rim. There only points within this distance are P's own, so
     that no gap shows."""
     one_sided: float = 0.7

@@ -50,7 +50,8 @@ _NORMAL_REACH, _OWN_NORMAL_REACH = 0.1, 0.05
 """Lengths of normals beside places when points are compared: both walls of a cup are kept apart."""
 _ALIKE = 12
 _NEAR, _NEAR_RIM, _ONE_SIDED = 0.03, 0.01, 0.7
-"""A place is P's own as in ``cover.SurfaceSettings``, but only by the wall that faces its way."""
+"""Limits like those of ``cover.SurfaceSettings``: a place is P's own, but only by the wall that
+faces its way."""
 _LEAST_MISSING, _MOST_HIDING = 0.03, 0.1
 """The surface is not used if P lacks less of it, or if views see more of what P lacks in front of
 P."""
