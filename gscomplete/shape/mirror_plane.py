@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Literal
 
 from gscomplete.errors import UserError
+
+
+_LARGEST_DEG = 1e6
+"""Of larger azimuths float32 keeps no tenth of a degree; views have the same limit."""
+
+
+def _require_azimuth(name: str, azimuth_deg: float) -> None:
+    if not abs(azimuth_deg) <= _LARGEST_DEG:
+        raise UserError(
+            f"mirror: {name}: expected an azimuth of -1e6 to 1e6 degrees, found {azimuth_deg:g}"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,9 +34,7 @@ class MirrorPlane:
         Raises:
             UserError: a value makes no sense.
         """
-        for name in ("azimuth_deg", "offset"):
-            if not math.isfinite(getattr(self, name)):
-                raise UserError(f"mirror: {name}: expected a finite number")
+        _require_azimuth("azimuth_deg", self.azimuth_deg)
         if not abs(self.offset) <= 1:
             raise UserError(f"mirror: offset: expected -1 to 1 object sizes, found {self.offset:g}")
 
@@ -49,8 +57,8 @@ class HalfCut:
         Raises:
             UserError: it makes no sense.
         """
-        if self.toward_deg is not None and not math.isfinite(self.toward_deg):
-            raise UserError("mirror: cut: expected a finite azimuth")
+        if self.toward_deg is not None:
+            _require_azimuth("cut", self.toward_deg)
 
     def __str__(self) -> str:
         """Return it as users write it."""

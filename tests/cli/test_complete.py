@@ -80,6 +80,13 @@ def test_what_to_mirror_through_is_refused_in_another_form(text):
         request_of(options, load_prior("embedded"))
 
 
+@pytest.mark.parametrize(("text", "field"), [("cut:1e300", "cut"), ("1e300,0", "azimuth_deg")])
+def test_what_to_mirror_through_is_refused_beyond_its_range(text, field):
+    options = CompleteOptions(partial=Path("half.ply"), prompt="a mug", mirror=text)
+    with pytest.raises(UserError, match=f"mirror: {field}: expected an azimuth of .* found 1e"):
+        request_of(options, load_prior("embedded"))
+
+
 def test_one_half_and_a_prompt_cannot_both_decide():
     options = CompleteOptions(
         partial=Path("half.ply"), prompt="a mug", mirror="cut", prompt_decides=True
