@@ -7,7 +7,6 @@ from typing import Literal
 
 from gscomplete.errors import UserError
 
-
 _LARGEST_DEG = 1e6
 """Of larger azimuths float32 keeps no tenth of a degree; views have the same limit."""
 
