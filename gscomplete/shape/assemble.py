@@ -43,7 +43,8 @@ from gscomplete.views import ViewDistribution
 _LEAST_SPACING, _MOST_SPACING = 0.0013, 0.02
 """Bounds of the spacing of the network's surface beside copies; ..."""
 _SPACING_BESIDE = 0.66
-"""... between them it is so many times the copies' own median spacing."""
+"""... between them it is so many times the copies' own median spacing, which makes the surface a
+little denser than they are."""
 _MOST_LOOKED_AT = 20_000
 """Most splats of P that copies are compared with, to tell where P is."""
 _SEAM_SPACINGS, _MOST_SEAM, _ONE_SIDED_COPY = 0.5, 0.01, 0.55

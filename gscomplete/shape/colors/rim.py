@@ -53,6 +53,7 @@ image's colour is 1/e."""
 _AVERAGED_REACH = 0.08
 """Root mean square distance of the places that this mean is over, object sizes."""
 _MOST_AVERAGED_STEPS = 400
+"""Bounds the time that very dense splats take."""
 _TINY = 1e-6
 
 

@@ -1,8 +1,9 @@
 """Choose points that are evenly spread over a surface: a Poisson-disk sample of given points.
 
 Points are taken one after another, and each is kept unless one that was kept before is nearer than
-the spacing and faces the same way (dart throwing, Cook 1986). So no two kept points are nearer than
-the spacing, no point is farther than it from a kept one, and both sides of a thin wall have points.
+the spacing and faces the same way (dart throwing, Cook 1986). So no two kept points that face the
+same way are nearer than the spacing, no point is farther than it from a kept one, and both sides of
+a thin wall have points.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ def poisson_disk_sample(
         least_spacing: no smaller spacing is tried, even if fewer than ``most`` are kept.
 
     Returns:
-        Increasing indices of the points, and a spacing with which just these are kept.
+        Increasing indices of the points, and the spacing with which these are kept. The first
+        ``most`` are returned if more face different ways at nearly the same place.
     """
     if not len(points):
         return np.zeros(0, np.intp), least_spacing
