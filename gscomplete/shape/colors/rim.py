@@ -52,7 +52,7 @@ _ALIKE = 0.1
 image's colour is 1/e."""
 _AVERAGED_REACH = 0.08
 """Root mean square distance of the places that this mean is over, object sizes."""
-_MOST_AVERAGED_STEPS = 400
+_MOST_AVERAGED_STEPS = 200
 """Bounds the time that very dense splats take."""
 _TINY = 1e-6
 
@@ -96,17 +96,17 @@ def _averaged(
     graph: csr_array,  # [N, N]
     places: NDArray[np.float64],  # [N, 3]
 ) -> NDArray[np.float64]:  # [N]
-    """Return means over the places about each, by steps of a random walk that stays half the time.
+    """Return means over the places about each, by steps of a random walk along the graph's edges.
 
-    A step of it has half of the mean squared length of the graph's edges as its variance.
+    The variance of a step is the mean squared length of the edges.
     """
     rows, columns = graph.nonzero()
     squared = float(((places[rows] - places[columns]) ** 2).sum(axis=1).mean())
-    steps = math.ceil(2.0 * _AVERAGED_REACH**2 / max(squared, _TINY))
-    touches = (graph > 0).astype(np.float64)
-    per_row = 1.0 / np.maximum(touches.sum(axis=1), 1.0)
+    steps = math.ceil(_AVERAGED_REACH**2 / max(squared, _TINY))
+    edges = np.bincount(rows, minlength=len(places)).clip(1)
+    walk = csr_array((1.0 / edges[rows], (rows, columns)), shape=graph.shape)
     for _ in range(min(steps, _MOST_AVERAGED_STEPS)):
-        values = 0.5 * (values + per_row * (touches @ values))
+        values = walk @ values
     return values
 
 
