@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from gscomplete.util.kernels import KERNEL
 
 _FIRST_SPACING = 0.01
-_ENOUGH = 0.97
-"""The search for a spacing ends once this share of the points asked for is kept."""
-_AIM = 0.985
-_ROUNDS = 8
+"""Spacing that is tried first; the next ones follow from how many points each keeps."""
+_AIM, _ENOUGH, _ROUNDS = 0.985, 0.97, 8
+"""The search aims at the first share of the points asked for. It ends once at least the second is
+kept, or after so many rounds."""
 _CELLS = 1 << 20
 """Cells along each axis; cell numbers must fit into 63 bits."""
 _MIX, _SHIFT = 0x9E3779B97F4A7C1, 20

@@ -80,13 +80,15 @@ def test_interpolation_reads_cell_centres():
     torch.testing.assert_close(sample_volume(volume, points), expected, atol=2e-5, rtol=0)
 
 
-def test_discs_lie_on_the_surface_and_not_on_p():
-    splats = guess()
+@pytest.mark.parametrize(("near_rim", "least"), [(0.01, 0.99), (SurfaceSettings().near_rim, 0.98)])
+def test_discs_lie_on_the_surface_and_not_on_p(near_rim, least):
+    splats = guess(SurfaceSettings(near_rim=near_rim))
     distance = splats.means.norm(dim=1)
     # The level lies 0.025 outside; about a cell (0.03) deeper, and smoothed.
     assert float((distance - 0.4).abs().max()) < 0.035
-    # All but a few in the random gaps between P's own splats, which are up to .03 wide.
-    assert float((splats.means[:, 0] < 0.05).float().mean()) > 0.98
+    # All but a few in the random gaps between P's own splats, which are up to .03 wide; more of
+    # these gaps are wide enough the nearer splats may come.
+    assert float((splats.means[:, 0] < 0.05).float().mean()) > least
     assert len(splats) > 1000
 
 
