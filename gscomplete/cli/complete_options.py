@@ -60,6 +60,9 @@ class HowToComplete:
     """Colours at P's edges, which depth cameras mix with the background's: trust them in the guess,
     or ignore those unlike the colours further inside. auto = ignore where object.json says that a
     scanner or a depth camera saw P (subsets lidar and singleview)."""
+    leave_out_strays: bool = True
+    """Guess nothing from P's strays: flying points of depth cameras, floaters and haze beside its
+    surface. The output keeps them (--preset paper guesses from all of P)."""
     close_slits: bool = True
     """At the end, close the slits between the samples of a scan, which open wherever its surface
     leans away from the scanner (--preset paper leaves them open)."""

@@ -130,6 +130,8 @@ def settings_of(options: HowToComplete, prior: Prior) -> CompletionSettings:
     if options.edge_colors == "ignore":
         settings = dataclasses.replace(settings, mixed_edge_colors=True)
         _require_guess("--edge-colors", options, settings, prior)
+    if not options.leave_out_strays:
+        settings = dataclasses.replace(settings, leave_out_strays=False)
     if not options.close_slits:
         settings = dataclasses.replace(settings, close_slits=False)
     if options.match_seam:

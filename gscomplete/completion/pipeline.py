@@ -52,8 +52,9 @@ from gscomplete.splats import (
 from gscomplete.splats.formats.any_file import read_splat_file
 from gscomplete.splats.oklab import color_spread
 from gscomplete.splats.slits import slit_splats
+from gscomplete.splats.strays import stray_rows
 from gscomplete.splats.suspects import describe_suspects
-from gscomplete.splats.working_set import WorkingSet, without_strays, working_set
+from gscomplete.splats.working_set import WorkingSet, without_far, without_strays, working_set
 from gscomplete.util.device import plain_torch
 from gscomplete.util.jsonio import to_json
 from gscomplete.util.stages import stage
@@ -240,15 +241,14 @@ def prepare(
         notes += tuple(f"{name}: {warning}" for warning in given.warnings)
     else:
         splats, name = given, "P"
-    drawable = splats.detach().to(dtype=torch.float32)
-    working = working_set(drawable, MAX_WORKING_SPLATS, name)
+    working = heeded_part(splats, settings, name)
     notes += describe_suspects(working.splats)
     with stage("frame"):
         framing = framing_for(working.splats, framing_request, prior)
     notes += framing.notes
     if framing_request.center_file is not None or framing_request.size_file is not None:
         notes += check_given_frame(working.splats, framing.frame, name)
-    working = without_strays(working, framing.frame.object_from_file)
+    working = without_far(working, framing.frame.object_from_file)
     notes += (*describe_frame(framing.frame, framing.views), working.summary)
     partial = transform_splats(working.splats, framing.frame.object_from_file).detach().to("cpu")
     require_visible(partial, framing.views, name)
@@ -302,6 +302,24 @@ def _without_idle_steps(
         f"least {least:g}), and the new splats keep it"
     )
     return dataclasses.replace(settings, steps=0), (note,)
+
+
+def heeded_part(splats: Splats, settings: CompletionSettings, name: str) -> WorkingSet:
+    """Choose the splats of P that frame and guess are made from.
+
+    Args:
+        splats: P in the file frame.
+        settings: whether strays are left out.
+        name: the file named in errors.
+
+    Raises:
+        UserError: no splat can be drawn.
+    """
+    working = working_set(splats.detach().to(dtype=torch.float32), MAX_WORKING_SPLATS, name)
+    if not settings.leave_out_strays:
+        return working
+    with stage("strays"):
+        return without_strays(working, stray_rows(working.splats))
 
 
 def framing_for(splats: Splats, request: FramingRequest, prior: Prior) -> Framing:

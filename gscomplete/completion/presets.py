@@ -40,6 +40,7 @@ DISTILL = dataclasses.replace(
     max_scale=0.1,
     learning_rates=LearningRates(means=4e-3, means_final=4e-4, sh=2e-2, log_scales=1e-2),
     densify=DensifySettings(every=25, growth=0.2, max_new=20_000, split_scale=0.03, final_from=0.8),
+    leave_out_strays=True,
     close_slits=True,
     checkpoint_every=100,
 )

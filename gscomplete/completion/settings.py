@@ -184,6 +184,9 @@ class CompletionSettings:
     mixed_edge_colors: bool = False
     """Colours at P's edges are mixed with the background's, as depth cameras mix them: guesses use
     those further inside instead (``shape.colors.edges``)."""
+    leave_out_strays: bool = False
+    """Leave out P's strays, splats that float beside its surface (``splats.strays``): nothing is
+    guessed from them, nor is their appearance kept. The paper heeds all of P."""
     close_slits: bool = False
     """Close the slits between a scan's samples, at the end; the paper leaves them."""
     min_scale_px: float = 0.0

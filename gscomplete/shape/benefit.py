@@ -21,8 +21,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gscomplete.networks.packaged import PACKAGED_WEIGHTS
 from gscomplete.networks.perceptron import Perceptron
-from gscomplete.shape.network import PACKAGED_WEIGHTS
 from gscomplete.shape.planes.answer_scorer import Answers
 from gscomplete.shape.voxels import FloatArray, grown, shadows, surface_cells
 

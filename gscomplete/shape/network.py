@@ -15,7 +15,6 @@ Conventions
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TypeVar
 
 import torch
@@ -25,8 +24,6 @@ from torch import Tensor, nn
 from gscomplete.shape.symmetry import COPIES, SOURCES
 from gscomplete.util.same_bits import GroupNorm, fixed_sigmoid, fixed_silu
 
-PACKAGED_WEIGHTS = Path(__file__).resolve().parents[1] / "priors/embedded/weights"
-"""Where the weights of the shape networks lie: beside those of the embedded prior."""
 Network = TypeVar("Network", bound=nn.Module)
 _FOLD = 2
 _EVIDENCE = 3

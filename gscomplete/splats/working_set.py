@@ -1,15 +1,17 @@
 """Which splats of P take part in the optimisation. The output always has all of them.
 
-Splats that cannot be drawn (not finite, far too large) are left out, and so are a few strays far
-outside the object, which would pass for parts of it. Of very large inputs an even choice is drawn,
-with widths grown to match: at the resolutions that priors see, millions of splats cost time and
-change nothing.
+Splats that cannot be drawn (not finite, far too large) are left out, and so are those beside the
+object's surface or far outside it, which would pass for parts of it. Of very large inputs an even
+choice is drawn, with widths grown to match: at the resolutions that priors see, millions of splats
+cost time and change nothing.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+
+from torch import Tensor
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats
@@ -19,10 +21,10 @@ from gscomplete.splats.transform import Similarity
 from gscomplete.util.randomness import generator_for
 
 _FAR = 1.0
-"""Splats farther than this from the object frame's origin along any axis are strays, object sizes;
-it is twice as far as the frame's box reaches."""
-_MOST_STRAYS = 0.02
-"""If a larger share is so far away, they are parts of P, and all splats take part."""
+"""Splats farther than this from the object frame's origin along any axis are far outside, object
+sizes; it is twice as far as the frame's box reaches."""
+_MOST_FAR, _MOST_STRAYS = 0.02, 0.5
+"""If a larger share is far outside, or passes for strays, they are parts of P and take part."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +36,7 @@ class WorkingSet:
     """Splats in the file."""
     unusable: dict[str, int]
     """How many rows are left out for each reason: those of ``usable_rows`` for rows that cannot be
-    drawn, and ``far_outside_the_object``."""
+    drawn, ``strays_beside_the_surface``, and ``far_outside_the_object``."""
     thinned: int
     """Splats left out because there were more than the limit."""
 
@@ -83,12 +85,29 @@ def working_set(partial: Splats, limit: int | None, path: str) -> WorkingSet:
     return WorkingSet(drawn, len(partial), reasons, count - limit)
 
 
-def without_strays(working: WorkingSet, object_from_file: Similarity) -> WorkingSet:
+def without_strays(
+    working: WorkingSet,
+    is_stray: Tensor,  # [N] bool
+) -> WorkingSet:
+    """Leave out the splats that float beside the object's surface."""
+    return _without(working, is_stray, "strays_beside_the_surface", _MOST_STRAYS)
+
+
+def without_far(working: WorkingSet, object_from_file: Similarity) -> WorkingSet:
     """Leave out the few splats that lie far outside the object frame's box."""
     places = object_from_file.apply(working.splats.means)
-    stray = places.abs().amax(dim=1) > _FAR
-    count = int(stray.sum())
-    if not 0 < count <= _MOST_STRAYS * len(stray):
+    is_far = places.abs().amax(dim=1) > _FAR
+    return _without(working, is_far, "far_outside_the_object", _MOST_FAR)
+
+
+def _without(
+    working: WorkingSet,
+    left_out: Tensor,  # [N] bool
+    reason: str,
+    most: float,
+) -> WorkingSet:
+    count = int(left_out.sum())
+    if not 0 < count <= most * len(left_out):
         return working
-    reasons = {**working.unusable, "far_outside_the_object": count}
-    return dataclasses.replace(working, splats=working.splats.select(~stray), unusable=reasons)
+    reasons = {**working.unusable, reason: count}
+    return dataclasses.replace(working, splats=working.splats.select(~left_out), unusable=reasons)

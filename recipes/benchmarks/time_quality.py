@@ -26,7 +26,7 @@ from rich.console import Console
 from rich.progress import track
 
 from gscomplete.api import complete
-from gscomplete.completion.pipeline import framing_for
+from gscomplete.completion.pipeline import framing_for, heeded_part
 from gscomplete.completion.presets import GUESS, RECONSTRUCT, TEXT_ONLY, UNBOUNDED_GUESS
 from gscomplete.completion.settings import CompletionSettings, TimestepStage
 from gscomplete.evaluate.metrics import against_truth, preservation
@@ -94,7 +94,8 @@ def held_out(index: int, prior: Prior) -> HeldOutObject:
     """Make a held-out object."""
     item = procedural_source(_SEED, index)
     partial = item.partial(disturb=index % 2 == 0, slight=False)
-    framing = framing_for(partial, FramingRequest(), prior)
+    heeded = heeded_part(partial, GUESS, item.caption).splats
+    framing = framing_for(heeded, FramingRequest(), prior)
     to_frame = framing.frame.object_from_file
     return HeldOutObject(
         item.caption,

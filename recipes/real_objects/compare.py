@@ -42,8 +42,8 @@ from rich.progress import track
 from scipy.spatial import cKDTree
 
 from gscomplete.completion.alternatives import guess_alternatives
-from gscomplete.completion.pipeline import Request, finish, framing_for, prepare
-from gscomplete.completion.presets import PresetName, preset
+from gscomplete.completion.pipeline import Request, finish, framing_for, heeded_part, prepare
+from gscomplete.completion.presets import GUESS, PresetName, preset
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.evaluate.metrics import (
     MID_GREY,
@@ -125,7 +125,8 @@ class Outcome:
 
 def frame_object(item: RealObject, prior: Prior) -> FramedObject:
     """Guess the frame and the input view from the part, as a run does."""
-    guess = framing_for(item.partial, FramingRequest(item.up), prior)
+    heeded = heeded_part(item.partial, GUESS, item.name).splats
+    guess = framing_for(heeded, FramingRequest(item.up), prior)
     to_frame = guess.frame.object_from_file
     truth = item.complete
     return FramedObject(

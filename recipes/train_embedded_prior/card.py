@@ -21,6 +21,7 @@ from gscomplete.shape.planes.coarse_scorer import COARSE_SCORER_FILE
 from gscomplete.shape.planes.fine_scorer import FINE_SCORER_FILE
 from gscomplete.shape.surface.depth import SURFACE_DEPTH_FILE
 from gscomplete.shape.voxels import CELL_SIDE, CELLS
+from gscomplete.splats.strays import STRAY_SCORER_FILE
 from recipes.train_embedded_prior.data.mesh_pack import PackEntry
 
 
@@ -87,8 +88,10 @@ def card(
             f"with them by `{ANSWER_SCORER_FILE}`, trained after it by `train_answer_scorer.py`. "
             f"`{BENEFIT_SCORER_FILE}` predicts whether P is better left as it is "
             f"(`train_benefit_scorer.py`), `{OUTLINE_SCORER_FILE}` which views have the object's "
-            f"whole outline (`train_outline_scorer.py`), and `{SURFACE_DEPTH_FILE}` how deep "
-            f"inside the predicted surface the true one lies (`train_surface_depth.py`).",
+            f"whole outline (`train_outline_scorer.py`), `{SURFACE_DEPTH_FILE}` how deep inside "
+            f"the predicted surface the true one lies (`train_surface_depth.py`), and "
+            f"`{STRAY_SCORER_FILE}` which of P's splats float beside its surface "
+            f"(`train_stray_scorer.py`).",
             *([f"* History: {history}"] if history else []),
             *(f"* Held-out {name}: {value:.4f}" for name, value in shape_losses.items()),
             "",

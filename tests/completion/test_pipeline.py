@@ -15,7 +15,7 @@ from gscomplete.framing.decide import FramingRequest
 from gscomplete.priors.base import FirstGuess
 from gscomplete.splats import Similarity, concatenate, read_splats, transform_splats, write_splats
 from gscomplete.splats.slits import slit_splats
-from tests.builders.objects import ball, half_cylinder, leaning_board
+from tests.builders.objects import ball, half, half_cylinder, leaning_board
 from tests.builders.priors import GuessingPrior, OraclePrior
 
 TRUTH = ball(1500)
@@ -82,6 +82,28 @@ def test_where_nothing_is_missing_nothing_is_added():
     assert found.hard_preservation.met
 
 
+def test_strays_of_the_part_change_nothing_but_stay_in_the_output(tmp_path):
+    dense = half(ball(6000))
+    generator = torch.Generator().manual_seed(2)
+    strays = dense.select(torch.arange(12))
+    away = torch.nn.functional.normalize(torch.randn(12, 3, generator=generator), dim=1)
+    given = concatenate([dense, dataclasses.replace(strays, means=0.7 * away)])
+    prior = OraclePrior(TRUTH)
+    clean = complete(dense, "a ball", prior=prior, settings=QUICK, **KNOWN)
+    found = complete(given, "a ball", prior=prior, settings=QUICK, **KNOWN)
+    assert torch.equal(found.new.means, clean.new.means)
+    assert torch.equal(found.partial.means, clean.partial.means)
+    assert any("12 left out (strays beside the surface)" in note for note in found.notes)
+    paths = tmp_path / "p.ply", tmp_path / "o.ply"
+    write_splats(paths[0], given)
+    complete(paths[0], "a ball", prior=prior, settings=QUICK, **KNOWN).save(paths[1])
+    rows = paths[0].read_bytes().split(b"end_header\n", 1)[1]
+    assert rows in paths[1].read_bytes()
+    heeding = dataclasses.replace(QUICK, leave_out_strays=False)
+    whole = complete(given, "a ball", prior=prior, settings=heeding, **KNOWN)
+    assert len(whole.partial) == len(given)
+
+
 NOTHING = FirstGuess(TRUTH.select(torch.arange(0)), ("not mirrored",))
 SCAN = {"view_deg": (0.0, 0.0), "center_file": (0.0, 0.0, 0.0), "size_file": 1.0}
 
@@ -133,9 +155,10 @@ def test_a_part_of_one_colour_is_left_as_it_is_guessed(least):
 def test_an_unclean_part_is_told(count):
     lost = dataclasses.replace(TRUTH, means=TRUTH.means * 9).select(torch.arange(count))
     part = concatenate([PARTIAL, lost])
-    notes = prepare(
-        part, Request("a ball", QUICK, FramingRequest(**KNOWN)), OraclePrior(TRUTH)
-    ).notes
+    heeding = dataclasses.replace(QUICK, leave_out_strays=False)
+    requests = [Request("a ball", s, FramingRequest(**KNOWN)) for s in (heeding, QUICK)]
+    notes, left_out = (prepare(part, request, OraclePrior(TRUTH)).notes for request in requests)
+    assert any("left out (strays" in note for note in left_out) == bool(count)
     told = [note for note in notes if "may not belong" in note]
     assert len(told) == bool(count)
     assert all("floaters" in note for note in told)

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter
 from scipy.spatial import cKDTree
 
+from gscomplete.networks.packaged import PACKAGED_WEIGHTS
 from gscomplete.networks.perceptron import Perceptron
-from gscomplete.shape.network import PACKAGED_WEIGHTS
 from gscomplete.shape.outline.views import (
     AZIMUTHS,
     ELEVATIONS_DEG,

@@ -24,8 +24,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gscomplete.networks.packaged import PACKAGED_WEIGHTS
 from gscomplete.networks.perceptron import Perceptron
-from gscomplete.shape.network import PACKAGED_WEIGHTS
 from gscomplete.shape.symmetry import SymmetryMap, plane_of
 from gscomplete.shape.voxels import (
     CELLS,

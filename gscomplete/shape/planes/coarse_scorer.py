@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import functools
 
+from gscomplete.networks.packaged import PACKAGED_WEIGHTS
 from gscomplete.networks.perceptron import Perceptron
-from gscomplete.shape.network import PACKAGED_WEIGHTS
 from gscomplete.shape.planes.features import FEATURES
 
 COARSE_SCORER_FILE = "planes.safetensors"

@@ -31,7 +31,7 @@ from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
 from gscomplete.errors import UserError
-from gscomplete.shape.network import PACKAGED_WEIGHTS
+from gscomplete.networks.packaged import PACKAGED_WEIGHTS
 from gscomplete.shape.planes.features import FEATURES
 from gscomplete.shape.voxels import CELL_SIDE, HALF_SIDE, FloatArray
 from gscomplete.util.atomic import atomic_path
