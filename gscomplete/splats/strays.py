@@ -32,7 +32,10 @@ from gscomplete.util.nearest import query_nearest
 
 STRAY_SCORER_FILE = "strays.safetensors"
 STRAY_FROM = 0.0
-"""A splat is a stray if its score is higher."""
+"""A splat is a stray if its score is higher, and P has strays."""
+_SURE_FROM, _FEWEST_SURE = 2.0, 0.002
+"""P has strays if at least this share of its splats scores higher than the first. In a sound P, the
+few that do are surface that a scanner saw only in places: without it guesses are worse."""
 _FEWEST = 200
 """Smaller sets have no strays: too few splats to tell what is usual."""
 _RANKS = (1, 2, 4, 8, 16, 32)
@@ -90,7 +93,8 @@ def stray_rows(splats: Splats) -> Tensor:  # [N] bool
     found = standing_out(splats)
     if len(found.rows):
         scores = packaged_stray_scorer()(found.features)
-        is_stray[torch.from_numpy(found.rows[scores > STRAY_FROM])] = True
+        if (scores > _SURE_FROM).sum() >= _FEWEST_SURE * len(splats):
+            is_stray[torch.from_numpy(found.rows[scores > STRAY_FROM])] = True
     return is_stray.to(splats.means.device)
 
 

@@ -25,9 +25,6 @@ _FAR = 1.0
 sizes; it is twice as far as the frame's box reaches."""
 _MOST_FAR, _MOST_STRAYS = 0.02, 0.5
 """If a larger share is far outside, or passes for strays, they are parts of P and take part."""
-_FEWEST_STRAYS = 0.002
-"""If a smaller share passes for strays, it takes part, too: of a sound P, as much is surface that a
-scanner saw only in places, and leaving it out costs more than so few strays do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,9 +89,7 @@ def without_strays(
     working: WorkingSet,
     is_stray: Tensor,  # [N] bool
 ) -> WorkingSet:
-    """Leave out the splats that float beside the object's surface, if they are more than a few."""
-    if float(is_stray.float().mean()) < _FEWEST_STRAYS:
-        return working
+    """Leave out the splats that float beside the object's surface."""
     return _without(working, is_stray, "strays_beside_the_surface", _MOST_STRAYS)
 
 

@@ -134,3 +134,12 @@ def test_extremes_have_an_answer(case):
         assert found[:2].all()
     elif case in ("few", "one place", "none"):
         assert not found.any()
+
+
+def test_next_to_none_are_left_to_be_surface():
+    surface = ball(6000)
+    counts = [
+        int(stray_rows(concatenate([surface, flying(surface, n, away=0.4)])).sum()) for n in (3, 60)
+    ]
+    assert counts[0] == 0
+    assert counts[1] > 40
