@@ -52,9 +52,8 @@ from gscomplete.splats import (
 from gscomplete.splats.formats.any_file import read_splat_file
 from gscomplete.splats.oklab import color_spread
 from gscomplete.splats.slits import slit_splats
-from gscomplete.splats.strays import stray_rows
 from gscomplete.splats.suspects import describe_suspects
-from gscomplete.splats.working_set import WorkingSet, without_far, without_strays, working_set
+from gscomplete.splats.working_set import WorkingSet, without_far, working_set
 from gscomplete.util.device import plain_torch
 from gscomplete.util.jsonio import to_json
 from gscomplete.util.stages import stage
@@ -88,6 +87,8 @@ class Prepared:
     frame: ObjectFrame
     partial: Splats
     """The same in the object frame, on the CPU."""
+    heeded: Splats
+    """Those of them that are no strays, which guesses are made from."""
     guessed_views: ViewDistribution
     """V that the prior's guess was made with: given, or guessed from P alone."""
     views: ViewDistribution
@@ -241,27 +242,33 @@ def prepare(
         notes += tuple(f"{name}: {warning}" for warning in given.warnings)
     else:
         splats, name = given, "P"
-    working = heeded_part(splats, settings, name)
-    notes += describe_suspects(working.splats)
+    drawable = splats.detach().to(dtype=torch.float32)
+    with stage("strays"):
+        strays = settings.leave_out_strays
+        working = working_set(drawable, MAX_WORKING_SPLATS, name, find_strays=strays)
+    notes += describe_suspects(working.heeded)
     with stage("frame"):
-        framing = framing_for(working.splats, framing_request, prior)
+        framing = framing_for(working.heeded, framing_request, prior)
     notes += framing.notes
     if framing_request.center_file is not None or framing_request.size_file is not None:
-        notes += check_given_frame(working.splats, framing.frame, name)
+        notes += check_given_frame(working.heeded, framing.frame, name)
     working = without_far(working, framing.frame.object_from_file)
     notes += (*describe_frame(framing.frame, framing.views), working.summary)
-    partial = transform_splats(working.splats, framing.frame.object_from_file).detach().to("cpu")
+    partial, heeded = (
+        transform_splats(splats, framing.frame.object_from_file).detach().to("cpu")
+        for splats in (working.splats, working.heeded)
+    )
     require_visible(partial, framing.views, name)
-    diameter = largest_side(working.splats) / framing.frame.size_file
+    diameter = largest_side(working.heeded) / framing.frame.size_file
     conditioning = prior.condition(request.prompt, request.negative_prompt)
     if not settings.see_input and settings.known_shapes and isinstance(prior, KnowsShapes):
-        conditioning = prior.with_known_shape(conditioning, partial, framing.views)
+        conditioning = prior.with_known_shape(conditioning, heeded, framing.views)
     with stage("start"):
-        start = start_splats(partial, prior, conditioning, framing.views, settings, diameter)
+        start = start_splats(heeded, prior, conditioning, framing.views, settings, diameter)
     views, moved = framing.views, ""
     if start.is_guess and framing_request.view_deg is None:
         with stage("input view"):
-            views, moved = refine_input_view(partial, start.splats, framing.views)
+            views, moved = refine_input_view(heeded, start.splats, framing.views)
     skipped: tuple[str, ...] = ()
     if settings.steps and settings.least_color_spread:
         settings, skipped = _without_idle_steps(settings, partial)
@@ -269,9 +276,9 @@ def prepare(
 
     report = () if settings.start == "fill" else conditioning.report  # gaps heed no prompt
     notes += (start.note, *((moved,) if moved else ()), *skipped, *report)
-    doubts = doubts_of_partial(partial)
+    doubts = doubts_of_partial(heeded)
     if start.is_guess and len(start.splats):
-        doubts += doubts_of_guess(partial, start.splats, views)
+        doubts += doubts_of_guess(heeded, start.splats, views)
     notes += doubts
     if request.negative_prompt and not steps.heeds_negative_prompt:
         notes += ("negative prompt: has no effect in this run; this prior needs --text-only",)
@@ -280,6 +287,7 @@ def prepare(
         working,
         framing.frame,
         partial,
+        heeded,
         framing.views,
         views,
         prior,
@@ -302,24 +310,6 @@ def _without_idle_steps(
         f"least {least:g}), and the new splats keep it"
     )
     return dataclasses.replace(settings, steps=0), (note,)
-
-
-def heeded_part(splats: Splats, settings: CompletionSettings, name: str) -> WorkingSet:
-    """Choose the splats of P that frame and guess are made from.
-
-    Args:
-        splats: P in the file frame.
-        settings: whether strays are left out.
-        name: the file named in errors.
-
-    Raises:
-        UserError: no splat can be drawn.
-    """
-    working = working_set(splats.detach().to(dtype=torch.float32), MAX_WORKING_SPLATS, name)
-    if not settings.leave_out_strays:
-        return working
-    with stage("strays"):
-        return without_strays(working, stray_rows(working.splats))
 
 
 def framing_for(splats: Splats, request: FramingRequest, prior: Prior) -> Framing:
@@ -369,7 +359,7 @@ def finish(prepared: Prepared, given: SplatFile | Splats) -> Completed:
         notes += (bounds.summary,)
     doubts = prepared.doubts
     if settings.start == "guess":
-        found = doubts_of_result(partial, new, None if bounds is None else bounds.lost)
+        found = doubts_of_result(prepared.heeded, new, None if bounds is None else bounds.lost)
         doubts, notes = doubts + found, notes + found
     new = concatenate([new, slits])
     seconds = time.perf_counter() - started
@@ -385,7 +375,7 @@ def _slits(prepared: Prepared) -> tuple[Splats, tuple[str, ...]]:
     if not settings.close_slits:
         return nothing, ()
     with stage("slits"):
-        slits = slit_splats(partial, views.eye())
+        slits = slit_splats(prepared.heeded, views.eye())
     if not len(slits):
         return nothing, ()
     bounds = settings.hard_preservation

@@ -262,7 +262,7 @@ def _draw_alternatives(run: Run, completed: Completed) -> list[str]:
     request, prepared = run.request, run.prepared
     found = guess_alternatives(
         prepared.prior,
-        prepared.partial,
+        prepared.heeded,
         prepared.guessed_views,
         prepared.conditioning,
         request.completion.settings,

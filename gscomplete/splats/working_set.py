@@ -1,9 +1,10 @@
 """Which splats of P take part in the optimisation. The output always has all of them.
 
-Splats that cannot be drawn (not finite, far too large) are left out, and so are those beside the
-object's surface or far outside it, which would pass for parts of it. Of very large inputs an even
-choice is drawn, with widths grown to match: at the resolutions that priors see, millions of splats
-cost time and change nothing.
+Splats that cannot be drawn (not finite, far too large) are left out, and so are a few far outside
+the object, which would pass for parts of it. Strays beside its surface are drawn, as they are part
+of P's appearance, but nothing is guessed from them. Of very large inputs an even choice is drawn,
+with widths grown to match: at the resolutions that priors see, millions of splats cost time and
+change nothing.
 """
 
 from __future__ import annotations
@@ -11,11 +12,13 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats
 from gscomplete.splats.filters import in_words, reason_in_words, usable_rows
+from gscomplete.splats.strays import stray_rows
 from gscomplete.splats.thinning import thinned
 from gscomplete.splats.transform import Similarity
 from gscomplete.util.randomness import generator_for
@@ -24,7 +27,7 @@ _FAR = 1.0
 """Splats farther than this from the object frame's origin along any axis are far outside, object
 sizes; it is twice as far as the frame's box reaches."""
 _MOST_FAR, _MOST_STRAYS = 0.02, 0.5
-"""If a larger share is far outside, or passes for strays, they are parts of P and take part."""
+"""If a larger share is far outside, or passes for strays, they are parts of P like all others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,13 +35,20 @@ class WorkingSet:
     """The splats of P that are drawn, and what happened to the others."""
 
     splats: Splats
+    """What is drawn, N splats."""
+    is_stray: Tensor  # [N] bool
     total: int
     """Splats in the file."""
     unusable: dict[str, int]
     """How many rows are left out for each reason: those of ``usable_rows`` for rows that cannot be
-    drawn, ``strays_beside_the_surface``, and ``far_outside_the_object``."""
+    drawn, and ``far_outside_the_object``."""
     thinned: int
     """Splats left out because there were more than the limit."""
+
+    @property
+    def heeded(self) -> Splats:
+        """What guesses are made from: all but strays."""
+        return self.splats.select(~self.is_stray) if bool(self.is_stray.any()) else self.splats
 
     @property
     def stands_for(self) -> str:
@@ -55,18 +65,24 @@ class WorkingSet:
             f"{count:,} left out ({reason_in_words(reason)})"
             for reason, count in self.unusable.items()
         ]
+        strays = int(self.is_stray.sum())
+        if strays:
+            parts.append(f"nothing is guessed from {strays:,} strays beside the surface")
         if self.thinned:
             parts.append(f"{self.thinned:,} thinned out, the others enlarged to match")
         return "; ".join(parts)
 
 
-def working_set(partial: Splats, limit: int | None, path: str) -> WorkingSet:
+def working_set(
+    partial: Splats, limit: int | None, path: str, *, find_strays: bool = False
+) -> WorkingSet:
     """Choose the splats of P that take part.
 
     Args:
         partial: P as read.
         limit: most splats to draw; None = all.
         path: the file named in errors.
+        find_strays: whether strays are looked for.
 
     Raises:
         UserError: no splat can be drawn.
@@ -78,36 +94,27 @@ def working_set(partial: Splats, limit: int | None, path: str) -> WorkingSet:
             f"{len(partial)} ({in_words(reasons) or 'no splats'})"
         )
     splats = partial if bool(usable.all()) else partial.select(usable)
-    count = len(splats)
-    if limit is None or count <= limit:
-        return WorkingSet(splats, len(partial), reasons, 0)
-    drawn = thinned(splats, limit, generator_for(0, 0, "working set"))
-    return WorkingSet(drawn, len(partial), reasons, count - limit)
-
-
-def without_strays(
-    working: WorkingSet,
-    is_stray: Tensor,  # [N] bool
-) -> WorkingSet:
-    """Leave out the splats that float beside the object's surface."""
-    return _without(working, is_stray, "strays_beside_the_surface", _MOST_STRAYS)
+    thinned_out = 0
+    if limit is not None and len(splats) > limit:
+        thinned_out = len(splats) - limit
+        splats = thinned(splats, limit, generator_for(0, 0, "working set"))
+    is_stray = torch.zeros(len(splats), dtype=torch.bool, device=splats.means.device)
+    if find_strays:
+        found = stray_rows(splats)
+        is_stray = found if int(found.sum()) <= _MOST_STRAYS * len(found) else is_stray
+    return WorkingSet(splats, is_stray, len(partial), reasons, thinned_out)
 
 
 def without_far(working: WorkingSet, object_from_file: Similarity) -> WorkingSet:
     """Leave out the few splats that lie far outside the object frame's box."""
     places = object_from_file.apply(working.splats.means)
     is_far = places.abs().amax(dim=1) > _FAR
-    return _without(working, is_far, "far_outside_the_object", _MOST_FAR)
-
-
-def _without(
-    working: WorkingSet,
-    left_out: Tensor,  # [N] bool
-    reason: str,
-    most: float,
-) -> WorkingSet:
-    count = int(left_out.sum())
-    if not 0 < count <= most * len(left_out):
+    count = int(is_far.sum())
+    if not 0 < count <= _MOST_FAR * len(is_far):
         return working
-    reasons = {**working.unusable, reason: count}
-    return dataclasses.replace(working, splats=working.splats.select(~left_out), unusable=reasons)
+    return dataclasses.replace(
+        working,
+        splats=working.splats.select(~is_far),
+        is_stray=working.is_stray[~is_far],
+        unusable={**working.unusable, "far_outside_the_object": count},
+    )

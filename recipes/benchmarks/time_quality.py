@@ -26,7 +26,7 @@ from rich.console import Console
 from rich.progress import track
 
 from gscomplete.api import complete
-from gscomplete.completion.pipeline import framing_for, heeded_part
+from gscomplete.completion.pipeline import framing_for
 from gscomplete.completion.presets import GUESS, RECONSTRUCT, TEXT_ONLY, UNBOUNDED_GUESS
 from gscomplete.completion.settings import CompletionSettings, TimestepStage
 from gscomplete.evaluate.metrics import against_truth, preservation
@@ -35,6 +35,7 @@ from gscomplete.framing.decide import FramingRequest
 from gscomplete.priors import Prior, load_prior
 from gscomplete.splats import Splats
 from gscomplete.splats.transform import transform_splats
+from gscomplete.splats.working_set import working_set
 from gscomplete.util.atomic import atomic_path
 from gscomplete.views import ViewDistribution
 from recipes.entry_point import start
@@ -94,7 +95,7 @@ def held_out(index: int, prior: Prior) -> HeldOutObject:
     """Make a held-out object."""
     item = procedural_source(_SEED, index)
     partial = item.partial(disturb=index % 2 == 0, slight=False)
-    heeded = heeded_part(partial, GUESS, item.caption).splats
+    heeded = working_set(partial, None, item.caption, find_strays=True).heeded
     framing = framing_for(heeded, FramingRequest(), prior)
     to_frame = framing.frame.object_from_file
     return HeldOutObject(

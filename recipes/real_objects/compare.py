@@ -42,8 +42,8 @@ from rich.progress import track
 from scipy.spatial import cKDTree
 
 from gscomplete.completion.alternatives import guess_alternatives
-from gscomplete.completion.pipeline import Request, finish, framing_for, heeded_part, prepare
-from gscomplete.completion.presets import GUESS, PresetName, preset
+from gscomplete.completion.pipeline import Request, finish, framing_for, prepare
+from gscomplete.completion.presets import PresetName, preset
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.evaluate.metrics import (
     MID_GREY,
@@ -63,6 +63,7 @@ from gscomplete.shape.symmetry import mirror_image
 from gscomplete.shape.symmetry_choice import CANDIDATES
 from gscomplete.splats import Splats, colors_to_sh, concatenate, read_splats, write_splats
 from gscomplete.splats.transform import transform_splats
+from gscomplete.splats.working_set import working_set
 from gscomplete.util import jsonio
 from gscomplete.views import ViewDistribution
 from recipes.entry_point import start
@@ -125,7 +126,7 @@ class Outcome:
 
 def frame_object(item: RealObject, prior: Prior) -> FramedObject:
     """Guess the frame and the input view from the part, as a run does."""
-    heeded = heeded_part(item.partial, GUESS, item.name).splats
+    heeded = working_set(item.partial, None, item.name, find_strays=True).heeded
     guess = framing_for(heeded, FramingRequest(item.up), prior)
     to_frame = guess.frame.object_from_file
     truth = item.complete

@@ -13,7 +13,14 @@ from gscomplete.completion.settings import HardPreservationSettings
 from gscomplete.errors import UserError
 from gscomplete.framing.decide import FramingRequest
 from gscomplete.priors.base import FirstGuess
-from gscomplete.splats import Similarity, concatenate, read_splats, transform_splats, write_splats
+from gscomplete.splats import (
+    Similarity,
+    Splats,
+    concatenate,
+    read_splats,
+    transform_splats,
+    write_splats,
+)
 from gscomplete.splats.slits import slit_splats
 from tests.builders.objects import ball, half, half_cylinder, leaning_board
 from tests.builders.priors import GuessingPrior, OraclePrior
@@ -21,6 +28,7 @@ from tests.builders.priors import GuessingPrior, OraclePrior
 TRUTH = ball(1500)
 PARTIAL = TRUTH.select(TRUTH.means[:, 0] > 0)
 QUICK = dataclasses.replace(DISTILL, steps=4, new_splats=200, warmup_steps=1)
+NOTHING = FirstGuess(TRUTH.select(torch.arange(0)), ("not mirrored",))
 KNOWN = {"view_deg": (0.0, 10.0), "center_file": (0.0, 0.0, 0.0), "size_file": 0.8}
 
 
@@ -82,29 +90,37 @@ def test_where_nothing_is_missing_nothing_is_added():
     assert found.hard_preservation.met
 
 
-def test_strays_of_the_part_change_nothing_but_stay_in_the_output(tmp_path):
+@pytest.mark.parametrize("heeds_strays", [False, True])
+def test_nothing_is_guessed_from_strays_but_the_output_keeps_them(
+    heeds_strays, tmp_path, monkeypatch
+):
     dense = half(ball(6000))
     generator = torch.Generator().manual_seed(2)
-    strays = dense.select(torch.arange(12))
-    away = torch.nn.functional.normalize(torch.randn(12, 3, generator=generator), dim=1)
+    strays = dense.select(torch.arange(20))
+    away = torch.nn.functional.normalize(torch.randn(20, 3, generator=generator), dim=1)
     given = concatenate([dense, dataclasses.replace(strays, means=0.7 * away)])
-    prior = OraclePrior(TRUTH)
-    clean = complete(dense, "a ball", prior=prior, settings=QUICK, **KNOWN)
-    found = complete(given, "a ball", prior=prior, settings=QUICK, **KNOWN)
-    assert torch.equal(found.new.means, clean.new.means)
-    assert torch.equal(found.partial.means, clean.partial.means)
-    assert any("12 left out (strays beside the surface)" in note for note in found.notes)
-    paths = tmp_path / "p.ply", tmp_path / "o.ply"
-    write_splats(paths[0], given)
-    complete(paths[0], "a ball", prior=prior, settings=QUICK, **KNOWN).save(paths[1])
-    rows = paths[0].read_bytes().split(b"end_header\n", 1)[1]
-    assert rows in paths[1].read_bytes()
-    heeding = dataclasses.replace(QUICK, leave_out_strays=False)
-    whole = complete(given, "a ball", prior=prior, settings=heeding, **KNOWN)
-    assert len(whole.partial) == len(given)
+    path = tmp_path / "p.ply"
+    write_splats(path, given)
+    seen = []
+
+    def guess(self: GuessingPrior, partial: Splats, *args: object, **named: object) -> FirstGuess:
+        seen.append(partial)
+        return NOTHING
+
+    monkeypatch.setattr(GuessingPrior, "first_guess", guess)
+    settings = dataclasses.replace(GUESS, leave_out_strays=not heeds_strays)
+    found = complete(
+        path, "a ball", prior=GuessingPrior(TRUTH, NOTHING), settings=settings, **KNOWN
+    )
+    told = "nothing is guessed from 20 strays beside the surface"
+    assert any(told in note for note in found.notes) != heeds_strays
+    assert len(found.partial) == len(given)
+    assert len(seen[0]) == len(given if heeds_strays else dense)
+    found.save(tmp_path / "o.ply")
+    rows = path.read_bytes().split(b"end_header\n", 1)[1]
+    assert rows in (tmp_path / "o.ply").read_bytes()
 
 
-NOTHING = FirstGuess(TRUTH.select(torch.arange(0)), ("not mirrored",))
 SCAN = {"view_deg": (0.0, 0.0), "center_file": (0.0, 0.0, 0.0), "size_file": 1.0}
 
 
@@ -158,7 +174,7 @@ def test_an_unclean_part_is_told(count):
     heeding = dataclasses.replace(QUICK, leave_out_strays=False)
     requests = [Request("a ball", s, FramingRequest(**KNOWN)) for s in (heeding, QUICK)]
     notes, left_out = (prepare(part, request, OraclePrior(TRUTH)).notes for request in requests)
-    assert any("left out (strays" in note for note in left_out) == bool(count)
+    assert any("strays beside the surface" in note for note in left_out) == bool(count)
     told = [note for note in notes if "may not belong" in note]
     assert len(told) == bool(count)
     assert all("floaters" in note for note in told)

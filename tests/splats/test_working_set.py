@@ -7,7 +7,8 @@ import torch
 
 from gscomplete.errors import UserError
 from gscomplete.splats import concatenate
-from gscomplete.splats.working_set import without_far, without_strays, working_set
+from gscomplete.splats import working_set as working_sets
+from gscomplete.splats.working_set import without_far, working_set
 from gscomplete.views import ObjectFrame
 from tests.builders.objects import ball
 
@@ -49,13 +50,31 @@ def test_a_few_splats_far_outside_the_object_are_left_out(strays, left_out):
     assert chosen.total == 1000 + strays
 
 
-@pytest.mark.parametrize(("strays", "left_out"), [(0, 0), (30, 30), (600, 0)])
-def test_strays_are_left_out_unless_they_are_most_of_the_set(strays, left_out):
-    working = working_set(ball(1000), None, "p.ply")
-    chosen = without_strays(working, torch.arange(1000) < strays)
-    assert len(chosen.splats) == 1000 - left_out
-    expected = {"strays_beside_the_surface": left_out} if left_out else {}
-    assert chosen.unusable == expected
-    if left_out:
-        assert torch.equal(chosen.splats.means, working.splats.means[strays:])
-        assert "30 left out (strays beside the surface)" in chosen.summary
+@pytest.mark.parametrize("strays", [0, 30, 1500])
+def test_strays_are_drawn_but_not_heeded_unless_they_are_most_of_the_set(strays, monkeypatch):
+    monkeypatch.setattr(working_sets, "stray_rows", lambda splats: torch.arange(2000) < strays)
+    splats = ball(2000)
+    chosen = working_set(splats, None, "p.ply", find_strays=True)
+    left_out = strays if strays < 1000 else 0
+    assert torch.equal(chosen.splats.means, splats.means)
+    assert torch.equal(chosen.heeded.means, splats.means[left_out:])
+    assert ("nothing is guessed from 30 strays beside the surface" in chosen.summary) == (
+        strays == 30
+    )
+    assert torch.equal(working_set(splats, None, "p.ply").heeded.means, splats.means)
+    near = without_far(chosen, ObjectFrame("Z", (0.0, 0.0, 0.0), 0.8).object_from_file)
+    assert near is chosen
+
+
+def test_what_is_far_outside_is_neither_drawn_nor_heeded(monkeypatch):
+    monkeypatch.setattr(working_sets, "stray_rows", lambda splats: torch.arange(1000) < 20)
+    splats = ball(1000)
+    means = splats.means.clone()
+    means[10:25] += torch.tensor([1e6, 0.0, 0.0])
+    given = dataclasses.replace(splats, means=means)
+    chosen = without_far(
+        working_set(given, None, "p.ply", find_strays=True),
+        ObjectFrame("Z", (0.0, 0.0, 0.0), 0.8).object_from_file,
+    )
+    assert torch.equal(chosen.splats.means, torch.cat([means[:10], means[25:]]))
+    assert torch.equal(chosen.heeded.means, means[25:])
