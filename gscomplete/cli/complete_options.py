@@ -62,7 +62,8 @@ class HowToComplete:
     scanner or a depth camera saw P (subsets lidar and singleview)."""
     leave_out_strays: bool = True
     """Guess nothing from P's strays: flying points of depth cameras, floaters and haze beside its
-    surface. The output keeps them (--preset paper guesses from all of P)."""
+    surface, a patch of the table that it stands on. The output keeps them (--preset paper guesses
+    from all of P)."""
     close_slits: bool = True
     """At the end, close the slits between the samples of a scan, which open wherever its surface
     leans away from the scanner (--preset paper leaves them open)."""

@@ -58,6 +58,7 @@ from gscomplete.util.device import plain_torch
 from gscomplete.util.jsonio import to_json
 from gscomplete.util.stages import stage
 from gscomplete.views import ObjectFrame, ViewDistribution, radius_to_fit
+from gscomplete.views.frame import up_rotation
 
 MAX_WORKING_SPLATS = 250_000
 """Most splats of P that are drawn while optimising; all are in the output."""
@@ -243,9 +244,9 @@ def prepare(
     else:
         splats, name = given, "P"
     drawable = splats.detach().to(dtype=torch.float32)
+    turn = up_rotation(framing_request.up) if settings.leave_out_strays else None
     with stage("strays"):
-        strays = settings.leave_out_strays
-        working = working_set(drawable, MAX_WORKING_SPLATS, name, find_strays=strays)
+        working = working_set(drawable, MAX_WORKING_SPLATS, name, turn)
     notes += describe_suspects(working.heeded)
     with stage("frame"):
         framing = framing_for(working.heeded, framing_request, prior)

@@ -185,8 +185,9 @@ class CompletionSettings:
     """Colours at P's edges are mixed with the background's, as depth cameras mix them: guesses use
     those further inside instead (``shape.colors.edges``)."""
     leave_out_strays: bool = False
-    """Guess nothing from P's strays, splats that float beside its surface (``splats.strays``); they
-    keep their appearance as all of P does. The paper has no guess."""
+    """Guess nothing from P's strays, splats that float beside its surface, and from a table that it
+    stands on (``splats.working_set``); they keep their appearance as all of P does. The paper has
+    no guess."""
     close_slits: bool = False
     """Close the slits between a scan's samples, at the end; the paper leaves them."""
     min_scale_px: float = 0.0

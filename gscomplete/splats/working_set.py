@@ -1,10 +1,10 @@
 """Which splats of P take part in the optimisation. The output always has all of them.
 
 Splats that cannot be drawn (not finite, far too large) are left out, and so are a few far outside
-the object, which would pass for parts of it. Strays beside its surface are drawn, as they are part
-of P's appearance, but nothing is guessed from them. Of very large inputs an even choice is drawn,
-with widths grown to match: at the resolutions that priors see, millions of splats cost time and
-change nothing.
+the object, which would pass for parts of it. Strays beside its surface and the table that it stands
+on are drawn, as they are part of P's appearance, but nothing is guessed from them. Of very large
+inputs an even choice is drawn, with widths grown to match: at the resolutions that priors see,
+millions of splats cost time and change nothing.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from torch import Tensor
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats
 from gscomplete.splats.filters import in_words, reason_in_words, usable_rows
+from gscomplete.splats.geometry.table import table_rows
 from gscomplete.splats.strays import stray_rows
 from gscomplete.splats.thinning import thinned
 from gscomplete.splats.transform import Similarity
@@ -36,7 +37,8 @@ class WorkingSet:
 
     splats: Splats
     """What is drawn, N splats."""
-    is_stray: Tensor  # [N] bool
+    is_stray: Tensor  # [N] bool floats beside the object's surface
+    is_table: Tensor  # [N] bool belongs to what the object stands on
     total: int
     """Splats in the file."""
     unusable: dict[str, int]
@@ -47,8 +49,9 @@ class WorkingSet:
 
     @property
     def heeded(self) -> Splats:
-        """What guesses are made from: all but strays."""
-        return self.splats.select(~self.is_stray) if bool(self.is_stray.any()) else self.splats
+        """What guesses are made from: all but strays and table."""
+        left_out = self.is_stray | self.is_table
+        return self.splats.select(~left_out) if bool(left_out.any()) else self.splats
 
     @property
     def stands_for(self) -> str:
@@ -65,16 +68,21 @@ class WorkingSet:
             f"{count:,} left out ({reason_in_words(reason)})"
             for reason, count in self.unusable.items()
         ]
-        strays = int(self.is_stray.sum())
+        strays, table = int(self.is_stray.sum()), int(self.is_table.sum())
         if strays:
             parts.append(f"nothing is guessed from {strays:,} strays beside the surface")
+        if table:
+            parts.append(f"nothing is guessed from {table:,} splats of what P stands on")
         if self.thinned:
             parts.append(f"{self.thinned:,} thinned out, the others enlarged to match")
         return "; ".join(parts)
 
 
 def working_set(
-    partial: Splats, limit: int | None, path: str, *, find_strays: bool = False
+    partial: Splats,
+    limit: int | None,
+    path: str,
+    z_up_from_file: Tensor | None = None,  # [3, 3] rotation
 ) -> WorkingSet:
     """Choose the splats of P that take part.
 
@@ -82,7 +90,8 @@ def working_set(
         partial: P as read.
         limit: most splats to draw; None = all.
         path: the file named in errors.
-        find_strays: whether strays are looked for.
+        z_up_from_file: takes file axes to z-up ones; None = neither strays nor table are looked
+            for.
 
     Raises:
         UserError: no splat can be drawn.
@@ -99,10 +108,13 @@ def working_set(
         thinned_out = len(splats) - limit
         splats = thinned(splats, limit, generator_for(0, 0, "working set"))
     is_stray = torch.zeros(len(splats), dtype=torch.bool, device=splats.means.device)
-    if find_strays:
+    is_table = torch.zeros_like(is_stray)
+    if z_up_from_file is not None:
         found = stray_rows(splats)
         is_stray = found if int(found.sum()) <= _MOST_STRAYS * len(found) else is_stray
-    return WorkingSet(splats, is_stray, len(partial), reasons, thinned_out)
+        points = splats.means[~is_stray].detach().double().cpu() @ z_up_from_file.T
+        is_table[~is_stray] = torch.from_numpy(table_rows(points.numpy())).to(is_table.device)
+    return WorkingSet(splats, is_stray, is_table, len(partial), reasons, thinned_out)
 
 
 def without_far(working: WorkingSet, object_from_file: Similarity) -> WorkingSet:
@@ -116,5 +128,6 @@ def without_far(working: WorkingSet, object_from_file: Similarity) -> WorkingSet
         working,
         splats=working.splats.select(~is_far),
         is_stray=working.is_stray[~is_far],
+        is_table=working.is_table[~is_far],
         unusable={**working.unusable, "far_outside_the_object": count},
     )

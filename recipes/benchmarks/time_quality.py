@@ -38,6 +38,7 @@ from gscomplete.splats.transform import transform_splats
 from gscomplete.splats.working_set import working_set
 from gscomplete.util.atomic import atomic_path
 from gscomplete.views import ViewDistribution
+from gscomplete.views.frame import up_rotation
 from recipes.entry_point import start
 from recipes.train_embedded_prior.data.dataset import HELD_OUT_SEED_OFFSET
 from recipes.train_embedded_prior.data.source import procedural_source
@@ -95,7 +96,7 @@ def held_out(index: int, prior: Prior) -> HeldOutObject:
     """Make a held-out object."""
     item = procedural_source(_SEED, index)
     partial = item.partial(disturb=index % 2 == 0, slight=False)
-    heeded = working_set(partial, None, item.caption, find_strays=True).heeded
+    heeded = working_set(partial, None, item.caption, up_rotation("Z")).heeded
     framing = framing_for(heeded, FramingRequest(), prior)
     to_frame = framing.frame.object_from_file
     return HeldOutObject(

@@ -66,6 +66,7 @@ from gscomplete.splats.transform import transform_splats
 from gscomplete.splats.working_set import working_set
 from gscomplete.util import jsonio
 from gscomplete.views import ViewDistribution
+from gscomplete.views.frame import up_rotation
 from recipes.entry_point import start
 from recipes.real_objects.complete import DATA
 from recipes.real_objects.load import RealObject, load_real_object
@@ -126,7 +127,7 @@ class Outcome:
 
 def frame_object(item: RealObject, prior: Prior) -> FramedObject:
     """Guess the frame and the input view from the part, as a run does."""
-    heeded = working_set(item.partial, None, item.name, find_strays=True).heeded
+    heeded = working_set(item.partial, None, item.name, up_rotation(item.up)).heeded
     guess = framing_for(heeded, FramingRequest(item.up), prior)
     to_frame = guess.frame.object_from_file
     truth = item.complete

@@ -36,6 +36,9 @@ def test_unusable_rows_are_left_out_with_a_reason():
         working_set(nothing, None, "p.ply")
 
 
+Z_UP = torch.eye(3, dtype=torch.float64)
+
+
 @pytest.mark.parametrize(("strays", "left_out"), [(0, 0), (15, 15), (60, 0)])
 def test_a_few_splats_far_outside_the_object_are_left_out(strays, left_out):
     splats, frame = ball(1000), ObjectFrame("Z", (0.0, 0.0, 0.0), 0.8)
@@ -54,7 +57,7 @@ def test_a_few_splats_far_outside_the_object_are_left_out(strays, left_out):
 def test_strays_are_drawn_but_not_heeded_unless_they_are_most_of_the_set(strays, monkeypatch):
     monkeypatch.setattr(working_sets, "stray_rows", lambda splats: torch.arange(2000) < strays)
     splats = ball(2000)
-    chosen = working_set(splats, None, "p.ply", find_strays=True)
+    chosen = working_set(splats, None, "p.ply", Z_UP)
     left_out = strays if strays < 1000 else 0
     assert torch.equal(chosen.splats.means, splats.means)
     assert torch.equal(chosen.heeded.means, splats.means[left_out:])
@@ -73,7 +76,7 @@ def test_what_is_far_outside_is_neither_drawn_nor_heeded(monkeypatch):
     means[10:25] += torch.tensor([1e6, 0.0, 0.0])
     given = dataclasses.replace(splats, means=means)
     chosen = without_far(
-        working_set(given, None, "p.ply", find_strays=True),
+        working_set(given, None, "p.ply", Z_UP),
         ObjectFrame("Z", (0.0, 0.0, 0.0), 0.8).object_from_file,
     )
     assert torch.equal(chosen.splats.means, torch.cat([means[:10], means[25:]]))
