@@ -48,6 +48,7 @@ from recipes.real_objects.compare import (
     measure,
     outcome_of,
 )
+from recipes.real_objects.flawed import Flaw, with_flaw
 from recipes.real_objects.load import RealObject
 from recipes.results import Results
 from recipes.train_embedded_prior.data.mesh_pack import (
@@ -93,6 +94,8 @@ class Options:
     """Ways to complete, from ``compare``."""
     kinds: tuple[PartKind, ...] = get_args(PartKind)
     """Kinds of parts."""
+    flaw: Flaw = "none"
+    """What is added to every part, as captures have it."""
     objects: int | None = None
     """Number of objects, evenly spread over the list; None = all."""
     weights: Path | None = None
@@ -199,6 +202,8 @@ def main(options: Options) -> None:
     """Complete and measure."""
     prior = load_prior("embedded" if options.weights is None else str(options.weights))
     made_with = {"seed": options.seed, "prior": prior_identity(prior)}
+    if options.flaw != "none":
+        made_with["flaw"] = options.flaw
     results = Results(options.out / "results.json", made_with)
     entries = chosen_entries(options.meshes, options.objects)
     for entry in track(entries, "objects", console=Console(file=sys.stderr)):
@@ -214,6 +219,7 @@ def main(options: Options) -> None:
                 complete = complete_object(mesh, entry, turn_deg)
             cut_rng = np.random.default_rng((number, 1 + get_args(PartKind).index(kind)))
             partial = part_of(complete, kind, cut_rng, turn_deg)
+            partial = with_flaw(partial, complete, options.flaw, cut_rng)
             item = RealObject(entry.id, entry.caption, "Z", partial, complete, kind)
             framed = frame_object(item, prior)
             for way in options.ways:
