@@ -89,7 +89,7 @@ class Prepared:
     partial: Splats
     """The same in the object frame, on the CPU."""
     heeded: Splats
-    """Those of them that are no strays, which guesses are made from."""
+    """All of them but strays and table: what guesses are made from."""
     guessed_views: ViewDistribution
     """V that the prior's guess was made with: given, or guessed from P alone."""
     views: ViewDistribution

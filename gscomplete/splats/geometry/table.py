@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import Delaunay, QhullError, cKDTree
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 FloatArray = NDArray[np.float64]
 
@@ -78,7 +78,8 @@ def _beyond(places: FloatArray, standing: FloatArray) -> NDArray[np.bool_]:  # [
     away, _ = cKDTree(standing).query(places, distance_upper_bound=_BEYOND)
     is_far = ~np.isfinite(away)
     try:
-        outline = Delaunay(standing)
+        sides = ConvexHull(standing).equations  # [S, 3] outward normal and offset
     except QhullError:  # all on one line
         return is_far
-    return np.asarray(is_far & (outline.find_simplex(places) < 0))
+    outside = np.einsum("mi,si->ms", places, sides[:, :2]) + sides[:, 2]
+    return np.asarray(is_far & (outside.max(axis=1) > 0))
