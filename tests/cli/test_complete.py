@@ -161,3 +161,15 @@ def test_edge_colours_are_ignored_where_a_depth_camera_mixed_them(
 def test_edge_colours_are_no_matter_without_a_guess(changes, message):
     with pytest.raises(UserError, match=message):
         request_with(edge_colors="ignore", **changes)
+
+
+@pytest.mark.parametrize(
+    ("preset", "leaves_out", "expected"),
+    [("default", True, True), ("default", False, False), ("paper", True, False)],
+)
+def test_strays_are_left_out_unless_all_of_p_is_to_be_heeded(preset, leaves_out, expected):
+    options = CompleteOptions(
+        partial=Path("half.ply"), prompt="a mug", preset=preset, leave_out_strays=leaves_out
+    )
+    settings = request_of(options, load_prior("embedded")).completion.settings
+    assert settings.leave_out_strays is expected
