@@ -33,7 +33,7 @@ from gscomplete.framing.extent import extended_box, is_closed
 from gscomplete.render import render
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.geometry.revolution import box_of, find_revolution
-from gscomplete.splats.rotations import rotation_matrices
+from gscomplete.splats.rotations import thinnest_axes
 from gscomplete.util.same_bits import fixed_sum
 from gscomplete.views import Cameras, orbit_cameras
 from gscomplete.views.distribution import FOV_DEG, RADIUS
@@ -280,9 +280,8 @@ def outward_normals(splats: Splats) -> Tensor:  # [N, 3] unit
     outward = torch.nn.functional.normalize(splats.means - centroid, dim=1)
     ordered = splats.scales.sort(dim=1).values
     is_flat = ordered[:, 0] < 0.5 * ordered[:, 1]
-    rotations = rotation_matrices(torch.nn.functional.normalize(splats.quaternions, dim=1))
-    thinnest = splats.scales.argmin(dim=1)
-    normals = rotations[torch.arange(len(splats), device=rotations.device), :, thinnest]
+    unit = torch.nn.functional.normalize(splats.quaternions, dim=1)
+    normals = thinnest_axes(unit, splats.scales)
     sign = torch.where((normals * outward).sum(dim=1, keepdim=True) < 0, -1.0, 1.0)
     return torch.where(is_flat[:, None], sign * normals, outward)
 

@@ -36,7 +36,7 @@ from gscomplete.shape.surface.turned import TurnedSurface
 from gscomplete.shape.symmetry import SymmetryMap, mirror, mirror_image, plane_of
 from gscomplete.shape.voxels import CELL_SIDE, missing_surface_share, sample_volume
 from gscomplete.splats import Splats, concatenate
-from gscomplete.splats.rotations import rotation_matrices
+from gscomplete.splats.rotations import thinnest_axes
 from gscomplete.splats.thinning import thinned
 from gscomplete.views import ViewDistribution
 
@@ -294,9 +294,7 @@ def _beyond(copies: Splats, partial: Splats, generator: torch.Generator) -> Spla
     """Return the copies that lie where P has no surface, as close to its rim as the seam allows."""
     if not len(copies):
         return copies
-    axes = rotation_matrices(copies.quaternions)
-    thinnest = copies.scales.argmin(dim=1)[:, None, None].expand(-1, 3, 1)
-    normals = axes.gather(2, thinnest)[:, :, 0]
+    normals = thinnest_axes(copies.quaternions, copies.scales)
     anchor = thinned(partial, _MOST_LOOKED_AT, generator)
     seam = _SEAM_SPACINGS * median_spacing(anchor.means)
     beyond = SurfaceSettings(near_rim=min(_MOST_SEAM, seam), one_sided=_ONE_SIDED_COPY)

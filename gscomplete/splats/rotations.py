@@ -1,4 +1,4 @@
-"""Quaternions (w, x, y, z): to rotation matrices, and from directions."""
+"""Quaternions (w, x, y, z): to rotation matrices and directions, and from directions."""
 
 from __future__ import annotations
 
@@ -26,6 +26,12 @@ def matrix_rows(w: Any, x: Any, y: Any, z: Any) -> list[list[Any]]:
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
+
+
+def thinnest_axes(quaternions: Tensor, scales: Tensor) -> Tensor:  # [N, 4], [N, 3] -> [N, 3]
+    """Return the unit direction in which each splat is thinnest: a flat one's normal, unsigned."""
+    columns = scales.argmin(dim=1)[:, None, None].expand(-1, 3, 1)
+    return rotation_matrices(quaternions).gather(2, columns)[:, :, 0]
 
 
 def quaternions_facing(normals: Tensor) -> Tensor:  # [N, 3] unit -> [N, 4] wxyz

@@ -27,7 +27,7 @@ from torch import Tensor
 from gscomplete.networks.packaged import PACKAGED_WEIGHTS
 from gscomplete.networks.perceptron import Perceptron
 from gscomplete.splats.record import Splats
-from gscomplete.splats.rotations import rotation_matrices
+from gscomplete.splats.rotations import thinnest_axes
 from gscomplete.util.nearest import query_nearest
 
 STRAY_SCORER_FILE = "strays.safetensors"
@@ -36,6 +36,8 @@ STRAY_FROM = 0.0
 _SURE_FROM, _FEWEST_SURE = 2.0, 0.002
 """P has strays if at least this share of its splats scores higher than the first. In a sound P, the
 few that do are surface that a scanner saw only in places: without it guesses are worse."""
+_MOST = 0.5
+"""If a larger share would be strays, they are what P consists of, and none is."""
 _FEWEST = 200
 """Smaller sets have no strays: too few splats to tell what is usual."""
 _RANKS = (1, 2, 4, 8, 16, 32)
@@ -93,8 +95,10 @@ def stray_rows(splats: Splats) -> Tensor:  # [N] bool
     found = standing_out(splats)
     if len(found.rows):
         scores = packaged_stray_scorer()(found.features)
-        if (scores > _SURE_FROM).sum() >= _FEWEST_SURE * len(splats):
-            is_stray[torch.from_numpy(found.rows[scores > STRAY_FROM])] = True
+        rows = found.rows[scores > STRAY_FROM]
+        has_some = (scores > _SURE_FROM).sum() >= _FEWEST_SURE * len(splats)
+        if has_some and len(rows) <= _MOST * len(splats):
+            is_stray[torch.from_numpy(rows)] = True
     return is_stray.to(splats.means.device)
 
 
@@ -133,7 +137,8 @@ def standing_out(splats: Splats) -> StandingOut:
     dense = max(float(np.quantile(spread, _DENSE_QUANTILE)), _TINY)
     reach = _REACH_SIGMAS * (size[rows] + size[index[:, _RANK - 1]])
     middle, off_plane, variances, normals = _planes(points[rows], points[about])
-    own = _normals(splats)
+    quaternions = splats.quaternions.detach().cpu().double()
+    own = thinnest_axes(quaternions, splats.scales.detach().cpu()).numpy()
     colors = splats.base_colors.detach().cpu().double().numpy()
     is_flat = scales[rows, 0] < _FLAT * scales[rows, 1]
     facing = np.abs((own[rows] * normals).sum(axis=1))
@@ -188,13 +193,6 @@ def _planes(
     away = points - middle
     off_plane = np.abs((away * normals).sum(axis=1))
     return np.linalg.norm(away, axis=1), off_plane, np.maximum(variances, _TINY**2), normals
-
-
-def _normals(splats: Splats) -> NDArray[np.float64]:  # [N, 3]
-    """Return the direction in which each splat is thinnest."""
-    axes = rotation_matrices(splats.quaternions.detach().cpu().double())
-    thinnest = splats.scales.detach().cpu().argmin(dim=1)[:, None, None].expand(-1, 3, 1)
-    return axes.gather(2, thinnest)[:, :, 0].numpy()
 
 
 def _log(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -27,8 +27,8 @@ from gscomplete.util.randomness import generator_for
 _FAR = 1.0
 """Splats farther than this from the object frame's origin along any axis are far outside, object
 sizes; it is twice as far as the frame's box reaches."""
-_MOST_FAR, _MOST_STRAYS = 0.02, 0.5
-"""If a larger share is far outside, or passes for strays, they are parts of P like all others."""
+_MOST_FAR = 0.02
+"""If a larger share is so far away, they are parts of P, and all splats take part."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,8 +110,7 @@ def working_set(
     is_stray = torch.zeros(len(splats), dtype=torch.bool, device=splats.means.device)
     is_table = torch.zeros_like(is_stray)
     if z_up_from_file is not None:
-        found = stray_rows(splats)
-        is_stray = found if int(found.sum()) <= _MOST_STRAYS * len(found) else is_stray
+        is_stray = stray_rows(splats)
         points = splats.means[~is_stray].detach().double().cpu() @ z_up_from_file.T
         is_table[~is_stray] = torch.from_numpy(table_rows(points.numpy())).to(is_table.device)
     return WorkingSet(splats, is_stray, is_table, len(partial), reasons, thinned_out)

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gscomplete.splats import Similarity, Splats, concatenate, transform_splats
+from gscomplete.splats import strays as strays_module
 from gscomplete.splats.strays import FEATURES, standing_out, stray_rows
 from tests.builders.objects import ball, half
 
@@ -143,3 +144,13 @@ def test_next_to_none_are_left_to_be_surface():
     ]
     assert counts[0] == 0
     assert counts[1] > 40
+
+
+@pytest.mark.parametrize(("share", "is_left"), [(0.4, False), (0.6, True)])
+def test_a_set_does_not_consist_of_strays(share, is_left, monkeypatch):
+    count = round(1000 * share)
+    found = strays_module.StandingOut(np.arange(count), np.zeros((count, len(FEATURES)), "f4"))
+    monkeypatch.setattr(strays_module, "standing_out", lambda splats: found)
+    scorer = lambda features: np.full(len(features), 5.0)  # noqa: E731
+    monkeypatch.setattr(strays_module, "packaged_stray_scorer", lambda: scorer)
+    assert int(stray_rows(ball(1000)).sum()) == (0 if is_left else count)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gscomplete.splats import Splats, concatenate
-from gscomplete.splats.rotations import rotation_matrices
+from gscomplete.splats.rotations import thinnest_axes
 from recipes.train_embedded_prior.procedural.quads import FloatArray
 from splatcomplete_data.cuts.geometry import eyes_at, splat_points
 
@@ -116,9 +116,7 @@ def _edges(part: Splats, rng: np.random.Generator) -> Splats:
     eye = eyes_at(float(rng.uniform(0, 2 * math.pi)), float(rng.uniform(0, 0.7)), 2.0).reshape(3)
     sight = splat_points(part) - eye
     sight /= np.linalg.norm(sight, axis=1, keepdims=True)
-    axes = rotation_matrices(part.quaternions)
-    thinnest = part.scales.argmin(dim=1)[:, None, None].expand(-1, 3, 1)
-    normals = axes.gather(2, thinnest)[:, :, 0].numpy()
+    normals = thinnest_axes(part.quaternions, part.scales).numpy()
     grazing = np.flatnonzero(np.abs((normals * sight).sum(axis=1)) < _GRAZING)
     if not len(grazing):
         return part.select(torch.arange(0))

@@ -19,7 +19,7 @@ import torch
 from numpy.typing import NDArray
 
 from gscomplete.splats import Splats, concatenate
-from gscomplete.splats.rotations import rotation_matrices
+from gscomplete.splats.rotations import thinnest_axes
 from recipes.train_embedded_prior.procedural.quads import FloatArray
 from splatcomplete_data.cuts.geometry import (
     by_box,
@@ -122,9 +122,7 @@ def _scanned(part: Splats, complete: Splats, eyes: FloatArray, rng: np.random.Ge
     sight /= distance[:, None]
     kept = np.ones(len(points), np.bool_)
     if rng.random() < 0.6:
-        axes = rotation_matrices(part.quaternions)
-        thinnest = part.scales.argmin(dim=1)[:, None, None].expand(-1, 3, 1)
-        normals = axes.gather(2, thinnest)[:, :, 0].numpy()
+        normals = thinnest_axes(part.quaternions, part.scales).numpy()
         kept = np.abs((normals * sight).sum(axis=1)) > rng.uniform(0.08, 0.35)
         if kept.mean() < 0.5:
             kept[:] = True
