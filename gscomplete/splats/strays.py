@@ -1,10 +1,11 @@
 """Find P's strays, splats that float beside the object's surface, with a small network.
 
-A depth camera leaves flying points behind the edges of what it sees, a trained capture floaters and
-haze. Each of them passes for surface when the object is guessed: it fills a cell of the grid, hides
-what is behind it, and widens the frame. Where splats are sparse, those of a surface still lie on
-one, and next to others like them. The scorer has learned this from parts of meshes that strays were
-added to (``recipes/train_embedded_prior``).
+A depth camera leaves flying points behind the edges of what it sees, a trained capture floaters,
+haze, and large splats behind the surface where no photo looks. Each of them passes for surface when
+the object is guessed: it fills a cell of the grid, hides what is behind it, and widens the frame.
+Where splats are sparse, those of a surface still lie on one, and next to others like them. The
+scorer has learned this from parts of meshes that strays were added to, and from captures trained on
+rendered photos of meshes (``recipes/train_embedded_prior``).
 
 Conventions
 -----------
@@ -48,7 +49,7 @@ _RANK = 8
 """Rank whose distance tells how sparse a place is."""
 _ABOUT = 16
 """So many neighbours are the surroundings of a splat."""
-_SPARSE, _FAINT, _LARGE = 1.5, 0.5, 3.0
+SPARSE, FAINT, LARGE = 1.5, 0.5, 1.2
 """A splat stands out if it is so many times as sparse as the median splat, less opaque than such a
 share of the median, or so many times as large."""
 _DENSE_QUANTILE = 0.05
@@ -124,9 +125,9 @@ def standing_out(splats: Splats) -> StandingOut:
     usual = float(np.median(spread))
     if not usual > 0:
         return nothing
-    stands_out = spread > _SPARSE * usual
-    stands_out |= opacities < _FAINT * np.median(opacities)
-    stands_out |= size > _LARGE * np.median(size)
+    stands_out = spread > SPARSE * usual
+    stands_out |= opacities < FAINT * np.median(opacities)
+    stands_out |= size > LARGE * np.median(size)
     rows = np.flatnonzero(stands_out)
     if not len(rows):
         return nothing

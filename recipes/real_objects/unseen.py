@@ -9,7 +9,8 @@ Conventions
 -----------
 * Parts: ``scan``, one scanner view; ``arc``, views along 100 degrees; ``half``, an upright plane at
   a random azimuth and offset; ``box``, 40 % of the splats inside a box taken away; ``complete``;
-  ``middle``, an upright plane through the middle along one of the mesh's own axes.
+  ``middle``, an upright plane through the middle along one of the mesh's own axes; ``capture``,
+  splats trained from photos of one side (``captured``; only if asked for: a minute each).
   All are fixed by the object's place in the list.
 * Ways: ``input`` (P alone), ``likeliest`` and ``mirror`` (see ``compare``), and the presets.
 * Frames and input views are guessed from the part. Every object is turned by a fixed random angle.
@@ -40,6 +41,7 @@ from gscomplete.priors.base import prior_identity
 from gscomplete.splats import Splats, colors_to_sh, concatenate, write_splats
 from gscomplete.util import jsonio
 from recipes.entry_point import start
+from recipes.real_objects.captured import captured_part
 from recipes.real_objects.compare import (
     FramedObject,
     Outcome,
@@ -68,7 +70,9 @@ from splatcomplete_data.cuts.geometry import (
 from splatcomplete_data.cuts.named import SCAN_DISTANCE
 from splatcomplete_data.mesh.discs import ColoredTriangles, sample_triangles, triangles_to_discs
 
-PartKind = Literal["scan", "arc", "half", "box", "complete", "middle"]
+PartKind = Literal["scan", "arc", "half", "box", "complete", "middle", "capture"]
+CUT_KINDS: tuple[PartKind, ...] = ("scan", "arc", "half", "box", "complete", "middle")
+"""Kinds that are cut out of the complete object's splats."""
 _SCANNED = ("gso", "gso-shape")
 _OTHERS = 60
 """Objects of other sources than scans, evenly spread over their list."""
@@ -92,7 +96,7 @@ class Options:
     """Folder for ``results.json``; an interrupted run goes on from it."""
     ways: tuple[Way, ...] = ("input", "fast")
     """Ways to complete, from ``compare``."""
-    kinds: tuple[PartKind, ...] = get_args(PartKind)
+    kinds: tuple[PartKind, ...] = CUT_KINDS
     """Kinds of parts."""
     flaw: Flaw = "none"
     """What is added to every part, as captures have it."""
@@ -153,6 +157,8 @@ def part_of(
     offset = float(rng.uniform(-_LARGEST_OFFSET, _LARGEST_OFFSET))
     if kind == "complete":
         return splats
+    if kind == "capture":
+        return captured_part(splats, rng)
     if kind == "middle":
         turned = math.radians(turn_deg + 90.0 * int(rng.integers(2)))
         normal = (math.cos(turned), math.sin(turned), 0.0)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 
@@ -18,10 +17,10 @@ from gscomplete.batch.manifest import plan
 from gscomplete.errors import UserError
 from gscomplete.splats import write_splats
 from gscomplete.util.atomic import atomic_path
-from recipes.real_objects.unseen import PartKind, chosen_entries, complete_object, part_of
+from recipes.real_objects.unseen import CUT_KINDS, chosen_entries, complete_object, part_of
 from recipes.train_embedded_prior.data.mesh_pack import read_mesh
 
-_KINDS = tuple(kind for kind in get_args(PartKind) if kind != "complete")
+_KINDS = tuple(kind for kind in CUT_KINDS if kind != "complete")
 
 
 def make_objects(out: Path, dataset: Path | None, meshes: Path | None, count: int) -> Path:
