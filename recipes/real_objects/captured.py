@@ -29,14 +29,18 @@ from splatcomplete_data.multiview.training.train import Training
 from splatcomplete_data.scan.cloud import PointCloud
 
 STEPS = 1200
+"""Of the training."""
 _SIZE_PX, _FOV_DEG, _DISTANCE = 192, 45.0, 1.9
+"""Photos are square; their cameras look at the object's middle from this far."""
 _ELEVATIONS_DEG, _PER_ELEVATION = (6.0, 18.0, 32.0), 12
 _HALF_ARC_DEG = (20.0, 60.0)
 """Photos are taken on both sides of the middle up to so far, which is drawn."""
 _UNSTEADY_DEG, _NOISE = 4.0, 0.012
+"""Elevations vary by up to the first; the second is the standard deviation of colours in [0, 1]."""
 _TABLE_SPLATS, _TABLE_HALF, _TABLE_BELOW = 15_000, 1.3, 0.002
 _ROOM_SPLATS, _ROOM_RADIUS = 10_000, 5.0
 _WAVES = 10
+"""So many sine waves make a pattern."""
 _OBJECT_POINTS, _TABLE_POINTS, _ROOM_POINTS, _POINT_NOISE = 3000, 2000, 1500, 0.004
 """The cloud that training starts from, as structure from motion finds it."""
 _MOST_SPLATS = 30_000
