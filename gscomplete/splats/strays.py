@@ -58,7 +58,8 @@ _REACH_SIGMAS = 3.0
 _FLAT = 0.5
 """A splat has a normal if its smallest standard deviation is below this share of the next."""
 _TINY, _MOST_LOG = 1e-12, 6.0
-"""Logarithms are clamped to the second: beyond it the scorer has seen nothing."""
+"""Logarithms are clamped to the second: beyond it the scorer has seen nothing, and what is so far
+from others is a stray."""
 FEATURES = (
     *(f"distance_{rank}" for rank in _RANKS),  # over the median of rank 8; logarithms, as the next
     *(f"outlying_{rank}" for rank in _OUTLYING_RANKS),  # over the median of the surroundings
@@ -95,7 +96,8 @@ def stray_rows(splats: Splats) -> Tensor:  # [N] bool
     is_stray = torch.zeros(len(splats), dtype=torch.bool)
     found = standing_out(splats)
     if len(found.rows):
-        scores = packaged_stray_scorer()(found.features)
+        is_far = found.features[:, FEATURES.index(f"distance_{_RANK}")] >= _MOST_LOG
+        scores = np.where(is_far, np.inf, packaged_stray_scorer()(found.features))
         rows = found.rows[scores > STRAY_FROM]
         has_some = (scores > _SURE_FROM).sum() >= _FEWEST_SURE * len(splats)
         if has_some and len(rows) <= _MOST * len(splats):

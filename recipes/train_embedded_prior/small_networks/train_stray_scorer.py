@@ -3,7 +3,7 @@
 ``python -m recipes.train_embedded_prior.small_networks.train_stray_scorer``
 
 It reads P alone: no network is asked. Parts are made once and kept in the run's folder, so that the
-same command goes on; learning takes a minute.
+same command goes on; learning takes three minutes.
 
 Conventions
 -----------
