@@ -13,14 +13,15 @@ STAMP := $(VENV)/.setup-done
 DEMO_OUT ?= runs/demo
 SAMPLE := recipes/demo/partial.ply --prompt "$$(cat recipes/demo/prompt.txt)"
 
-.PHONY: setup demo test lint bench clean FORCE
+.PHONY: setup demo test suite lint bench clean FORCE
 
 setup: $(STAMP)
 
+# Packages' modules are compiled when they are first imported; most never are.
 $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet "$(TORCH)"
-	$(BIN)/pip install --quiet $(if $(LOCKED),--constraint $(LOCK)) --editable ".[$(EXTRAS)]"
+	$(BIN)/pip install --quiet --no-compile "$(TORCH)"
+	$(BIN)/pip install --quiet --no-compile $(if $(LOCKED),--constraint $(LOCK)) --editable ".[$(EXTRAS)]"
 	@echo "Compiling kernels, for which the first completion would wait"
 	rm -rf $(VENV)/first $(VENV)/steps
 	-$(BIN)/gscomplete complete $(SAMPLE) --out $(VENV)/first > /dev/null
@@ -45,9 +46,12 @@ lint: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# Types are checked against the stubs of the newest packages.
+# Types are checked against the stubs of the newest packages, while tests run.
+test:
+	$(MAKE) --jobs=2 --no-print-directory $(if $(filter lowest,$(LOCKED)),,lint) suite
+
 # Tests of a file share what its fixtures make, so a file goes to one process.
-test: $(if $(filter lowest,$(LOCKED)),setup,lint)
+suite: setup
 	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 bench: setup
