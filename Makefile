@@ -13,15 +13,17 @@ STAMP := $(VENV)/.setup-done
 DEMO_OUT ?= runs/demo
 SAMPLE := recipes/demo/partial.ply --prompt "$$(cat recipes/demo/prompt.txt)"
 
+# Containers often tell Python to keep no compiled modules; tests start hundreds of processes.
+export PYTHONDONTWRITEBYTECODE :=
+
 .PHONY: setup demo test suite lint bench clean FORCE
 
 setup: $(STAMP)
 
-# Packages' modules are compiled when they are first imported; most never are.
 $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --no-compile "$(TORCH)"
-	$(BIN)/pip install --quiet --no-compile $(if $(LOCKED),--constraint $(LOCK)) --editable ".[$(EXTRAS)]"
+	$(BIN)/pip install --quiet "$(TORCH)"
+	$(BIN)/pip install --quiet $(if $(LOCKED),--constraint $(LOCK)) --editable ".[$(EXTRAS)]"
 	@echo "Compiling kernels, for which the first completion would wait"
 	rm -rf $(VENV)/first $(VENV)/steps
 	-$(BIN)/gscomplete complete $(SAMPLE) --out $(VENV)/first > /dev/null
