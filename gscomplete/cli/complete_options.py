@@ -60,6 +60,10 @@ class HowToComplete:
     """Colours at P's edges, which depth cameras mix with the background's: trust them in the guess,
     or ignore those unlike the colours further inside. auto = ignore where object.json says that a
     scanner or a depth camera saw P (subsets lidar and singleview)."""
+    captured: Literal["auto", "yes", "no"] = "auto"
+    """Whether P was trained from photos and nothing was cut off it. Then its outlines are the
+    object's from where the photos were taken, and the guess keeps to those. auto = yes where
+    object.json says so (subset multiview, without a complete object that P was cut from)."""
     leave_out_strays: bool = True
     """Guess nothing from P's strays: flying points of depth cameras, floaters and haze beside its
     surface, a patch of the table that it stands on. The output keeps them (--preset paper guesses

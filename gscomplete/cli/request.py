@@ -30,6 +30,8 @@ from gscomplete.views.distribution import AZIMUTH_RANGE_DEG, ELEVATION_RANGE_DEG
 DEFAULT_UP: UpAxis = "Z"
 _MIXED_AT_EDGES = ("lidar", "singleview")
 """Subsets whose colours at P's edges may be mixed with those of what stood behind it."""
+_TRAINED = "multiview"
+"""Subset whose splats are trained from photos."""
 _ANYTHING = "an object"
 """Prompt of what is completed without one."""
 
@@ -69,6 +71,8 @@ class Given:
     """What of the object folder was set aside."""
     subset: str | None
     """Kind of the object's source; None = unknown."""
+    captured: bool
+    """Whether object.json says that P was trained from photos, and not cut from a known object."""
 
 
 def request_of(options: CompleteOptions, prior: Prior) -> RunRequest:
@@ -82,6 +86,8 @@ def request_of(options: CompleteOptions, prior: Prior) -> RunRequest:
     settings = settings_of(options, prior)
     if options.edge_colors == "auto" and given.subset in _MIXED_AT_EDGES:
         settings = dataclasses.replace(settings, mixed_edge_colors=True)
+    if options.captured == "auto" and given.captured:
+        settings = dataclasses.replace(settings, captured=True)
     framing = FramingRequest(
         given.up,
         given.view_deg,
@@ -130,6 +136,9 @@ def settings_of(options: HowToComplete, prior: Prior) -> CompletionSettings:
     if options.edge_colors == "ignore":
         settings = dataclasses.replace(settings, mixed_edge_colors=True)
         _require_guess("--edge-colors", options, settings, prior)
+    if options.captured == "yes":
+        settings = dataclasses.replace(settings, captured=True)
+        _require_guess("--captured", options, settings, prior)
     if not options.leave_out_strays:
         settings = dataclasses.replace(settings, leave_out_strays=False)
     if not options.close_slits:
@@ -171,6 +180,7 @@ def _require_plain_fill(options: HowToComplete) -> None:
         "--prompt-decides": options.prompt_decides,
         "--text-only": options.text_only,
         "--edge-colors": options.edge_colors != "auto",
+        "--captured": options.captured != "auto",
         "--negative-prompt": options.negative_prompt is not None,
     }
     found = [name for name, given in heedless.items() if given]
@@ -296,6 +306,7 @@ def take_given(options: Options) -> Given:
         sources,
         tuple(notes),
         None if found is None else found.subset,
+        found is not None and found.subset == _TRAINED and found.complete is None,
     )
 
 

@@ -82,6 +82,7 @@ def guess_alternatives(
             settings.new_splats,
             mirror,
             known_shapes=settings.known_shapes,
+            captured=settings.captured,
         )
         if guess is not None:
             found.append(Alternative(mirror, bounds.clamped(guess.splats)))

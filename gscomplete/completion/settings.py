@@ -184,6 +184,9 @@ class CompletionSettings:
     mixed_edge_colors: bool = False
     """Colours at P's edges are mixed with the background's, as depth cameras mix them: guesses use
     those further inside instead (``shape.colors.edges``)."""
+    captured: bool = False
+    """P was trained from photos and nothing was cut off it, so from where they were taken its
+    outlines are the object's: guesses keep to those (``shape.outline.scorer``)."""
     leave_out_strays: bool = False
     """Guess nothing from P's strays, splats that float beside its surface, and from a table that it
     stands on (``splats.working_set``); they keep their appearance as all of P does. The paper has

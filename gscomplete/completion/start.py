@@ -111,6 +111,7 @@ def _guess(
         settings.mirror,
         known_shapes=settings.known_shapes,
         prompt_decides=settings.prompt_decides,
+        captured=settings.captured,
     )
     if guess is None:
         return None

@@ -229,6 +229,7 @@ class ShapePrior(Protocol):
         *,
         known_shapes: bool = True,
         prompt_decides: bool = False,
+        captured: bool = False,
     ) -> FirstGuess | None:
         """Guess what is missing.
 
@@ -241,6 +242,8 @@ class ShapePrior(Protocol):
             mirror: the plane to mirror P through, or how it is chosen.
             known_shapes: whether known shapes of the prompt's noun may help.
             prompt_decides: whether the known shape that suits P best is taken as the guess.
+            captured: whether P was trained from photos and nothing was cut off it; then its
+                outlines are the object's from where the photos were taken.
 
         Returns:
             None if these weights cannot guess; no splats if nothing seems to be missing.

@@ -101,6 +101,8 @@ class Asked:
     """Whether the network runs in bfloat16."""
     ends_in_plane: bool
     """Whether P was cut along a plane, as far as found (``framing.cut_plane``)."""
+    captured: bool = False
+    """Whether P was trained from photos and nothing was cut off it (``shape.outline.scorer``)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -321,6 +323,7 @@ def ask_about(asked: Asked, partial: Splats, views: ViewDistribution, mirror: Mi
         no_tokens=asked.no_tokens,
         bfloat16=asked.bfloat16,
         mirror_plane=mirror,
+        captured=asked.captured,
     )
 
 

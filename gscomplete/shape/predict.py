@@ -66,6 +66,7 @@ def predict(
     ends_in_plane: bool,
     bfloat16: bool = False,
     mirror_plane: Mirror = "guess",
+    captured: bool = False,
 ) -> Prediction:
     """Look at P, choose its mirror images, and ask the network.
 
@@ -78,6 +79,7 @@ def predict(
         ends_in_plane: whether P was cut along a plane, as far as ``framing.cut_plane`` finds.
         bfloat16: whether the network computes in bfloat16.
         mirror_plane: plane of symmetry whose image is shown first.
+        captured: whether P was trained from photos and nothing was cut off it.
     """
     with stage("voxels"):
         voxels = voxelize_partial(partial, distribution)
@@ -103,7 +105,8 @@ def predict(
             share = differing_share(answer.occupancy, answer.occupancy + change)
     if not isinstance(mirror_plane, MirrorPlane):
         with stage("outlines"):
-            answer = _doubted_beside(answer, voxels, distribution, ends_in_plane)
+            about = answer, voxels, distribution
+            answer = _doubted_beside(*about, ends_in_plane=ends_in_plane, captured=captured)
     seen, score = choice.seen, choice.symmetry_score
     return Prediction(voxels, seen, answer, score, ends_in_plane, share, choice.added)
 
@@ -112,7 +115,9 @@ def _doubted_beside(
     answer: ShapeOutput,
     voxels: PartialVoxels,
     distribution: ViewDistribution,
+    *,
     ends_in_plane: bool,
+    captured: bool,
 ) -> ShapeOutput:
     """Lower the logits of cells outside outlines of P that are the object's, and in P's holes."""
     logits = answer.occupancy.flatten()
@@ -121,7 +126,13 @@ def _doubted_beside(
     points, doubts = voxels.positions, np.zeros(len(places), np.float32)
     is_scan = not ends_in_plane and voxels.shown_at_once >= ONE_VIEW_SHARE
     if not is_scan:
-        doubts = doubts_beside_outlines(points, distribution, places, ends_in_plane=ends_in_plane)
+        doubts = doubts_beside_outlines(
+            points,
+            distribution,
+            places,
+            ends_in_plane=ends_in_plane,
+            captured=captured,
+        )
     if not ends_in_plane:
         doubts[beside_scan(points, distribution, places)] = MOST_LOGITS
     toward_c = distribution.direction()

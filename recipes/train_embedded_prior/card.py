@@ -15,7 +15,7 @@ from gscomplete.priors.embedded.weights import PriorConfig
 from gscomplete.shape.bank.store import BANK_CELLS, BANK_FILE, ShapeBank
 from gscomplete.shape.benefit import BENEFIT_SCORER_FILE
 from gscomplete.shape.network import ShapeCompleter
-from gscomplete.shape.outline.scorer import OUTLINE_SCORER_FILE
+from gscomplete.shape.outline.scorer import CAPTURE_OUTLINE_SCORER_FILE, OUTLINE_SCORER_FILE
 from gscomplete.shape.planes.answer_scorer import ANSWER_SCORER_FILE
 from gscomplete.shape.planes.coarse_scorer import COARSE_SCORER_FILE
 from gscomplete.shape.planes.fine_scorer import FINE_SCORER_FILE
@@ -88,8 +88,9 @@ def card(
             f"with them by `{ANSWER_SCORER_FILE}`, trained after it by `train_answer_scorer.py`. "
             f"`{BENEFIT_SCORER_FILE}` predicts whether P is better left as it is "
             f"(`train_benefit_scorer.py`), `{OUTLINE_SCORER_FILE}` which views have the object's "
-            f"whole outline (`train_outline_scorer.py`), `{SURFACE_DEPTH_FILE}` how deep inside "
-            f"the predicted surface the true one lies (`train_surface_depth.py`), and "
+            f"whole outline (`train_outline_scorer.py`), `{CAPTURE_OUTLINE_SCORER_FILE}` the same "
+            f"of captures that are not cut (with `--captures 96`), `{SURFACE_DEPTH_FILE}` how deep "
+            f"inside the predicted surface the true one lies (`train_surface_depth.py`), and "
             f"`{STRAY_SCORER_FILE}` which of P's splats float beside its surface "
             f"(`train_stray_scorer.py`).",
             *([f"* History: {history}"] if history else []),

@@ -152,6 +152,36 @@ def test_edge_colours_are_ignored_where_a_depth_camera_mixed_them(
 
 
 @pytest.mark.parametrize(
+    ("subset", "is_known", "captured", "expected"),
+    [
+        ("multiview", False, "auto", True),
+        ("multiview", True, "auto", False),  # P was cut from it
+        ("lidar", False, "auto", False),
+        (None, False, "auto", False),
+        ("multiview", False, "no", False),
+        (None, False, "yes", True),
+    ],
+)
+def test_what_was_trained_from_photos_and_not_cut_is_captured(
+    tmp_path, subset, is_known, captured, expected
+):
+    partial = Path("half.ply")
+    if subset is not None:
+        whole = ball(50) if is_known else None
+        partial = write_object_folder(tmp_path / "mug", ball(50), whole, subset=subset)
+    options = CompleteOptions(partial=partial, prompt="a mug", captured=captured)
+    settings = request_of(options, load_prior("embedded")).completion.settings
+    assert settings.captured is expected
+
+
+def test_whether_p_was_captured_is_no_matter_without_a_guess():
+    with pytest.raises(UserError, match="--captured: expected a run that starts from a guess"):
+        request_with(captured="yes")
+    with pytest.raises(UserError, match="expected no --captured"):
+        request_with(captured="yes", fill=True)
+
+
+@pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"fill": True}, "expected no --edge-colors"),

@@ -94,12 +94,13 @@ def test_what_one_view_shows_asks_for_no_other_outline(model, monkeypatch):
 
 
 def test_beside_a_cut_part_only_whole_outlines_count(model, monkeypatch):
-    def above(points, views, places, *, ends_in_plane):
+    def above(points, views, places, *, ends_in_plane, captured):
         assert ends_in_plane
+        assert captured
         return 6.0 * (places[:, 2] > 0.1).astype(np.float32)
 
     monkeypatch.setattr("gscomplete.shape.predict.doubts_beside_outlines", above)
-    guess = asked(model, half(ball()), ends_in_plane=True)
+    guess = asked(model, half(ball()), ends_in_plane=True, captured=True)
     plain = mean_answer(model, guess.seen, (WORDS, NO_WORDS)).occupancy
     upper = torch.from_numpy(cell_centers(CELLS)[..., 2] > 0.1).reshape(plain.shape)
     doubted = upper & (plain > -4.0)

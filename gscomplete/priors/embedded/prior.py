@@ -185,6 +185,7 @@ class EmbeddedPrior:
         *,
         known_shapes: bool = True,
         prompt_decides: bool = False,
+        captured: bool = False,
     ) -> FirstGuess | None:
         """Return the complete object as the shape network sees it; see :class:`base.ShapePrior`."""
         if self._shape is None:
@@ -208,7 +209,7 @@ class EmbeddedPrior:
             nothing = partial.with_sh_degree(0).select(torch.arange(0))
             told = known.notes(()) if prompt_decides else ()
             return FirstGuess(nothing, told + ending.notes)
-        asked = self.asked(conditioning, ends_in_plane=ending.in_plane)
+        asked = self.asked(conditioning, ends_in_plane=ending.in_plane, captured=captured)
         assert asked is not None
         cut = ending.image_is_all
         if not cut and not prompt_decides:
@@ -227,12 +228,15 @@ class EmbeddedPrior:
         notes = ending.notes if cut else ()
         return FirstGuess(guess.splats, notes + guess.notes)
 
-    def asked(self, conditioning: Conditioning, *, ends_in_plane: bool) -> Asked | None:
+    def asked(
+        self, conditioning: Conditioning, *, ends_in_plane: bool, captured: bool = False
+    ) -> Asked | None:
         """Return the shape network and how it is asked about a part; None = there is none.
 
         Args:
             conditioning: of the prompt.
             ends_in_plane: whether P was cut along a plane, as far as found.
+            captured: whether P was trained from photos and nothing was cut off it.
         """
         if self._shape is None:
             return None
@@ -243,6 +247,7 @@ class EmbeddedPrior:
             self._shape_tokenizer.encode(""),
             bfloat16=self._shape_bfloat16,
             ends_in_plane=ends_in_plane,
+            captured=captured,
         )
 
     def with_known_shape(

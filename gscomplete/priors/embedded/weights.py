@@ -4,11 +4,11 @@
 be absent), ``config.json`` what goes with them, and ``CARD.md`` tells people about them. The
 package's folder also holds ``planes.safetensors``, ``plane_judge.safetensors`` and
 ``answers.safetensors`` (scorers of ``shape.planes``), ``benefit.safetensors`` (``shape.benefit``),
-``outlines.safetensors`` (``shape.outline``), ``surface_depth.safetensors``
-(``shape.surface.depth``) and ``strays.safetensors`` (``splats.strays``). These are always read from
-the package's folder: like the grid, the first two belong to what the shape network was trained
-with. ``shapes.safetensors`` (``shape.bank.store``) is read from the package's folder if a folder
-has none.
+``outlines.safetensors`` and ``capture_outlines.safetensors`` (``shape.outline``),
+``surface_depth.safetensors`` (``shape.surface.depth``) and ``strays.safetensors``
+(``splats.strays``). These are always read from the package's folder: like the grid, the first two
+belong to what the shape network was trained with. ``shapes.safetensors`` (``shape.bank.store``) is
+read from the package's folder if a folder has none.
 
 Conventions
 -----------

@@ -4,7 +4,9 @@ From where P was scanned, and from views between several such places, P's outlin
 object's: nothing lies beside it. From where something was cut away it is not. What tells the two
 apart is how P ends along the outline, especially over neighbouring views: at a true outline the
 surface turns away from the viewer, at a cut it ends in a rim. The scorer has learned this from
-parts of meshes whose truth is known (``recipes/train_embedded_prior``).
+parts of meshes whose truth is known (``recipes/train_embedded_prior``). Splats that were trained
+from photos have fuzzy outlines and a scorer of their own, which has learned from such splats. It
+takes the outlines of a capture that is cut for whole, so P has to be known not to be.
 
 Conventions
 -----------
@@ -41,6 +43,7 @@ from gscomplete.splats.thinning import every_nth
 from gscomplete.views import ViewDistribution
 
 OUTLINE_SCORER_FILE = "outlines.safetensors"
+CAPTURE_OUTLINE_SCORER_FILE = "capture_outlines.safetensors"
 OF_VIEW = (
     "seen",  # share of P
     "seen_behind",
@@ -95,9 +98,10 @@ _UNIONS = (3, 6)
 
 
 @functools.cache
-def packaged_outline_scorer() -> Perceptron:
+def packaged_outline_scorer(*, of_captures: bool = False) -> Perceptron:
     """Return the network that ships with the package."""
-    return Perceptron.load(PACKAGED_WEIGHTS / OUTLINE_SCORER_FILE, len(FEATURES))
+    file = CAPTURE_OUTLINE_SCORER_FILE if of_captures else OUTLINE_SCORER_FILE
+    return Perceptron.load(PACKAGED_WEIGHTS / file, len(FEATURES))
 
 
 def doubts_beside_outlines(
@@ -106,6 +110,7 @@ def doubts_beside_outlines(
     places: FloatArray,  # [M, 3] object frame
     *,
     ends_in_plane: bool,
+    captured: bool = False,
 ) -> FloatArray:  # [M] logits
     """Return the logits that places lose for lying beside whole outlines of P.
 
@@ -116,9 +121,10 @@ def doubts_beside_outlines(
         views: V, whose distance, target and c are used.
         places: points of the object frame.
         ends_in_plane: whether P was cut along a plane, as far as found.
+        captured: whether P was trained from photos and nothing was cut off it.
     """
     features = outline_features(points, views, ends_in_plane=ends_in_plane)
-    above = packaged_outline_scorer()(features) - DOUBTED_FROM
+    above = packaged_outline_scorer(of_captures=captured)(features) - DOUBTED_FROM
     lost = (_LOGITS_PER_SCORE * above).clip(0.0, MOST_LOGITS)
     target = np.array(views.target, np.float32)
     points, places = (np.asarray(x - target, np.float32) for x in (points, places))

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
@@ -30,6 +31,11 @@ def joined(parts: Sequence[Sets]) -> Sets:
     """Concatenate sets, of which there is at least one."""
     kind = type(parts[0])
     return kind(*(np.concatenate([getattr(p, name) for p in parts]) for name in _names(kind)))
+
+
+def of_rows(sets: Sets, rows: NDArray[np.integer]) -> Sets:
+    """Return the parts of some rows, which may be repeated."""
+    return type(sets)(*(getattr(sets, name)[rows] for name in _names(type(sets))))
 
 
 def made_once(

@@ -1,14 +1,17 @@
-"""Objects that perceptrons learn from: the pack's train split, turned, and parts of its objects.
+"""Objects that perceptrons learn from: the pack's train split, turned; parts and captures of them.
 
 Conventions
 -----------
 * An object is turned about the up axis and cut by random numbers that depend only on its id and on
   the seeds that are given.
 * Parts are framed as a run frames them.
+* Captures are trained from photos once and kept for all trainings. Which objects are captured, and
+  how, depends only on the pack; a capture is in the frame of ``TurnedObject.complete``.
 """
 
 from __future__ import annotations
 
+import copy
 import functools
 import math
 from collections.abc import Callable
@@ -22,7 +25,8 @@ import torch
 from gscomplete.errors import UserError
 from gscomplete.priors.embedded.prior import EmbeddedPrior
 from gscomplete.priors.embedded.weights import packaged_weights
-from gscomplete.splats import Splats
+from gscomplete.splats import Splats, read_splats, write_splats
+from recipes.real_objects.captured import captured_part
 from recipes.real_objects.compare import FramedObject, frame_object
 from recipes.real_objects.load import RealObject
 from recipes.real_objects.unseen import PartKind, complete_object, part_of
@@ -32,6 +36,10 @@ from recipes.train_embedded_prior.small_networks.perceptron_training import Perc
 
 Sets = TypeVar("Sets")
 """A dataclass of arrays that have the same number of rows."""
+_CAPTURE_ORDER = 38
+"""Seed of the order of objects."""
+_CAPTURE_DRAWS = 92
+"""Seed of turns and captures, beside the object's id."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,3 +128,36 @@ def sets_of_objects(
     stem = stem_of(config.run, name, f"{config.seed} {contents}")
     some = tasks[: math.ceil(share * len(tasks))]
     return made_of_tasks(kind, stem, make, some, per_file, config.workers)
+
+
+@dataclass(frozen=True)
+class CapturesConfig(PerceptronConfig):
+    """How a perceptron is trained that learns from captures, too."""
+
+    captures: int = 96
+    """Objects of which captures are trained."""
+    keep: Path = Path("runs/captures")
+    """Folder of captures."""
+
+    def capture_tasks(self) -> list[CaptureTask]:
+        """Return the tasks of the captures."""
+        tasks = object_tasks(self.meshes, _CAPTURE_ORDER, self.captures)
+        return [CaptureTask(task, self.keep) for task in tasks]
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureTask:
+    """One object to capture."""
+
+    of: ObjectTask
+    folder: Path
+
+    def captured(self) -> tuple[TurnedObject, Splats]:
+        """Return the object and its capture, from its file if there is one (else in a minute)."""
+        torch.set_num_threads(1)
+        turned = self.of.turned(_CAPTURE_DRAWS)
+        path = self.folder / f"{turned.entry.id}-{_CAPTURE_DRAWS}.ply"
+        if not path.is_file():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_splats(path, captured_part(turned.complete, copy.deepcopy(turned.rng)))
+        return turned, read_splats(path).splats

@@ -6,6 +6,7 @@ Conventions
   third object is also used as a whole, and the first ``_MORE_CUT_SHARE`` of the objects give two
   more cut parts, one of which lacks a box. All this depends only on the seed and the object's id.
 * About a third of the parts (``_NOISY_SHARE``) is noisy and has holes.
+* Captures lack their strays as far as a run finds them.
 * An outline's share is the share of the complete object's outline that P's outline covers.
 """
 
@@ -13,7 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,18 +26,23 @@ from gscomplete.shape.outline.scorer import FEATURES, outline_features
 from gscomplete.shape.outline.views import SIDE_PX, outline, views_at
 from gscomplete.shape.voxels import FloatArray
 from gscomplete.splats import Splats
+from gscomplete.splats.strays import packaged_stray_scorer
+from gscomplete.splats.working_set import working_set
 from gscomplete.views import ViewDistribution
+from gscomplete.views.frame import up_rotation
 from recipes.real_objects.unseen import PartKind, seen_from
-from recipes.train_embedded_prior.small_networks.array_sets import joined
+from recipes.train_embedded_prior.small_networks.array_sets import joined, made_of_tasks, stem_of
 from recipes.train_embedded_prior.small_networks.object_tasks import (
+    CapturesConfig,
+    CaptureTask,
     ObjectTask,
     TurnedObject,
     sets_of_objects,
 )
-from recipes.train_embedded_prior.small_networks.perceptron_training import PerceptronConfig
 
-FILE_OBJECTS = 48
-KINDS = ("scan", "arc", "wide", "half", "middle", "box", "complete")
+FILE_OBJECTS, FILE_CAPTURES = 48, 5
+CAPTURE = "capture"
+KINDS = ("scan", "arc", "wide", "half", "middle", "box", "complete", CAPTURE)
 VIEWS = len(views_at(1.0))
 _CUT: tuple[PartKind, ...] = ("half", "half", "middle", "box")
 """A kind is drawn as often as it stands here."""
@@ -75,26 +81,38 @@ def cut_sets_of(task: ObjectTask) -> OutlineSets:
     return _sets_of(task, (1,), _more_cut_parts)
 
 
+def capture_sets_of(task: CaptureTask) -> OutlineSets:
+    """Return the set of a capture of one object."""
+    turned, capture = task.captured()
+    return _sets_of_parts(turned, [(CAPTURE, capture)])
+
+
 def _sets_of(
     task: ObjectTask,
     seeds: tuple[int, ...],
     parts: Callable[[TurnedObject], Iterator[tuple[str, Splats]]],
 ) -> OutlineSets:
     turned = task.turned(task.seed, *seeds)
+    return _sets_of_parts(turned, parts(turned))
+
+
+def _sets_of_parts(turned: TurnedObject, parts: Iterable[tuple[str, Splats]]) -> OutlineSets:
     shape = (0, VIEWS)
     rows = [OutlineSets(*(np.empty(s, np.float32) for s in ((*shape, len(FEATURES)), shape, (0,))))]
-    for kind, part in parts(turned):
+    for kind, part in parts:
         framed = turned.framed(part, kind)
         if framed is None:
             continue
         assert framed.truth is not None
-        points, views = framed.partial.means.double().numpy(), framed.views
+        part, views = framed.partial, framed.views
+        if kind == CAPTURE:
+            part = working_set(part, None, turned.entry.id, up_rotation("Z")).heeded
+        points = part.means.double().numpy()
         in_plane = ends_in_plane(find_cut(points))
         features = outline_features(points, views, ends_in_plane=in_plane)
         shares = outline_shares(points, framed.truth.means.numpy(), views)
-        rows.append(
-            OutlineSets(features[None], shares[None], np.array([KINDS.index(kind)], np.float32))
-        )
+        number = np.array([KINDS.index(kind)], np.float32)
+        rows.append(OutlineSets(features[None], shares[None], number))
     return joined(rows)
 
 
@@ -157,7 +175,7 @@ def outline_shares(
     return np.array(shares, np.float32)
 
 
-def outline_sets(config: PerceptronConfig) -> list[OutlineSets]:
+def outline_sets(config: CapturesConfig) -> list[OutlineSets]:
     """Return the sets of every file; make the files that are missing."""
     contents = " ".join(FEATURES)
     ways = (("outlines", outline_sets_of, 1.0), ("cuts", cut_sets_of, _MORE_CUT_SHARE))
@@ -165,4 +183,11 @@ def outline_sets(config: PerceptronConfig) -> list[OutlineSets]:
         sets_of_objects(config, OutlineSets, kind, contents, make, FILE_OBJECTS, share)
         for kind, make, share in ways
     ]
-    return [joined([sets[k] for sets in made if k < len(sets)]) for k in range(len(made[0]))]
+    captures = config.capture_tasks()
+    if captures:
+        left_out = packaged_stray_scorer().digest()
+        stem = stem_of(config.run, "captures", f"{left_out} {contents}")
+        how = capture_sets_of, captures, FILE_CAPTURES, config.workers
+        made.append(made_of_tasks(OutlineSets, stem, *how))
+    files = max(map(len, made))
+    return [joined([sets[k] for sets in made if k < len(sets)]) for k in range(files)]

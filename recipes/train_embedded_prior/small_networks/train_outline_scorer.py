@@ -1,4 +1,4 @@
-"""Train the outline scorer.
+"""Train the outline scorer, or with ``--captures 96 --out FILE`` that of captures.
 
 ``python -m recipes.train_embedded_prior.small_networks.train_outline_scorer``
 
@@ -8,7 +8,7 @@ same command goes on; learning takes a minute.
 Conventions
 -----------
 * An outline is whole if it covers ``WHOLE`` of the complete object's.
-* Every sixth file of objects is held out.
+* Every sixth file of objects and captures is held out.
 """
 
 from __future__ import annotations
@@ -27,13 +27,15 @@ from gscomplete.networks.perceptron import Perceptron
 from gscomplete.priors.embedded.weights import packaged_weights
 from gscomplete.shape.outline.scorer import DOUBTED_FROM, OUTLINE_SCORER_FILE
 from recipes.entry_point import start
+from recipes.train_embedded_prior.small_networks.array_sets import of_rows
+from recipes.train_embedded_prior.small_networks.object_tasks import CapturesConfig
 from recipes.train_embedded_prior.small_networks.outline_sets import (
+    CAPTURE,
     KINDS,
     OutlineSets,
     outline_sets,
 )
 from recipes.train_embedded_prior.small_networks.perceptron_training import (
-    PerceptronConfig,
     fit_perceptron,
     train_on_files,
 )
@@ -45,13 +47,15 @@ _CLEAR = 0.03
 """Outlines that lack this share more than that have weight 1; ..."""
 _LEAST_WEIGHT, _MOST_WEIGHT, _WHOLE_WEIGHT = 0.1, 4.0, 0.5
 """... weights are in proportion to it, between the first two. Whole outlines have the last."""
+_TIMES = 20
+"""Captures are among the others so many times."""
 _LACKING = 0.95
 """Taking an outline with a smaller share for whole is an error that shows."""
 
 
 @dataclass(frozen=True)
-class OutlineScorerConfig(PerceptronConfig):
-    """Train the outline scorer."""
+class OutlineScorerConfig(CapturesConfig):
+    """Train the outline scorer, or that of captures."""
 
     run: Path = Path("runs/outline_scorer")
     out: Path = field(default_factory=lambda: packaged_weights() / OUTLINE_SCORER_FILE)
@@ -61,10 +65,14 @@ class OutlineScorerConfig(PerceptronConfig):
     epochs: int = 60
     batch_rows: int = 32
     weight_decay: float = 0.3
+    captures: int = 0
+    """Objects of which captures are trained; 0 for the scorer of all others."""
 
 
 def fit(config: OutlineScorerConfig, sets: OutlineSets) -> Perceptron:
     """Train the scorer."""
+    times = np.where(sets.kinds == KINDS.index(CAPTURE), _TIMES, 1)
+    sets = of_rows(sets, np.repeat(np.arange(len(sets)), times))
     shares = torch.from_numpy(sets.shares)
     weights, whole = weights_of(shares), (shares >= WHOLE).float()
 

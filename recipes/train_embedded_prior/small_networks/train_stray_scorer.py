@@ -8,8 +8,8 @@ same command goes on; learning takes three minutes.
 Conventions
 -----------
 * Two parts of each object are cut as in ``real_objects.unseen`` and get strays. Of the first
-  objects, a capture is trained from photos, too (``real_objects.captured``), which takes most of
-  the time. All depend only on the object's id.
+  objects, a capture is trained from photos, too (``captures``), which takes most of the time. All
+  depend only on the object's id.
 * Every sixth file of objects is held out, and every sixth of captures.
 """
 
@@ -39,17 +39,16 @@ from gscomplete.splats.strays import (
     standing_out,
 )
 from recipes.entry_point import start
-from recipes.real_objects.captured import captured_part
 from recipes.real_objects.unseen import PartKind
 from recipes.train_embedded_prior.data.stray_parts import StrayPart, stray_part
 from recipes.train_embedded_prior.small_networks.array_sets import joined, made_of_tasks, stem_of
 from recipes.train_embedded_prior.small_networks.object_tasks import (
+    CapturesConfig,
+    CaptureTask,
     ObjectTask,
-    object_tasks,
     sets_of_objects,
 )
 from recipes.train_embedded_prior.small_networks.perceptron_training import (
-    PerceptronConfig,
     fit_perceptron,
     train_on_files,
 )
@@ -62,8 +61,6 @@ _DRAWS = 91
 """Seed of turns, parts and strays, beside the object's id."""
 _MOST = 800
 """Most splats of a part of either class."""
-_CAPTURE_DRAWS = 92
-"""Seed of captures, beside the object's id."""
 _NEAR, _OFF = 0.012, 0.02
 """Splats of a capture nearer to the object than the first are surface, those farther than the
 second strays, object sizes."""
@@ -75,14 +72,12 @@ _SURFACE_WEIGHT = 3.0
 
 
 @dataclass(frozen=True)
-class StrayScorerConfig(PerceptronConfig):
+class StrayScorerConfig(CapturesConfig):
     """Train the stray scorer."""
 
     run: Path = Path("runs/stray_scorer")
     out: Path = field(default_factory=lambda: packaged_weights() / STRAY_SCORER_FILE)
     objects: int = 2880
-    captures: int = 96
-    """Objects of which captures are trained."""
     seed: int = 38
     width: int = 64
     epochs: int = 20
@@ -116,11 +111,9 @@ def stray_sets_of(task: ObjectTask) -> StraySets:
     return joined(rows)
 
 
-def captured_sets_of(task: ObjectTask) -> StraySets:
+def captured_sets_of(task: CaptureTask) -> StraySets:
     """Return the set of a capture of one object."""
-    torch.set_num_threads(1)
-    turned = task.turned(_CAPTURE_DRAWS)
-    part = captured_part(turned.complete, turned.rng)
+    turned, part = task.captured()
     away, _ = cKDTree(splat_points(turned.complete)).query(splat_points(part))
     return _labelled(StrayPart(part, away > _OFF, away < _NEAR), turned.rng, is_captured=True)
 
@@ -181,8 +174,8 @@ def main(config: StrayScorerConfig) -> int:
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     contents = " ".join(map(str, (*FEATURES, SPARSE, FAINT, LARGE)))
     parts = sets_of_objects(config, StraySets, "strays", contents, stray_sets_of, FILE_OBJECTS)
-    tasks = object_tasks(config.meshes, config.seed, config.captures)
-    stem = stem_of(config.run, "captures", f"{config.seed} {contents}")
+    tasks = config.capture_tasks()
+    stem = stem_of(config.run, "captures", contents)
     captures = made_of_tasks(
         StraySets, stem, captured_sets_of, tasks, FILE_CAPTURES, config.workers
     )

@@ -9,7 +9,7 @@ from gscomplete.priors.embedded.elongated import Shortening, shortening_of
 from gscomplete.shape.mirror_plane import MirrorPlane
 from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution
-from tests.builders.objects import cylinder
+from tests.builders.objects import ball, cylinder, half
 
 VIEWS = ViewDistribution(30.0, 20.0)
 
@@ -101,3 +101,20 @@ def test_a_long_thing_is_as_thick_as_it_should_be():
     off = (new[:, :2].norm(dim=1) - 0.06).abs()
     # half a cell is .0125; in the shortened frame it is .0035 of the pole's width
     assert float(off.median()) < 0.006
+
+
+@pytest.mark.parametrize("captured", [False, True])
+def test_whether_p_was_captured_is_told_in_both_frames(monkeypatch, captured):
+    asked_about = []
+
+    def guess(asked, *about, **options):
+        asked_about.append(asked.captured)
+        raise StopIteration
+
+    monkeypatch.setattr("gscomplete.priors.embedded.prior.guess_complete", guess)
+    prior = load_prior("embedded")
+    conditioning, seed = prior.condition("a thing"), torch.Generator()
+    for part in (half(ball()), pole().select(pole().means[:, 0] > 0.01)):
+        with pytest.raises(StopIteration):
+            prior.first_guess(part, VIEWS, conditioning, seed, 10, captured=captured)
+    assert asked_about == [captured, captured]

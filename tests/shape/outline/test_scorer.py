@@ -140,20 +140,39 @@ def test_of_half_a_figure_the_other_half_is_hardly_doubted():
     assert doubts_beside_outlines(half, VIEWS, lost, ends_in_plane=True).max() < 1
 
 
-def test_the_surest_outline_that_leaves_a_place_out_counts(monkeypatch):
+@pytest.mark.parametrize("captured", [False, True])
+def test_the_surest_outline_that_leaves_a_place_out_counts(monkeypatch, captured):
     grid = views_at(VIEWS.radius)
     sure = {0: 9.0, 30: 2.5, 55: 3.0}  # log odds; of all others it is unlikely
     scores = np.array([sure.get(k, -1.0) for k in range(len(grid))])
-    monkeypatch.setattr(scorer, "packaged_outline_scorer", lambda: lambda features: scores)
+
+    def packaged(*, of_captures):
+        assert of_captures == captured
+        return lambda features: scores
+
+    monkeypatch.setattr(scorer, "packaged_outline_scorer", packaged)
     asked = np.random.default_rng(1).uniform(-0.7, 0.7, (500, 3)).astype(np.float32)
     part = BALL[BALL[:, 0] > 0]
     target = np.array(VIEWS.target, np.float32)
     lost = {0: MOST_LOGITS, 30: 1.5, 55: 3.0}
     beside = {k: grid[k].beside(part - target, asked - target, SIDE_PX, 7) for k in sure}
     expected = [max(lost[k] * bool(beside[k][n]) for k in sure) for n in range(500)]
-    found = doubts_beside_outlines(part, VIEWS, asked, ends_in_plane=False)
+    found = doubts_beside_outlines(part, VIEWS, asked, ends_in_plane=False, captured=captured)
     assert found.tolist() == expected
     assert set(expected) == {0.0, 1.5, 3.0, 6.0}
+
+
+def fuzzy(points: np.ndarray) -> np.ndarray:
+    """Move points as training from photos does."""
+    return points + np.random.default_rng(2).normal(0, 0.012, points.shape).astype(np.float32)
+
+
+def test_more_outlines_of_a_capture_are_whole():
+    part = fuzzy(scanned(figure(), (-40, -20, 0, 20, 40)))
+    features = outline_features(part, VIEWS, ends_in_plane=False)
+    plain, of_captures = (packaged_outline_scorer(of_captures=c)(features) for c in (False, True))
+    from_there = [k % AZIMUTHS for k in (-2, -1, 0, 1, 2)]
+    assert of_captures[from_there].mean() > plain[from_there].mean()
 
 
 def test_scores_do_not_depend_on_threads():

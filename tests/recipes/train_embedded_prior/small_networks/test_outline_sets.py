@@ -1,15 +1,25 @@
+import dataclasses
+import functools
+
 import numpy as np
+import torch
 
 from gscomplete.shape.outline.scorer import FEATURES
+from gscomplete.splats import concatenate
 from gscomplete.views import ViewDistribution
+from recipes.real_objects.captured import captured_part
+from recipes.train_embedded_prior.small_networks import object_tasks
 from recipes.train_embedded_prior.small_networks.object_tasks import ObjectTask, train_entries
 from recipes.train_embedded_prior.small_networks.outline_sets import (
+    CAPTURE,
     KINDS,
     VIEWS,
+    capture_sets_of,
     cut_sets_of,
     outline_sets_of,
     outline_shares,
 )
+from recipes.train_embedded_prior.small_networks.train_outline_scorer import OutlineScorerConfig
 from tests.builders.mesh_pack import write_pack
 from tests.builders.objects import ball
 
@@ -45,3 +55,42 @@ def test_sets_are_a_function_of_seed_and_object(tmp_path):
     assert len(cut) == 2
     other = outline_sets_of(ObjectTask(pack, entry, 4))
     assert other.shares.tolist() != made.shares.tolist()
+
+
+def config_in(folder, count: int) -> OutlineScorerConfig:
+    return OutlineScorerConfig(write_pack(folder), captures=count, keep=folder / "kept")
+
+
+def test_a_capture_is_trained_once_and_beside_its_object(tmp_path, monkeypatch):
+    short = functools.partial(captured_part, steps=2)
+    monkeypatch.setattr(object_tasks, "captured_part", short)
+    tasks = config_in(tmp_path, 2).capture_tasks()
+    assert len({task.of.entry.id for task in tasks}) == 2
+    turned, made = tasks[0].captured()
+    monkeypatch.setattr(object_tasks, "captured_part", None)
+    again, kept = tasks[0].captured()
+    assert torch.equal(made.means, kept.means)
+    assert turned.rng.random() == again.rng.random()  # whether it was trained or read
+    (low, high), bounds = made.bounds(), turned.complete.bounds()
+    assert bool((low > bounds[0] - 0.03).all() and (high < bounds[1] + 0.03).all())
+
+
+def test_outlines_of_a_capture_are_those_of_what_is_heeded(tmp_path, monkeypatch):
+    """A capture that is a whole object with strays has whole outlines."""
+
+    def whole_with_strays(complete, _):
+        few = complete.select(torch.arange(0, len(complete), 100))
+        middle = complete.means.mean(dim=0)
+        moved = few.means + 0.3 * torch.nn.functional.normalize(few.means - middle, dim=1)
+        return concatenate([complete, dataclasses.replace(few, means=moved)])
+
+    width = FEATURES.index("width")
+    found = []
+    for captured in (whole_with_strays, lambda complete, _: complete):
+        monkeypatch.setattr(object_tasks, "captured_part", captured)
+        task = config_in(tmp_path / str(len(found)), 1).capture_tasks()[0]
+        made = capture_sets_of(task)
+        assert [KINDS[int(k)] for k in made.kinds] == [CAPTURE]
+        assert made.shares[0].min() > 0.97
+        found.append(made.features[0, :, width])
+    np.testing.assert_allclose(*found, rtol=0.05)  # with strays .3 wider

@@ -1,3 +1,4 @@
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -5,7 +6,13 @@ import pytest
 import torch
 
 from gscomplete.shape.outline.scorer import FEATURES
-from recipes.train_embedded_prior.small_networks.outline_sets import KINDS, VIEWS, OutlineSets
+from recipes.train_embedded_prior.small_networks.array_sets import joined
+from recipes.train_embedded_prior.small_networks.outline_sets import (
+    CAPTURE,
+    KINDS,
+    VIEWS,
+    OutlineSets,
+)
 from recipes.train_embedded_prior.small_networks.train_outline_scorer import (
     WHOLE,
     OutlineScorerConfig,
@@ -51,3 +58,15 @@ def test_what_is_told_counts_kinds_apart():
     assert "right 33.3%" in arcs
     assert arcs.endswith("5% 100.0%")
     assert halves.startswith(f"here, {KINDS[3]}, 1: whole outlines of 4 0.0, taken for it 0.0")
+
+
+def test_few_captures_count_as_often_as_many_parts():
+    """40 captures whose outlines are the opposite of 400 parts' make scores less certain."""
+    parts, few = simple_sets(400), simple_sets(40)
+    opposite = dataclasses.replace(few, shares=2 * np.float32(WHOLE) - few.shares)
+    scores = []
+    for kind in ("complete", CAPTURE):
+        as_kind = dataclasses.replace(opposite, kinds=np.full(40, KINDS.index(kind), np.float32))
+        scorer = fit(CONFIG, joined([parts, as_kind]))
+        scores.append(np.abs(scorer(parts.features)).mean())
+    assert scores[1] < 0.7 * scores[0]

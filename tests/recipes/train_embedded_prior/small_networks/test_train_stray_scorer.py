@@ -6,9 +6,13 @@ import torch
 
 from gscomplete.splats import concatenate
 from gscomplete.splats.strays import FEATURES
-from recipes.train_embedded_prior.small_networks import train_stray_scorer
+from recipes.train_embedded_prior.small_networks import object_tasks
 from recipes.train_embedded_prior.small_networks.array_sets import joined
-from recipes.train_embedded_prior.small_networks.object_tasks import ObjectTask, train_entries
+from recipes.train_embedded_prior.small_networks.object_tasks import (
+    CaptureTask,
+    ObjectTask,
+    train_entries,
+)
 from recipes.train_embedded_prior.small_networks.train_stray_scorer import (
     StrayScorerConfig,
     StraySets,
@@ -61,9 +65,10 @@ def test_splats_of_a_capture_are_surface_strays_or_neither(tmp_path, monkeypatch
         ]
         return concatenate([complete, *moved])
 
-    monkeypatch.setattr(train_stray_scorer, "captured_part", captured)
+    monkeypatch.setattr(object_tasks, "captured_part", captured)
     pack = write_pack(tmp_path)
-    made = captured_sets_of(ObjectTask(pack, train_entries(pack, 3, 100)[0], 3))
+    task = ObjectTask(pack, train_entries(pack, 3, 100)[0], 3)
+    made = captured_sets_of(CaptureTask(task, tmp_path / "captures"))
     assert made.is_captured.all()
     assert 0.2 < made.is_stray.mean() <= 1
     assert made.features[made.is_stray > 0, FEATURES.index("size")].min() > 0.5
