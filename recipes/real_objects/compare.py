@@ -142,7 +142,9 @@ def frame_object(item: RealObject, prior: Prior) -> FramedObject:
 def outcome_of(framed: FramedObject, way: Way, prior: Prior, seed: int) -> Outcome:
     """Complete a part in one way."""
     if way in ("fast", "default", "distill", "reconstruct", "text"):
-        return completed_as_run(framed, prior, settings_of(way, prior, seed))
+        settings = settings_of(way, prior, seed)
+        captured = framed.item.captured
+        return completed_as_run(framed, prior, dataclasses.replace(settings, captured=captured))
     started = time.perf_counter()
     found: Splats | None = None
     if way == "likeliest":

@@ -43,6 +43,8 @@ class RealObject:
     """The complete object, where it is known."""
     note: str
     """How the part came about."""
+    captured: bool = False
+    """Whether it was trained from photos and nothing was cut off it."""
 
     @property
     def true_frame(self) -> ObjectFrame | None:

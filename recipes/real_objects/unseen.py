@@ -13,7 +13,8 @@ Conventions
   splats trained from photos of one side (``captured``; only if asked for: a minute each).
   All are fixed by the object's place in the list.
 * Ways: ``input`` (P alone), ``likeliest`` and ``mirror`` (see ``compare``), and the presets.
-* Frames and input views are guessed from the part. Every object is turned by a fixed random angle.
+* Frames and input views are guessed from the part; that a capture is one is known. Every object is
+  turned by a fixed random angle.
 * Means are over objects; intervals are 95 % bootstrap intervals over objects.
 """
 
@@ -226,7 +227,8 @@ def main(options: Options) -> None:
             cut_rng = np.random.default_rng((number, 1 + get_args(PartKind).index(kind)))
             partial = part_of(complete, kind, cut_rng, turn_deg)
             partial = with_flaw(partial, complete, options.flaw, cut_rng)
-            item = RealObject(entry.id, entry.caption, "Z", partial, complete, kind)
+            about = entry.id, entry.caption, "Z", partial, complete, kind
+            item = RealObject(*about, captured=kind == "capture")
             framed = frame_object(item, prior)
             for way in options.ways:
                 if way not in rows:

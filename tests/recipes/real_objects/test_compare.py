@@ -4,10 +4,13 @@ import dataclasses
 
 import torch
 
+from gscomplete.completion.settings import CompletionSettings
 from gscomplete.evaluate.metrics import against_truth
+from gscomplete.priors import Prior, load_prior
 from gscomplete.splats import Splats, colors_to_sh, concatenate
 from gscomplete.views import ViewDistribution
-from recipes.real_objects.compare import FramedObject, true_shape
+from recipes.real_objects import compare
+from recipes.real_objects.compare import FramedObject, outcome_of, true_shape
 from recipes.real_objects.load import RealObject
 
 
@@ -53,3 +56,17 @@ def test_the_bound_has_the_true_shape_and_only_colors_that_are_seen() -> None:
 def test_without_a_truth_there_is_no_bound() -> None:
     _, part = two_colored_plate()
     assert true_shape(framed(None, part)) is None
+
+
+def test_a_capture_is_completed_as_one(monkeypatch) -> None:
+    told: list[bool] = []
+
+    def completed(framed: FramedObject, prior: Prior, settings: CompletionSettings) -> None:
+        told.append(settings.captured)
+
+    monkeypatch.setattr(compare, "completed_as_run", completed)
+    one = framed(*two_colored_plate())
+    captured = dataclasses.replace(one, item=dataclasses.replace(one.item, captured=True))
+    for part in (one, captured):
+        outcome_of(part, "fast", load_prior("embedded"), 0)
+    assert told == [False, True]
