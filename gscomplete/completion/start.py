@@ -116,6 +116,11 @@ def _guess(
     if guess is None:
         return None
     notes = [f"start: {len(guess.splats):,} splats that the prior guesses", *guess.notes]
+    if settings.captured:
+        notes.append(
+            "P is a capture that was not cut: the guess keeps to P's outlines from where they seem "
+            "to be the object's (--captured no uses the scorer of other parts)"
+        )
     if recolored:
         notes.append(
             f"{recolored:,} splats at P's edges are unlike those further inside: their colours are "

@@ -5,7 +5,9 @@ import dataclasses
 import pytest
 import torch
 
+from gscomplete.completion.alternatives import guess_alternatives
 from gscomplete.completion.presets import GUESS, RECONSTRUCT
+from gscomplete.completion.settings import CompletionSettings
 from gscomplete.completion.start import INITIAL_OPACITY, initial_splats, start_splats
 from gscomplete.errors import UserError
 from gscomplete.fitting.finite import NonFiniteError
@@ -76,3 +78,22 @@ def test_an_empty_guess_is_followed(settings):
 def test_no_steps_and_no_guess_are_refused():
     with pytest.raises(UserError, match="0 steps: expected a prior that guesses"):
         started(GUESS)
+
+
+@pytest.mark.parametrize("captured", [False, True])
+def test_the_prior_and_the_user_are_told_that_p_is_a_capture(captured):
+    whole, told = ball(50), []
+
+    class Watching(GuessingPrior):
+        def first_guess(self, partial, *more, **options):
+            told.append(options["captured"])
+            return super().first_guess(partial, *more, **options)
+
+    prior = Watching(whole, FirstGuess(whole.select(torch.arange(5)), ()))
+    settings = CompletionSettings(start="guess", captured=captured)
+    views, conditioning = ViewDistribution(0.0, 10.0), prior.condition("a ball")
+    start = start_splats(whole, prior, conditioning, views, settings)
+    assert ("P is a capture that was not cut" in start.note) == captured
+    prior.likely_mirrors = lambda *_: ("none",)
+    guess_alternatives(prior, whole, views, conditioning, settings, 1)
+    assert told == [captured, captured]
