@@ -1,9 +1,10 @@
-"""Train the outline scorer, or with ``--captures 96 --out FILE`` that of captures.
+"""Train the outline scorer, or with ``--captures 96`` that of captures.
 
 ``python -m recipes.train_embedded_prior.small_networks.train_outline_scorer``
 
-It reads P alone: no network is asked. Parts are made once and kept in the run's folder, so that the
-same command goes on; learning takes a minute.
+It reads P alone: no network is asked. That of captures is trained after the stray scorer, as
+captures lack the strays that this one finds. Parts are made once and kept in the run's folder, so
+that the same command goes on; learning takes three minutes.
 
 Conventions
 -----------
@@ -13,6 +14,7 @@ Conventions
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import logging
 from dataclasses import dataclass, field
@@ -25,7 +27,11 @@ from torch import Tensor, nn
 
 from gscomplete.networks.perceptron import Perceptron
 from gscomplete.priors.embedded.weights import packaged_weights
-from gscomplete.shape.outline.scorer import DOUBTED_FROM, OUTLINE_SCORER_FILE
+from gscomplete.shape.outline.scorer import (
+    CAPTURE_OUTLINE_SCORER_FILE,
+    DOUBTED_FROM,
+    OUTLINE_SCORER_FILE,
+)
 from recipes.entry_point import start
 from recipes.train_embedded_prior.small_networks.array_sets import of_rows
 from recipes.train_embedded_prior.small_networks.object_tasks import CapturesConfig
@@ -67,6 +73,14 @@ class OutlineScorerConfig(CapturesConfig):
     weight_decay: float = 0.3
     captures: int = 0
     """Objects of which captures are trained; 0 for the scorer of all others."""
+
+    @property
+    def written_to(self) -> Path:
+        """The file to write: by default the package's own of the scorer that is trained."""
+        packaged = packaged_weights()
+        if self.captures and self.out == packaged / OUTLINE_SCORER_FILE:
+            return packaged / CAPTURE_OUTLINE_SCORER_FILE
+        return self.out
 
 
 def fit(config: OutlineScorerConfig, sets: OutlineSets) -> Perceptron:
@@ -115,6 +129,7 @@ def told(name: str, scorer: Perceptron, sets: OutlineSets) -> str:
 def main(config: OutlineScorerConfig) -> int:
     """Run from the command line."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
+    config = dataclasses.replace(config, out=config.written_to)
     files = outline_sets(config)
     train_on_files(config, files, _HELD_OUT_EVERY, functools.partial(fit, config), told)
     return 0

@@ -8,8 +8,8 @@ same command goes on; learning takes three minutes.
 Conventions
 -----------
 * Two parts of each object are cut as in ``real_objects.unseen`` and get strays. Of the first
-  objects, a capture is trained from photos, too (``captures``), which takes most of the time. All
-  depend only on the object's id.
+  objects, a capture is trained from photos, too (``object_tasks``), which takes most of the time.
+  All depend only on the object's id.
 * Every sixth file of objects is held out, and every sixth of captures.
 """
 

@@ -5,7 +5,11 @@ import numpy as np
 import pytest
 import torch
 
-from gscomplete.shape.outline.scorer import FEATURES
+from gscomplete.shape.outline.scorer import (
+    CAPTURE_OUTLINE_SCORER_FILE,
+    FEATURES,
+    OUTLINE_SCORER_FILE,
+)
 from recipes.train_embedded_prior.small_networks.array_sets import joined
 from recipes.train_embedded_prior.small_networks.outline_sets import (
     CAPTURE,
@@ -70,3 +74,11 @@ def test_few_captures_count_as_often_as_many_parts():
         scorer = fit(CONFIG, joined([parts, as_kind]))
         scores.append(np.abs(scorer(parts.features)).mean())
     assert scores[1] < 0.7 * scores[0]
+
+
+def test_the_scorer_of_captures_has_a_file_of_its_own():
+    """Else training it would overwrite the other one."""
+    for count, file in ((0, OUTLINE_SCORER_FILE), (96, CAPTURE_OUTLINE_SCORER_FILE)):
+        assert dataclasses.replace(CONFIG, captures=count).written_to.name == file
+        given = dataclasses.replace(CONFIG, captures=count, out=Path("given"))
+        assert given.written_to == Path("given")
