@@ -4,8 +4,7 @@ Conventions
 -----------
 * The network is not told which way an object faces, so the same object turned by quarter turns
   about z, or mirrored, should get the same answer. The mean of a few such answers, each turned
-  back, is better than any one of them. (Averaging over grids shifted by half a cell or more does
-  not help: it blurs thin parts.)
+  back, is better than any one of them.
 """
 
 from __future__ import annotations

@@ -38,17 +38,13 @@ from gscomplete.shape.bank.fit import FitLimits, FittedShape, fit_known_shapes
 from gscomplete.shape.bank.nouns import head_noun
 from gscomplete.shape.bank.shown import LEAST_SHOWN, occupancy_by_shapes
 from gscomplete.shape.bank.store import read_bank
-from gscomplete.shape.bank.wider import (
-    shape_in,
-    symmetry_in,
-    views_in,
-    wider_from_object,
-)
+from gscomplete.shape.bank.wider import shape_in, wider_from_object
 from gscomplete.shape.benefit import is_better_left
 from gscomplete.shape.colors.prompt import with_prompt_color
 from gscomplete.shape.evidence import gather_evidence
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter
+from gscomplete.shape.placements import symmetry_in, views_in
 from gscomplete.shape.predict import Prediction, predict
 from gscomplete.shape.surface.turned import TurnedSurface, turned_surface
 from gscomplete.shape.symmetry import plane_of
@@ -288,7 +284,7 @@ def _by_known_shapes(
                 asked.model,
                 plain.voxels,
                 plain.seen,
-                plain.output.occupancy,
+                plain.in_frame,
                 there,
                 asked.tokens,
                 bfloat16=asked.bfloat16,

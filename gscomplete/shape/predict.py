@@ -1,7 +1,7 @@
 """Ask the shape network about one object.
 
-P is voxelized, its mirror images are chosen, the network is asked, and the logits of cells that lie
-beside a whole outline are lowered.
+P is voxelized, its mirror images are chosen, the network is asked about P in several places and
+scales of the grid, and the logits of cells that lie beside a whole outline are lowered.
 
 Conventions
 -----------
@@ -26,6 +26,7 @@ from gscomplete.shape.outline.lattice import off_lattice
 from gscomplete.shape.outline.one_view import ONE_VIEW_SHARE, beside_scan
 from gscomplete.shape.outline.scorer import MOST_LOGITS, doubts_beside_outlines
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs, voxelize_partial
+from gscomplete.shape.placements import mean_over_placements
 from gscomplete.shape.symmetry_choice import choose_symmetries
 from gscomplete.shape.voxels import CELLS, FloatArray, cell_centers
 from gscomplete.splats import Splats
@@ -44,7 +45,10 @@ class Prediction:
     seen: ShapeInputs
     """The network's input."""
     output: ShapeOutput
-    """Its answer, for a batch of one."""
+    """Its answer, for a batch of one: the mean over placements."""
+    in_frame: Tensor  # [1, C, C, C]
+    """Logits of its answer in the object frame alone, which answers to known shapes are compared
+    with: they are given in no other placement."""
     symmetry_score: float
     """Score of the first mirror image; see ``symmetry_choice.Choice``."""
     ends_in_plane: bool
@@ -103,12 +107,16 @@ def predict(
             without = ask(*asked, no_tokens, bfloat16=bfloat16)
             change = (without.occupancy - first.occupancy) / 2
             share = differing_share(answer.occupancy, answer.occupancy + change)
+        given = answer, choice.seen, partial, distribution, (tokens, no_tokens)
+        mean = mean_over_placements(model, *given, bfloat16=bfloat16)
+    output = mean
     if not isinstance(mirror_plane, MirrorPlane):
         with stage("outlines"):
-            about = answer, voxels, distribution
-            answer = _doubted_beside(*about, ends_in_plane=ends_in_plane, captured=captured)
+            about = mean, voxels, distribution
+            output = _doubted_beside(*about, ends_in_plane=ends_in_plane, captured=captured)
+    in_frame = answer.occupancy - (mean.occupancy - output.occupancy)
     seen, score = choice.seen, choice.symmetry_score
-    return Prediction(voxels, seen, answer, score, ends_in_plane, share, choice.added)
+    return Prediction(voxels, seen, output, in_frame, score, ends_in_plane, share, choice.added)
 
 
 def _doubted_beside(

@@ -7,6 +7,7 @@ from gscomplete.shape.mirror_plane import MirrorPlane
 from gscomplete.shape.outline.one_view import ONE_VIEW_SHARE, beside_scan, best_view_share
 from gscomplete.shape.outline.scorer import doubts_beside_outlines
 from gscomplete.shape.partial_voxels import voxelize_partial
+from gscomplete.shape.placements import mean_over_placements
 from gscomplete.shape.predict import differing_share, predict
 from gscomplete.shape.symmetry_choice import choose_symmetries
 from gscomplete.shape.voxels import CELLS, cell_centers
@@ -24,6 +25,12 @@ def model():
 
 def asked(model, partial, **options):
     return predict(model, partial, VIEWS, WORDS, no_tokens=NO_WORDS, **options)
+
+
+def plain_answer(model, partial, seen):
+    """Return the logits that nothing has doubted yet."""
+    about = mean_answer(model, seen, (WORDS, NO_WORDS)), seen, partial, VIEWS, (WORDS, NO_WORDS)
+    return mean_over_placements(model, *about).occupancy
 
 
 def doubts(partial, shape, *, ends_in_plane):
@@ -45,10 +52,13 @@ def test_the_answer_is_to_what_was_chosen_with_the_prompt_and_without(model):
     for found, expected in zip(guess.seen.symmetries, chosen.seen.symmetries, strict=True):
         assert (found.matrix == expected.matrix).all()
         assert (found.shift == expected.shift).all()
-    again = mean_answer(model, guess.seen, (WORDS, NO_WORDS))
-    lost = doubts(partial, again.occupancy.shape, ends_in_plane=True)
-    lost = torch.where(again.occupancy > -4.0, lost, 0.0)
-    assert torch.equal(guess.output.occupancy, again.occupancy - lost)
+    again = plain_answer(model, partial, guess.seen)
+    lost = doubts(partial, again.shape, ends_in_plane=True)
+    lost = torch.where(again > -4.0, lost, 0.0)
+    assert torch.equal(guess.output.occupancy, again - lost)
+    alone = mean_answer(model, guess.seen, (WORDS, NO_WORDS)).occupancy
+    # the same doubts, as the difference of float32 logits below 10
+    assert torch.allclose(guess.in_frame, alone - lost, atol=1e-5)
 
 
 def test_what_the_prompt_changes_is_counted_and_told(model):
@@ -74,7 +84,7 @@ def test_cells_beside_outlines_are_doubted_and_no_others(model):
     whole = ball()
     scan = whole.select(whole.means[:, 0] > 0.1)  # all that a view along x shows
     guess = asked(model, scan, ends_in_plane=False)
-    plain = mean_answer(model, guess.seen, (WORDS, NO_WORDS)).occupancy
+    plain = plain_answer(model, scan, guess.seen)
     lost = torch.where(plain > -4.0, doubts(scan, plain.shape, ends_in_plane=False), 0.0)
     assert lost.max() == 6.0
     assert torch.equal(guess.output.occupancy, plain - lost)
@@ -100,8 +110,9 @@ def test_beside_a_cut_part_only_whole_outlines_count(model, monkeypatch):
         return 6.0 * (places[:, 2] > 0.1).astype(np.float32)
 
     monkeypatch.setattr("gscomplete.shape.predict.doubts_beside_outlines", above)
-    guess = asked(model, half(ball()), ends_in_plane=True, captured=True)
-    plain = mean_answer(model, guess.seen, (WORDS, NO_WORDS)).occupancy
+    partial = half(ball())
+    guess = asked(model, partial, ends_in_plane=True, captured=True)
+    plain = plain_answer(model, partial, guess.seen)
     upper = torch.from_numpy(cell_centers(CELLS)[..., 2] > 0.1).reshape(plain.shape)
     doubted = upper & (plain > -4.0)
     assert torch.equal(guess.output.occupancy, torch.where(doubted, plain - 6.0, plain))
@@ -112,5 +123,5 @@ def test_planes_that_users_give_are_taken_at_their_word(model, plane):
     whole = ball()
     scan = whole.select(whole.means[:, 0] > 0.1)
     given = asked(model, scan, ends_in_plane=False, mirror_plane=plane)
-    plain = mean_answer(model, given.seen, (WORDS, NO_WORDS)).occupancy
+    plain = plain_answer(model, scan, given.seen)
     assert torch.equal(given.output.occupancy, plain) == (plane != "none")

@@ -11,7 +11,6 @@ Conventions
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -19,10 +18,8 @@ import torch
 
 from gscomplete.shape.bank.fit import FittedShape
 from gscomplete.shape.bank.pose import FloatArray
-from gscomplete.shape.symmetry import SymmetryMap
 from gscomplete.shape.voxels import HALF_SIDE
 from gscomplete.splats.transform import Similarity
-from gscomplete.views import ViewDistribution
 
 _LEAST_OUTSIDE = 0.05
 """The frame has no room for the best known shape if at least this share of it is off the grid."""
@@ -48,17 +45,3 @@ def wider_from_object(
 def shape_in(shape: FittedShape, frame: Similarity) -> FittedShape:
     """Return a known shape in another frame."""
     return shape.moved(frame.scale, frame.translation.numpy())
-
-
-def views_in(views: ViewDistribution, frame: Similarity) -> ViewDistribution:
-    """Return the same cameras in a frame of the same axes."""
-    target = frame.apply(torch.tensor(views.target, dtype=torch.float64))
-    x, y, z = target.tolist()
-    return dataclasses.replace(views, target=(x, y, z), radius=views.radius * frame.scale)
-
-
-def symmetry_in(symmetry: SymmetryMap, frame: Similarity) -> SymmetryMap:
-    """Return a map of P in a frame of the same axes."""
-    move = frame.translation.numpy()
-    shift = frame.scale * symmetry.shift + move - symmetry.matrix @ move
-    return dataclasses.replace(symmetry, shift=shift.astype(np.float32))
