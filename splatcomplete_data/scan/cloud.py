@@ -52,7 +52,9 @@ def unit_colors(values: NDArray[Any]) -> NDArray[np.float32]:
     if np.issubdtype(values.dtype, np.integer) and values.dtype.itemsize <= 2:
         top = float(np.iinfo(values.dtype).max)
         return np.clip(values / np.float64(top), 0, 1).astype(np.float32)
-    scaled = np.nan_to_num(values.astype(np.float64), posinf=0.0, neginf=0.0)
+    with np.errstate(invalid="ignore"):  # signalling NaNs
+        wide = values.astype(np.float64)
+    scaled = np.nan_to_num(wide, posinf=0.0, neginf=0.0)
     largest = scaled.max(initial=0.0)
     if largest > 255.0:
         scaled = scaled / 65535.0

@@ -114,7 +114,8 @@ def _ply_points(path: Path, header: PlyHeader, vertex: Element) -> Scan:
     if not {"x", "y", "z"} <= set(places):
         found = ", ".join(vertex.names)
         raise UserError(f"{path}: element vertex: expected x, y, z; found {found}")
-    points = np.stack([records[places[axis]].astype(np.float64) for axis in "xyz"], axis=1)
+    with np.errstate(invalid="ignore"):  # signalling NaNs
+        points = np.stack([records[places[axis]].astype(np.float64) for axis in "xyz"], axis=1)
     for prefix in ("", "diffuse_"):
         channels = [places.get(prefix + name) for name in ("red", "green", "blue")]
         if None not in channels:

@@ -1,4 +1,4 @@
-"""Rotation matrices of quaternions of any length."""
+"""Quaternions of any length, to rotation matrices and directions and from directions."""
 
 import pytest
 import torch

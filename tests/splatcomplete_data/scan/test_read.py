@@ -51,6 +51,20 @@ def test_every_format_gives_the_finite_points_and_colours(tmp_path: Path, kind: 
         assert scan.rows == 4
 
 
+@pytest.mark.filterwarnings("error")
+def test_signalling_nans_count_as_any_others(tmp_path: Path) -> None:
+    values = np.ones((3, 6), "<f4")
+    values.view("<u4")[0, 0] = values.view("<u4")[1, 3] = 0x7FA00000  # an x and a red
+    names = ("x", "y", "z", "red", "green", "blue")
+    properties = "".join(f"property float {name}\n" for name in names)
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex 3\n{properties}end_header\n"
+    (tmp_path / "a.ply").write_bytes(header.encode() + values.tobytes())
+    scan = read_scan(tmp_path / "a.ply")
+    assert scan.rows == 3
+    assert (scan.cloud.points == 1.0).all()
+    assert scan.cloud.colors.tolist() == [[0.0, 1.0, 1.0], [1.0, 1.0, 1.0]]
+
+
 def test_scan_meshes_are_sampled(tmp_path: Path) -> None:
     box = trimesh.creation.box((1, 1, 1))
     box.visual.vertex_colors = np.tile([200, 100, 0, 255], (8, 1)).astype(np.uint8)
