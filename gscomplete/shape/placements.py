@@ -30,6 +30,7 @@ from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.views import ViewDistribution
 
 _SCALES = (0.88, 1.14)
+"""How large an object is in the grid, relative to its size there in the object frame."""
 _SHIFT = CELL_SIDE / 2
 """How far an object is moved along each axis: it then lies differently in the cells."""
 
