@@ -23,6 +23,7 @@ from gscomplete.priors.embedded.ending import ending_of
 from gscomplete.shape.assemble import AssembleSettings, mirrored_copies, surface_settings
 from gscomplete.shape.benefit import is_better_left
 from gscomplete.shape.guess import ask_about
+from gscomplete.shape.placements import placements
 from gscomplete.shape.surface.cover import new_surface
 from gscomplete.shape.surface.depth import FEATURES, depth_features
 from gscomplete.shape.voxels import CELL_SIDE, FloatArray
@@ -143,5 +144,10 @@ def _sets_of_part(framed: FramedObject, seed: int) -> list[DepthSets]:  # one or
 
 def depth_sets(config: PerceptronConfig) -> list[DepthSets]:
     """Return the sets of every file; make the files that are missing."""
-    contents = f"{asked_with()} {AssembleSettings()} {' '.join(FEATURES)}"
-    return sets_of_objects(config, DepthSets, "depths", contents, depth_sets_of, FILE_OBJECTS)
+    return sets_of_objects(config, DepthSets, "depths", made_with(), depth_sets_of, FILE_OBJECTS)
+
+
+def made_with() -> str:
+    """Return what sets depend on beside their objects: kept ones of another kind are not used."""
+    placed = [(frame.scale, frame.translation.tolist()) for frame in placements()]
+    return f"{asked_with()} {placed} {AssembleSettings()} {' '.join(FEATURES)}"

@@ -6,7 +6,11 @@ from hypothesis import strategies as st
 from gscomplete.shape.surface.depth import FEATURES
 from gscomplete.shape.voxels import CELL_SIDE
 from recipes.train_embedded_prior.small_networks import depth_sets
-from recipes.train_embedded_prior.small_networks.depth_sets import depth_sets_of, first_depths
+from recipes.train_embedded_prior.small_networks.depth_sets import (
+    depth_sets_of,
+    first_depths,
+    made_with,
+)
 from recipes.train_embedded_prior.small_networks.object_tasks import ObjectTask, train_entries
 from tests.builders.mesh_pack import write_pack
 
@@ -25,6 +29,13 @@ def walls(*depths):
 def test_a_wall_is_found_where_it_is(depth):
     # Looked for in steps of a quarter cell.
     assert first_depths(walls(depth), ORIGIN, UP)[0] == pytest.approx(depth, abs=0.13)
+
+
+def test_sets_of_answers_in_other_placements_are_not_used(monkeypatch):
+    before = made_with()
+    assert made_with() == before
+    monkeypatch.setattr(depth_sets, "placements", tuple)
+    assert made_with() != before
 
 
 def test_of_two_walls_the_outer_one_counts():
