@@ -9,7 +9,8 @@ LOCKED ?=
 LOCK := $(if $(filter lowest,$(LOCKED)),constraints-lowest.txt,constraints.txt)
 VENV := .venv
 BIN := $(VENV)/bin
-STAMP := $(VENV)/.setup-done
+PACKAGES := $(VENV)/.packages-installed
+KERNELS := $(VENV)/.kernels-compiled
 DEMO_OUT ?= runs/demo
 SAMPLE := recipes/demo/partial.ply --prompt "$$(cat recipes/demo/prompt.txt)"
 
@@ -18,22 +19,25 @@ export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: setup demo test suite lint bench clean FORCE
 
-setup: $(STAMP)
+setup: $(KERNELS)
 
-$(STAMP): pyproject.toml
+$(PACKAGES): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet "$(TORCH)"
 	$(BIN)/pip install --quiet $(if $(LOCKED),--constraint $(LOCK)) --editable ".[$(EXTRAS)]"
+	touch $(PACKAGES)
+
+$(KERNELS): $(PACKAGES)
 	@echo "Compiling kernels, for which the first completion would wait"
 	rm -rf $(VENV)/first $(VENV)/steps
 	-$(BIN)/gscomplete complete $(SAMPLE) --out $(VENV)/first > /dev/null
 	-$(BIN)/gscomplete complete $(SAMPLE) --preset distill --steps 2 --out $(VENV)/steps > /dev/null
 	rm -rf $(VENV)/first $(VENV)/steps
-	touch $(STAMP)
+	touch $(KERNELS)
 
 # What is asked for by name is installed whatever is there already.
 ifneq ($(filter command environment,$(origin TORCH) $(origin EXTRAS)),)
-$(STAMP): FORCE
+$(PACKAGES): FORCE
 endif
 FORCE:
 
@@ -43,12 +47,12 @@ demo: setup
 	$(BIN)/gscomplete complete $(SAMPLE) --out $(DEMO_OUT)
 	@echo "Look at $(DEMO_OUT)/preview.png and $(DEMO_OUT)/turntable.webp"
 
-lint: setup
+lint: $(PACKAGES)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# Types are checked against the stubs of the newest packages, while tests run.
+# Types are checked against the stubs of the newest packages, while kernels are compiled and tests run.
 test:
 	$(MAKE) --jobs=2 --no-print-directory $(if $(filter lowest,$(LOCKED)),,lint) suite
 
