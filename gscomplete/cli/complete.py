@@ -55,7 +55,7 @@ def run(options: CompleteOptions) -> int:
     except torch.OutOfMemoryError as error:
         raise GpuMemoryError(
             "the GPU ran out of memory; a smaller --diffusion.memory (8gb) or --device cpu needs "
-            f"less, and {_RESUMES}"
+            f"less; {how_to_go_on.get()}"
         ) from error
 
 

@@ -48,9 +48,16 @@ def test_the_paper_s_settings_are_asked_for_by_name(arguments, tmp_path, capsys)
 
 
 def test_a_full_gpu_is_one_line(arguments, monkeypatch, capsys):
-    def full(options):
+    """Only a run that has begun can be resumed."""
+
+    def full(*_):
         raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate ...")
 
+    monkeypatch.setattr(complete, "_with_progress", full)
+    assert main(arguments) == 4
+    begun = capsys.readouterr().err
+    assert "--diffusion.memory" in begun
+    assert "--resume continues" in begun
     monkeypatch.setattr(complete, "_complete", full)
     assert main(arguments) == 4
-    assert "--diffusion.memory" in capsys.readouterr().err
+    assert "--resume" not in capsys.readouterr().err
