@@ -3,13 +3,15 @@
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from gscomplete.errors import UserError
 from gscomplete.evaluate.align import AlignmentSettings, align_points, align_splats
 from gscomplete.evaluate.align.align import diameter, evenly_spread
 from gscomplete.evaluate.align.nearest_grid import CELLS, REACH, nearest_grid
-from gscomplete.evaluate.align.search import even_rotations
+from gscomplete.evaluate.align.search import _kth_smallest, even_rotations
 from gscomplete.splats.transform import Similarity, transform_splats
 from tests.builders.objects import round_splats
 
@@ -102,6 +104,17 @@ def test_rotations_are_proper_and_leave_no_gap():
     asked = Rotation.random(200, random_state=0).as_matrix()
     cosine = (np.einsum("aij,nij->an", asked, rotations).max(axis=1) - 1) / 2
     assert np.degrees(np.arccos(cosine)).max() < 20
+
+
+@given(
+    st.lists(
+        st.sampled_from([0.0, 0.5, 0.5 + 1e-16, 1.0, 3.0, np.inf]) | st.floats(0, 1e9), min_size=1
+    ),
+    st.data(),
+)
+def test_a_value_is_selected_by_its_rank(values, data):
+    k = data.draw(st.integers(0, len(values) - 1))
+    assert _kth_smallest(np.array(values), k) == np.partition(values, k)[k]
 
 
 def test_a_look_up_errs_by_about_a_cell():
