@@ -14,6 +14,7 @@ from gscomplete.shape.assemble import (
     is_mirrored_by_splats,
     select_consistent,
     stands_off,
+    surface_settings,
 )
 from gscomplete.shape.bank.fit import FittedShape
 from gscomplete.shape.bank.pose import Pose
@@ -110,12 +111,18 @@ def test_what_one_view_shows_lacks_a_side_however_little_it_seems():
         count=4000, occupancy_threshold_high=2.0, occupancy_threshold_low=-2.0
     )
 
-    def farthest(*, ends_in_plane: bool) -> float:
+    def level_and_farthest(*, ends_in_plane: bool) -> tuple[float, float]:
         given = dataclasses.replace(scan, ends_in_plane=ends_in_plane)
         found = assemble_splats(given, partial, settings, torch.Generator().manual_seed(0))
-        return float(found.splats.means.norm(dim=1).max())
+        level = surface_settings(given, settings, None).filled_logit
+        return level, float(found.splats.means.norm(dim=1).max())
 
-    assert farthest(ends_in_plane=False) > farthest(ends_in_plane=True) + 0.05
+    (low, farther), (high, nearer) = (
+        level_and_farthest(ends_in_plane=end) for end in (False, True)
+    )
+    assert (low, high) == (-2.0, 2.0)
+    # Where logits fall by 40 per object size, the levels are .1 apart; depths make up for a part.
+    assert farther > nearer
 
 
 def test_what_no_view_shows_most_of_has_a_level_of_its_own():
