@@ -7,9 +7,8 @@ takes two minutes.
 
 Conventions
 -----------
-* The true depth's median is learned, and more than it where most true depths lie close together:
-  beside absolute errors counts whether an error is small (``loss_of``). What is near no true
-  surface is left out.
+* What is learned lies between the true depth's median and its likeliest value (``loss_of``).
+* Points that are near no true surface are left out.
 * Every sixth file of objects is held out.
 """
 
@@ -40,7 +39,7 @@ _HELD_OUT_EVERY = 6
 _ROUNDED_BELOW = 0.2
 """Errors smaller than this count by their square, larger ones in proportion, cells."""
 _SMALL = 0.4
-"""Errors much smaller than this are small, those much larger are not, cells."""
+"""Errors up to about this count as small, cells."""
 _SMALL_WEIGHT = 3.0
 """Weight of the errors that are not small."""
 
