@@ -100,7 +100,7 @@ def test_killed_batches_lose_nothing_and_do_nothing_twice(manifest, one_by_one, 
 
 def test_a_ray_cluster_gives_the_same_bytes(manifest, one_by_one, tmp_path):
     pytest.importorskip("ray")
-    batch = start(manifest, tmp_path / "runs", "--ray", "local", "--workers", 1)
+    batch = start(manifest, tmp_path / "runs", "--ray", "local", "--workers", 2)
     told, said = batch.communicate(timeout=PATIENCE_S)
     assert batch.returncode == 0, said
     assert json.loads(told)["counts"] == {"finished_before": 0, "finished": 2}
