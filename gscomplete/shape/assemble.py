@@ -24,7 +24,9 @@ from torch import Tensor
 from gscomplete.shape.bank.fit import FittedShape
 from gscomplete.shape.evidence import Evidence, gather_evidence
 from gscomplete.shape.mirror_plane import MirrorPlane
+from gscomplete.shape.outline.lattice import seen_through
 from gscomplete.shape.outline.one_view import ONE_VIEW_SHARE
+from gscomplete.shape.partial_voxels import PartialVoxels
 from gscomplete.shape.predict import Prediction
 from gscomplete.shape.surface.cover import (
     SurfaceSettings,
@@ -160,11 +162,13 @@ def assemble_splats(
     copies, contradicted = mirrored_copies(prediction, partial, generator, known)
     covering = surface_settings(prediction, settings, copies)
     asked = prediction.output, prediction.seen, partial, covering, generator
-    if copies is None:
-        return AssembledSplats(surface_splats(*asked, turned=turned), 0)
-    if settings.image_is_all and len(copies) >= _NEARLY_ALL * len(partial):
+    if copies is not None and settings.image_is_all and len(copies) >= _NEARLY_ALL * len(partial):
         return AssembledSplats(copies, len(copies), len(contradicted))
     surface = surface_splats(*asked, copies, turned)
+    if turned is None:
+        surface = surface.select(~in_holes(surface, prediction.voxels))
+    if copies is None:
+        return AssembledSplats(surface, 0)
     if len(contradicted):
         surface = surface.select(~stands_off(known(), surface, contradicted))
     return AssembledSplats(concatenate([copies, surface]), len(copies), len(contradicted))
@@ -358,6 +362,12 @@ def stands_off(known: Sequence[FittedShape], splats: Splats, contradicted: Splat
     beside, _ = cKDTree(contradicted.means.numpy()).query(points, distance_upper_bound=_BESIDE)
     away = np.min([cKDTree(shape.points).query(points)[0] for shape in known], axis=0)
     return torch.from_numpy(np.isfinite(beside) & (away > _OFF_KNOWN))
+
+
+def in_holes(splats: Splats, voxels: PartialVoxels) -> Tensor:  # [N] bool
+    """Mark the splats where views near c see through P's holes, if P has many."""
+    points, toward_c = voxels.positions, voxels.evidence.toward_c()
+    return torch.from_numpy(seen_through(points, toward_c, splats.means.numpy()))
 
 
 def hides_nothing(splats: Splats, evidence: Evidence) -> Tensor:  # [N] bool

@@ -36,6 +36,10 @@ class Evidence:
     camera_from_world: FloatArray  # [V, 4, 4]
     focal_px: float
 
+    def toward_c(self) -> FloatArray:  # [3]
+        """Return the direction from the object to c, at most as steep as the views to its sides."""
+        return -self.camera_from_world[0, 2, :3]
+
     def classify(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
         """Return for every point the shares of views that find it in front, behind, beside P."""
         flat = points.reshape(-1, 3).astype(np.float32)

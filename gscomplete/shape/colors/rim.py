@@ -1,7 +1,8 @@
 """Colours that mirror images give, checked against the colours at P's rim.
 
 A mirror image repeats what an object has only once: a face, a label, a lens. Where the colours
-about a splat differ on average from what the rim suggests, the rim's colours are used. To carry
+about a splat differ on average from what the rim suggests, the rim's colours are used, unless P
+shows both sides of that symmetry (``both_sides``). To carry
 them over the new surface, P's colours at the rim are grouped into a few main colours; the share of
 each spreads as heat does (Laplace's equation on a graph of neighbouring splats), and the shares are
 then sharpened, so that an object that is black below and white above stays so.
@@ -59,6 +60,7 @@ _TINY = 1e-6
 
 def checked_by_rim(
     colors: Tensor,  # [N, 3] that a mirror image gives
+    sure: Tensor,  # [N] in [0, 1]
     points: Tensor,  # [N, 3]
     normals: Tensor,  # [N, 3] outward
     partial: Splats,
@@ -68,6 +70,7 @@ def checked_by_rim(
 
     Args:
         colors: from the mirror image, in [0, 1].
+        sure: least weight of these colours.
         points: centres of the new splats.
         normals: of the surface at the centres.
         partial: P in the object frame.
@@ -87,7 +90,7 @@ def checked_by_rim(
         return colors
     unlike = (oklab_from_srgb(colors) - oklab_from_srgb(rim)).square().sum(dim=1).numpy()
     unlike = _averaged(unlike, graph, places)
-    weight = torch.from_numpy(np.exp(-unlike / _ALIKE**2)).float()[:, None]
+    weight = torch.from_numpy(np.exp(-unlike / _ALIKE**2)).float().maximum(sure)[:, None]
     return weight * colors + (1 - weight) * rim
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from gscomplete.shape.colors.both_sides import shows_both_sides
 from gscomplete.shape.network import ShapeOutput
 from gscomplete.shape.partial_voxels import ShapeInputs
 from gscomplete.shape.symmetry import SOURCES
@@ -58,8 +59,8 @@ def source_colors(
     partial: Splats,
     points: Tensor,  # [N, 3]
     generator: torch.Generator,
-) -> Tensor:  # [N, 3]
-    """Return the colours of new splats at ``points``.
+) -> tuple[Tensor, Tensor]:  # [N, 3], [N]
+    """Return the colours of new splats at ``points``, and how sure they are.
 
     Args:
         output: of the network for a batch of one.
@@ -67,6 +68,10 @@ def source_colors(
         partial: P in the object frame.
         points: where the new splats are.
         generator: chooses the splats of P searched, if there are too many.
+
+    Returns:
+        Colours in [0, 1], and which share of each comes from mirror images of whose symmetry P
+        shows both sides.
     """
     known = _Known(partial, generator)
     places = [points.numpy(), *(s.undo(points.numpy()) for s in inputs.symmetries)]
@@ -82,7 +87,8 @@ def source_colors(
         beyond = (distance / _REACH - 1.0).clamp_min(0)
         logits[counts, source] = pointing[counts, source] - _FAR_PENALTY * beyond - behind[source]
     shares = (_SHARPNESS * logits).softmax(dim=1)
-    return (shares[:, :, None] * found).sum(dim=1)
+    sure = torch.tensor([False, *(shows_both_sides(partial, s) for s in inputs.symmetries)])
+    return (shares[:, :, None] * found).sum(dim=1), shares[:, sure].sum(dim=1)
 
 
 def nearest_colors(

@@ -5,6 +5,9 @@ P is taken for a lattice if, in the view near c in which its outline is largest,
 holes that make up much of the area that the outline encloses, and if c shows some holes too. Views
 far from c do not count: from there, what no scanner saw looks like holes.
 
+Many holes are narrower than cells. So the splats that cover the network's surface are left out
+where most views near c see through P, if these show enough holes on average.
+
 Conventions
 -----------
 * Views are orthographic; P is moved and scaled so that its box is centred and its largest side 1.
@@ -15,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_fill_holes, label, maximum_filter, minimum_filter
+from scipy.ndimage import label, maximum_filter, minimum_filter
 from scipy.spatial import cKDTree
 
 from gscomplete.shape.outline.views import Mask, axes_of_views
@@ -29,8 +32,8 @@ _POINTS = 8000
 """About how many points are drawn to find the view with the largest outline."""
 _PX_PER_SIDE, _PICTURE_PX = 133, 240
 """Pixels per side of P, and of a whole picture, which has room for a cube's diagonal."""
-_LEAST_CLOSED_PX, _MOST_CLOSED_PX = 5, 41
-"""Bounds of the width up to which gaps are closed."""
+_LEAST_CLOSED_PX, _LEAST_CLOSED_THROUGH_PX, _MOST_CLOSED_PX = 5, 3, 41
+"""Bounds of the width up to which gaps are closed; the second is that of ``seen_through``."""
 _NEIGHBOUR, _SPARSE = 4, 0.98
 """That width is twice the distance to this neighbour, at this quantile over P's points."""
 _ASKED = 2000
@@ -45,6 +48,12 @@ area; the hole of a missing table top has more."""
 _LEAST_SHARE, _LEAST_SHARE_FROM_C = 0.2, 0.1
 """Least share of holes in the area that a lattice's outline encloses, in the view with the largest
 outline and in that from c. A scan of a plate reaches .18."""
+_THROUGH_STEP_DEG, _THROUGH_ELEVATIONS_DEG = 15.0, tuple(range(-60, 61, 20))
+_LEAST_MEAN_SHARE, _LEAST_VIEWS = 0.1, 0.5
+"""Least share of holes, on average over the views near c, and least share of these views that see
+through P at a place that is to stay empty."""
+_FIRST_VIEWS = 5
+"""If so many of the nearest views to c show no holes, the others are not looked at."""
 
 
 def off_lattice(
@@ -65,14 +74,11 @@ def off_lattice(
     """
     if not len(points):
         return np.zeros(len(places), np.bool_)
-    low, high = points.min(axis=0), points.max(axis=0)
-    middle, side = (low + high) / 2, max(float((high - low).max()), 1e-12)
-    points, places = (points - middle) / side, (places - middle) / side
+    points, places = _centered(points, points), _centered(places, points)
     views = axes_of_views(_STEP_DEG, _ELEVATIONS_DEG).astype(np.float32)
-    cosines = views[:, 2] @ toward_c
-    closed_px = _gap_px(points)
-    from_c = _outline(_picture(points, views[cosines.argmax()]), closed_px)
-    axes = _broadest(points, views[cosines >= _LEAST_COSINE])
+    closed_px = _gap_px(points, _LEAST_CLOSED_PX)
+    from_c = _outline(_picture(points, views[(views[:, 2] @ toward_c).argmax()]), closed_px)
+    axes = _broadest(points, _near(views, toward_c))
     outline = _outline(_picture(points, axes), closed_px)
     holes, share = _holes(outline)
     if share < _LEAST_SHARE or _holes(from_c)[1] < _LEAST_SHARE_FROM_C:
@@ -80,6 +86,46 @@ def off_lattice(
     marked = ~maximum_filter(outline, _RIM_PX) if is_scan else holes
     found: Mask = marked[_pixels(places, axes)]
     return found
+
+
+def seen_through(
+    points: FloatArray,  # [N, 3] P, z up
+    toward_c: FloatArray,  # [3] unit
+    places: FloatArray,  # [M, 3] in the same frame
+) -> Mask:  # [M]
+    """Mark the places where most views near c see through P; none if these show few holes.
+
+    Args:
+        points: P's points.
+        toward_c: direction from the object to the input view.
+        places: points to be marked or not.
+    """
+    if not len(points) or not len(places):
+        return np.zeros(len(places), np.bool_)
+    points, places = _centered(points, points), _centered(places, points)
+    views = axes_of_views(_THROUGH_STEP_DEG, _THROUGH_ELEVATIONS_DEG).astype(np.float32)
+    closed_px = _gap_px(points, _LEAST_CLOSED_THROUGH_PX)
+    shares, through = [], np.zeros(len(places), np.int64)
+    for axes in _near(views, toward_c):
+        holes, share = _holes(_outline(_picture(points, axes), closed_px))
+        shares.append(share)
+        if len(shares) == _FIRST_VIEWS and not any(shares):
+            return np.zeros(len(places), np.bool_)
+        through += holes[_pixels(places, axes)]
+    found: Mask = through >= _LEAST_VIEWS * len(shares)
+    return found & (np.mean(shares) >= _LEAST_MEAN_SHARE)
+
+
+def _centered(places: FloatArray, points: FloatArray) -> FloatArray:  # [M, 3], [N, 3] -> [M, 3]
+    """Move and scale places so that the box of the points is centred and its largest side 1."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    return (places - (low + high) / 2) / max(float((high - low).max()), 1e-12)
+
+
+def _near(views: FloatArray, toward_c: FloatArray) -> FloatArray:  # [V, 3, 3], [3] -> [W, 3, 3]
+    """Return the views near c, the nearest first."""
+    cosines = views[:, 2] @ toward_c
+    return views[np.argsort(-cosines, kind="stable")][: (cosines >= _LEAST_COSINE).sum()]
 
 
 def _broadest(points: FloatArray, views: FloatArray) -> FloatArray:  # [N, 3], [V, 3, 3] -> [3, 3]
@@ -111,21 +157,21 @@ def _outline(picture: Mask, closed_px: int) -> Mask:  # [P, P]
     return outline
 
 
-def _gap_px(points: FloatArray) -> int:  # [N, 3]
+def _gap_px(points: FloatArray, least_px: int) -> int:  # [N, 3]
     """Return the width up to which gaps lie between samples rather than in P, in pixels."""
     asked = every_nth(points, _ASKED)
     distance, _ = cKDTree(points).query(asked, k=[min(_NEIGHBOUR + 1, len(points))])
     gap = 2.0 * _PX_PER_SIDE * float(np.quantile(distance, _SPARSE))
-    return round(min(max(gap, _LEAST_CLOSED_PX), _MOST_CLOSED_PX))
+    return round(min(max(gap, least_px), _MOST_CLOSED_PX))
 
 
 def _holes(outline: Mask) -> tuple[Mask, float]:  # [P, P]
     """Return the holes, and their share of the enclosed area; 0 if they are not a lattice's."""
-    whole = binary_fill_holes(outline)
-    numbers, count = label(whole & ~outline)
+    numbers, count = label(~outline)
     areas = np.bincount(numbers.ravel(), minlength=count + 1)
-    areas[0] = 0
+    areas[0] = areas[numbers[0, 0]] = 0  # the outline itself, and what is round it
+    whole = outline.sum() + areas.sum()
     areas[areas < _SMALLEST_PX] = 0
     holes: Mask = areas[numbers] > 0
     is_lattice = (areas > 0).sum() >= _FEWEST_HOLES and areas.max() <= _LARGEST * areas.sum()
-    return holes, float(areas.sum() / whole.sum()) if is_lattice else 0.0
+    return holes, float(areas.sum() / whole) if is_lattice else 0.0

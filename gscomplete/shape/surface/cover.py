@@ -146,9 +146,9 @@ def surface_splats(
     if mirrored is None:
         # Beside the inner side of a thin wall, what lies a little outside is the outer one's.
         places = points + CELL_SIDE * found.is_turned[:, None] * normals
-        colors = source_colors(output, inputs, partial, places, generator)
+        colors, sure = source_colors(output, inputs, partial, places, generator)
         if settings.rim_decides:
-            colors = checked_by_rim(colors, points, normals, partial, generator)
+            colors = checked_by_rim(colors, sure, points, normals, partial, generator)
     else:
         colored = concatenate([partial.with_sh_degree(0), mirrored])
         colors = nearest_colors(colored, points, normals, generator)

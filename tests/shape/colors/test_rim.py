@@ -12,8 +12,9 @@ def two_bands(points):
     return (points[:, 2:] > 0).float().expand(-1, 3)
 
 
-def checked(shown, partial, points, normals):
-    return checked_by_rim(shown, points, normals, partial, torch.Generator().manual_seed(0))
+def checked(shown, partial, points, normals, sure=None):
+    sure = torch.zeros(len(points)) if sure is None else sure
+    return checked_by_rim(shown, sure, points, normals, partial, torch.Generator().manual_seed(0))
 
 
 def test_what_a_mirror_image_shows_again_gives_way_to_the_rim():
@@ -32,6 +33,12 @@ def test_what_a_mirror_image_shows_again_gives_way_to_the_rim():
     found = checked(shown, partial, hidden, normals)
     assert float((found - bands)[away & ~face].abs().mean()) < 0.04
     assert float((found - bands)[face & away].abs().mean()) < 0.1  # of the copy: 0.67
+    sure = torch.ones(len(hidden))
+    assert torch.equal(checked(shown, partial, hidden, normals, sure), shown)
+    half_sure = checked(shown, partial, hidden, normals, sure / 2)
+    torch.testing.assert_close(
+        half_sure[face & away], ((shown + found) / 2)[face & away], atol=0.01, rtol=0
+    )
 
 
 def test_what_no_rim_reaches_keeps_its_colours():

@@ -7,7 +7,7 @@ from gscomplete.shape.colors import sources
 from gscomplete.shape.colors.sources import nearest_colors, source_colors
 from gscomplete.shape.network import ShapeOutput
 from gscomplete.shape.partial_voxels import voxelize_partial
-from gscomplete.shape.symmetry import SOURCES
+from gscomplete.shape.symmetry import SOURCES, mirror, with_composition
 from gscomplete.shape.voxels import CELLS, COARSE_CELLS
 from gscomplete.splats import colors_to_sh, concatenate
 from gscomplete.views import ViewDistribution
@@ -32,7 +32,7 @@ def colors_at(points, output, partial=None):
     partial = half(ball()) if partial is None else partial
     inputs = voxelize_partial(partial, VIEWS).with_copies(mirrors())
     generator = torch.Generator().manual_seed(0)
-    return source_colors(output, inputs, partial, points, generator), inputs
+    return source_colors(output, inputs, partial, points, generator)[0], inputs
 
 
 def hidden_points(count=200):
@@ -47,6 +47,23 @@ def test_colours_come_from_the_source_that_is_trusted():
     # P's colours run with its normals; those of its mirror image run the other way.
     expected = 0.5 - 0.4 * points[:, 0] / 0.4
     assert float((taken[:, 0] - expected).abs().mean()) < 0.05
+
+
+def test_colours_are_sure_where_they_come_from_a_symmetry_of_which_both_sides_show():
+    """Of half a ball, the plane through its middle mirrors what shows on itself."""
+    partial = half(ball())
+    stripes = (torch.floor(partial.means[:, 2:] / 0.1) % 2).expand(-1, 3)
+    partial = dataclasses.replace(partial, sh=colors_to_sh(stripes))
+    across = (mirror(0.0, 0.0, 0.5), mirror(0.5 * torch.pi, 0.0, 0.5))
+    inputs = voxelize_partial(partial, VIEWS).with_copies(with_composition(*across))
+    generator = torch.Generator().manual_seed(0)
+
+    def sure_of(source: int, points: torch.Tensor) -> list[float]:
+        sure = source_colors(pointing_at(source), inputs, partial, points, generator)[1]
+        return [float(sure.min()), float(sure.max())]
+
+    assert sure_of(2, partial.means[:200]) == pytest.approx([1.0, 1.0])
+    assert sure_of(0, partial.means[:200]) == sure_of(1, hidden_points()) == [0.0, 0.0]
 
 
 def test_the_colour_of_the_network_is_never_mixed_in():

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from gscomplete.shape.outline.lattice import off_lattice
+from gscomplete.shape.outline import lattice
+from gscomplete.shape.outline.lattice import off_lattice, seen_through
 
 
 def bars(*boxes: tuple[float, float, float, float]) -> np.ndarray:
@@ -78,3 +79,58 @@ def test_boards_and_frames_are_no_lattices(points):
     for is_scan in (False, True):
         toward_c = np.array([0.0, 1.0, 0.0])
         assert not off_lattice(points, toward_c, grid, is_scan=is_scan).any()
+
+
+PICKETS = bars(*((left, left + 0.02, -0.3, 0.3) for left in np.arange(-0.45, 0.45, 0.055)),
+               (-0.46, 0.46, -0.3, -0.25), (-0.46, 0.46, 0.25, 0.3))  # fmt: skip
+"""Gaps of .035, less than two cells of the network."""
+
+
+def between_pickets() -> np.ndarray:
+    between = np.arange(-0.45, 0.39, 0.055) + 0.0375
+    return np.stack([between, np.zeros_like(between), np.zeros_like(between)], axis=1)
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 100.0])
+@pytest.mark.parametrize("scale", [0.01, 30.0])
+def test_narrow_gaps_are_seen_through(angle_deg, scale):
+    turn = math.radians(angle_deg)
+    rotation = np.array(
+        [[math.cos(turn), -math.sin(turn), 0], [math.sin(turn), math.cos(turn), 0], [0, 0, 1]]
+    )
+
+    def placed(points: np.ndarray) -> np.ndarray:
+        return scale * points @ rotation.T + np.array([3.0, -2.0, 1.0])
+
+    toward_c = rotation @ np.array([0.0, 0.98, 0.199])
+    beside = np.array([[0.6, 0, 0], [0, 0, 0.5], [5.0, 0, 0]])
+    expected = ((between_pickets(), True), (PICKETS[::20], False), (beside, False))
+    for places, is_through in expected:
+        found = seen_through(placed(PICKETS), toward_c, placed(places))
+        assert (found == is_through).all()
+
+
+def test_what_only_few_views_see_through_is_kept():
+    """Behind pickets, each view sees another part of a wall."""
+    toward_c = np.array([0.0, 1.0, 0.0])
+    wall = between_pickets() - np.array([0.0, 0.3, 0.0])
+    assert not seen_through(PICKETS, toward_c, wall).any()
+
+
+@pytest.mark.parametrize("points", [BOARD, FRAME, BOARD[::40], np.zeros((0, 3)), np.zeros((5, 3))])
+def test_nothing_is_seen_through_without_many_holes(points):
+    """Gaps between sparse samples are none."""
+    grid = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, 12)] * 3), -1).reshape(-1, 3)
+    assert not seen_through(points, np.array([0.0, 1.0, 0.0]), grid).any()
+    assert not seen_through(PICKETS, np.array([0.0, 1.0, 0.0]), grid[:0]).any()
+
+
+def test_views_are_not_drawn_if_the_first_ones_show_no_holes(monkeypatch):
+    drawn = []
+    real = lattice._outline
+    monkeypatch.setattr(lattice, "_outline", lambda *a: drawn.append(1) or real(*a))
+    toward_c = np.array([0.0, 1.0, 0.0])
+    assert not seen_through(BOARD, toward_c, between_pickets()).any()
+    assert len(drawn) == lattice._FIRST_VIEWS
+    assert seen_through(PICKETS, toward_c, between_pickets()).all()
+    assert len(drawn) > 3 * lattice._FIRST_VIEWS
