@@ -50,7 +50,7 @@ from gscomplete.shape.surface.turned import TurnedSurface, turned_surface
 from gscomplete.shape.symmetry import plane_of
 from gscomplete.shape.voxels import FloatArray
 from gscomplete.splats import Splats
-from gscomplete.splats.geometry.revolution import find_revolution
+from gscomplete.splats.geometry.revolution import Revolution, find_revolution
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.util.stages import stage
 from gscomplete.views import ViewDistribution
@@ -63,6 +63,10 @@ effect."""
 _BESIDE_AXIS = 0.02
 """The splats of a part of a surface of revolution are not mirrored through planes that pass its
 axis at a larger distance."""
+_CUT_ALONG_AXIS = 0.01
+"""If P seems cut along a plane at most this far from such an axis, it is mirrored, which keeps its
+details. Cuts through the middle of 10 objects are within .007 and gain from that; of 8 parts, cut
+beside it or not at all, planes are .014 or farther, and P is better turned."""
 _TURNED_NOTE = (
     "P is part of a surface of revolution: it is turned about its axis (--mirror none completes it "
     "by the network alone)"
@@ -83,6 +87,8 @@ class Guess:
     """Known shapes that the guess is made with."""
     notes: tuple[str, ...]
     """What the guess was decided by, for the user."""
+    is_turned: bool = False
+    """Whether P is turned about its axis."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +190,8 @@ def guess_complete(
         known: access to known shapes.
         count: most new splats, not counting P's own mirrored ones.
         generator: chooses where splats sit.
-        mirror_is_cut: whether P was cut squarely along that plane.
+        mirror_is_cut: whether P seems cut squarely along that plane. It is then mirrored unless it
+            is part of a surface of revolution whose axis the plane passes.
         of_ending: features that tell whether P lacks anything (``benefit.OF_ENDING``); None = P is
             completed in any case.
         plane_back: takes mirror planes to the frame that notes name them in; None = as they are.
@@ -193,8 +200,8 @@ def guess_complete(
         The new splats, object frame, with what decided them; none if P is better left as it is.
     """
     settings = AssembleSettings(count=count, image_is_all=mirror_is_cut)
-    if mirror == "guess" and not known.decide:
-        turned = _turned(partial, views, generator)
+    if (mirror == "guess" or mirror_is_cut) and not known.decide:
+        turned = _turned(partial, views, mirror, generator)
         if turned is not None:
             return _turned_guess(asked, partial, views, turned, settings, generator)
     plain = ask_about(asked, partial, views, mirror)
@@ -222,15 +229,28 @@ def guess_complete(
 
 
 def _turned(
-    partial: Splats, views: ViewDistribution, generator: torch.Generator
+    partial: Splats, views: ViewDistribution, mirror: Mirror, generator: torch.Generator
 ) -> TurnedSurface | None:
-    """Return the surface of revolution that P is part of; None = there is none."""
+    """Return the surface of revolution that P is part of.
+
+    None = there is none, or the plane that P is to be mirrored through contains its axis.
+    """
     with stage("axis"):
         points = partial.means.double().numpy()
         revolution = find_revolution(points)
         if revolution is None:
             return None
+        if isinstance(mirror, MirrorPlane):
+            plane = math.radians(mirror.azimuth_deg), mirror.offset
+            if _distance(*plane, revolution) <= _CUT_ALONG_AXIS:
+                return None
         return turned_surface(points, revolution, gather_evidence(partial, views), generator)
+
+
+def _distance(angle: float, offset: float, revolution: Revolution) -> float:
+    """Return the distance of an upright plane from a point of the axis."""
+    normal = np.array([math.cos(angle), math.sin(angle)])
+    return float(abs(revolution.axis.point[:2] @ normal - offset))
 
 
 def _turned_guess(
@@ -243,13 +263,12 @@ def _turned_guess(
 ) -> Guess:
     """Guess what is not part of the turned surface."""
     plain = ask_about(asked, partial, views, "guess")
-    angle, offset = plane_of(plain.seen.symmetries[0])
-    normal = np.array([math.cos(angle), math.sin(angle)])
-    if abs(turned.revolution.axis.point[:2] @ normal - offset) > _BESIDE_AXIS:
+    if _distance(*plane_of(plain.seen.symmetries[0]), turned.revolution) > _BESIDE_AXIS:
         plain = dataclasses.replace(plain, symmetry_score=0.0)  # P's splats are not mirrored
     with stage("surface"):
         assembled = assemble_splats(plain, partial, settings, generator, turned=turned)
-    return Guess(assembled.splats, (), (_TURNED_NOTE, *_prompt_note(plain.prompt_share)))
+    notes = (_TURNED_NOTE, *_prompt_note(plain.prompt_share))
+    return Guess(assembled.splats, (), notes, is_turned=True)
 
 
 def _by_known_shapes(

@@ -214,3 +214,14 @@ def test_half_a_vase_is_turned_about_its_axis_unless_users_want_the_network(aske
         # the network fills P's cells and those of its image, .02 wide; measured: .0125
         assert len(behind) > 2000
         assert np.quantile(np.abs(off), 0.9) < 0.015
+
+
+@pytest.mark.parametrize("is_cut", [True, False])
+@pytest.mark.parametrize("offset", [0.005, 0.02])
+def test_a_cut_beside_the_axis_is_none_of_symmetry(asked, is_cut, offset):
+    """An arc of a vase ends nearly in a plane; users know better."""
+    points = vase(azimuths_deg=(-90.0, 90.0)) - [0.0, 0.0, HEIGHT / 2]
+    part = round_splats(torch.from_numpy(points).float(), scale=0.008)
+    about = part, VIEWS, MirrorPlane(0.0, offset), KnownShapes(None, ""), 4000
+    found = guess_complete(asked, *about, torch.Generator().manual_seed(0), mirror_is_cut=is_cut)
+    assert found.is_turned == (is_cut and offset == 0.02)

@@ -225,7 +225,7 @@ class EmbeddedPrior:
                 return FirstGuess(long.splats_back(guess.splats), (long.note, *guess.notes))
         about = partial, distribution, ending.mirror, known, count, generator
         guess = guess_complete(asked, *about, mirror_is_cut=cut, of_ending=ending.features)
-        notes = ending.notes if cut else ()
+        notes = ending.notes if cut and not guess.is_turned else ()
         return FirstGuess(guess.splats, notes + guess.notes)
 
     def asked(
