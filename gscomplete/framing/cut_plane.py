@@ -56,6 +56,14 @@ _SYMMETRIC_COSINE = 0.2
 """P is taken to be symmetric about its cut if squareness and share of the rim reach the first two
 and the mean cosine does not exceed the third. The third rules out a round cup cut beside its axis,
 whose wall meets the plane nearly squarely but leans to one side."""
+_WALL, _WALL_REACH, _FEWEST_OF_WALLS = 0.5, 0.1, 16
+"""Surface is a wall where the horizontal part of its normal is larger. Walls count that are nearer
+to the plane than this share of P's depth behind it, ``_MOST_REACH`` at most, if they have so many
+points."""
+_MOST_REACH = 0.03
+_SYMMETRIC_WALL_COSINE = 0.4
+"""Nor is P symmetric if its walls meet the plane more slantingly than this: level surfaces meet any
+upright plane squarely. Of a keyboard cut aslant they are nearly all."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +95,9 @@ class CutPlane(UprightPlane):
     """Share of that rim where P's surface meets the plane at nearly a right angle."""
     mean_cosine: float
     """Between the plane's normal and the surface normals along that rim."""
+    wall_cosine: float = 0.0
+    """Median between the plane's normal and the horizontal parts of the normals of walls near it;
+    0 if there are hardly any."""
 
     @property
     def is_symmetric(self) -> bool:
@@ -95,6 +106,7 @@ class CutPlane(UprightPlane):
             self.squareness >= _SYMMETRIC_SQUARENESS
             and self.rim_share >= _SYMMETRIC_SHARE
             and self.mean_cosine <= _SYMMETRIC_COSINE
+            and self.wall_cosine <= _SYMMETRIC_WALL_COSINE
         )
 
     @property
@@ -133,7 +145,26 @@ def find_cut(points: FloatArray) -> CutPlane | None:  # [N, 3] z up
         share,
         squareness,
         float(cosines.mean()),
+        _wall_cosine(chosen, tree, normal, offset),
     )
+
+
+def _wall_cosine(
+    points: FloatArray,  # [N, 3]
+    tree: cKDTree,
+    normal: FloatArray,  # [3]
+    offset: float,
+) -> float:
+    """Return how slantingly walls meet an upright plane (``CutPlane.wall_cosine``)."""
+    depths = offset - points @ normal
+    reach = min(_WALL_REACH * float(depths.max()), _MOST_REACH)
+    near = points[np.abs(depths) < reach]
+    normals = normals_at(near, points, tree)
+    level = np.hypot(normals[:, 0], normals[:, 1])
+    walls = level > _WALL
+    if walls.sum() < _FEWEST_OF_WALLS:
+        return 0.0
+    return float(np.median(np.abs(normals[walls] @ normal) / level[walls]))
 
 
 def _best_plane(

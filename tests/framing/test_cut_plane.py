@@ -64,3 +64,22 @@ def test_half_a_sheet_ends_in_a_plane_but_is_not_mirrored():
     for points in (upright, upright[upright[:, 0] < 0.5]):
         found = find_cut(points)
         assert found is None or not found.is_symmetric
+
+
+@pytest.mark.parametrize(("turn_deg", "expected"), [(0.0, True), (35.0, False)])
+def test_a_slab_is_mirrored_at_a_cut_across_it_but_not_aslant(turn_deg, expected):
+    """Top and bottom meet any upright plane squarely; the sides tell."""
+    steps, walls = np.arange(-0.5, 0.501, 0.01), np.arange(-0.05, 0.051, 0.01)
+    level = np.stack(np.meshgrid(steps, 0.6 * steps), -1).reshape(-1, 2)
+    faces = [np.insert(level, 2, z, axis=1) for z in (-0.06, 0.06)]
+    along = np.stack(np.meshgrid(steps, walls), -1).reshape(-1, 2)
+    sides = [np.insert(along, 1, y, axis=1) for y in (-0.31, 0.31)]
+    across = np.stack(np.meshgrid(0.6 * steps, walls), -1).reshape(-1, 2)
+    ends = [np.insert(across, 0, x, axis=1) for x in (-0.51, 0.51)]
+    slab = np.concatenate(faces + sides + ends)
+    turn = np.radians(turn_deg)
+    found = find_cut(slab[slab @ [np.cos(turn), np.sin(turn), 0.0] < 0.0])
+    assert found is not None
+    assert found.squareness > 0.78
+    assert found.is_symmetric == expected
+    assert (found.wall_cosine < 0.2) == expected  # measured: .13, .57
