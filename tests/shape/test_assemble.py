@@ -11,6 +11,7 @@ from gscomplete.shape.assemble import (
     assemble_splats,
     contradicted_by,
     image_of_half,
+    in_holes,
     is_mirrored_by_splats,
     select_consistent,
     stands_off,
@@ -29,6 +30,7 @@ from gscomplete.shape.voxels import CELLS
 from gscomplete.splats import concatenate
 from gscomplete.views import ViewDistribution
 from tests.builders.known_shapes import box_cells, cell_points
+from tests.builders.lattices import PICKETS
 from tests.builders.objects import ball, half, round_splats
 from tests.builders.shape_network import mirrors, predicted
 
@@ -176,6 +178,31 @@ def test_the_mirrored_object_has_the_silhouette_of_the_truth():
         (ours.alpha > 0.5) | (truth.alpha > 0.5)
     ).sum()
     assert float(iou) > 0.98
+
+
+def test_the_networks_surface_leaves_narrow_gaps_of_p_open():
+    """Cells are wider than the gaps between pickets."""
+    pickets = round_splats(torch.from_numpy(PICKETS).float(), scale=0.008)
+    views = ViewDistribution(90.0, 10.0)
+    voxels = voxelize_partial(pickets, views)
+    ball_of = predicted(0.1)
+    prediction = dataclasses.replace(
+        ball_of, voxels=voxels, seen=voxels.with_copies(no_symmetries())
+    )
+    found = assemble_splats(
+        prediction, pickets, AssembleSettings(), torch.Generator().manual_seed(0)
+    ).splats
+    at_gap = in_holes(found, voxels)
+    everything = surface_splats(
+        prediction.output,
+        prediction.seen,
+        pickets,
+        surface_settings(prediction, AssembleSettings(), None),
+        torch.Generator().manual_seed(0),
+    )
+    assert not at_gap.any()
+    assert int(in_holes(everything, voxels).sum()) > 50
+    assert len(found) == int((~in_holes(everything, voxels)).sum())
 
 
 @pytest.mark.parametrize("count", [1, 2, 100, 3000])

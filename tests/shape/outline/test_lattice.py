@@ -9,18 +9,7 @@ import pytest
 
 from gscomplete.shape.outline import lattice
 from gscomplete.shape.outline.lattice import off_lattice, seen_through
-
-
-def bars(*boxes: tuple[float, float, float, float]) -> np.ndarray:
-    """Points of upright bars: from and to across, from and to upwards; .02 thick."""
-    step = 0.006
-    parts = []
-    for left, right, low, high in boxes:
-        along = np.meshgrid(np.arange(left, right, step), np.arange(low, high, step))
-        for depth in (-0.01, 0.01):
-            parts.append(np.stack([along[0], np.full_like(along[0], depth), along[1]], -1))
-    return np.concatenate([part.reshape(-1, 3) for part in parts])
-
+from tests.builders.lattices import PICKETS, bars, between_pickets
 
 RUNGS = [(-0.2, 0.2, low, low + 0.04) for low in np.linspace(-0.45, 0.4, 6)]
 LADDER = bars((-0.2, -0.16, -0.5, 0.5), (0.16, 0.2, -0.5, 0.5), *RUNGS)
@@ -79,16 +68,6 @@ def test_boards_and_frames_are_no_lattices(points):
     for is_scan in (False, True):
         toward_c = np.array([0.0, 1.0, 0.0])
         assert not off_lattice(points, toward_c, grid, is_scan=is_scan).any()
-
-
-PICKETS = bars(*((left, left + 0.02, -0.3, 0.3) for left in np.arange(-0.45, 0.45, 0.055)),
-               (-0.46, 0.46, -0.3, -0.25), (-0.46, 0.46, 0.25, 0.3))  # fmt: skip
-"""Gaps of .035, less than two cells of the network."""
-
-
-def between_pickets() -> np.ndarray:
-    between = np.arange(-0.45, 0.39, 0.055) + 0.0375
-    return np.stack([between, np.zeros_like(between), np.zeros_like(between)], axis=1)
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 100.0])
