@@ -2,10 +2,10 @@
 
 A mirror image repeats what an object has only once: a face, a label, a lens. Where the colours
 about a splat differ on average from what the rim suggests, the rim's colours are used, unless P
-shows both sides of that symmetry (``both_sides``). To carry
-them over the new surface, P's colours at the rim are grouped into a few main colours; the share of
-each spreads as heat does (Laplace's equation on a graph of neighbouring splats), and the shares are
-then sharpened, so that an object that is black below and white above stays so.
+shows both sides of that symmetry (``both_sides``). To carry them over the new surface, P's colours
+at the rim are grouped into a few main colours; the share of each spreads as heat does (Laplace's
+equation on a graph of neighbouring splats), and the shares are then sharpened, so that an object
+that is black below and white above stays so.
 
 Conventions
 -----------
