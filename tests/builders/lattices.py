@@ -22,5 +22,6 @@ PICKETS = bars(*((left, left + 0.02, -0.3, 0.3) for left in np.arange(-0.45, 0.4
 
 
 def between_pickets() -> np.ndarray:
+    """Return a point in the middle of each gap."""
     between = np.arange(-0.45, 0.39, 0.055) + 0.0375
     return np.stack([between, np.zeros_like(between), np.zeros_like(between)], axis=1)

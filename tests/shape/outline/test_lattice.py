@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -18,6 +19,17 @@ FRAME = bars((-0.3, 0.3, -0.4, -0.3), (-0.3, 0.3, 0.3, 0.4), (-0.3, -0.2, -0.4, 
              (0.2, 0.3, -0.4, 0.4))  # fmt: skip
 
 
+def placement(
+    angle_deg: float, scale: float
+) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+    """Return a rotation about z, and a map that also scales points and moves them."""
+    turn = math.radians(angle_deg)
+    rotation = np.array(
+        [[math.cos(turn), -math.sin(turn), 0], [math.sin(turn), math.cos(turn), 0], [0, 0, 1]]
+    )
+    return rotation, lambda points: scale * points @ rotation.T + np.array([3.0, -2.0, 1.0])
+
+
 def places_between_rungs() -> np.ndarray:
     between = np.linspace(-0.45, 0.4, 6)[:-1] + 0.105
     return np.stack([np.zeros(5), np.zeros(5), between], axis=1)
@@ -26,14 +38,7 @@ def places_between_rungs() -> np.ndarray:
 @pytest.mark.parametrize("angle_deg", [0.0, 37.0, 90.0])
 @pytest.mark.parametrize("scale", [1.0, 30.0])
 def test_what_is_between_rungs_is_in_holes(angle_deg, scale):
-    turn = math.radians(angle_deg)
-    rotation = np.array(
-        [[math.cos(turn), -math.sin(turn), 0], [math.sin(turn), math.cos(turn), 0], [0, 0, 1]]
-    )
-
-    def placed(points: np.ndarray) -> np.ndarray:
-        return scale * points @ rotation.T + np.array([3.0, -2.0, 1.0])
-
+    rotation, placed = placement(angle_deg, scale)
     toward_c = rotation @ np.array([0.6, 0.8, 0.0])
     before = places_between_rungs() + np.array([0, 0.05, 0])
     beside = np.array([[0.3, 0, 0], [0, 0, 0.6], [5.0, 0, 0]])
@@ -73,14 +78,7 @@ def test_boards_and_frames_are_no_lattices(points):
 @pytest.mark.parametrize("angle_deg", [0.0, 100.0])
 @pytest.mark.parametrize("scale", [0.01, 30.0])
 def test_narrow_gaps_are_seen_through(angle_deg, scale):
-    turn = math.radians(angle_deg)
-    rotation = np.array(
-        [[math.cos(turn), -math.sin(turn), 0], [math.sin(turn), math.cos(turn), 0], [0, 0, 1]]
-    )
-
-    def placed(points: np.ndarray) -> np.ndarray:
-        return scale * points @ rotation.T + np.array([3.0, -2.0, 1.0])
-
+    rotation, placed = placement(angle_deg, scale)
     toward_c = rotation @ np.array([0.0, 0.98, 0.199])
     beside = np.array([[0.6, 0, 0], [0, 0, 0.5], [5.0, 0, 0]])
     expected = ((between_pickets(), True), (PICKETS[::20], False), (beside, False))
