@@ -47,6 +47,7 @@ def find_end(
     points: FloatArray,  # [N, 3] z up
     cut: CutPlane | None,
     toward_deg: float | None = None,
+    axes: FloatArray | None = None,  # [N, 3]
 ) -> UprightPlane | None:
     """Return the plane that points end at; None = too few points, or no extent.
 
@@ -57,6 +58,7 @@ def find_end(
         points: P's points.
         cut: the plane that holds P's rim (``find_cut``).
         toward_deg: azimuth of the other half, within ``_ASIDE_DEG``; None = unknown.
+        axes: of P's splats (``neighbourhood.flat_axes``); None = unknown.
     """
     if cut is not None and (toward_deg is None or _apart_deg(cut, toward_deg) <= _ASIDE_DEG):
         return cut
@@ -67,7 +69,8 @@ def find_end(
     side = float(np.ptp(np.quantile(chosen, _SIDES, axis=0), axis=0).max())
     if not side > 0:
         return None
-    found = _outermost((chosen - middle) / side, toward_deg)
+    axes = None if axes is None else every_nth(axes, _MOST_POINTS)
+    found = _outermost((chosen - middle) / side, axes, toward_deg)
     return UprightPlane(found.azimuth_deg, found.offset * side + float(middle @ found.normal))
 
 
@@ -78,10 +81,11 @@ def _apart_deg(plane: UprightPlane, azimuth_deg: float) -> float:
 
 def _outermost(
     points: FloatArray,  # [N, 3]
+    axes: FloatArray | None,  # [N, 3]
     toward_deg: float | None,
 ) -> UprightPlane:
     """Return that outermost plane up to which the most surface runs squarely."""
-    normals = normals_at(points, points, cKDTree(points))
+    normals = normals_at(points, points, cKDTree(points), axes)
     azimuths_deg = np.arange(0.0, 360.0, _STEP_DEG)
     if toward_deg is not None:
         azimuths_deg = toward_deg + np.arange(-_ASIDE_DEG, _ASIDE_DEG + 1, _STEP_DEG)

@@ -32,6 +32,7 @@ from gscomplete.framing.end_plane import find_end
 from gscomplete.framing.extent import extended_box, is_closed
 from gscomplete.render import render
 from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.splats.geometry.neighbourhood import flat_axes
 from gscomplete.splats.geometry.revolution import box_of, find_revolution
 from gscomplete.splats.rotations import thinnest_axes
 from gscomplete.util.same_bits import fixed_sum
@@ -163,10 +164,11 @@ def guess_framing(
     )
     toward, strength = scores.openness()
     points = kept.means.double().numpy()
-    cut = find_cut(points)
+    axes = flat_axes(kept)
+    cut = find_cut(points, axes)
     if seen_from_deg is not None:
         toward = (seen_from_deg + 180.0) % 360.0
-    end = find_end(points, cut, half_toward_deg) if is_half else None
+    end = find_end(points, cut, half_toward_deg, axes) if is_half else None
     if end is not None:
         center, size = _box_of_both(points, end)
         reason = "P is one half: centre and size are those of P with its mirror image"
@@ -178,7 +180,7 @@ def guess_framing(
     elif cut is not None and cut.is_symmetric and seen_from_deg is None:
         center, size = _box_of_both(points, cut)
         reason = "P ends squarely at a plane: centre and size are those of P with its mirror image"
-    elif (revolution := find_revolution(points)) is not None:
+    elif (revolution := find_revolution(points, axes)) is not None:
         center, size = box_of(revolution, points)
         reason = (
             "P is part of a surface of revolution: centre and size are those of the whole of it"

@@ -50,6 +50,7 @@ from gscomplete.shape.surface.turned import TurnedSurface, turned_surface
 from gscomplete.shape.symmetry import plane_of
 from gscomplete.shape.voxels import FloatArray
 from gscomplete.splats import Splats
+from gscomplete.splats.geometry.neighbourhood import flat_axes
 from gscomplete.splats.geometry.revolution import Revolution, find_revolution
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.util.stages import stage
@@ -237,14 +238,15 @@ def _turned(
     """
     with stage("axis"):
         points = partial.means.double().numpy()
-        revolution = find_revolution(points)
+        axes = flat_axes(partial)
+        revolution = find_revolution(points, axes)
         if revolution is None:
             return None
         if isinstance(mirror, MirrorPlane):
             plane = math.radians(mirror.azimuth_deg), mirror.offset
             if _distance(*plane, revolution) <= _CUT_ALONG_AXIS:
                 return None
-        return turned_surface(points, revolution, gather_evidence(partial, views), generator)
+        return turned_surface(points, revolution, gather_evidence(partial, views), generator, axes)
 
 
 def _distance(angle: float, offset: float, revolution: Revolution) -> float:

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.splats import Splats, colors_to_sh, concatenate
 from gscomplete.splats.rotations import quaternions_facing
 from gscomplete.views import up_rotation
 from gscomplete.views.distribution import RADIUS
@@ -125,6 +125,16 @@ def cylinder(count: int = 3000, is_flat: bool = True) -> Splats:
     thin = 0.002 if is_flat else 0.02
     scales = torch.tensor([0.02, thin, 0.02]).expand(count, 3).clone()
     return Splats(means, turns, scales, torch.full((count,), 0.95), colors_to_sh(0.5 * means.abs()))
+
+
+def pipe(count: int = 8000, wall: float = 0.03) -> Splats:
+    """An upright cylinder of radius 0.5 and height 1 whose wall has an inner side, too."""
+    outer = cylinder(count)
+    inside = 1 - 2 * wall
+    inner = dataclasses.replace(outer, means=outer.means * torch.tensor([inside, inside, 1.0]))
+    generator = torch.Generator().manual_seed(1)
+    kept = torch.rand(2 * count, generator=generator) < 0.5
+    return concatenate([outer, inner]).select(kept)
 
 
 def half_cylinder(keep_azimuth_deg: float, is_flat: bool = True) -> Splats:

@@ -45,3 +45,14 @@ def handle(azimuth_deg: float, count: int = 800, seed: int = 1) -> FloatArray:  
     middle = HANDLE_RADIUS * np.array([np.cos(angle), np.sin(angle)])
     rod = middle + 0.025 * np.stack([np.cos(around), np.sin(around)], axis=1)
     return np.column_stack([rod, random.uniform(0.2, 0.7, count)])
+
+
+def foot(azimuth_deg: float, height: float, count: int = 600, seed: int = 2) -> FloatArray:
+    """Return points [N, 3] on a level rod that runs from inside the vase through its wall."""
+    random = np.random.default_rng(seed)
+    angle, around = np.deg2rad(azimuth_deg), random.uniform(0.0, 2 * np.pi, count)
+    along = random.uniform(0.15, HANDLE_RADIUS, count)
+    across = 0.03 * np.stack([np.cos(around), np.sin(around)])
+    x = along * np.cos(angle) - across[0] * np.sin(angle)
+    y = along * np.sin(angle) + across[0] * np.cos(angle)
+    return np.stack([x, y, height + across[1]], axis=1)

@@ -16,13 +16,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gscomplete.framing.cut_plane import CutPlane, UprightPlane, find_cut
+from gscomplete.framing.cut_plane import CutPlane, UprightPlane, cut_of, find_cut
 from gscomplete.framing.end_plane import find_end
 from gscomplete.framing.extent import Exposure, is_closed, thickness_of
 from gscomplete.framing.guess import score_partial
 from gscomplete.shape.mirror_plane import HalfCut, Mirror, MirrorPlane
 from gscomplete.shape.voxels import FloatArray as Features
 from gscomplete.splats import Splats
+from gscomplete.splats.geometry.neighbourhood import flat_axes
 
 FloatArray = NDArray[np.float64]
 _LEAST_SHARE = 1e-3
@@ -66,7 +67,7 @@ def ending_of(
         wish: the mirror plane that the user asks for, "guess" or "none".
     """
     points = partial.means.double().numpy()
-    cut = find_cut(points)
+    cut = cut_of(partial)
     in_plane = ends_in_plane(cut)
     if wish != "guess":
         return Ending(wish, in_plane)
@@ -76,7 +77,9 @@ def ending_of(
     if cut is not None and cut.is_symmetric and abs(cut.offset) <= 1:
         notes = (_SQUARE_CUT_NOTE,)
         return Ending(_mirror_through(cut), in_plane, image_is_all=True, notes=notes)
-    return Ending("guess", in_plane, features=features_of_ending(points, cut, exposure))
+    # The scorer that reads the features was trained on cuts found by places alone.
+    features = features_of_ending(points, find_cut(points), exposure)
+    return Ending("guess", in_plane, features=features)
 
 
 def features_of_ending(
@@ -94,18 +97,19 @@ def features_of_ending(
 
 
 def mirror_of_half(
-    points: FloatArray,  # [N, 3] of P
+    partial: Splats,
     cut: CutPlane | None,
     half: HalfCut,
 ) -> MirrorPlane | None:
     """Return the plane that P, one half of an object, ends at; None = none is found.
 
     Args:
-        points: centres of P's splats.
-        cut: the cut that ``find_cut`` finds in them.
+        partial: P.
+        cut: the cut that ``cut_of`` finds in it.
         half: what the user says about the half.
     """
-    end = find_end(points, cut, half.toward_deg)
+    points = partial.means.double().numpy()
+    end = find_end(points, cut, half.toward_deg, flat_axes(partial))
     return None if end is None or abs(end.offset) > 1 else _mirror_through(end)
 
 

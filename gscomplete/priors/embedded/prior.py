@@ -24,7 +24,7 @@ import torch
 from torch import Tensor
 
 from gscomplete.errors import UserError
-from gscomplete.framing.cut_plane import find_cut
+from gscomplete.framing.cut_plane import cut_of
 from gscomplete.networks.precision import Precision, is_bfloat16, is_in_bytes
 from gscomplete.priors.base import Conditioning, FirstGuess, FourViews, Guidance, PriorViews
 from gscomplete.priors.ddim import ddim, even_times
@@ -192,8 +192,7 @@ class EmbeddedPrior:
             return None
         assert isinstance(conditioning, EmbeddedConditioning)
         if isinstance(mirror, HalfCut):
-            points = partial.means.double().numpy()
-            plane = mirror_of_half(points, find_cut(points), mirror)
+            plane = mirror_of_half(partial, cut_of(partial), mirror)
             if plane is None:
                 raise UserError(
                     "--mirror cut: expected P to end at a plane near the frame's centre, found none"
@@ -263,8 +262,7 @@ class EmbeddedPrior:
         self, partial: Splats, distribution: ViewDistribution, conditioning: Conditioning
     ) -> tuple[ChosenMirror, ...]:
         """Return what P may be mirrored through; see :class:`base.ShapePrior`."""
-        points = partial.means.double().numpy()
-        cut = find_cut(points)
+        cut = cut_of(partial)
         asked = self.asked(conditioning, ends_in_plane=ends_in_plane(cut))
         if asked is None:
             return ()
@@ -277,7 +275,7 @@ class EmbeddedPrior:
             bfloat16=asked.bfloat16,
         )
         planes = (mirror_plane_of(plane) for plane in scored.distinct(voxels.positions))
-        ends = mirror_of_half(points, cut, HalfCut()) is not None
+        ends = mirror_of_half(partial, cut, HalfCut()) is not None
         return (*planes, *((HalfCut(),) if ends else ()), "none")
 
     def distill(

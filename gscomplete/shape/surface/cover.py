@@ -144,9 +144,12 @@ def surface_splats(
     points = points - _TURNED_SINK * found.spacing * normals
     points[~found.is_turned] = predicted
     if mirrored is None:
-        # Beside the inner side of a thin wall, what lies a little outside is the outer one's.
-        places = points + CELL_SIDE * found.is_turned[:, None] * normals
-        colors, sure = source_colors(output, inputs, partial, places, generator)
+        colors, sure = source_colors(output, inputs, partial, points, generator)
+        if turned is not None and bool(found.is_turned.any()):
+            # Beside the inner side of a thin wall, what lies a little outside is the outer one's.
+            body, places = turned.colored_by(partial), points + CELL_SIDE * normals
+            its = source_colors(output, inputs, body, places[found.is_turned], generator)
+            colors[found.is_turned], sure[found.is_turned] = its
         if settings.rim_decides:
             colors = checked_by_rim(colors, sure, points, normals, partial, generator)
     else:
@@ -191,7 +194,9 @@ def new_surface(
     is_new = is_missing(inside, normals, there, settings)
     if turned is not None:
         about = 0.5 * (points + inside)  # about where splats are placed
-        is_new[is_new.clone()] = ~turned.contradicts(about[is_new])
+        is_new[is_new.clone()] = ~(
+            turned.contradicts(about[is_new]) | turned.repeats(about[is_new])
+        )
     inside, points, normals = inside[is_new], points[is_new], normals[is_new]
     insets = insets[is_new]
     count = len(points)

@@ -26,6 +26,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from gscomplete.shape.evidence import Evidence
+from gscomplete.splats import Splats
 from gscomplete.splats.geometry.neighbourhood import normals_at, one_sidedness
 from gscomplete.splats.geometry.revolution import SECTORS, Revolution, Turning, turned
 from gscomplete.splats.thinning import every_nth
@@ -49,6 +50,8 @@ _LEVEL = 0.3
 _NORMAL_REACH, _OWN_NORMAL_REACH = 0.1, 0.05
 """Lengths of normals beside places when points are compared: both walls of a cup are kept apart."""
 _ALIKE = 12
+_LEAST_ROUND = 0.45
+"""Points whose like are in fewer sectors than this share of the median are not turned."""
 _NEAR, _NEAR_RIM, _ONE_SIDED = 0.03, 0.01, 0.7
 """Limits like those of ``cover.SurfaceSettings``: a place is P's own, but only by the wall that
 faces its way."""
@@ -88,6 +91,12 @@ class TurnedSurface:
             return None
         return dataclasses.replace(self, points=self.points[kept], normals=self.normals[kept])
 
+    def colored_by(self, partial: Splats) -> Splats:
+        """Return the splats away from P's features: the turned surface takes their colours."""
+        there = self.revolution.axis.to_axis(partial.means.double().numpy())
+        kept = torch.from_numpy(~self._is_beside_feature(there))
+        return partial.select(kept) if bool(kept.any()) else partial
+
     def spacing(self) -> float:
         """Return the median distance of places from their nearest neighbours."""
         places = self.points.numpy()
@@ -102,17 +111,35 @@ class TurnedSurface:
         P's features points are not marked: they may belong to these. So a handle stays the only
         one.
         """
+        before, distance, is_beside = self._against_body(points)
+        return torch.from_numpy((before > _BEFORE) & (before > _FACING * distance) & ~is_beside)
+
+    def repeats(self, points: Tensor) -> Tensor:  # [M, 3] -> [M] bool
+        """Mark the points that would lie on P's body, where the turned surface is all there is.
+
+        Beside P's features points are not marked.
+        """
+        _, distance, is_beside = self._against_body(points)
+        return torch.from_numpy((distance < _NEAR) & ~is_beside)
+
+    def _against_body(
+        self, points: Tensor
+    ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:  # [M, 3] -> [M], [M], [M]
+        """Return how far points lie before P's body, how far from it, and which beside features."""
         there = self.revolution.axis.to_axis(points.double().numpy())
         places = np.stack([np.hypot(there[:, 0], there[:, 1]), there[:, 2]], axis=1)
         body = np.stack([self.body.radius, self.body.points[:, 2]], axis=1)
         facing = np.stack([self.body.radial, self.body.normals[:, 2]], axis=1)
         distance, nearest = query_nearest(cKDTree(body), places)
         before = ((places - body[nearest]) * facing[nearest]).sum(axis=1)
-        marked = (before > _BEFORE) & (before > _FACING * distance)
-        if len(self.features) and marked.any():
-            away, _ = query_nearest(cKDTree(self.features), there, within=2 * _FEATURE_REACH)
-            marked &= away > _FEATURE_REACH
-        return torch.from_numpy(marked)
+        return before, distance, self._is_beside_feature(there)
+
+    def _is_beside_feature(self, there: FloatArray) -> NDArray[np.bool_]:  # [M, 3] -> [M]
+        """Mark places in axis coordinates."""
+        if not len(self.features):
+            return np.zeros(len(there), np.bool_)
+        away, _ = query_nearest(cKDTree(self.features), there, within=2 * _FEATURE_REACH)
+        return np.asarray(away <= _FEATURE_REACH)
 
 
 def turned_surface(
@@ -120,6 +147,7 @@ def turned_surface(
     revolution: Revolution,
     evidence: Evidence,
     generator: torch.Generator,
+    axes: FloatArray | None = None,  # [N, 3]
 ) -> TurnedSurface | None:
     """Turn P about its axis; None = P lacks next to nothing of the surface, or views contradict it.
 
@@ -128,14 +156,17 @@ def turned_surface(
         revolution: the surface that they are part of.
         evidence: what V's views say about space.
         generator: chooses places on the surface.
+        axes: of P's splats (``neighbourhood.flat_axes``); None = unknown.
     """
     chosen = every_nth(points, _MOST_POINTS)
-    own = Turning.about(revolution.axis, chosen, _outward(chosen, revolution, evidence))
+    axes = None if axes is None else every_nth(axes, _MOST_POINTS)
+    own = Turning.about(revolution.axis, chosen, _outward(chosen, axes, revolution, evidence))
     body, sectors = own.body(1.0)
     if not body.any():
         return None
-    places, normals = _profile(own, body)
-    sides = _drawn(SECTORS / np.maximum(sectors[body], 1), generator)
+    places, normals, around = _profile(own.select(body))
+    goes_round = around > _LEAST_ROUND * np.median(around)
+    sides = _drawn(goes_round * SECTORS / np.maximum(sectors[body], 1), generator)
     angle = 2 * math.pi * torch.rand(_DRAWN, generator=generator, dtype=torch.float64).numpy()
     places, normals = turned(places[sides], angle), turned(normals[sides], angle)
     lacks = _mostly(_is_missing(places, normals, own), places, normals)
@@ -148,19 +179,20 @@ def turned_surface(
         torch.from_numpy(revolution.axis.from_axis(places)).float(),
         torch.from_numpy(normals @ revolution.axis.rotation).float(),
         revolution,
-        own.select(body),
+        own.select(body).select(goes_round),
         own.points[~body],
     )
 
 
 def _outward(
     points: FloatArray,  # [N, 3]
+    axes: FloatArray | None,  # [N, 3]
     revolution: Revolution,
     evidence: Evidence,
 ) -> FloatArray:  # [N, 3]
     """Return P's normals, object frame, turned outward as said above."""
     tree = cKDTree(points)
-    normals = normals_at(points, points, tree)
+    normals = normals_at(points, points, tree, axes)
     ahead, behind = (
         evidence.classify((points + way * _OUT * normals).astype(np.float32))[:, 0]
         for way in (1.0, -1.0)
@@ -195,19 +227,26 @@ def _wall_ahead(
     return np.where(ahead == behind, 0.0, np.where(ahead, 1.0, -1.0))
 
 
-def _profile(own: Turning, body: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:  # [B, 3]
-    """Return places and normals of the body's points at azimuth 0, places averaged."""
-    places = np.stack([own.radius, own.points[:, 2]], axis=1)[body]
-    facing = np.stack([own.radial, own.normals[:, 2]], axis=1)[body]
+def _profile(
+    body: Turning,
+) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:  # [B, 3], [B, 3], [B]
+    """Return the body's points at azimuth 0 and their normals, averaged over points alike.
+
+    Also returns in how many sectors these are: few where a handle's foot is in the body.
+    """
+    places = np.stack([body.radius, body.points[:, 2]], axis=1)
+    facing = np.stack([body.radial, body.normals[:, 2]], axis=1)
     facing /= np.linalg.norm(facing, axis=1, keepdims=True).clip(1e-9)
     like = np.concatenate([places, _NORMAL_REACH * facing], axis=1)
     _, index = cKDTree(like).query(like, k=range(1, min(_ALIKE, len(like)) + 1))
     along = ((places[index] - places[:, None]) * facing[:, None]).sum(axis=2).mean(axis=1)
     places = places + along[:, None] * facing
     nothing = np.zeros(len(places))
+    sectors = np.sort(body.sectors()[index], axis=1)
     return (
         np.stack([places[:, 0].clip(0.0), nothing, places[:, 1]], axis=1),
         np.stack([facing[:, 0], nothing, facing[:, 1]], axis=1),
+        1 + (np.diff(sectors, axis=1) > 0).sum(axis=1),
     )
 
 

@@ -1,4 +1,8 @@
-"""The surface about a point, from the point's neighbours: its normal, and whether it ends there."""
+"""The surface about a point, from the point's neighbours: its normal, and whether it ends there.
+
+The places of neighbours tell the normal badly at rims, on thin walls, whose two sides they mix, and
+where points are sparse. Flat splats tell it themselves, by the axis along which they are thin.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from gscomplete.splats.record import Splats
+from gscomplete.splats.rotations import thinnest_axes
+
 ON_RIM = 0.5
 """Points of which ``one_sidedness`` is larger are on the rim."""
 _NORMAL_NEIGHBOURS = 16
+_FLAT = 0.5
+"""A splat is flat if its least scale is smaller than this share of its middle one."""
+_AGREE = 0.6
+"""The axes of neighbours tell a normal if their mean squared part along it is larger: 1 if all are
+parallel, 1/3 if they point anywhere."""
 
 
 def one_sidedness(ways: NDArray[np.floating]) -> NDArray[np.floating]:  # [N, K, 3] -> [N]
@@ -39,11 +51,37 @@ def normals_of(
     return np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))[1][:, :, 0]
 
 
+def flat_axes(splats: Splats) -> NDArray[np.float64]:  # [N, 3]
+    """Return the directions along which splats are thin, unit vectors; zero where not flat."""
+    ordered = splats.scales.sort(dim=1).values
+    is_flat = ordered[:, :1] < _FLAT * ordered[:, 1:2]
+    axes = thinnest_axes(splats.quaternions, splats.scales) * is_flat
+    return axes.double().cpu().numpy()
+
+
 def normals_at(
     places: NDArray[np.float64],  # [K, 3]
     points: NDArray[np.float64],  # [N, 3]
     tree: cKDTree,
+    axes: NDArray[np.float64] | None = None,  # [N, 3]
 ) -> NDArray[np.float64]:  # [K, 3]
-    """Return unit normals of the surface of points, of either sign; ``tree`` holds the points."""
+    """Return unit normals of the surface of points, of either sign.
+
+    Where the axes about a place agree, the normal is the direction nearest to them all, else that
+    along which the points about it vary least.
+
+    Args:
+        places: where normals are asked for.
+        points: of the surface.
+        tree: holds the points.
+        axes: of the points (``flat_axes``); None = unknown.
+    """
     _, index = tree.query(places, k=_NORMAL_NEIGHBOURS + 1)
-    return normals_of(points[index])
+    if axes is None:
+        return normals_of(points[index])
+    near = axes[index]
+    shares, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", near, near) / near.shape[1])
+    normals: NDArray[np.float64] = vectors[:, :, 2]
+    unsure = shares[:, 2] <= _AGREE
+    normals[unsure] = normals_of(points[index[unsure]])
+    return normals

@@ -156,6 +156,11 @@ class Turning:
         distance = self.radius * np.abs(self.tangential) / self.horizontal.clip(1e-9)
         return distance / np.maximum(_OFF * side, _OFF_SINE * self.radius)
 
+    def sectors(self) -> NDArray[np.int64]:  # [N]
+        """Return the sector that each point is in."""
+        turn = (self.azimuth_rad + math.pi) / (2 * math.pi)
+        return (turn * SECTORS).astype(np.int64) % SECTORS
+
     def body(self, side: float) -> tuple[BoolArray, NDArray[np.int64]]:  # [N], [N]
         """Return which points belong to the body, and in how many sectors P has their like."""
         meets = (self.horizontal < _STEEP) | (self.off_axis(side) < _BODY_OFF)
@@ -163,8 +168,7 @@ class Turning:
         cells = np.floor(profile / (_CELL * side)).astype(np.int64)
         _, cell = np.unique(cells, axis=0, return_inverse=True)
         cell = cell.reshape(-1)
-        turn = (self.azimuth_rad + math.pi) / (2 * math.pi)
-        sector = (turn * SECTORS).astype(np.int64) % SECTORS
+        sector = self.sectors()
         shown = np.zeros((int(cell.max()) + 1, SECTORS), np.bool_)
         shown[cell[meets], sector[meets]] = True
         sectors = shown.sum(axis=1)[cell]
@@ -174,13 +178,18 @@ class Turning:
         return meets & ((sectors >= fewest) | (self.radius < _NEAR_AXIS * side)), sectors
 
 
-def find_revolution(points: FloatArray) -> Revolution | None:  # [N, 3] z up
+def find_revolution(
+    points: FloatArray,  # [N, 3] z up
+    axes: FloatArray | None = None,  # [N, 3]
+) -> Revolution | None:
     """Return the surface of revolution that P is part of; None = it is part of none.
 
     Args:
         points: centres of P's splats, in any unit.
+        axes: of these splats (``neighbourhood.flat_axes``); None = unknown.
     """
     chosen = every_nth(points, _MOST_POINTS)
+    axes = None if axes is None else every_nth(axes, _MOST_POINTS)
     low, high = chosen.min(axis=0), chosen.max(axis=0)
     middle, side = (low + high) / 2, float((high - low).max())
     if len(chosen) < _FEWEST_POINTS or not side > 0:
@@ -188,14 +197,14 @@ def find_revolution(points: FloatArray) -> Revolution | None:  # [N, 3] z up
     chosen = (chosen - middle) / side
     tested = every_nth(chosen, _TESTED)
     tree = cKDTree(chosen)
-    normals = normals_at(tested, chosen, tree)
+    normals = normals_at(tested, chosen, tree, axes)
     start = _upright_axis(tested, normals)
     if start is None or not _is_met(start, tested, normals, _LEAST_UPRIGHT_SHARE):
         return None
     axis = _by_radii(_by_normals(start, tested, normals), tested, normals)
     if not _is_met(axis, tested, normals, _LEAST_SHARE):
         return None
-    turning = Turning.about(axis, chosen, normals_at(chosen, chosen, tree))
+    turning = Turning.about(axis, chosen, normals_at(chosen, chosen, tree, axes))
     body, _ = turning.body(1.0)
     if body.mean() < _LEAST_BODY:
         return None

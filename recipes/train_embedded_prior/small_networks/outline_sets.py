@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from gscomplete.framing.cut_plane import find_cut
+from gscomplete.framing.cut_plane import cut_of
 from gscomplete.priors.embedded.ending import ends_in_plane
 from gscomplete.shape.outline.scorer import FEATURES, outline_features
 from gscomplete.shape.outline.views import SIDE_PX, outline, views_at
@@ -108,7 +108,7 @@ def _sets_of_parts(turned: TurnedObject, parts: Iterable[tuple[str, Splats]]) ->
         if kind == CAPTURE:
             part = working_set(part, None, turned.entry.id, up_rotation("Z")).heeded
         points = part.means.double().numpy()
-        in_plane = ends_in_plane(find_cut(points))
+        in_plane = ends_in_plane(cut_of(part))
         features = outline_features(points, views, ends_in_plane=in_plane)
         shares = outline_shares(points, framed.truth.means.numpy(), views)
         number = np.array([KINDS.index(kind)], np.float32)

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
-from gscomplete.framing.cut_plane import CutPlane, find_cut
+from gscomplete.framing.cut_plane import CutPlane, cut_of
 from gscomplete.framing.extent import Exposure
 from gscomplete.priors.embedded.ending import ending_of, features_of_ending, mirror_of_half
 from gscomplete.shape.benefit import OF_ENDING
 from gscomplete.shape.mirror_plane import HalfCut, MirrorPlane
 from gscomplete.splats import Splats
-from tests.builders.objects import angle_between, ball
+from tests.builders.objects import angle_between, ball, moved
 
 BALL = ball()
 HALF = BALL.select(BALL.means[:, 0] < 0)
 POINTS = HALF.means.double().numpy()
-CUT = find_cut(POINTS)
+CUT = cut_of(HALF)
 
 
 def test_a_closed_surface_lacks_nothing() -> None:
@@ -44,16 +45,16 @@ def test_what_users_say_counts(wish: MirrorPlane, partial: Splats) -> None:
 
 @pytest.mark.parametrize("toward_deg", [None, 10.0])
 def test_one_half_is_mirrored_through_its_end(toward_deg: float | None) -> None:
-    plane = mirror_of_half(POINTS, CUT, HalfCut(toward_deg))
+    plane = mirror_of_half(HALF, CUT, HalfCut(toward_deg))
     assert plane is not None
     assert angle_between(plane.azimuth_deg, 0.0) <= 3.0
     assert abs(plane.offset) < 0.02
 
 
 def test_an_end_far_from_the_frame_is_none() -> None:
-    away = POINTS + np.array([2.0, 0.0, 0.0])
-    assert mirror_of_half(away, find_cut(away), HalfCut()) is None
-    assert mirror_of_half(POINTS[:50], None, HalfCut()) is None
+    away = moved(HALF, (2.0, 0.0, 0.0))
+    assert mirror_of_half(away, cut_of(away), HalfCut()) is None
+    assert mirror_of_half(HALF.select(torch.arange(50)), None, HalfCut()) is None
 
 
 def test_what_may_lack_something_is_told_by_numbers_and_what_users_decide_is_not() -> None:
