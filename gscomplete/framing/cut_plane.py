@@ -22,13 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gscomplete.splats import Splats
-from gscomplete.splats.geometry.neighbourhood import (
-    ON_RIM,
-    flat_axes,
-    normals_at,
-    one_sidedness,
-)
+from gscomplete.splats.geometry.neighbourhood import ON_RIM, normals_at, one_sidedness
 from gscomplete.splats.thinning import every_nth
 
 FloatArray = NDArray[np.float64]
@@ -119,11 +113,6 @@ class CutPlane(UprightPlane):
     def meets_surface(self) -> bool:
         """Whether P's surface runs into the plane somewhere, as it does where it was cut."""
         return self.squareness >= _LEAST_MET
-
-
-def cut_of(splats: Splats) -> CutPlane | None:
-    """Return the upright plane that splats were cut along (``find_cut``); z is up."""
-    return find_cut(splats.means.double().cpu().numpy(), flat_axes(splats))
 
 
 def find_cut(

@@ -166,6 +166,8 @@ def guess_framing(
     points = kept.means.double().numpy()
     axes = flat_axes(kept)
     cut = find_cut(points, axes)
+    mirror = cut if cut is not None and cut.is_symmetric and seen_from_deg is None else None
+    through = None if mirror is None else (math.radians(mirror.azimuth_deg), mirror.offset)
     if seen_from_deg is not None:
         toward = (seen_from_deg + 180.0) % 360.0
     end = find_end(points, cut, half_toward_deg, axes) if is_half else None
@@ -177,14 +179,14 @@ def guess_framing(
             (low + high) / 2,
             "P's surface is closed: centre and size are those of its box",
         )
-    elif cut is not None and cut.is_symmetric and seen_from_deg is None:
-        center, size = _box_of_both(points, cut)
-        reason = "P ends squarely at a plane: centre and size are those of P with its mirror image"
-    elif (revolution := find_revolution(points, axes)) is not None:
+    elif (revolution := find_revolution(points, axes, through)) is not None:
         center, size = box_of(revolution, points)
         reason = (
             "P is part of a surface of revolution: centre and size are those of the whole of it"
         )
+    elif mirror is not None:
+        center, size = _box_of_both(points, mirror)
+        reason = "P ends squarely at a plane: centre and size are those of P with its mirror image"
     elif strength < _MIN_OPENNESS:
         center, reason = (
             (low + high) / 2,

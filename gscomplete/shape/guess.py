@@ -51,7 +51,7 @@ from gscomplete.shape.symmetry import plane_of
 from gscomplete.shape.voxels import FloatArray
 from gscomplete.splats import Splats
 from gscomplete.splats.geometry.neighbourhood import flat_axes
-from gscomplete.splats.geometry.revolution import Revolution, find_revolution
+from gscomplete.splats.geometry.revolution import find_revolution
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.util.stages import stage
 from gscomplete.views import ViewDistribution
@@ -64,10 +64,6 @@ effect."""
 _BESIDE_AXIS = 0.02
 """The splats of a part of a surface of revolution are not mirrored through planes that pass its
 axis at a larger distance."""
-_CUT_ALONG_AXIS = 0.01
-"""If P seems cut along a plane at most this far from such an axis, it is mirrored, which keeps its
-details: 27 cuts through the middle are within .007 of it and lose otherwise. 16 others, of halves
-and of arcs that only seem cut, are .013 or farther from it, and P is better turned."""
 _TURNED_NOTE = (
     "P is part of a surface of revolution: it is turned about its axis (--mirror none completes it "
     "by the network alone)"
@@ -239,20 +235,13 @@ def _turned(
     with stage("axis"):
         points = partial.means.double().numpy()
         axes = flat_axes(partial)
-        revolution = find_revolution(points, axes)
-        if revolution is None:
-            return None
+        plane = None
         if isinstance(mirror, MirrorPlane):
             plane = math.radians(mirror.azimuth_deg), mirror.offset
-            if _distance(*plane, revolution) <= _CUT_ALONG_AXIS:
-                return None
+        revolution = find_revolution(points, axes, plane)
+        if revolution is None:
+            return None
         return turned_surface(points, revolution, gather_evidence(partial, views), generator, axes)
-
-
-def _distance(angle: float, offset: float, revolution: Revolution) -> float:
-    """Return the distance of an upright plane from a point of the axis."""
-    normal = np.array([math.cos(angle), math.sin(angle)])
-    return float(abs(revolution.axis.point[:2] @ normal - offset))
 
 
 def _turned_guess(
@@ -265,7 +254,7 @@ def _turned_guess(
 ) -> Guess:
     """Guess what is not part of the turned surface."""
     plain = ask_about(asked, partial, views, "guess")
-    if _distance(*plane_of(plain.seen.symmetries[0]), turned.revolution) > _BESIDE_AXIS:
+    if turned.revolution.distance_of(*plane_of(plain.seen.symmetries[0])) > _BESIDE_AXIS:
         plain = dataclasses.replace(plain, symmetry_score=0.0)  # P's splats are not mirrored
     with stage("surface"):
         assembled = assemble_splats(plain, partial, settings, generator, turned=turned)

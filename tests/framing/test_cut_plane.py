@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from gscomplete.framing.cut_plane import cut_of, find_cut
+from gscomplete.framing.cut_plane import find_cut
+from gscomplete.splats.geometry.neighbourhood import flat_axes
 from tests.builders.objects import angle_between, ball, half, pipe
 
 BALL = ball().means.double().numpy()
@@ -88,7 +89,7 @@ def test_a_slab_is_mirrored_at_a_cut_across_it_but_not_aslant(turn_deg, expected
 def test_flat_splats_tell_how_a_thin_wall_meets_its_cut():
     kept = half(pipe())
     assert find_cut(kept.means.double().numpy()) is None
-    found = cut_of(kept)
+    found = find_cut(kept.means.double().numpy(), flat_axes(kept))
     assert found is not None
     assert angle_between(found.azimuth_deg, 180.0) < 2.0
     assert abs(found.offset) < 0.02  # splats are about .03 apart

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gscomplete.framing.cut_plane import CutPlane, UprightPlane, cut_of, find_cut
+from gscomplete.framing.cut_plane import CutPlane, UprightPlane, find_cut
 from gscomplete.framing.end_plane import find_end
 from gscomplete.framing.extent import Exposure, is_closed, thickness_of
 from gscomplete.framing.guess import score_partial
@@ -67,7 +67,7 @@ def ending_of(
         wish: the mirror plane that the user asks for, "guess" or "none".
     """
     points = partial.means.double().numpy()
-    cut = cut_of(partial)
+    cut = find_cut(points, flat_axes(partial))
     in_plane = ends_in_plane(cut)
     if wish != "guess":
         return Ending(wish, in_plane)
@@ -105,7 +105,7 @@ def mirror_of_half(
 
     Args:
         partial: P.
-        cut: the cut that ``cut_of`` finds in it.
+        cut: the cut that ``find_cut`` finds in it.
         half: what the user says about the half.
     """
     points = partial.means.double().numpy()

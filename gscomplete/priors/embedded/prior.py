@@ -24,7 +24,7 @@ import torch
 from torch import Tensor
 
 from gscomplete.errors import UserError
-from gscomplete.framing.cut_plane import cut_of
+from gscomplete.framing.cut_plane import find_cut
 from gscomplete.networks.precision import Precision, is_bfloat16, is_in_bytes
 from gscomplete.priors.base import Conditioning, FirstGuess, FourViews, Guidance, PriorViews
 from gscomplete.priors.ddim import ddim, even_times
@@ -52,6 +52,7 @@ from gscomplete.shape.network import ShapeCompleter, laid_out
 from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.symmetry_choice import score_planes
 from gscomplete.splats import Splats
+from gscomplete.splats.geometry.neighbourhood import flat_axes
 from gscomplete.util.same_bits import fixed_sum
 from gscomplete.views import ViewDistribution
 
@@ -192,7 +193,8 @@ class EmbeddedPrior:
             return None
         assert isinstance(conditioning, EmbeddedConditioning)
         if isinstance(mirror, HalfCut):
-            plane = mirror_of_half(partial, cut_of(partial), mirror)
+            cut = find_cut(partial.means.double().numpy(), flat_axes(partial))
+            plane = mirror_of_half(partial, cut, mirror)
             if plane is None:
                 raise UserError(
                     "--mirror cut: expected P to end at a plane near the frame's centre, found none"
@@ -210,8 +212,8 @@ class EmbeddedPrior:
             return FirstGuess(nothing, told + ending.notes)
         asked = self.asked(conditioning, ends_in_plane=ending.in_plane, captured=captured)
         assert asked is not None
-        cut = ending.image_is_all
-        if not cut and not prompt_decides:
+        is_cut = ending.image_is_all
+        if not is_cut and not prompt_decides:
             points = partial.means.double().numpy()
             long = shortening_of(points, ends_in_plane=ending.in_plane)
             through = None if long is None else long.mirror(ending.mirror)
@@ -223,8 +225,8 @@ class EmbeddedPrior:
                 )  # fmt: skip
                 return FirstGuess(long.splats_back(guess.splats), (long.note, *guess.notes))
         about = partial, distribution, ending.mirror, known, count, generator
-        guess = guess_complete(asked, *about, mirror_is_cut=cut, of_ending=ending.features)
-        notes = ending.notes if cut and not guess.is_turned else ()
+        guess = guess_complete(asked, *about, mirror_is_cut=is_cut, of_ending=ending.features)
+        notes = ending.notes if is_cut and not guess.is_turned else ()
         return FirstGuess(guess.splats, notes + guess.notes)
 
     def asked(
@@ -262,7 +264,7 @@ class EmbeddedPrior:
         self, partial: Splats, distribution: ViewDistribution, conditioning: Conditioning
     ) -> tuple[ChosenMirror, ...]:
         """Return what P may be mirrored through; see :class:`base.ShapePrior`."""
-        cut = cut_of(partial)
+        cut = find_cut(partial.means.double().numpy(), flat_axes(partial))
         asked = self.asked(conditioning, ends_in_plane=ends_in_plane(cut))
         if asked is None:
             return ()

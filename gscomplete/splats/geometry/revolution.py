@@ -70,6 +70,11 @@ _FIT = 0.008
 _LEAST_UPRIGHT_SHARE, _LEAST_SHARE, _LEAST_EVENNESS = 0.4, 0.55, 0.08
 _LEAST_BODY, _LEAST_FIT, _LEAST_MET = 0.7, 0.74, 0.55
 _LEAST_WIDTH, _LEAST_FLATNESS = 0.15, 0.2
+_ALONG_AXIS = 0.01
+"""The axis lies in a plane at most this far from it, in sizes of the whole. P that seems cut along
+such a plane is better mirrored, which keeps its details: 27 cuts through the middle are within .007
+and lose otherwise. 16 others, of halves and of arcs that only seem cut, are .013 or farther from
+the axis, and P is better turned."""
 """P is part of a surface of revolution if enough of its normals meet the axis, these face several
 ways, most of P belongs to the body, turned points meet P often enough and then fit it, and it is
 neither a thin stick nor flat. Of 537 such parts of 1,122 train objects, 465 turn into surfaces of
@@ -112,6 +117,16 @@ class Revolution:
     """Of the body."""
     heights: tuple[float, float]
     """Lowest and highest along the axis, of all of P."""
+
+    @property
+    def size(self) -> float:
+        """Largest side of the body's box, the axis upright."""
+        return max(2 * self.radius, self.heights[1] - self.heights[0])
+
+    def distance_of(self, azimuth_rad: float, offset: float) -> float:
+        """Return how far the upright plane of that normal and offset passes the axis."""
+        normal = np.array([math.cos(azimuth_rad), math.sin(azimuth_rad)])
+        return float(abs(self.axis.point[:2] @ normal - offset))
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,12 +196,15 @@ class Turning:
 def find_revolution(
     points: FloatArray,  # [N, 3] z up
     axes: FloatArray | None = None,  # [N, 3]
+    cut: tuple[float, float] | None = None,
 ) -> Revolution | None:
-    """Return the surface of revolution that P is part of; None = it is part of none.
+    """Return the surface of revolution that P is part of; None = none, or P is better mirrored.
 
     Args:
         points: centres of P's splats, in any unit.
         axes: of these splats (``neighbourhood.flat_axes``); None = unknown.
+        cut: an upright plane that P is symmetric about: the azimuth of its normal in radians, and
+            its offset. If the axis lies in it, P is better mirrored. None = there is none.
     """
     chosen = every_nth(points, _MOST_POINTS)
     axes = None if axes is None else every_nth(axes, _MOST_POINTS)
@@ -216,7 +234,10 @@ def find_revolution(
     if met < _LEAST_MET or fit < _LEAST_FIT:
         return None
     found = Axis(axis.point * side + middle, axis.direction, axis.rotation)
-    return Revolution(found, radius * side, (heights[0] * side, heights[1] * side))
+    whole = Revolution(found, radius * side, (heights[0] * side, heights[1] * side))
+    if cut is not None and whole.distance_of(*cut) <= _ALONG_AXIS * whole.size:
+        return None
+    return whole
 
 
 def box_of(

@@ -20,12 +20,13 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from gscomplete.framing.cut_plane import cut_of
+from gscomplete.framing.cut_plane import find_cut
 from gscomplete.priors.embedded.ending import ends_in_plane
 from gscomplete.shape.outline.scorer import FEATURES, outline_features
 from gscomplete.shape.outline.views import SIDE_PX, outline, views_at
 from gscomplete.shape.voxels import FloatArray
 from gscomplete.splats import Splats
+from gscomplete.splats.geometry.neighbourhood import flat_axes
 from gscomplete.splats.strays import packaged_stray_scorer
 from gscomplete.splats.working_set import working_set
 from gscomplete.views import ViewDistribution
@@ -108,7 +109,7 @@ def _sets_of_parts(turned: TurnedObject, parts: Iterable[tuple[str, Splats]]) ->
         if kind == CAPTURE:
             part = working_set(part, None, turned.entry.id, up_rotation("Z")).heeded
         points = part.means.double().numpy()
-        in_plane = ends_in_plane(cut_of(part))
+        in_plane = ends_in_plane(find_cut(points, flat_axes(part)))
         features = outline_features(points, views, ends_in_plane=in_plane)
         shares = outline_shares(points, framed.truth.means.numpy(), views)
         number = np.array([KINDS.index(kind)], np.float32)

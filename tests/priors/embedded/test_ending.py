@@ -6,18 +6,19 @@ import numpy as np
 import pytest
 import torch
 
-from gscomplete.framing.cut_plane import CutPlane, cut_of
+from gscomplete.framing.cut_plane import CutPlane, find_cut
 from gscomplete.framing.extent import Exposure
 from gscomplete.priors.embedded.ending import ending_of, features_of_ending, mirror_of_half
 from gscomplete.shape.benefit import OF_ENDING
 from gscomplete.shape.mirror_plane import HalfCut, MirrorPlane
 from gscomplete.splats import Splats
+from gscomplete.splats.geometry.neighbourhood import flat_axes
 from tests.builders.objects import angle_between, ball, moved
 
 BALL = ball()
 HALF = BALL.select(BALL.means[:, 0] < 0)
 POINTS = HALF.means.double().numpy()
-CUT = cut_of(HALF)
+CUT = find_cut(POINTS, flat_axes(HALF))
 
 
 def test_a_closed_surface_lacks_nothing() -> None:
@@ -53,7 +54,7 @@ def test_one_half_is_mirrored_through_its_end(toward_deg: float | None) -> None:
 
 def test_an_end_far_from_the_frame_is_none() -> None:
     away = moved(HALF, (2.0, 0.0, 0.0))
-    assert mirror_of_half(away, cut_of(away), HalfCut()) is None
+    assert mirror_of_half(away, find_cut(away.means.double().numpy()), HalfCut()) is None
     assert mirror_of_half(HALF.select(torch.arange(50)), None, HalfCut()) is None
 
 
