@@ -18,7 +18,7 @@ from gscomplete.framing.guess import (
     score_views,
 )
 from gscomplete.splats import Similarity, concatenate, transform_splats
-from tests.builders.objects import angle_between, cylinder, half_cylinder, round_splats
+from tests.builders.objects import BALL, angle_between, cylinder, half_cylinder, round_splats
 from tests.builders.vases import HEIGHT, handle, vase
 
 
@@ -32,6 +32,15 @@ def test_half_a_cylinder_is_seen_from_outside_and_completed(
     assert np.linalg.norm(guess.center) < 0.05  # the box of P is off by 0.25
     assert guess.size == pytest.approx(1.0, abs=0.1)
     assert "extended" in guess.box_reason
+
+
+@pytest.mark.parametrize("offset", [-0.02, 0.02])
+def test_what_is_cut_beside_its_axis_has_the_box_of_the_whole(offset: float) -> None:
+    """The cut is nearly square, but P's image through it makes no ball."""
+    guess = guess_framing(BALL.select(BALL.means[:, 0] < offset))
+    assert "surface of revolution" in guess.box_reason
+    assert np.linalg.norm(guess.center) < 0.003  # measured: .0009; the image's is off by .02
+    assert guess.size == pytest.approx(1.0, abs=0.003)
 
 
 def test_a_part_of_a_vase_has_the_box_of_the_whole_vase_and_its_handle() -> None:

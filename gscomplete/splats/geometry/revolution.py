@@ -69,17 +69,17 @@ _FIT = 0.008
 """Turned points fit P if P's surface passes within this distance of them."""
 _LEAST_UPRIGHT_SHARE, _LEAST_SHARE, _LEAST_EVENNESS = 0.4, 0.55, 0.08
 _LEAST_BODY, _LEAST_FIT, _LEAST_MET = 0.7, 0.74, 0.55
-_LEAST_WIDTH, _LEAST_FLATNESS = 0.15, 0.2
-_ALONG_AXIS = 0.01
-"""The axis lies in a plane at most this far from it, in sizes of the whole. P that seems cut along
-such a plane is better mirrored, which keeps its details: 27 cuts through the middle are within .007
-and lose otherwise. 16 others, of halves and of arcs that only seem cut, are .013 or farther from
-the axis, and P is better turned."""
+_LEAST_WIDTH, _LEAST_FLATNESS = 0.15, 0.09
 """P is part of a surface of revolution if enough of its normals meet the axis, these face several
 ways, most of P belongs to the body, turned points meet P often enough and then fit it, and it is
 neither a thin stick nor flat. Of 537 such parts of 1,122 train objects, 465 turn into surfaces of
 which more than nine tenths lie within .02 of the true one, 26 into less than three quarters. Of the
 parts that turn into such good ones, 87 % are found."""
+_ALONG_AXIS = 0.01
+"""The axis lies in a plane at most this far from it, in sizes of the whole. P that seems cut along
+such a plane is better mirrored, which keeps its details: 27 cuts through the middle are within .007
+and lose otherwise. 16 others, of halves and of arcs that only seem cut, are .013 or farther from
+the axis, and P is better turned."""
 
 
 @dataclass(frozen=True, slots=True)

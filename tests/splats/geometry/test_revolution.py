@@ -148,3 +148,14 @@ def test_flat_splats_tell_the_axis_of_a_thin_wall_and_places_do_not():
     distance, angle_deg = off_axis(found, np.zeros(3))
     assert distance < 0.005  # of discs .03 apart; measured: .00006
     assert angle_deg < 1.0
+
+
+def test_what_is_cut_along_its_axis_is_better_mirrored():
+    part = half(ball())
+    points = part.means.double().numpy()
+    assert find_revolution(points, flat_axes(part), (0.0, 0.0)) is None
+    assert find_revolution(points, flat_axes(part), (math.pi, -0.002)) is None
+    for beside in ((0.0, 0.02), (math.pi, 0.02)):  # the ball is .8 wide, the limit .008
+        found = find_revolution(points, flat_axes(part), beside)
+        assert found is not None
+        assert found.size == pytest.approx(0.8, abs=0.01)
