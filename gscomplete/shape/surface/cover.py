@@ -194,9 +194,8 @@ def new_surface(
     is_new = is_missing(inside, normals, there, settings)
     if turned is not None:
         about = 0.5 * (points + inside)  # about where splats are placed
-        is_new[is_new.clone()] = ~(
-            turned.contradicts(about[is_new]) | turned.repeats(about[is_new])
-        )
+        is_new[is_new.clone()] = ~turned.contradicts(about[is_new])
+        is_new[is_new.clone()] = ~turned.repeats(about[is_new], normals[is_new])
     inside, points, normals = inside[is_new], points[is_new], normals[is_new]
     insets = insets[is_new]
     count = len(points)

@@ -64,7 +64,9 @@ _SPACED = 2000
 """About so many places tell how far apart all are."""
 _BEFORE, _FACING = 0.01, 0.5
 """A point lies before the body if it is so far before the nearest place, in a direction that is so
-near to the normal's (cosine)."""
+near to the normal's (cosine). A normal is opposite to another from the same cosine on."""
+_ON_BODY = 0.015
+"""A point lies on the body if it is nearer to it."""
 _FEATURE_REACH = 0.05
 
 
@@ -111,28 +113,43 @@ class TurnedSurface:
         P's features points are not marked: they may belong to these. So a handle stays the only
         one.
         """
-        before, distance, is_beside = self._against_body(points)
-        return torch.from_numpy((before > _BEFORE) & (before > _FACING * distance) & ~is_beside)
+        there = self.revolution.axis.to_axis(points.double().numpy())
+        distance, before, _ = self._from_body(there)
+        marked = (before > _BEFORE) & (before > _FACING * distance)
+        return torch.from_numpy(marked & ~self._is_beside_feature(there))
 
-    def repeats(self, points: Tensor) -> Tensor:  # [M, 3] -> [M] bool
+    def repeats(
+        self,
+        points: Tensor,  # [M, 3]
+        normals: Tensor,  # [M, 3] outward
+    ) -> Tensor:  # [M] bool
         """Mark the points that would lie on P's body, where the turned surface is all there is.
 
-        Beside P's features points are not marked.
+        Beside P's features points are not marked, nor those that face the other way: they are the
+        other side of a thin wall.
         """
-        _, distance, is_beside = self._against_body(points)
-        return torch.from_numpy((distance < _NEAR) & ~is_beside)
+        axis = self.revolution.axis
+        there = axis.to_axis(points.double().numpy())
+        distance, _, facing = self._from_body(there)
+        normal = normals.double().numpy() @ axis.rotation.T
+        outward = there[:, :2] / np.hypot(there[:, 0], there[:, 1]).clip(1e-9)[:, None]
+        along = (normal[:, :2] * outward).sum(axis=1) * facing[:, 0] + normal[:, 2] * facing[:, 1]
+        marked = (distance < _ON_BODY) & (along > -_FACING)
+        return torch.from_numpy(marked & ~self._is_beside_feature(there))
 
-    def _against_body(
-        self, points: Tensor
-    ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:  # [M, 3] -> [M], [M], [M]
-        """Return how far points lie before P's body, how far from it, and which beside features."""
-        there = self.revolution.axis.to_axis(points.double().numpy())
+    def _from_body(
+        self, there: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:  # [M, 3] -> [M], [M], [M, 2]
+        """Turn places in axis coordinates to the nearest of P's body.
+
+        Returns:
+            How far they are from it and how far before it, and its normal, radially and upward.
+        """
         places = np.stack([np.hypot(there[:, 0], there[:, 1]), there[:, 2]], axis=1)
         body = np.stack([self.body.radius, self.body.points[:, 2]], axis=1)
-        facing = np.stack([self.body.radial, self.body.normals[:, 2]], axis=1)
         distance, nearest = query_nearest(cKDTree(body), places)
-        before = ((places - body[nearest]) * facing[nearest]).sum(axis=1)
-        return before, distance, self._is_beside_feature(there)
+        facing = np.stack([self.body.radial, self.body.normals[:, 2]], axis=1)[nearest]
+        return distance, ((places - body[nearest]) * facing).sum(axis=1), facing
 
     def _is_beside_feature(self, there: FloatArray) -> NDArray[np.bool_]:  # [M, 3] -> [M]
         """Mark places in axis coordinates."""

@@ -99,12 +99,16 @@ def test_only_what_is_beside_a_feature_may_lie_on_the_body():
     found = turn(np.concatenate([half(), handle(10.0)]))
     assert found is not None
     on_body = float(vase_radius(np.array([HEIGHT / 2]))[0]) + 0.005
-    assert bool(found.repeats(at(on_body, 200.0, HEIGHT / 2)))
-    assert not bool(found.repeats(at(on_body + 0.1, 200.0, HEIGHT / 2)))
+    out = at(1.0, 200.0, HEIGHT / 2)
+    sideways = at(1.0, 290.0, HEIGHT / 2)
+    assert bool(found.repeats(at(on_body, 200.0, HEIGHT / 2), out))
+    assert bool(found.repeats(at(on_body, 200.0, HEIGHT / 2), sideways))
+    assert not bool(found.repeats(at(on_body, 200.0, HEIGHT / 2), -out))  # behind a thin wall
+    assert not bool(found.repeats(at(on_body + 0.1, 200.0, HEIGHT / 2), out))
     features = half(), foot(60.0, 0.3)
     found = turn(np.concatenate(features))
     assert found is not None
-    assert not bool(found.repeats(at(on_body, 60.0, 0.3)))
+    assert not bool(found.repeats(at(on_body, 60.0, 0.3), at(1.0, 60.0, HEIGHT / 2)))
 
 
 def test_colors_come_from_splats_away_from_features():
