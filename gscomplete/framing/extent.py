@@ -40,10 +40,11 @@ many points are not tried."""
 _THIN = 0.15
 """The same goes for a P without a cut whose thickness over its largest side is less: halves of
 plates and pallets show no inside, so many points would find them closed."""
-_EDGE_SQUARENESS = 0.75
-"""A "cut" with less squareness may be a mere edge of a closed thing, met at a slant. Of 280 objects
-of the train split, 205 of the complete ones are found closed, of parts of them that end in a plane
-3 of 223 halves, 1 of 241 halves through the middle and 3 of 39 that lack a box."""
+_EDGE_SQUARENESS, _EDGE_WALL = 0.75, 0.6
+"""A "cut" with less squareness than the first may be a mere edge of a closed thing if the walls next
+to it run along its plane: if their cosine is at least the second. Of 280 objects of the train split
+205 complete ones are found closed, of parts of them that end in a plane 2 of 223 halves, 1 of 241
+halves through the middle and 3 of 39 that lack a box."""
 _FLAT = 0.015
 """If P has a cut and is thinner than this, it is open: its two sides cannot be told apart."""
 _LITTLE_EXPOSED = (0.0008, 0.01)
@@ -94,8 +95,8 @@ def is_closed(
     The share that is exposed on both sides does not suffice. Half a cup with a double wall shows
     the space between its walls only through the cut. So a P that ends squarely in a plane is open,
     and so is one of which a small share is exposed while it is open to one side. On the other hand,
-    edges may pass for cuts that are met at a slant. Such a cut is ignored if hardly any of P is
-    exposed.
+    edges may pass for cuts that are met at a slant, beside walls along them. Such a cut is ignored
+    if hardly any of P is exposed.
 
     Args:
         points: P's points.
@@ -125,7 +126,7 @@ def _hides_its_inside(
     thickness = thickness_of(points)
     is_thin = thickness < _THIN
     if cut is not None:
-        may_be_edge = cut.squareness < _EDGE_SQUARENESS
+        may_be_edge = cut.squareness < _EDGE_SQUARENESS and cut.wall_cosine >= _EDGE_WALL
         if cut.is_symmetric or thickness < _FLAT or not may_be_edge:
             return False
         if exposure.with_few >= _CUT_OPEN_FROM:

@@ -112,13 +112,14 @@ def test_sharp_edges_that_pass_for_a_cut_leave_a_blade_closed():
     assert not closed(blade()[blade()[:, 1] > 0])
 
 
-def test_only_a_cut_met_at_a_slant_is_an_edge():
+def test_only_a_cut_met_at_a_slant_beside_walls_along_it_is_an_edge():
     fin = with_fin(0.012)
-    edge = CutPlane(0.0, 0.0, 0.9, 0.1, 0.6)
+    edge = CutPlane(0.0, 0.0, 0.9, 0.1, 0.6, 0.9)
     assert is_closed(fin, edge, lambda: 1.0)
     assert not is_closed(
         fin, dataclasses.replace(edge, squareness=0.8, mean_cosine=0.2), lambda: 0.0
     )
+    assert not is_closed(fin, dataclasses.replace(edge, wall_cosine=0.4), lambda: 0.0)
 
 
 @pytest.mark.parametrize(
