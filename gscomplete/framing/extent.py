@@ -41,10 +41,10 @@ _THIN = 0.15
 """The same goes for a P without a cut whose thickness over its largest side is less: halves of
 plates and pallets show no inside, so many points would find them closed."""
 _EDGE_SQUARENESS, _EDGE_WALL = 0.75, 0.6
-"""A "cut" with less squareness than the first may be a mere edge of a closed thing if the walls next
-to it run along its plane: if their cosine is at least the second. Of 280 objects of the train split
-205 complete ones are found closed, of parts of them that end in a plane 2 of 223 halves, 1 of 241
-halves through the middle and 3 of 39 that lack a box."""
+"""A "cut" with less squareness than the first may be a mere edge of a closed thing if the walls
+next to it run along its plane: if their cosine is at least the second. Of 280 objects of the train
+split 205 complete ones are found closed, of parts of them that end in a plane 2 of 223 halves, 1 of
+241 halves through the middle and 3 of 39 that lack a box."""
 _FLAT = 0.015
 """If P has a cut and is thinner than this, it is open: its two sides cannot be told apart."""
 _LITTLE_EXPOSED = (0.0008, 0.01)
