@@ -32,7 +32,7 @@ from gscomplete.framing.end_plane import find_end
 from gscomplete.framing.extent import extended_box, is_closed
 from gscomplete.render import render
 from gscomplete.splats import Splats, colors_to_sh
-from gscomplete.splats.geometry.neighbourhood import flat_axes
+from gscomplete.splats.geometry.neighbourhood import are_flat, flat_axes
 from gscomplete.splats.geometry.revolution import box_of, find_revolution
 from gscomplete.splats.rotations import thinnest_axes
 from gscomplete.util.same_bits import fixed_sum
@@ -282,12 +282,10 @@ def outward_normals(splats: Splats) -> Tensor:  # [N, 3] unit
     weights = splats.opacities[:, None]
     centroid = (weights * splats.means).sum(dim=0) / fixed_sum(weights).clamp_min(1e-12)
     outward = torch.nn.functional.normalize(splats.means - centroid, dim=1)
-    ordered = splats.scales.sort(dim=1).values
-    is_flat = ordered[:, 0] < 0.5 * ordered[:, 1]
     unit = torch.nn.functional.normalize(splats.quaternions, dim=1)
     normals = thinnest_axes(unit, splats.scales)
     sign = torch.where((normals * outward).sum(dim=1, keepdim=True) < 0, -1.0, 1.0)
-    return torch.where(is_flat[:, None], sign * normals, outward)
+    return torch.where(are_flat(splats)[:, None], sign * normals, outward)
 
 
 def _score_ring(

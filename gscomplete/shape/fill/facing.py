@@ -21,7 +21,8 @@ from torch import Tensor
 
 from gscomplete.render import render
 from gscomplete.splats import Splats, colors_to_sh
-from gscomplete.splats.rotations import rotation_matrices
+from gscomplete.splats.geometry.neighbourhood import are_flat
+from gscomplete.splats.rotations import thinnest_axes
 from gscomplete.views import Cameras, orbit_cameras, radius_to_fit
 
 _VIEWS = 48
@@ -38,9 +39,6 @@ depth of its centre, so the tolerance grows by what the surface falls within a p
 _PIXEL = _REACH / _SIZE_PX
 _SQUARE = 0.3
 """Least cosine used for that growth: beyond this obliqueness it stays the same."""
-_FLAT = 0.5
-"""A splat has a normal of its own if its smallest scale is less than this share of its middle
-scale."""
 _NEIGHBOURS = 12
 _ROUNDS = 6
 
@@ -143,11 +141,8 @@ def outward_normals(splats: Splats, around: Around) -> Tensor:  # [N, 3]
 
 def _axes(splats: Splats) -> Tensor:  # [N, 3]
     """Return unit normals of unknown sign: a flat splat's thin axis, else its neighbourhood's."""
-    order = splats.scales.argsort(dim=1)
-    matrices = rotation_matrices(splats.quaternions)
-    axes = matrices.gather(2, order[:, :1, None].expand(-1, 3, 1))[:, :, 0]
-    sorted_scales = splats.scales.gather(1, order)
-    round_ones = torch.nonzero(sorted_scales[:, 0] >= _FLAT * sorted_scales[:, 1])[:, 0]
+    axes = thinnest_axes(splats.quaternions, splats.scales)
+    round_ones = torch.nonzero(~are_flat(splats))[:, 0]
     if not len(round_ones):
         return axes
     points = splats.means.numpy()

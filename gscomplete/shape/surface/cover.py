@@ -144,11 +144,14 @@ def surface_splats(
     points = points - _TURNED_SINK * found.spacing * normals
     points[~found.is_turned] = predicted
     if mirrored is None:
-        colors, sure = source_colors(output, inputs, partial, points, generator)
+        colors, sure = torch.zeros_like(points), torch.zeros(len(points))
+        its = source_colors(output, inputs, partial, predicted, generator)
+        colors[~found.is_turned], sure[~found.is_turned] = its
         if turned is not None and bool(found.is_turned.any()):
             # Beside the inner side of a thin wall, what lies a little outside is the outer one's.
-            body, places = turned.colored_by(partial), points + CELL_SIDE * normals
-            its = source_colors(output, inputs, body, places[found.is_turned], generator)
+            places = (points + CELL_SIDE * normals)[found.is_turned]
+            body = turned.colored_by(partial)
+            its = source_colors(output, inputs, body, places, generator)
             colors[found.is_turned], sure[found.is_turned] = its
         if settings.rim_decides:
             colors = checked_by_rim(colors, sure, points, normals, partial, generator)

@@ -6,7 +6,7 @@ but P does not are then drawn at random azimuths.
 
 Conventions
 -----------
-* Object frame; axis coordinates as in ``splats.geometry.revolution``.
+* Object frame; axis coordinates as in ``splats.geometry.axis_coordinates``.
 * Normals point away from the other side of a thin wall, else to the side that V's views see empty,
   else away from the middle.
 * The body is what of P belongs to the surface of revolution; the rest, such as a handle, is its
@@ -27,8 +27,9 @@ from torch import Tensor
 
 from gscomplete.shape.evidence import Evidence
 from gscomplete.splats import Splats
+from gscomplete.splats.geometry.axis_coordinates import SECTORS, Turning, turned
 from gscomplete.splats.geometry.neighbourhood import normals_at, one_sidedness
-from gscomplete.splats.geometry.revolution import SECTORS, Revolution, Turning, turned
+from gscomplete.splats.geometry.revolution import Revolution
 from gscomplete.splats.thinning import every_nth
 from gscomplete.util.nearest import query_nearest
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from torch import Tensor
 
 from gscomplete.splats.record import Splats
 from gscomplete.splats.rotations import thinnest_axes
@@ -51,11 +52,15 @@ def normals_of(
     return np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))[1][:, :, 0]
 
 
+def are_flat(splats: Splats) -> Tensor:  # [N] bool
+    """Mark the splats that are much thinner along one axis than along the others."""
+    ordered = splats.scales.sort(dim=1).values
+    return ordered[:, 0] < _FLAT * ordered[:, 1]
+
+
 def flat_axes(splats: Splats) -> NDArray[np.float64]:  # [N, 3]
     """Return the directions along which splats are thin, unit vectors; zero where not flat."""
-    ordered = splats.scales.sort(dim=1).values
-    is_flat = ordered[:, :1] < _FLAT * ordered[:, 1:2]
-    axes = thinnest_axes(splats.quaternions, splats.scales) * is_flat
+    axes = thinnest_axes(splats.quaternions, splats.scales) * are_flat(splats)[:, None]
     return axes.double().cpu().numpy()
 
 

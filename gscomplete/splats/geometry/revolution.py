@@ -8,9 +8,7 @@ tilt by least squares over all normals, and then by the distances, which determi
 
 Conventions
 -----------
-* z is up. The axis is upright or nearly so.
-* In axis coordinates the axis is the z axis. A point has a radius, an azimuth and a height there,
-  and its normal a radial, a tangential and an upward part.
+* z is up. The axis is upright or nearly so; coordinates about it as in ``axis_coordinates``.
 * Lengths are in sides of P's box, unless a docstring says otherwise. Arithmetic is float64.
 """
 
@@ -20,27 +18,29 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from gscomplete.splats.geometry.axis_coordinates import (
+    NEAR_AXIS,
+    OFF,
+    OFF_SINE,
+    STEEP,
+    Axis,
+    BoolArray,
+    FloatArray,
+    Turning,
+    turned,
+)
 from gscomplete.splats.geometry.neighbourhood import normals_at
 from gscomplete.splats.thinning import every_nth
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _MOST_POINTS = 20_000
 _TESTED = 2500
 _FEWEST_POINTS = 200
 _FEWEST_STEEP = 100
 _PAIRS = 500
-_STEEP = 0.3
-"""Only normals whose horizontal part is larger than this tell where the axis is."""
 _LEAST_CROSSING = 0.25
 """Least sine between two normals that an axis is drawn from."""
-_OFF, _OFF_SINE = 0.015, 0.2
-"""A normal meets the axis if its line passes within the first, or within the second of the point's
-radius: normals of noisy surfaces are off by an angle."""
 _TILT, _MOST_TILT = 0.1, 0.2
 """Tilts are small: standard deviation of the prior, and largest tangent."""
 _STEPS, _RADIUS_STEPS = 12, 4
@@ -51,17 +51,8 @@ _ALIKE = 0.06
 """Points are alike within this distance in radius, height and, weighted by the next, normal."""
 _NORMAL_WEIGHT = 0.15
 _ALIKE_NEIGHBOURS = 12
-_CELL, SECTORS = 0.04, 36
-"""Where P goes round the axis is counted in cells of radius and height and in sectors."""
-_LEAST_ROUND = 0.35
-"""What P shows in fewer sectors than this share of the median is no part of the body: a handle."""
-_FEWEST_SECTORS = 4
 _OUTERMOST = 0.995
 """Share of the body within its radius; the rest is noise."""
-_NEAR_AXIS = 0.03
-"""Within this radius every point belongs to the body."""
-_BODY_OFF = 1.3
-"""Normals of the body may pass the axis by this factor more than ``_OFF`` and ``_OFF_SINE``."""
 _TURNS_RAD = (0.35, 1.6)
 _SPREAD, _SAME_SURFACE = 0.05, 0.02
 _SAME_NORMAL = 0.8
@@ -80,31 +71,6 @@ _ALONG_AXIS = 0.01
 such a plane is better mirrored, which keeps its details: 27 cuts through the middle are within .007
 and lose otherwise. 16 others, of halves and of arcs that only seem cut, are .013 or farther from
 the axis, and P is better turned."""
-
-
-@dataclass(frozen=True, slots=True)
-class Axis:
-    """A line that points upward."""
-
-    point: FloatArray  # [3] on the axis
-    direction: FloatArray  # [3] unit
-    rotation: FloatArray  # [3, 3] takes the direction to +z
-
-    @classmethod
-    def through(cls, point: FloatArray, direction: FloatArray) -> Axis:
-        """Return the axis through a point along a direction that is not -z."""
-        unit = direction / np.linalg.norm(direction)
-        x, y, z = unit
-        skew = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
-        return cls(point, unit, np.eye(3) + skew + skew @ skew / (1.0 + z))
-
-    def to_axis(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
-        """Return points in axis coordinates."""
-        return (points - self.point) @ self.rotation.T
-
-    def from_axis(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
-        """Return points of axis coordinates."""
-        return points @ self.rotation + self.point
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,70 +93,6 @@ class Revolution:
         """Return how far the upright plane of that normal and offset passes the axis."""
         normal = np.array([math.cos(azimuth_rad), math.sin(azimuth_rad)])
         return float(abs(self.axis.point[:2] @ normal - offset))
-
-
-@dataclass(frozen=True, slots=True)
-class Turning:
-    """Oriented points in axis coordinates."""
-
-    points: FloatArray  # [N, 3]
-    normals: FloatArray  # [N, 3] of either sign
-    radius: FloatArray  # [N]
-    azimuth_rad: FloatArray  # [N]
-    radial: FloatArray  # [N] part of the normal
-    tangential: FloatArray  # [N] part of the normal
-
-    @classmethod
-    def about(cls, axis: Axis, points: FloatArray, normals: FloatArray) -> Turning:
-        """Return points and normals, both [N, 3], in coordinates of the axis."""
-        there, facing = axis.to_axis(points), normals @ axis.rotation.T
-        radius = np.linalg.norm(there[:, :2], axis=1)
-        azimuth = np.arctan2(there[:, 1], there[:, 0])
-        cosine, sine = np.cos(azimuth), np.sin(azimuth)
-        return cls(
-            there,
-            facing,
-            radius,
-            azimuth,
-            facing[:, 0] * cosine + facing[:, 1] * sine,
-            facing[:, 1] * cosine - facing[:, 0] * sine,
-        )
-
-    def select(self, mask: BoolArray) -> Turning:  # [N]
-        """Return some of the points."""
-        parts = (self.points, self.normals, self.radius, self.azimuth_rad)
-        return Turning(*(part[mask] for part in (*parts, self.radial, self.tangential)))
-
-    @property
-    def horizontal(self) -> FloatArray:  # [N]
-        """Lengths of the normals' horizontal parts."""
-        return np.hypot(self.radial, self.tangential)
-
-    def off_axis(self, side: float) -> FloatArray:  # [N]
-        """Return how far normals pass the axis, over what is allowed; ``side`` of P's box."""
-        distance = self.radius * np.abs(self.tangential) / self.horizontal.clip(1e-9)
-        return distance / np.maximum(_OFF * side, _OFF_SINE * self.radius)
-
-    def sectors(self) -> NDArray[np.int64]:  # [N]
-        """Return the sector that each point is in."""
-        turn = (self.azimuth_rad + math.pi) / (2 * math.pi)
-        return (turn * SECTORS).astype(np.int64) % SECTORS
-
-    def body(self, side: float) -> tuple[BoolArray, NDArray[np.int64]]:  # [N], [N]
-        """Return which points belong to the body, and in how many sectors P has their like."""
-        meets = (self.horizontal < _STEEP) | (self.off_axis(side) < _BODY_OFF)
-        profile = np.stack([self.radius, self.points[:, 2]], axis=1)
-        cells = np.floor(profile / (_CELL * side)).astype(np.int64)
-        _, cell = np.unique(cells, axis=0, return_inverse=True)
-        cell = cell.reshape(-1)
-        sector = self.sectors()
-        shown = np.zeros((int(cell.max()) + 1, SECTORS), np.bool_)
-        shown[cell[meets], sector[meets]] = True
-        sectors = shown.sum(axis=1)[cell]
-        if not meets.any():
-            return meets, sectors
-        fewest = max(_LEAST_ROUND * float(np.median(sectors[meets])), _FEWEST_SECTORS)
-        return meets & ((sectors >= fewest) | (self.radius < _NEAR_AXIS * side)), sectors
 
 
 def find_revolution(
@@ -277,17 +179,10 @@ def turned_fit(turning: Turning, body: BoolArray) -> tuple[float, float]:  # [N]
     return float(met.mean()), float(fits[met].mean()) if met.any() else 0.0
 
 
-def turned(points: FloatArray, angle_rad: FloatArray) -> FloatArray:  # [N, 3], [N] -> [N, 3]
-    """Turn every point about the z axis by its own angle."""
-    cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
-    x, y, z = points.T
-    return np.stack([x * cosine - y * sine, x * sine + y * cosine, z], axis=1)
-
-
 def _upright_axis(points: FloatArray, normals: FloatArray) -> Axis | None:  # [N, 3] each
     """Return the upright axis that most normals meet, of those that pairs of them give."""
     steep = np.hypot(normals[:, 0], normals[:, 1])
-    weights = np.where(steep > _STEEP, steep, 0.0)
+    weights = np.where(steep > STEEP, steep, 0.0)
     if np.count_nonzero(weights) < _FEWEST_STEEP:
         return None
     across = np.stack([normals[:, 1], -normals[:, 0]], axis=1) / steep.clip(1e-9)[:, None]
@@ -305,7 +200,7 @@ def _upright_axis(points: FloatArray, normals: FloatArray) -> Axis | None:  # [N
     for place in places:
         distance = np.abs(passes - across @ place)
         radius = np.hypot(*(points[:, :2] - place).T)
-        off = distance / np.maximum(_OFF, _OFF_SINE * radius)
+        off = distance / np.maximum(OFF, OFF_SINE * radius)
         score = float((weights * (1.0 - off**2).clip(0.0)).sum())
         if score > most:
             best, most = place, score
@@ -315,7 +210,7 @@ def _upright_axis(points: FloatArray, normals: FloatArray) -> Axis | None:  # [N
 def _is_met(axis: Axis, points: FloatArray, normals: FloatArray, least: float) -> bool:
     """Say whether enough normals meet the axis, and whether these face several ways."""
     turning = Turning.about(axis, points, normals)
-    weights = np.where(turning.horizontal > _STEEP, turning.horizontal, 0.0)
+    weights = np.where(turning.horizontal > STEEP, turning.horizontal, 0.0)
     met = weights * (turning.off_axis(1.0) < 1.0)
     if met.sum() < least * weights.sum() or not met.any():
         return False
@@ -333,13 +228,13 @@ def _by_normals(start: Axis, points: FloatArray, normals: FloatArray) -> Axis:  
         x, y, z = points[:, 0] - x0, points[:, 1] - y0, points[:, 2]
         moment = np.stack([y * nz - z * ny, z * nx - x * nz, x * ny - y * nx], axis=1)
         passes = tilt_x * moment[:, 0] + tilt_y * moment[:, 1] + moment[:, 2]
-        allowed = np.maximum(_OFF, _OFF_SINE * np.hypot(x - tilt_x * z, y - tilt_y * z))
+        allowed = np.maximum(OFF, OFF_SINE * np.hypot(x - tilt_x * z, y - tilt_y * z))
         allowed = allowed * steep.clip(1e-9)
         weights = (1.0 - (passes / allowed) ** 2).clip(0.0) / allowed**2
-        weights = np.where(steep > _STEEP, weights, 0.0)
+        weights = np.where(steep > STEEP, weights, 0.0)
         slopes = np.stack([tilt_y * nz - ny, nx - tilt_x * nz, moment[:, 0], moment[:, 1]], axis=1)
         tilt = np.array([tilt_x, tilt_y])
-        step = _step(slopes, passes, weights, tilt, (1e-6, (_OFF / _TILT) ** 2))
+        step = _step(slopes, passes, weights, tilt, (1e-6, (OFF / _TILT) ** 2))
         x0, y0, tilt_x, tilt_y = np.array([x0, y0, tilt_x, tilt_y]) + step
         tilt_x, tilt_y = np.clip([tilt_x, tilt_y], -_MOST_TILT, _MOST_TILT)
     return Axis.through(np.array([x0, y0, 0.0]), np.array([tilt_x, tilt_y, 1.0]))
@@ -352,8 +247,8 @@ def _by_radii(start: Axis, points: FloatArray, normals: FloatArray) -> Axis:  # 
         turning = Turning.about(axis, points, normals)
         is_body = (
             (np.abs(turning.tangential) < _MOST_TANGENTIAL)
-            & (np.abs(turning.radial) > _STEEP)
-            & (turning.radius > _NEAR_AXIS)
+            & (np.abs(turning.radial) > STEEP)
+            & (turning.radius > NEAR_AXIS)
         )
         if np.count_nonzero(is_body) < _FEWEST_STEEP:
             return axis
@@ -381,9 +276,9 @@ def _by_radii(start: Axis, points: FloatArray, normals: FloatArray) -> Axis:  # 
                 -across[:, :1] * lever + across[:, 1:] * (places[one, :2] - places[other, :2]),
             ]
         )
-        weights = (1.0 - (passes / (2 * _OFF)) ** 2).clip(0.0) ** 2
+        weights = (1.0 - (passes / (2 * OFF)) ** 2).clip(0.0) ** 2
         tilt = axis.direction[:2] / axis.direction[2]
-        step = _step(slopes, passes, weights, tilt, (1e-3, 0.1 * (_OFF / _TILT) ** 2))
+        step = _step(slopes, passes, weights, tilt, (1e-3, 0.1 * (OFF / _TILT) ** 2))
         step = step.clip(-_LARGEST_STEP, _LARGEST_STEP)
         place = axis.point + np.array([step[0], step[1], 0.0])
         axis = Axis.through(place, np.array([*(tilt + step[2:]), 1.0]))

@@ -1,0 +1,131 @@
+"""Points about an axis: radius, azimuth and height, and which belong to what turns about it.
+
+Conventions
+-----------
+* The axis is upright or nearly so, z up.
+* In axis coordinates the axis is the z axis. A point has a radius, an azimuth and a height there,
+  and its normal a radial, a tangential and an upward part.
+* Lengths are in sides of P's box, unless a docstring says otherwise. Arithmetic is float64.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+STEEP = 0.3
+"""Only normals whose horizontal part is larger than this tell where the axis is."""
+OFF, OFF_SINE = 0.015, 0.2
+"""A normal meets the axis if its line passes within the first, or within the second of the point's
+radius: normals of noisy surfaces are off by an angle."""
+_CELL, SECTORS = 0.04, 36
+"""Where P goes round the axis is counted in cells of radius and height and in sectors."""
+_LEAST_ROUND = 0.35
+"""What P shows in fewer sectors than this share of the median is no part of the body: a handle."""
+_FEWEST_SECTORS = 4
+NEAR_AXIS = 0.03
+"""Within this radius every point belongs to the body."""
+_BODY_OFF = 1.3
+"""Normals of the body may pass the axis by this factor more than ``OFF`` and ``OFF_SINE``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """A line that points upward."""
+
+    point: FloatArray  # [3] on the axis
+    direction: FloatArray  # [3] unit
+    rotation: FloatArray  # [3, 3] takes the direction to +z
+
+    @classmethod
+    def through(cls, point: FloatArray, direction: FloatArray) -> Axis:
+        """Return the axis through a point along a direction that is not -z."""
+        unit = direction / np.linalg.norm(direction)
+        x, y, z = unit
+        skew = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
+        return cls(point, unit, np.eye(3) + skew + skew @ skew / (1.0 + z))
+
+    def to_axis(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
+        """Return points in axis coordinates."""
+        return (points - self.point) @ self.rotation.T
+
+    def from_axis(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
+        """Return points of axis coordinates."""
+        return points @ self.rotation + self.point
+
+
+@dataclass(frozen=True, slots=True)
+class Turning:
+    """Oriented points in axis coordinates."""
+
+    points: FloatArray  # [N, 3]
+    normals: FloatArray  # [N, 3] of either sign
+    radius: FloatArray  # [N]
+    azimuth_rad: FloatArray  # [N]
+    radial: FloatArray  # [N] part of the normal
+    tangential: FloatArray  # [N] part of the normal
+
+    @classmethod
+    def about(cls, axis: Axis, points: FloatArray, normals: FloatArray) -> Turning:
+        """Return points and normals, both [N, 3], in coordinates of the axis."""
+        there, facing = axis.to_axis(points), normals @ axis.rotation.T
+        radius = np.linalg.norm(there[:, :2], axis=1)
+        azimuth = np.arctan2(there[:, 1], there[:, 0])
+        cosine, sine = np.cos(azimuth), np.sin(azimuth)
+        return cls(
+            there,
+            facing,
+            radius,
+            azimuth,
+            facing[:, 0] * cosine + facing[:, 1] * sine,
+            facing[:, 1] * cosine - facing[:, 0] * sine,
+        )
+
+    def select(self, mask: BoolArray) -> Turning:  # [N]
+        """Return some of the points."""
+        parts = (self.points, self.normals, self.radius, self.azimuth_rad)
+        return Turning(*(part[mask] for part in (*parts, self.radial, self.tangential)))
+
+    @property
+    def horizontal(self) -> FloatArray:  # [N]
+        """Lengths of the normals' horizontal parts."""
+        return np.hypot(self.radial, self.tangential)
+
+    def off_axis(self, side: float) -> FloatArray:  # [N]
+        """Return how far normals pass the axis, over what is allowed; ``side`` of P's box."""
+        distance = self.radius * np.abs(self.tangential) / self.horizontal.clip(1e-9)
+        return distance / np.maximum(OFF * side, OFF_SINE * self.radius)
+
+    def sectors(self) -> NDArray[np.int64]:  # [N]
+        """Return the sector that each point is in."""
+        turn = (self.azimuth_rad + math.pi) / (2 * math.pi)
+        return (turn * SECTORS).astype(np.int64) % SECTORS
+
+    def body(self, side: float) -> tuple[BoolArray, NDArray[np.int64]]:  # [N], [N]
+        """Return which points belong to the body, and in how many sectors P has their like."""
+        meets = (self.horizontal < STEEP) | (self.off_axis(side) < _BODY_OFF)
+        profile = np.stack([self.radius, self.points[:, 2]], axis=1)
+        cells = np.floor(profile / (_CELL * side)).astype(np.int64)
+        _, cell = np.unique(cells, axis=0, return_inverse=True)
+        cell = cell.reshape(-1)
+        sector = self.sectors()
+        shown = np.zeros((int(cell.max()) + 1, SECTORS), np.bool_)
+        shown[cell[meets], sector[meets]] = True
+        sectors = shown.sum(axis=1)[cell]
+        if not meets.any():
+            return meets, sectors
+        fewest = max(_LEAST_ROUND * float(np.median(sectors[meets])), _FEWEST_SECTORS)
+        return meets & ((sectors >= fewest) | (self.radius < NEAR_AXIS * side)), sectors
+
+
+def turned(points: FloatArray, angle_rad: FloatArray) -> FloatArray:  # [N, 3], [N] -> [N, 3]
+    """Turn every point about the z axis by its own angle."""
+    cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
+    x, y, z = points.T
+    return np.stack([x * cosine - y * sine, x * sine + y * cosine, z], axis=1)
