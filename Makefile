@@ -9,6 +9,8 @@ LOCKED ?=
 LOCK := $(if $(filter lowest,$(LOCKED)),constraints-lowest.txt,constraints.txt)
 VENV := .venv
 BIN := $(VENV)/bin
+# Python compiles the modules that it imports; compiling all of them takes half of pip's time.
+INSTALL := $(BIN)/pip install --quiet --no-compile
 PACKAGES := $(VENV)/.packages-installed
 KERNELS := $(VENV)/.kernels-compiled
 DEMO_OUT ?= runs/demo
@@ -23,8 +25,8 @@ setup: $(KERNELS)
 
 $(PACKAGES): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet "$(TORCH)"
-	$(BIN)/pip install --quiet $(if $(LOCKED),--constraint $(LOCK)) --editable ".[$(EXTRAS)]"
+	$(INSTALL) "$(TORCH)"
+	$(INSTALL) $(if $(LOCKED),--constraint $(LOCK)) --editable ".[$(EXTRAS)]"
 	touch $(PACKAGES)
 
 $(KERNELS): $(PACKAGES)
