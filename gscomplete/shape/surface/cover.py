@@ -194,11 +194,11 @@ def new_surface(
     inside = points - insets[:, None] * normals
     if turned is not None:
         there = torch.cat([there, turned.points])
-    is_new = is_missing(inside, normals, there, settings)
-    if turned is not None:
         about = 0.5 * (points + inside)  # about where splats are placed
-        is_new[is_new.clone()] = ~turned.contradicts(about[is_new])
-        is_new[is_new.clone()] = ~turned.repeats(about[is_new], normals[is_new])
+        body = turned.against_body(about, normals)
+        free = ~(body.contradicts | body.repeats)
+        inside, points, normals, insets = (x[free] for x in (inside, points, normals, insets))
+    is_new = is_missing(inside, normals, there, settings)
     inside, points, normals = inside[is_new], points[is_new], normals[is_new]
     insets = insets[is_new]
     count = len(points)

@@ -72,6 +72,16 @@ _FEATURE_REACH = 0.05
 
 
 @dataclass(frozen=True, slots=True)
+class AgainstBody:
+    """Which of M points the body of a surface of revolution leaves no room for."""
+
+    contradicts: Tensor  # [M] bool
+    """They would lie before it."""
+    repeats: Tensor  # [M] bool
+    """They lie on it, and do not face the other way, as the other side of a thin wall does."""
+
+
+@dataclass(frozen=True, slots=True)
 class TurnedSurface:
     """What P lacks of the surface of revolution that it is part of."""
 
@@ -107,36 +117,29 @@ class TurnedSurface:
         distance, _ = cKDTree(places).query(asked, k=range(1, min(2, len(places)) + 1))
         return float(np.median(distance[:, -1])) if len(places) else 0.0
 
-    def contradicts(self, points: Tensor) -> Tensor:  # [M, 3] -> [M] bool
-        """Mark the points that would lie before P's body if they were turned to it.
-
-        Where P's body is seen nothing lies before it, so nothing belongs there all round. Beside
-        P's features points are not marked: they may belong to these. So a handle stays the only
-        one.
-        """
-        there = self.revolution.axis.to_axis(points.double().numpy())
-        distance, before, _ = self._from_body(there)
-        marked = (before > _BEFORE) & (before > _FACING * distance)
-        return torch.from_numpy(marked & ~self._is_beside_feature(there))
-
-    def repeats(
+    def against_body(
         self,
         points: Tensor,  # [M, 3]
         normals: Tensor,  # [M, 3] outward
-    ) -> Tensor:  # [M] bool
-        """Mark the points that would lie on P's body, where the turned surface is all there is.
+    ) -> AgainstBody:
+        """Compare points with P's body, turned to the place nearest to each of them.
 
-        Beside P's features points are not marked, nor those that face the other way: they are the
-        other side of a thin wall.
+        Where P's body is seen nothing lies before it, so nothing belongs there all round, and on it
+        the turned surface is all there is. Beside P's features points are not marked: they may
+        belong to these. So a handle stays the only one.
         """
         axis = self.revolution.axis
         there = axis.to_axis(points.double().numpy())
-        distance, _, facing = self._from_body(there)
+        distance, before, facing = self._from_body(there)
         normal = normals.double().numpy() @ axis.rotation.T
         outward = there[:, :2] / np.hypot(there[:, 0], there[:, 1]).clip(1e-9)[:, None]
         along = (normal[:, :2] * outward).sum(axis=1) * facing[:, 0] + normal[:, 2] * facing[:, 1]
-        marked = (distance < _ON_BODY) & (along > -_FACING)
-        return torch.from_numpy(marked & ~self._is_beside_feature(there))
+        contradicts = (before > _BEFORE) & (before > _FACING * distance)
+        repeats = (distance < _ON_BODY) & (along > -_FACING)
+        marked = np.flatnonzero(contradicts | repeats)
+        exempt = marked[self._is_beside_feature(there[marked])]
+        contradicts[exempt] = repeats[exempt] = False
+        return AgainstBody(torch.from_numpy(contradicts), torch.from_numpy(repeats))
 
     def _from_body(
         self, there: FloatArray

@@ -72,17 +72,20 @@ def test_a_whole_vase_lacks_nothing():
 def test_what_would_hide_p_on_its_own_side_is_contradicted():
     found = turn(half())
     assert found is not None
-    assert not found.contradicts(found.points).float().mean() > 0.01
-    assert bool(found.contradicts(at(0.45, 270.0, HEIGHT / 2)))
-    assert not bool(found.contradicts(at(0.1, 270.0, HEIGHT / 2)))  # within the wall
+    assert not found.against_body(found.points, found.normals).contradicts.float().mean() > 0.01
+    out = at(1.0, 270.0, HEIGHT / 2)
+    assert bool(found.against_body(at(0.45, 270.0, HEIGHT / 2), out).contradicts)
+    inner = found.against_body(at(0.1, 270.0, HEIGHT / 2), out)  # within the wall
+    assert not bool(inner.contradicts)
 
 
 def test_a_handle_stays_the_only_one():
     found = turn(np.concatenate([half(), handle(10.0)]))
     assert found is not None
-    assert bool(found.contradicts(at(0.42, 270.0, HEIGHT / 2)))
+    out = at(1.0, 270.0, HEIGHT / 2)
+    assert bool(found.against_body(at(0.42, 270.0, HEIGHT / 2), out).contradicts)
     # the back of the handle itself
-    assert not bool(found.contradicts(at(0.44, 10.0, HEIGHT / 2)))
+    assert not bool(found.against_body(at(0.44, 10.0, HEIGHT / 2), out).contradicts)
     # no handle is turned
     assert float(found.points[:, :2].norm(dim=1).max()) < 0.35
 
@@ -101,14 +104,16 @@ def test_only_what_is_beside_a_feature_may_lie_on_the_body():
     on_body = float(vase_radius(np.array([HEIGHT / 2]))[0]) + 0.005
     out = at(1.0, 200.0, HEIGHT / 2)
     sideways = at(1.0, 290.0, HEIGHT / 2)
-    assert bool(found.repeats(at(on_body, 200.0, HEIGHT / 2), out))
-    assert bool(found.repeats(at(on_body, 200.0, HEIGHT / 2), sideways))
-    assert not bool(found.repeats(at(on_body, 200.0, HEIGHT / 2), -out))  # behind a thin wall
-    assert not bool(found.repeats(at(on_body + 0.1, 200.0, HEIGHT / 2), out))
+    assert bool(found.against_body(at(on_body, 200.0, HEIGHT / 2), out).repeats)
+    assert bool(found.against_body(at(on_body, 200.0, HEIGHT / 2), sideways).repeats)
+    assert not bool(
+        found.against_body(at(on_body, 200.0, HEIGHT / 2), -out).repeats
+    )  # behind a thin wall
+    assert not bool(found.against_body(at(on_body + 0.1, 200.0, HEIGHT / 2), out).repeats)
     features = half(), foot(60.0, 0.3)
     found = turn(np.concatenate(features))
     assert found is not None
-    assert not bool(found.repeats(at(on_body, 60.0, 0.3), at(1.0, 60.0, HEIGHT / 2)))
+    assert not bool(found.against_body(at(on_body, 60.0, 0.3), at(1.0, 60.0, HEIGHT / 2)).repeats)
 
 
 def test_colors_come_from_splats_away_from_features():
