@@ -15,6 +15,7 @@ Conventions
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -64,6 +65,15 @@ _MOST_REACH = 0.03
 _SYMMETRIC_WALL_COSINE = 0.2
 """Nor is P symmetric if its walls meet the plane more slantingly than this: level surfaces meet any
 upright plane squarely. Of a keyboard cut aslant they are nearly all."""
+_SQUARER, _SQUARER_SHARE, _SQUARER_COSINE = 0.9, 0.25, 0.1
+_LEAST_BREADTH, _LEAST_HEIGHT = 0.6, 0.1
+"""Or the first two are reached, neither cosine exceeds the third, that rim is broad, as the edge of
+what a scanner saw is not, and P is not flat: the outline of flat things is their rim. Things of
+sheets and boards have many rims of their own."""
+_OWN_SYMMETRY, _OWN_TOLERANCE, _OWN_SHIFTS = 0.95, 0.02, (-0.01, 0.0, 0.01)
+"""Nor is P symmetric about its cut if more of it than this has its mirror image on P itself, about
+a parallel plane through P's middle, within the tolerance, in sides of P's box: it then lacks
+nothing that way. The plane is also tried beside the middle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,16 +108,34 @@ class CutPlane(UprightPlane):
     wall_cosine: float = 0.0
     """Median between the plane's normal and the horizontal parts of the normals of walls near it;
     0 if there are hardly any."""
+    breadth: float = 1.0
+    """Of that rim along the plane, as a share of P's."""
+    height: float = 1.0
+    """Of P, in sides of its box."""
+    own_symmetry: float = 0.0
+    """Share of P whose mirror image about a parallel plane through P's middle is on P."""
 
     @property
-    def is_symmetric(self) -> bool:
-        """Whether what was cut away is likely the mirror image of P."""
+    def is_square(self) -> bool:
+        """Whether P's surface meets the plane as that of one half of a symmetric object does."""
+        cosine = max(self.mean_cosine, self.wall_cosine)
         return (
             self.squareness >= _SYMMETRIC_SQUARENESS
             and self.rim_share >= _SYMMETRIC_SHARE
             and self.mean_cosine <= _SYMMETRIC_COSINE
             and self.wall_cosine <= _SYMMETRIC_WALL_COSINE
+        ) or (
+            self.squareness >= _SQUARER
+            and self.rim_share >= _SQUARER_SHARE
+            and cosine <= _SQUARER_COSINE
+            and self.breadth >= _LEAST_BREADTH
+            and self.height >= _LEAST_HEIGHT
         )
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether what was cut away is likely the mirror image of P."""
+        return self.is_square and self.own_symmetry <= _OWN_SYMMETRY
 
     @property
     def meets_surface(self) -> bool:
@@ -148,14 +176,41 @@ def find_cut(
     azimuth_deg = math.degrees(math.atan2(normal[1], normal[0])) % 360.0
     # Rim points may lie up to a spacing inside the plane that P ends at.
     offset = float(np.quantile(in_plane @ normal, 0.9))
-    return CutPlane(
+    plane = CutPlane(
         azimuth_deg,
         offset * side + float(middle @ normal),
         share,
         squareness,
         float(cosines.mean()),
         _wall_cosine(chosen, tree, axes, normal, offset),
+        _breadth(in_plane, normal, 0.05) / max(_breadth(chosen, normal, 0.005), 1e-12),
+        float(np.ptp(chosen[:, 2])),
     )
+    if not plane.is_square:
+        return plane
+    return dataclasses.replace(plane, own_symmetry=_own_symmetry(chosen, tree, normal))
+
+
+def _breadth(points: FloatArray, normal: FloatArray, left_out: float) -> float:  # [N, 3], [3]
+    """Return how far points reach along a plane, without a share of them at both ends."""
+    along = points @ np.array([-normal[1], normal[0], 0.0])
+    return float(np.ptp(np.quantile(along, (left_out, 1.0 - left_out))))
+
+
+def _own_symmetry(
+    points: FloatArray,  # [N, 3]
+    tree: cKDTree,
+    normal: FloatArray,  # [3]
+) -> float:
+    """Return how much of P is symmetric (``CutPlane.own_symmetry``)."""
+    low, high = np.quantile(points @ normal, (0.005, 0.995))
+    tested = every_nth(points, _TESTED)
+    shares = []
+    for shift in _OWN_SHIFTS:
+        along = tested @ normal - ((low + high) / 2 + shift)
+        distance, _ = tree.query(tested - 2 * along[:, None] * normal)
+        shares.append(float((distance < _OWN_TOLERANCE).mean()))
+    return max(shares)
 
 
 def _wall_cosine(

@@ -46,12 +46,12 @@ from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter
 from gscomplete.shape.placements import symmetry_in, views_in
 from gscomplete.shape.predict import Prediction, predict
-from gscomplete.shape.surface.turned import TurnedSurface, turned_surface
+from gscomplete.shape.surface.turned import turned_surface
 from gscomplete.shape.symmetry import plane_of
 from gscomplete.shape.voxels import FloatArray
 from gscomplete.splats import Splats
 from gscomplete.splats.geometry.neighbourhood import flat_axes
-from gscomplete.splats.geometry.revolution import find_revolution
+from gscomplete.splats.geometry.revolution import Revolution, find_revolution
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.util.stages import stage
 from gscomplete.views import ViewDistribution
@@ -84,8 +84,8 @@ class Guess:
     """Known shapes that the guess is made with."""
     notes: tuple[str, ...]
     """What the guess was decided by, for the user."""
-    is_turned: bool = False
-    """Whether P is turned about its axis."""
+    heeds_cut: bool = True
+    """Whether the plane that P seems cut along counts; it does not if P's axis lies beside it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +188,7 @@ def guess_complete(
         count: most new splats, not counting P's own mirrored ones.
         generator: chooses where splats sit.
         mirror_is_cut: whether P seems cut squarely along that plane. It is then mirrored unless it
-            is part of a surface of revolution whose axis the plane passes.
+            is part of a surface of revolution whose axis the plane passes: the cut does not count.
         of_ending: features that tell whether P lacks anything (``benefit.OF_ENDING``); None = P is
             completed in any case.
         plane_back: takes mirror planes to the frame that notes name them in; None = as they are.
@@ -196,11 +196,15 @@ def guess_complete(
     Returns:
         The new splats, object frame, with what decided them; none if P is better left as it is.
     """
-    settings = AssembleSettings(count=count, image_is_all=mirror_is_cut)
+    heeds_cut = True
     if (mirror == "guess" or mirror_is_cut) and not known.decide:
-        turned = _turned(partial, views, mirror, generator)
-        if turned is not None:
-            return _turned_guess(asked, partial, views, turned, settings, generator)
+        revolution = _revolution(partial, mirror)
+        if revolution is not None:
+            turned = _turned_guess(asked, partial, views, revolution, count, generator)
+            if turned is not None:
+                return turned
+            mirror, mirror_is_cut, heeds_cut = "guess", False, False
+    settings = AssembleSettings(count=count, image_is_all=mirror_is_cut)
     plain = ask_about(asked, partial, views, mirror)
     if not known.decide and is_better_left(of_ending, plain.added):
         nothing = partial.with_sh_degree(0).select(torch.arange(0))
@@ -210,7 +214,8 @@ def guess_complete(
     if known.decide or not takes_image:  # else little is left to guess from a noun
         found = _by_known_shapes(asked, plain, partial, views, mirror, known, settings, generator)
         if found is not None:
-            return dataclasses.replace(found, notes=known.notes(found.known) + found.notes)
+            told = known.notes(found.known) + found.notes
+            return dataclasses.replace(found, notes=told, heeds_cut=heeds_cut)
         notes = known.notes(())
 
     def fitted() -> tuple[FittedShape, ...]:
@@ -222,44 +227,47 @@ def guess_complete(
     if assembled.contradicted:
         notes += (known.contradiction(fitted(), assembled.contradicted),)
     told = notes_of(plain, assembled.mirrored, plane_back)
-    return Guess(assembled.splats, (), notes + told)
+    return Guess(assembled.splats, (), notes + told, heeds_cut)
 
 
-def _turned(
-    partial: Splats, views: ViewDistribution, mirror: Mirror, generator: torch.Generator
-) -> TurnedSurface | None:
+def _revolution(partial: Splats, mirror: Mirror) -> Revolution | None:
     """Return the surface of revolution that P is part of.
 
     None = there is none, or the plane that P is to be mirrored through contains its axis.
     """
+    plane = None
+    if isinstance(mirror, MirrorPlane):
+        plane = math.radians(mirror.azimuth_deg), mirror.offset
     with stage("axis"):
-        points = partial.means.double().numpy()
-        axes = flat_axes(partial)
-        plane = None
-        if isinstance(mirror, MirrorPlane):
-            plane = math.radians(mirror.azimuth_deg), mirror.offset
-        revolution = find_revolution(points, axes, plane)
-        if revolution is None:
-            return None
-        return turned_surface(points, revolution, gather_evidence(partial, views), generator, axes)
+        return find_revolution(partial.means.double().numpy(), flat_axes(partial), plane)
 
 
 def _turned_guess(
     asked: Asked,
     partial: Splats,
     views: ViewDistribution,
-    turned: TurnedSurface,
-    settings: AssembleSettings,
+    revolution: Revolution,
+    count: int,
     generator: torch.Generator,
-) -> Guess:
-    """Guess what is not part of the turned surface."""
+) -> Guess | None:
+    """Turn P about its axis, and guess what is not part of the turned surface.
+
+    None = P lacks next to nothing of that surface, or views contradict it.
+    """
+    with stage("axis"):
+        places, axes = partial.means.double().numpy(), flat_axes(partial)
+        evidence = gather_evidence(partial, views)
+        turned = turned_surface(places, revolution, evidence, generator, axes)
+    if turned is None:
+        return None
     plain = ask_about(asked, partial, views, "guess")
-    if turned.revolution.distance_of(*plane_of(plain.seen.symmetries[0])) > _BESIDE_AXIS:
+    if revolution.distance_of(*plane_of(plain.seen.symmetries[0])) > _BESIDE_AXIS:
         plain = dataclasses.replace(plain, symmetry_score=0.0)  # P's splats are not mirrored
     with stage("surface"):
+        settings = AssembleSettings(count=count)
         assembled = assemble_splats(plain, partial, settings, generator, turned=turned)
     notes = (_TURNED_NOTE, *_prompt_note(plain.prompt_share))
-    return Guess(assembled.splats, (), notes, is_turned=True)
+    return Guess(assembled.splats, (), notes, heeds_cut=False)
 
 
 def _by_known_shapes(

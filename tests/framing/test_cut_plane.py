@@ -86,6 +86,69 @@ def test_a_slab_is_mirrored_at_a_cut_across_it_but_not_aslant(turn_deg, expected
     assert (found.wall_cosine < 0.2) == expected  # measured: .13, .57
 
 
+def sheets(
+    names: tuple[str, ...], size: tuple[float, float, float], step: float = 0.02
+) -> tuple[np.ndarray, np.ndarray]:
+    """Even points on some faces of a box about the origin, in any order, and their normals."""
+    points, axes = [], []
+    for sign, letter in names:
+        axis = "xyz".index(letter)
+        steps = [np.arange(-side / 2, side / 2 + 1e-9, step) for side in size]
+        steps[axis] = np.array([float(f"{sign}0.5") * size[axis]])
+        points.append(np.stack(np.meshgrid(*steps), -1).reshape(-1, 3))
+        axes.append(np.tile(np.eye(3)[axis], (len(points[-1]), 1)))
+    order = np.random.default_rng(0).permutation(sum(map(len, points)))
+    return np.concatenate(points)[order], np.concatenate(axes)[order]
+
+
+@pytest.mark.parametrize("is_half", [True, False])
+def test_a_complete_tunnel_is_not_mirrored_at_its_end(is_half):
+    """Its ends are as square as cuts, but it is symmetric about its own middle."""
+    names = ("-y", "+y", "-z", "+z", *["-x"] * is_half)
+    cut = find_cut(*sheets(names, (1.0, 0.6, 0.4)))
+    assert cut is not None
+    assert cut.is_square
+    assert cut.is_symmetric == is_half
+    assert (cut.own_symmetry > 0.95) == (not is_half)  # measured: .90, 1.0
+
+
+def discs(
+    places: tuple[tuple[float, float, float], ...], radius: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Level sheets and their normals."""
+    points, _ = sheets(("+z",), (2 * radius, 2 * radius, 0.0))
+    disc = points[np.hypot(points[:, 0], points[:, 1]) <= radius]
+    together = np.concatenate([disc + place for place in places])
+    return together, np.tile([0.0, 0.0, 1.0], (len(together), 1))
+
+
+def joined(*parts: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    points, axes = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    order = np.random.default_rng(0).permutation(len(points))
+    return points[order], axes[order]
+
+
+def test_rims_of_other_sheets_do_not_hide_a_square_cut():
+    """Half a bench with cushions, most of whose rim is theirs."""
+    bench = sheets(("-x", "-y", "+y", "-z", "+z"), (1.0, 0.6, 0.4))
+    cushions = discs(tuple((x, 0.0, 0.35) for x in (-0.3, 0.1)), 0.2)
+    cut = find_cut(*joined(bench, cushions))
+    assert cut is not None
+    assert cut.rim_share < 0.35  # measured: .31
+    assert cut.is_symmetric
+
+
+def test_of_a_flat_thing_most_rims_are_no_cuts():
+    points, axes = discs(((0.0, 0.0, 0.0),), 0.5)
+    kept = points[:, 0] <= 0.0
+    on_it = discs(((-0.25, -0.2, 0.05), (-0.25, 0.2, 0.05)), 0.17)
+    cut = find_cut(*joined((points[kept], axes[kept]), on_it))
+    assert cut is not None
+    assert 0.25 <= cut.rim_share < 0.35
+    assert cut.squareness > 0.9
+    assert not cut.is_symmetric
+
+
 def test_flat_splats_tell_how_a_thin_wall_meets_its_cut():
     kept = half(pipe())
     assert find_cut(kept.means.double().numpy()) is None

@@ -226,7 +226,7 @@ class EmbeddedPrior:
                 return FirstGuess(long.splats_back(guess.splats), (long.note, *guess.notes))
         about = partial, distribution, ending.mirror, known, count, generator
         guess = guess_complete(asked, *about, mirror_is_cut=is_cut, of_ending=ending.features)
-        notes = ending.notes if is_cut and not guess.is_turned else ()
+        notes = ending.notes if is_cut and guess.heeds_cut else ()
         return FirstGuess(guess.splats, notes + guess.notes)
 
     def asked(
