@@ -223,10 +223,11 @@ class EmbeddedPrior:
                     asked, *there, KnownShapes(None, conditioning.prompt), count, generator,
                     of_ending=ending.features, plane_back=long.plane_back,
                 )  # fmt: skip
-                return FirstGuess(long.splats_back(guess.splats), (long.note, *guess.notes))
+                told = (long.note, *ending.notes, *guess.notes)
+                return FirstGuess(long.splats_back(guess.splats), told)
         about = partial, distribution, ending.mirror, known, count, generator
         guess = guess_complete(asked, *about, mirror_is_cut=is_cut, of_ending=ending.features)
-        notes = ending.notes if is_cut and guess.heeds_cut else ()
+        notes = ending.notes if guess.heeds_cut and not ending.is_complete else ()
         return FirstGuess(guess.splats, notes + guess.notes)
 
     def asked(

@@ -35,6 +35,16 @@ def test_a_square_cut_is_mirrored_and_that_is_all() -> None:
     assert angle_between(ending.mirror.azimuth_deg, 0.0) <= 3.0
 
 
+def test_users_are_told_of_a_cut_that_is_none_of_symmetry() -> None:
+    ending = ending_of(BALL.select(BALL.means[:, 0] < 0.12), "guess")
+    assert ending.mirror == "guess"
+    (note,) = ending.notes
+    azimuth_deg, offset = map(float, note.split("upright plane ")[1].split(";")[0].split(","))
+    assert angle_between(azimuth_deg, 0.0) <= 3.0
+    assert offset == pytest.approx(0.12, abs=0.02)  # a spacing
+    assert "--mirror cut" in note
+
+
 @pytest.mark.parametrize("wish", ["none", MirrorPlane(30.0, 0.1)])
 @pytest.mark.parametrize("partial", [BALL, HALF])
 def test_what_users_say_counts(wish: MirrorPlane, partial: Splats) -> None:
