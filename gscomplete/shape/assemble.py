@@ -199,7 +199,7 @@ def mirrored_copies(
     if float(doubted.sum()) > _FEW_DOUBTED * len(copies):
         against = contradicted_by(known(), copies, doubted)
     contradicted, copies = copies.select(against), copies.select(~against)
-    copies = _beyond(copies, partial, generator)
+    copies = beyond(copies, partial, generator)
     return copies if len(copies) else None, contradicted
 
 
@@ -291,10 +291,10 @@ def image_of_half(
     symmetry = mirror(math.radians(plane.azimuth_deg), plane.offset, 1.0)
     copies = mirror_image(partial, symmetry)
     copies = copies.select(hides_nothing(copies, gather_evidence(partial, views)))
-    return _beyond(copies, partial, generator)
+    return beyond(copies, partial, generator)
 
 
-def _beyond(copies: Splats, partial: Splats, generator: torch.Generator) -> Splats:
+def beyond(copies: Splats, partial: Splats, generator: torch.Generator) -> Splats:
     """Return the copies that lie where P has no surface, as close to its rim as the seam allows."""
     if not len(copies):
         return copies

@@ -1,7 +1,8 @@
 """The guess of the complete object, from P and the prompt to new splats.
 
 1. If P is part of a surface of revolution, it is turned about its axis (``surface.turned``). Of the
-   network's answer only what this does not contradict is used, and step 3 is left out.
+   network's answer only what this does not contradict is used, and step 3 is left out. So it is if
+   P has an n-fold symmetry, whose copies count as P's own (``n_fold_copies``).
 2. The network is asked (``predict``).
 3. If P's own splats are not to be mirrored, known shapes of the prompt's noun are fitted to P
    (``bank.fit``) and the network is asked again with them (``bank.shown``), in the object frame or
@@ -15,13 +16,10 @@ If the user lets the prompt decide, the known shape that suits P best takes the 
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -33,31 +31,30 @@ from gscomplete.shape.assemble import (
     is_mirrored_by_splats,
     mirror_plane_of,
 )
-from gscomplete.shape.bank.as_answer import DECIDING, LIKE_PARTIAL, occupancy_of
-from gscomplete.shape.bank.fit import FitLimits, FittedShape, fit_known_shapes
-from gscomplete.shape.bank.nouns import head_noun
+from gscomplete.shape.bank.as_answer import LIKE_PARTIAL, occupancy_of
+from gscomplete.shape.bank.fit import FittedShape
+from gscomplete.shape.bank.known import MOST_SHOWN, KnownShapes
 from gscomplete.shape.bank.shown import LEAST_SHOWN, occupancy_by_shapes
-from gscomplete.shape.bank.store import read_bank
 from gscomplete.shape.bank.wider import shape_in, wider_from_object
 from gscomplete.shape.benefit import is_better_left
 from gscomplete.shape.colors.prompt import with_prompt_color
 from gscomplete.shape.evidence import gather_evidence
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
+from gscomplete.shape.n_fold_copies import n_fold_copies
 from gscomplete.shape.network import ShapeCompleter
 from gscomplete.shape.placements import symmetry_in, views_in
 from gscomplete.shape.predict import Prediction, predict
 from gscomplete.shape.surface.turned import turned_surface
 from gscomplete.shape.symmetry import plane_of
 from gscomplete.shape.voxels import FloatArray
-from gscomplete.splats import Splats
+from gscomplete.splats import Splats, concatenate
+from gscomplete.splats.geometry.n_fold import NFold, find_n_fold
 from gscomplete.splats.geometry.neighbourhood import flat_axes
 from gscomplete.splats.geometry.revolution import Revolution, find_revolution
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.util.stages import stage
 from gscomplete.views import ViewDistribution
 
-_MOST_SHOWN = 3
-"""Known shapes that the network is shown."""
 _NEXT_TO_NOTHING = 0.02
 """If the prompt changes a smaller share of the filled cells, users are told that it has no visible
 effect."""
@@ -67,6 +64,13 @@ axis at a larger distance."""
 _TURNED_NOTE = (
     "P is part of a surface of revolution: it is turned about its axis (--mirror none completes it "
     "by the network alone)"
+)
+_ALONG_AXIS = 0.01
+"""P that is cut along a plane which passes the axis of its n-fold symmetry at most so far is
+mirrored."""
+_FOLD_NOTE = (
+    "P is symmetric by turns of 1/{folds} about an upright axis: its splats are turned about it "
+    "(--mirror none completes it by the network alone)"
 )
 _LEFT_NOTE = (
     "P seems to lack little or nothing, by its surface and by what the network would add: nothing "
@@ -102,66 +106,6 @@ class Asked:
     """Whether P was cut along a plane, as far as found (``framing.cut_plane``)."""
     captured: bool = False
     """Whether P was trained from photos and nothing was cut off it (``shape.outline.scorer``)."""
-
-
-@dataclass(frozen=True, slots=True)
-class KnownShapes:
-    """Access to the known shapes that the prompt names."""
-
-    bank: Path | None
-    """File of the bank; None = no shape is known."""
-    prompt: str
-    """Text whose noun names the shapes."""
-    decide: bool = False
-    """Whether the shape that suits P best is taken in place of the network's answer."""
-
-    def fitted(self, partial: Splats, views: ViewDistribution) -> tuple[FittedShape, ...]:
-        """Return the shapes that suit P, fitted to it, the best first."""
-        if self.bank is None:
-            return ()
-        points, toward_c = partial.means.double().numpy().tobytes(), views.direction().tobytes()
-        limits = DECIDING if self.decide else FitLimits()
-        return _fitted(self.bank, self.prompt, points, toward_c, limits)
-
-    def may_agree(self) -> bool:
-        """Return whether two packs have shapes of that name; at most one per pack is fitted."""
-        if self.bank is None:
-            return False
-        bank = read_bank(self.bank)
-        return len({bank.names[k].pack for k in bank.named(self.prompt, len(bank))}) > 1
-
-    def notes(self, used: tuple[FittedShape, ...]) -> tuple[str, ...]:
-        """Say which shapes were used, or why none were."""
-        noun = head_noun(self.prompt)
-        if self.bank is None or noun is None:
-            return ()
-        names = ", ".join(shape.name.id for shape in used)
-        if used and self.decide:
-            return (f"{noun}: P becomes the known shape that fits it best, {names}",)
-        if used:
-            return (f"{noun}: known shapes used: {names} (--no-known-shapes leaves them out)",)
-        if read_bank(self.bank).named(self.prompt, 1):
-            if self.decide:
-                return (f"{noun}: no known shape fits P, so P is completed without one",)
-            return (f"{noun}: known shapes not used: they do not fit P, disagree, or add nothing",)
-        return (f"{noun}: no known shape has this name",)
-
-    def contradiction(self, shapes: tuple[FittedShape, ...], count: int) -> str:
-        """Say how many mirrored splats were left out because known shapes contradict them."""
-        names = ", ".join(shape.name.id for shape in shapes)
-        left_out = f"{count:,} mirrored splats left out, as no known shape has them ({names})"
-        return f"{head_noun(self.prompt)}: {left_out} (--no-known-shapes keeps them)"
-
-
-@functools.lru_cache(maxsize=1)
-def _fitted(
-    bank: Path, prompt: str, points: bytes, toward_c: bytes, limits: FitLimits
-) -> tuple[FittedShape, ...]:
-    """Fit shapes once for all guesses about one part."""
-    places, direction = np.frombuffer(points).reshape(-1, 3), np.frombuffer(toward_c)
-    with stage("known shapes"):
-        found = fit_known_shapes(read_bank(bank), prompt, places, direction, _MOST_SHOWN, limits)
-    return tuple(found)
 
 
 def guess_complete(
@@ -204,6 +148,10 @@ def guess_complete(
             if turned is not None:
                 return turned
             mirror, mirror_is_cut, heeds_cut = "guess", False, False
+        else:
+            folded = _folded_guess(asked, partial, views, mirror, count, generator)
+            if folded is not None:
+                return folded
     settings = AssembleSettings(count=count, image_is_all=mirror_is_cut)
     plain = ask_about(asked, partial, views, mirror)
     if not known.decide and is_better_left(of_ending, plain.added):
@@ -270,6 +218,42 @@ def _turned_guess(
     return Guess(assembled.splats, (), notes, heeds_cut=False)
 
 
+def _folded_guess(
+    asked: Asked,
+    partial: Splats,
+    views: ViewDistribution,
+    mirror: Mirror,
+    count: int,
+    generator: torch.Generator,
+) -> Guess | None:
+    """Turn P's own splats by the steps of its n-fold symmetry, and guess what is lacking then.
+
+    None = P is not symmetric so or lacks next to nothing of it, views contradict it, or P is to be
+    mirrored through a plane that contains the axis.
+    """
+    with stage("axis"):
+        fold = find_n_fold(partial.means.double().numpy(), flat_axes(partial))
+        if fold is None or _holds_axis(mirror, fold):
+            return None
+        copies = n_fold_copies(partial, fold, gather_evidence(partial, views), generator)
+    if copies is None:
+        return None
+    given = concatenate([partial.with_sh_degree(0), copies])
+    plain = ask_about(dataclasses.replace(asked, ends_in_plane=False), given, views, "guess")
+    plain = dataclasses.replace(plain, symmetry_score=0.0)  # splats are not mirrored as well
+    with stage("surface"):
+        assembled = assemble_splats(plain, given, AssembleSettings(count=count), generator)
+    notes = (_FOLD_NOTE.format(folds=fold.folds), *_prompt_note(plain.prompt_share))
+    return Guess(concatenate([copies, assembled.splats]), (), notes, heeds_cut=False)
+
+
+def _holds_axis(mirror: Mirror, fold: NFold) -> bool:
+    if not isinstance(mirror, MirrorPlane):
+        return False
+    azimuth_rad = math.radians(mirror.azimuth_deg)
+    return fold.distance_of(azimuth_rad, mirror.offset) <= _ALONG_AXIS
+
+
 def _by_known_shapes(
     asked: Asked,
     plain: Prediction,
@@ -281,7 +265,7 @@ def _by_known_shapes(
     generator: torch.Generator,
 ) -> Guess | None:
     """Guess with known shapes, in a frame that has room for them; None = they do not count."""
-    shapes = known.fitted(partial, views)[: 1 if known.decide else _MOST_SHOWN]
+    shapes = known.fitted(partial, views)[: 1 if known.decide else MOST_SHOWN]
     if len(shapes) < (1 if known.decide else LEAST_SHOWN):
         return None
     frame = wider_from_object(partial.means.double().numpy(), shapes)

@@ -38,6 +38,15 @@ def vase(
     return np.stack([radius * np.cos(angle), flattened * radius * np.sin(angle), height], axis=1)
 
 
+def faceted(round_ones: FloatArray, folds: int) -> FloatArray:  # [N, 3] -> [N, 3]
+    """Return points of something round moved inwards onto flat sides between its edges."""
+    x, y, z = round_ones.T
+    step = 2 * np.pi / folds
+    aside = np.arctan2(y, x) % step - step / 2
+    factor = np.cos(step / 2) / np.cos(aside)
+    return np.stack([factor * x, factor * y, z], axis=1)
+
+
 def handle(azimuth_deg: float, count: int = 800, seed: int = 1) -> FloatArray:  # [N, 3]
     """Return points on an upright rod beside the vase."""
     random = np.random.default_rng(seed)

@@ -19,7 +19,7 @@ from gscomplete.framing.guess import (
 )
 from gscomplete.splats import Similarity, concatenate, transform_splats
 from tests.builders.objects import BALL, angle_between, cylinder, half_cylinder, round_splats
-from tests.builders.vases import HEIGHT, handle, vase
+from tests.builders.vases import HEIGHT, faceted, handle, vase
 
 
 @pytest.mark.parametrize("azimuth_deg", [0.0, 75.0, 200.0])
@@ -51,6 +51,14 @@ def test_a_part_of_a_vase_has_the_box_of_the_whole_vase_and_its_handle() -> None
     np.testing.assert_allclose(guess.center, (low + high) / 2, atol=0.02)  # two spacings
     assert guess.size == pytest.approx(HEIGHT, abs=0.02)
     assert "surface of revolution" in guess.box_reason
+
+
+def test_a_part_of_a_vase_of_flat_sides_has_the_box_of_the_whole() -> None:
+    part = faceted(vase(azimuths_deg=(-60.0, 140.0)), 8)
+    guess = guess_framing(round_splats(torch.from_numpy(part).float(), scale=0.008))
+    np.testing.assert_allclose(guess.center, (0.0, 0.0, HEIGHT / 2), atol=0.01)  # a spacing
+    assert guess.size == pytest.approx(HEIGHT, abs=0.01)
+    assert "turns of 1/8" in guess.box_reason
 
 
 def test_a_complete_object_keeps_its_box() -> None:

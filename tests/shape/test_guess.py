@@ -5,9 +5,10 @@ import pytest
 import torch
 
 from gscomplete.shape import guess as module
+from gscomplete.shape.bank.known import KnownShapes
 from gscomplete.shape.bank.store import BANK_FILE, ShapeName, write_bank
 from gscomplete.shape.benefit import OF_ANSWERS, OF_ENDING
-from gscomplete.shape.guess import Asked, KnownShapes, guess_complete, notes_of
+from gscomplete.shape.guess import Asked, guess_complete, notes_of
 from gscomplete.shape.mirror_plane import MirrorPlane
 from gscomplete.shape.network import ShapeCompleter, ShapeOutput
 from gscomplete.shape.symmetry import no_symmetries
@@ -17,7 +18,7 @@ from gscomplete.views import ViewDistribution
 from tests.builders.known_shapes import cell_points, chair_cells
 from tests.builders.objects import round_splats
 from tests.builders.shape_network import TINY, predicted
-from tests.builders.vases import HEIGHT, vase, vase_radius
+from tests.builders.vases import HEIGHT, faceted, vase, vase_radius
 
 # the chair's back is at low x: c sees its front
 VIEWS = ViewDistribution(0.0, 15.0)
@@ -214,6 +215,16 @@ def test_half_a_vase_is_turned_about_its_axis_unless_users_want_the_network(aske
         # the network fills P's cells and those of its image, .02 wide; measured: .0125
         assert len(behind) > 2000
         assert np.quantile(np.abs(off), 0.9) < 0.015
+
+
+@pytest.mark.parametrize("mirror", ["guess", "none", MirrorPlane(0.0, 0.1)])
+def test_half_a_vase_of_flat_sides_is_turned_by_them_unless_users_want_the_network(asked, mirror):
+    points = faceted(vase(azimuths_deg=(-100.0, 100.0)), 6) - [0.0, 0.0, HEIGHT / 2]
+    part = round_splats(torch.from_numpy(points).float(), scale=0.008)
+    about = part, VIEWS, mirror, KnownShapes(None, ""), 4000
+    found = guess_complete(asked, *about, torch.Generator().manual_seed(0))
+    assert any("turns of 1/6" in note for note in found.notes) == (mirror == "guess")
+    assert found.heeds_cut != (mirror == "guess")
 
 
 @pytest.mark.parametrize("is_cut", [True, False])

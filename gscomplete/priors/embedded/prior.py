@@ -44,8 +44,9 @@ from gscomplete.priors.embedded.weights import (
     weights_digest,
 )
 from gscomplete.shape.assemble import image_of_half, mirror_plane_of
+from gscomplete.shape.bank.known import KnownShapes
 from gscomplete.shape.bank.store import BANK_FILE
-from gscomplete.shape.guess import Asked, KnownShapes, guess_complete
+from gscomplete.shape.guess import Asked, guess_complete
 from gscomplete.shape.int8 import ByteShapeCompleter
 from gscomplete.shape.mirror_plane import ChosenMirror, HalfCut, MirrorWish
 from gscomplete.shape.network import ShapeCompleter, laid_out

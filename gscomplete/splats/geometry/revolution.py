@@ -118,7 +118,7 @@ def find_revolution(
     tested = every_nth(chosen, _TESTED)
     tree = cKDTree(chosen)
     normals = normals_at(tested, chosen, tree, axes)
-    start = _upright_axis(tested, normals)
+    start = upright_axis(tested, normals)
     if start is None or not _is_met(start, tested, normals, _LEAST_UPRIGHT_SHARE):
         return None
     axis = _by_radii(_by_normals(start, tested, normals), tested, normals)
@@ -179,7 +179,7 @@ def turned_fit(turning: Turning, body: BoolArray) -> tuple[float, float]:  # [N]
     return float(met.mean()), float(fits[met].mean()) if met.any() else 0.0
 
 
-def _upright_axis(points: FloatArray, normals: FloatArray) -> Axis | None:  # [N, 3] each
+def upright_axis(points: FloatArray, normals: FloatArray) -> Axis | None:  # [N, 3] each
     """Return the upright axis that most normals meet, of those that pairs of them give."""
     steep = np.hypot(normals[:, 0], normals[:, 1])
     weights = np.where(steep > STEEP, steep, 0.0)

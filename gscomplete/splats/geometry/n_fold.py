@@ -1,0 +1,207 @@
+"""Find the upright axis about which P is n-fold symmetric: barrels, cans and towers of flat sides.
+
+The axis is first found by normals, as for surfaces of revolution, which flat sides bias. It is then
+moved to where P, turned by an nth of a full turn, meets P best.
+
+Conventions
+-----------
+* Points are z up; the axis is upright. Limits are in sides of P's box. Arithmetic is float64.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from gscomplete.splats.geometry.axis_coordinates import turned
+from gscomplete.splats.geometry.neighbourhood import normals_at
+from gscomplete.splats.geometry.revolution import upright_axis
+from gscomplete.splats.thinning import every_nth
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_MOST_POINTS = 6000
+_FEWEST_POINTS = 200
+_FOLDS = range(5, 17)
+"""Mirror images do as well for fewer; with more, things are nearly round."""
+_ROUGHLY, _FINELY = (300, 5), (1500, 10)
+"""Points that are turned and steps of refinement, for all numbers of folds and for the best."""
+_AXIS_POINTS = 2500
+_REACHES = (0.06, 0.03)
+"""Turned points are matched with P's within these distances, the first in the first half of the
+steps."""
+_ROBUST = 0.01
+_LARGEST_STEP = 0.03
+_SPREAD, _SAME_SURFACE, _SAME_NORMAL, _FIT = 0.05, 0.02, 0.9, 0.008
+"""Turned points meet P within the first, and fit it if P's surface, which is the same if points and
+normals are within the next two, passes within the last."""
+_NEIGHBOURS = 6
+_NEARLY_BEST = 0.95
+"""The largest number of folds counts whose fit is at least this share of the best one: what is
+symmetric by eighths is so by quarters, too."""
+_LEAST_ROUGH_FIT, _LEAST_FIT, _LEAST_MET = 0.7, 0.85, 0.4
+_LEAST_WIDTH, _LEAST_HEIGHT = 0.2, 0.1
+"""P is symmetric if so many turned points meet it and then fit it, and if it is no stick and not
+flat: level surfaces fit however they are turned."""
+
+
+@dataclass(frozen=True, slots=True)
+class NFold:
+    """An n-fold symmetry about an upright axis."""
+
+    folds: int
+    center: FloatArray  # [2] x and y of the axis, in the coordinates of the points given
+    is_body: BoolArray  # [N] which points have an image on P: no handle
+
+    def turned(self, points: FloatArray, steps: FloatArray) -> FloatArray:
+        """Turn each of N points by whole steps of the symmetry.
+
+        Args:
+            points: [N, 3].
+            steps: [N] how many steps.
+        """
+        about = np.array([*self.center, 0.0])
+        return turned(points - about, steps * (2 * math.pi / self.folds)) + about
+
+    def distance_of(self, azimuth_rad: float, offset: float) -> float:
+        """Return how far the upright plane of that normal and offset passes the axis."""
+        normal = np.array([math.cos(azimuth_rad), math.sin(azimuth_rad)])
+        return float(abs(self.center @ normal - offset))
+
+    def box(self, points: FloatArray) -> tuple[FloatArray, float]:  # [N, 3] -> [3]
+        """Return the centre and the largest side of the box of P and its whole body."""
+        body = points[self.is_body]
+        whole = [points, *(self.turned(body, np.full(len(body), k)) for k in range(self.folds))]
+        low = np.min([part.min(axis=0) for part in whole], axis=0)
+        high = np.max([part.max(axis=0) for part in whole], axis=0)
+        return (low + high) / 2, float((high - low).max())
+
+
+def find_n_fold(
+    points: FloatArray,  # [N, 3] z up
+    axes: FloatArray | None = None,  # [N, 3]
+) -> NFold | None:
+    """Return the symmetry of P with the most folds, five at least; None = there is none.
+
+    Args:
+        points: centres of P's splats, in any unit.
+        axes: of these splats (``neighbourhood.flat_axes``); None = unknown.
+    """
+    chosen = every_nth(points, _MOST_POINTS)
+    axes = None if axes is None else every_nth(axes, _MOST_POINTS)
+    low, high = chosen.min(axis=0), chosen.max(axis=0)
+    middle, side = (low + high) / 2, float((high - low).max())
+    if len(chosen) < _FEWEST_POINTS or not side > 0:
+        return None
+    if high[2] - low[2] < _LEAST_HEIGHT * side:
+        return None
+    surface = _Surface((chosen - middle) / side, axes)
+    start = upright_axis(*surface.thinned(_AXIS_POINTS))
+    if start is None:
+        return None
+    rough = [surface.symmetric(start.point[:2], folds, *_ROUGHLY) for folds in _FOLDS]
+    best = max(found.fit for found in rough)
+    if best < _LEAST_ROUGH_FIT:
+        return None
+    likely = [found for found in rough if found.fit >= _NEARLY_BEST * best][-1]
+    found = surface.symmetric(likely.center, likely.folds, *_FINELY)
+    if found.fit < _LEAST_FIT or found.met < _LEAST_MET:
+        return None
+    placed = (points - middle) / side
+    is_body = surface.has_image(
+        placed, normals_at(placed, surface.points, surface.tree, surface.axes), found
+    )
+    radii = np.hypot(*(placed[is_body, :2] - found.center).T)
+    if not is_body.any() or 2 * np.quantile(radii, 0.99) < _LEAST_WIDTH:
+        return None
+    return NFold(found.folds, found.center * side + middle[:2], is_body)
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    folds: int
+    center: FloatArray  # [2]
+    met: float
+    """Share of the turned points that have P near."""
+    fit: float
+    """How many of those fit P's surface."""
+
+
+class _Surface:
+    """P's points and normals."""
+
+    def __init__(self, points: FloatArray, axes: FloatArray | None) -> None:
+        self.points, self.axes, self.tree = points, axes, cKDTree(points)
+        self.normals = normals_at(points, points, self.tree, axes)
+
+    def thinned(self, count: int) -> tuple[FloatArray, FloatArray]:
+        """Return some points and their normals."""
+        return every_nth(self.points, count), every_nth(self.normals, count)
+
+    def symmetric(self, center: FloatArray, folds: int, count: int, steps: int) -> _Found:
+        """Move an axis to where P meets itself best (Gauss-Newton, point to plane, robust)."""
+        points, normals = self.thinned(count)
+        for step in range(steps):
+            reach = _REACHES[0 if 2 * step < steps else 1]
+            system, right = 1e-6 * len(points) * np.eye(2), np.zeros(2)
+            for way in (1, -1):
+                there, facing, rotation = _turn(points, normals, center, way, folds)
+                distance, index = self.tree.query(there, distance_upper_bound=reach)
+                index = np.where(np.isfinite(distance), index, 0)
+                alike = np.abs((self.normals[index] * facing).sum(axis=1)) > _SAME_NORMAL
+                used = np.isfinite(distance) & alike
+                gap = ((self.points[index] - there) * facing).sum(axis=1)[used]
+                slopes = facing[used, :2] @ (np.eye(2) - rotation)
+                weights = slopes / (1.0 + (gap / _ROBUST) ** 2)[:, None]
+                system += weights.T @ slopes
+                right += weights.T @ gap
+            center = center + np.linalg.solve(system, right).clip(-_LARGEST_STEP, _LARGEST_STEP)
+        met, fits = [], []
+        for way in (1, -1, 2, -2):
+            there, facing, _ = _turn(points, normals, center, way, folds)
+            is_met, fit = self.fits(there, facing)
+            met.append(is_met.mean())
+            fits.append(float((fit & is_met).sum()))
+        share = float(np.mean(met))
+        return _Found(folds, center, share, sum(fits) / max(4 * share * len(points), 1.0))
+
+    def fits(self, points: FloatArray, normals: FloatArray) -> tuple[BoolArray, BoolArray]:
+        """Return which of N points have P near, and which lie on its surface."""
+        distance, index = self.tree.query(points, k=_NEIGHBOURS, distance_upper_bound=_SPREAD)
+        near = np.isfinite(distance)
+        index = np.where(near, index, 0)
+        along = np.abs(((self.points[index] - points[:, None]) * normals[:, None]).sum(axis=2))
+        cosine = np.abs((self.normals[index] * normals[:, None]).sum(axis=2))
+        across = np.sqrt((np.where(near, distance, 0.0) ** 2 - along**2).clip(0.0))
+        is_same = near & (across <= _SAME_SURFACE) & (cosine >= _SAME_NORMAL)
+        return near[:, 0], np.where(is_same, along, np.inf).min(axis=1) < _FIT
+
+    def has_image(self, points: FloatArray, normals: FloatArray, found: _Found) -> BoolArray:
+        """Mark the points that lie on P's surface after some turn."""
+        marked = np.zeros(len(points), np.bool_)
+        for way in range(1, found.folds):
+            left = ~marked
+            there, facing, _ = _turn(points[left], normals[left], found.center, way, found.folds)
+            _, marked[left] = self.fits(there, facing)
+        return marked
+
+
+def _turn(
+    points: FloatArray,  # [N, 3]
+    normals: FloatArray,  # [N, 3]
+    center: FloatArray,  # [2]
+    way: int,
+    folds: int,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # [N, 3], [N, 3], [2, 2]
+    """Turn points and normals by ``way`` steps; return them, and the rotation of x and y."""
+    angle = way * 2 * math.pi / folds
+    rotation = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    there, facing = points.copy(), normals.copy()
+    there[:, :2] = (points[:, :2] - center) @ rotation.T + center
+    facing[:, :2] = normals[:, :2] @ rotation.T
+    return there, facing, rotation
