@@ -28,7 +28,7 @@ BoolArray = NDArray[np.bool_]
 _MOST_POINTS = 6000
 _FEWEST_POINTS = 200
 _FOLDS = range(5, 17)
-"""Mirror images do as well for fewer; with more, things are nearly round."""
+"""Mirror images do as well for fewer; with more, things are round."""
 _ROUGHLY, _FINELY = (300, 5), (1500, 10)
 """Points that are turned and steps of refinement, for all numbers of folds and for the best."""
 _AXIS_POINTS = 2500
@@ -44,6 +44,8 @@ _NEIGHBOURS = 6
 _NEARLY_BEST = 0.95
 """The largest number of folds counts whose fit is at least this share of the best one: what is
 symmetric by eighths is so by quarters, too."""
+_ROUND = 0.8
+"""Round things fit nearly as well with any number of folds; of these, copied sectors would show."""
 _LEAST_ROUGH_FIT, _LEAST_FIT, _LEAST_MET = 0.7, 0.85, 0.4
 _LEAST_WIDTH, _LEAST_HEIGHT = 0.2, 0.1
 """P is symmetric if so many turned points meet it and then fit it, and if it is no stick and not
@@ -105,8 +107,9 @@ def find_n_fold(
     if start is None:
         return None
     rough = [surface.symmetric(start.point[:2], folds, *_ROUGHLY) for folds in _FOLDS]
-    best = max(found.fit for found in rough)
-    if best < _LEAST_ROUGH_FIT:
+    fits = [found.fit for found in rough]
+    best = max(fits)
+    if best < _LEAST_ROUGH_FIT or min(fits) > _ROUND * best:
         return None
     likely = [found for found in rough if found.fit >= _NEARLY_BEST * best][-1]
     found = surface.symmetric(likely.center, likely.folds, *_FINELY)

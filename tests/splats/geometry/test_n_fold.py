@@ -56,6 +56,11 @@ def test_boxes_sheets_and_thin_sticks_have_none():
     assert find_n_fold(faceted(vase(), 8) * (1.0, 0.8, 1.0)) is None
 
 
+def test_round_things_have_no_sides():
+    for azimuths_deg in ((0.0, 360.0), (10.0, 190.0)):
+        assert find_n_fold(vase(azimuths_deg=azimuths_deg)) is None
+
+
 def test_too_little_has_none():
     assert find_n_fold(np.zeros((4, 3))) is None
     assert find_n_fold(np.zeros((1000, 3))) is None
