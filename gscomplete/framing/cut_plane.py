@@ -170,8 +170,8 @@ def find_cut(
     cosines = np.abs(normals_at(in_plane, chosen, tree, axes) @ normal)
     squareness = float((cosines < _SQUARE).mean())
     share = len(in_plane) / len(rim)
-    is_square = squareness >= _LEAST_SQUARENESS and len(in_plane) >= _FEWEST_SQUARE
-    if share < (_LEAST_SQUARE_SHARE if is_square else _LEAST_SHARE):
+    is_met = squareness >= _LEAST_SQUARENESS and len(in_plane) >= _FEWEST_SQUARE
+    if share < (_LEAST_SQUARE_SHARE if is_met else _LEAST_SHARE):
         return None
     azimuth_deg = math.degrees(math.atan2(normal[1], normal[0])) % 360.0
     # Rim points may lie up to a spacing inside the plane that P ends at.

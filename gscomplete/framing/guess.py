@@ -32,7 +32,7 @@ from gscomplete.framing.end_plane import find_end
 from gscomplete.framing.extent import extended_box, is_closed
 from gscomplete.render import render
 from gscomplete.splats import Splats, colors_to_sh
-from gscomplete.splats.geometry.n_fold import NFold, find_n_fold
+from gscomplete.splats.geometry.n_fold import find_n_fold
 from gscomplete.splats.geometry.neighbourhood import are_flat, flat_axes
 from gscomplete.splats.geometry.revolution import box_of, find_revolution
 from gscomplete.splats.rotations import thinnest_axes
@@ -52,8 +52,6 @@ _MAX_FLOATER_FRACTION = 0.02
 """If more than this share of the splats counts as floaters, all are taken as object."""
 _MIN_OPENNESS = 0.25
 """How one-sided the view scores must be for P to count as open, in [0, 1]."""
-_ALONG_AXIS = 0.01
-"""A plane passes the axis of an n-fold symmetry at most so far, in sizes of the whole."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +185,7 @@ def guess_framing(
         reason = (
             "P is part of a surface of revolution: centre and size are those of the whole of it"
         )
-    elif (fold := _fold_beside(points, axes, mirror)) is not None:
+    elif (fold := find_n_fold(points, axes, through)) is not None:
         center, size = fold.box(points)
         reason = (
             f"P is symmetric by turns of 1/{fold.folds} about an upright axis: centre and size are "
@@ -207,19 +205,6 @@ def guess_framing(
     box_reason = f"{reason} (openness {strength:.2f} towards azimuth {toward:.0f})"
     x, y, z = center.tolist()
     return FramingGuess((x, y, z), size, azimuth, elevation, tuple(notes), view_reason, box_reason)
-
-
-def _fold_beside(
-    points: FloatArray,  # [N, 3]
-    axes: FloatArray | None,  # [N, 3]
-    mirror: UprightPlane | None,
-) -> NFold | None:
-    """Return P's n-fold symmetry; None = there is none, or P is mirrored through its axis."""
-    fold = find_n_fold(points, axes)
-    if fold is None or mirror is None:
-        return fold
-    distance = fold.distance_of(math.radians(mirror.azimuth_deg), mirror.offset)
-    return fold if distance > _ALONG_AXIS * fold.box(points)[1] else None
 
 
 def _box_of_both(

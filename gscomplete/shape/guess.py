@@ -48,7 +48,7 @@ from gscomplete.shape.surface.turned import turned_surface
 from gscomplete.shape.symmetry import plane_of
 from gscomplete.shape.voxels import FloatArray
 from gscomplete.splats import Splats, concatenate
-from gscomplete.splats.geometry.n_fold import NFold, find_n_fold
+from gscomplete.splats.geometry.n_fold import find_n_fold
 from gscomplete.splats.geometry.neighbourhood import flat_axes
 from gscomplete.splats.geometry.revolution import Revolution, find_revolution
 from gscomplete.splats.transform import Similarity, transform_splats
@@ -65,9 +65,6 @@ _TURNED_NOTE = (
     "P is part of a surface of revolution: it is turned about its axis (--mirror none completes it "
     "by the network alone)"
 )
-_ALONG_AXIS = 0.01
-"""P that is cut along a plane which passes the axis of its n-fold symmetry at most so far is
-mirrored."""
 _FOLD_NOTE = (
     "P is symmetric by turns of 1/{folds} about an upright axis: its splats are turned about it "
     "(--mirror none completes it by the network alone)"
@@ -183,11 +180,15 @@ def _revolution(partial: Splats, mirror: Mirror) -> Revolution | None:
 
     None = there is none, or the plane that P is to be mirrored through contains its axis.
     """
-    plane = None
-    if isinstance(mirror, MirrorPlane):
-        plane = math.radians(mirror.azimuth_deg), mirror.offset
     with stage("axis"):
-        return find_revolution(partial.means.double().numpy(), flat_axes(partial), plane)
+        return find_revolution(partial.means.double().numpy(), flat_axes(partial), _cut(mirror))
+
+
+def _cut(mirror: Mirror) -> tuple[float, float] | None:
+    """Return the azimuth in radians and the offset of the plane to mirror through, if it is one."""
+    if not isinstance(mirror, MirrorPlane):
+        return None
+    return math.radians(mirror.azimuth_deg), mirror.offset
 
 
 def _turned_guess(
@@ -232,8 +233,8 @@ def _folded_guess(
     mirrored through a plane that contains the axis.
     """
     with stage("axis"):
-        fold = find_n_fold(partial.means.double().numpy(), flat_axes(partial))
-        if fold is None or _holds_axis(mirror, fold):
+        fold = find_n_fold(partial.means.double().numpy(), flat_axes(partial), _cut(mirror))
+        if fold is None:
             return None
         copies = n_fold_copies(partial, fold, gather_evidence(partial, views), generator)
     if copies is None:
@@ -245,13 +246,6 @@ def _folded_guess(
         assembled = assemble_splats(plain, given, AssembleSettings(count=count), generator)
     notes = (_FOLD_NOTE.format(folds=fold.folds), *_prompt_note(plain.prompt_share))
     return Guess(concatenate([copies, assembled.splats]), (), notes, heeds_cut=False)
-
-
-def _holds_axis(mirror: Mirror, fold: NFold) -> bool:
-    if not isinstance(mirror, MirrorPlane):
-        return False
-    azimuth_rad = math.radians(mirror.azimuth_deg)
-    return fold.distance_of(azimuth_rad, mirror.offset) <= _ALONG_AXIS
 
 
 def _by_known_shapes(

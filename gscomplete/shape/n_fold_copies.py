@@ -65,8 +65,6 @@ def n_fold_copies(
 
 def _turn(fold: NFold, step: int) -> SymmetryMap:
     """Return the turn by whole steps of a symmetry."""
-    angle = step * 2 * math.pi / fold.folds
-    matrix = np.eye(3, dtype=np.float32)
-    matrix[:2, :2] = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
+    matrix = fold.rotation(step).astype(np.float32)
     center = np.array([*fold.center, 0.0], np.float32)
     return SymmetryMap(matrix, center - matrix @ center, 1.0)

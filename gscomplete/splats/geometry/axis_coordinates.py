@@ -16,6 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gscomplete.splats.thinning import every_nth
+
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
@@ -29,6 +31,7 @@ _CELL, SECTORS = 0.04, 36
 _LEAST_ROUND = 0.35
 """What P shows in fewer sectors than this share of the median is no part of the body: a handle."""
 _FEWEST_SECTORS = 4
+_FEWEST_POINTS = 200
 NEAR_AXIS = 0.03
 """Within this radius every point belongs to the body."""
 _BODY_OFF = 1.3
@@ -129,3 +132,27 @@ def turned(points: FloatArray, angle_rad: FloatArray) -> FloatArray:  # [N, 3], 
     cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
     x, y, z = points.T
     return np.stack([x * cosine - y * sine, x * sine + y * cosine, z], axis=1)
+
+
+def in_box_sides(
+    points: FloatArray,  # [N, 3]
+    axes: FloatArray | None,  # [N, 3]
+    most: int,
+) -> tuple[FloatArray, FloatArray | None, FloatArray, float] | None:  # [K, 3], [K, 3], [3]
+    """Return at most so many points about the middle of their box, in its sides, and their axes.
+
+    The box's middle and largest side come after them; None = too few points, or no extent.
+    """
+    chosen = every_nth(points, most)
+    axes = None if axes is None else every_nth(axes, most)
+    low, high = chosen.min(axis=0), chosen.max(axis=0)
+    middle, side = (low + high) / 2, float((high - low).max())
+    if len(chosen) < _FEWEST_POINTS or not side > 0:
+        return None
+    return (chosen - middle) / side, axes, middle, side
+
+
+def off_plane(place: FloatArray, azimuth_rad: float, offset: float) -> float:  # [2] or [3]
+    """Return how far a place is from the upright plane of that normal and offset."""
+    normal = np.array([math.cos(azimuth_rad), math.sin(azimuth_rad)])
+    return float(abs(place[:2] @ normal - offset))

@@ -17,16 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gscomplete.splats.geometry.axis_coordinates import turned
-from gscomplete.splats.geometry.neighbourhood import normals_at
-from gscomplete.splats.geometry.revolution import upright_axis
+from gscomplete.splats.geometry.axis_coordinates import in_box_sides, off_plane
+from gscomplete.splats.geometry.neighbourhood import lie_on_surface, normals_at
+from gscomplete.splats.geometry.revolution import ALONG_AXIS, upright_axis
 from gscomplete.splats.thinning import every_nth
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 _MOST_POINTS = 6000
-_FEWEST_POINTS = 200
 _FOLDS = range(5, 17)
 """Mirror images do as well for fewer; with more, things are round."""
 _ROUGHLY, _FINELY = (300, 5), (1500, 10)
@@ -37,10 +36,7 @@ _REACHES = (0.06, 0.03)
 steps."""
 _ROBUST = 0.01
 _LARGEST_STEP = 0.03
-_SPREAD, _SAME_SURFACE, _SAME_NORMAL, _FIT = 0.05, 0.02, 0.9, 0.008
-"""Turned points meet P within the first, and fit it if P's surface, which is the same if points and
-normals are within the next two, passes within the last."""
-_NEIGHBOURS = 6
+_NEIGHBOURS, _SAME_NORMAL = 6, 0.9
 _NEARLY_BEST = 0.95
 """The largest number of folds counts whose fit is at least this share of the best one: what is
 symmetric by eighths is so by quarters, too."""
@@ -60,25 +56,21 @@ class NFold:
     center: FloatArray  # [2] x and y of the axis, in the coordinates of the points given
     is_body: BoolArray  # [N] which points have an image on P: no handle
 
-    def turned(self, points: FloatArray, steps: FloatArray) -> FloatArray:
-        """Turn each of N points by whole steps of the symmetry.
+    def rotation(self, step: int) -> FloatArray:  # [3, 3]
+        """Return the turn by whole steps of the symmetry, about the z axis."""
+        matrix = np.eye(3)
+        matrix[:2, :2] = _rotation(step, self.folds)
+        return matrix
 
-        Args:
-            points: [N, 3].
-            steps: [N] how many steps.
-        """
+    def turned(self, points: FloatArray, step: int) -> FloatArray:  # [N, 3] -> [N, 3]
+        """Turn points by whole steps of the symmetry."""
         about = np.array([*self.center, 0.0])
-        return turned(points - about, steps * (2 * math.pi / self.folds)) + about
-
-    def distance_of(self, azimuth_rad: float, offset: float) -> float:
-        """Return how far the upright plane of that normal and offset passes the axis."""
-        normal = np.array([math.cos(azimuth_rad), math.sin(azimuth_rad)])
-        return float(abs(self.center @ normal - offset))
+        return (points - about) @ self.rotation(step).T + about
 
     def box(self, points: FloatArray) -> tuple[FloatArray, float]:  # [N, 3] -> [3]
         """Return the centre and the largest side of the box of P and its whole body."""
         body = points[self.is_body]
-        whole = [points, *(self.turned(body, np.full(len(body), k)) for k in range(self.folds))]
+        whole = [points, *(self.turned(body, k) for k in range(self.folds))]
         low = np.min([part.min(axis=0) for part in whole], axis=0)
         high = np.max([part.max(axis=0) for part in whole], axis=0)
         return (low + high) / 2, float((high - low).max())
@@ -87,22 +79,20 @@ class NFold:
 def find_n_fold(
     points: FloatArray,  # [N, 3] z up
     axes: FloatArray | None = None,  # [N, 3]
+    cut: tuple[float, float] | None = None,
 ) -> NFold | None:
-    """Return the symmetry of P with the most folds, five at least; None = there is none.
+    """Return P's symmetry with the most folds, five at least; None = none, or P is better mirrored.
 
     Args:
         points: centres of P's splats, in any unit.
         axes: of these splats (``neighbourhood.flat_axes``); None = unknown.
+        cut: as for ``revolution.find_revolution``.
     """
-    chosen = every_nth(points, _MOST_POINTS)
-    axes = None if axes is None else every_nth(axes, _MOST_POINTS)
-    low, high = chosen.min(axis=0), chosen.max(axis=0)
-    middle, side = (low + high) / 2, float((high - low).max())
-    if len(chosen) < _FEWEST_POINTS or not side > 0:
+    within = in_box_sides(points, axes, _MOST_POINTS)
+    if within is None or np.ptp(within[0][:, 2]) < _LEAST_HEIGHT:
         return None
-    if high[2] - low[2] < _LEAST_HEIGHT * side:
-        return None
-    surface = _Surface((chosen - middle) / side, axes)
+    chosen, axes, middle, side = within
+    surface = _Surface(chosen, axes)
     start = upright_axis(*surface.thinned(_AXIS_POINTS))
     if start is None:
         return None
@@ -116,13 +106,15 @@ def find_n_fold(
     if found.fit < _LEAST_FIT or found.met < _LEAST_MET:
         return None
     placed = (points - middle) / side
-    is_body = surface.has_image(
-        placed, normals_at(placed, surface.points, surface.tree, surface.axes), found
-    )
+    normals = normals_at(placed, chosen, surface.tree, axes)
+    is_body = surface.has_image(placed, normals, found)
     radii = np.hypot(*(placed[is_body, :2] - found.center).T)
     if not is_body.any() or 2 * np.quantile(radii, 0.99) < _LEAST_WIDTH:
         return None
-    return NFold(found.folds, found.center * side + middle[:2], is_body)
+    fold = NFold(found.folds, found.center * side + middle[:2], is_body)
+    if cut is not None and off_plane(fold.center, *cut) <= ALONG_AXIS * fold.box(points)[1]:
+        return None
+    return fold
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +131,7 @@ class _Surface:
     """P's points and normals."""
 
     def __init__(self, points: FloatArray, axes: FloatArray | None) -> None:
-        self.points, self.axes, self.tree = points, axes, cKDTree(points)
+        self.points, self.tree = points, cKDTree(points)
         self.normals = normals_at(points, points, self.tree, axes)
 
     def thinned(self, count: int) -> tuple[FloatArray, FloatArray]:
@@ -167,22 +159,15 @@ class _Surface:
         met, fits = [], []
         for way in (1, -1, 2, -2):
             there, facing, _ = _turn(points, normals, center, way, folds)
-            is_met, fit = self.fits(there, facing)
+            is_met, fit = self.compared(there, facing)
             met.append(is_met.mean())
             fits.append(float((fit & is_met).sum()))
         share = float(np.mean(met))
         return _Found(folds, center, share, sum(fits) / max(4 * share * len(points), 1.0))
 
-    def fits(self, points: FloatArray, normals: FloatArray) -> tuple[BoolArray, BoolArray]:
-        """Return which of N points have P near, and which lie on its surface."""
-        distance, index = self.tree.query(points, k=_NEIGHBOURS, distance_upper_bound=_SPREAD)
-        near = np.isfinite(distance)
-        index = np.where(near, index, 0)
-        along = np.abs(((self.points[index] - points[:, None]) * normals[:, None]).sum(axis=2))
-        cosine = np.abs((self.normals[index] * normals[:, None]).sum(axis=2))
-        across = np.sqrt((np.where(near, distance, 0.0) ** 2 - along**2).clip(0.0))
-        is_same = near & (across <= _SAME_SURFACE) & (cosine >= _SAME_NORMAL)
-        return near[:, 0], np.where(is_same, along, np.inf).min(axis=1) < _FIT
+    def compared(self, places: FloatArray, facing: FloatArray) -> tuple[BoolArray, BoolArray]:
+        """Return which of N places have P near, and which lie on its surface."""
+        return lie_on_surface(places, facing, self.tree, self.normals, _NEIGHBOURS, _SAME_NORMAL)
 
     def has_image(self, points: FloatArray, normals: FloatArray, found: _Found) -> BoolArray:
         """Mark the points that lie on P's surface after some turn."""
@@ -190,7 +175,7 @@ class _Surface:
         for way in range(1, found.folds):
             left = ~marked
             there, facing, _ = _turn(points[left], normals[left], found.center, way, found.folds)
-            _, marked[left] = self.fits(there, facing)
+            _, marked[left] = self.compared(there, facing)
         return marked
 
 
@@ -202,9 +187,14 @@ def _turn(
     folds: int,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # [N, 3], [N, 3], [2, 2]
     """Turn points and normals by ``way`` steps; return them, and the rotation of x and y."""
-    angle = way * 2 * math.pi / folds
-    rotation = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    rotation = _rotation(way, folds)
     there, facing = points.copy(), normals.copy()
     there[:, :2] = (points[:, :2] - center) @ rotation.T + center
     facing[:, :2] = normals[:, :2] @ rotation.T
     return there, facing, rotation
+
+
+def _rotation(step: int, folds: int) -> FloatArray:  # [2, 2]
+    """Return the turn of x and y by whole steps."""
+    angle = step * 2 * math.pi / folds
+    return np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])

@@ -24,6 +24,11 @@ _AGREE = 0.6
 parallel, 1/3 if they point anywhere."""
 
 
+_SPREAD, _SAME_SURFACE, _FIT = 0.05, 0.02, 0.008
+"""A surface is near within the first, its points are of the same part of it as a place within the
+second across the place's normal, and the place lies on it within the third along the normal."""
+
+
 def one_sidedness(ways: NDArray[np.floating]) -> NDArray[np.floating]:  # [N, K, 3] -> [N]
     """Return how much the neighbours of points lie to one side.
 
@@ -90,3 +95,34 @@ def normals_at(
     unsure = shares[:, 2] <= _AGREE
     normals[unsure] = normals_of(points[index[unsure]])
     return normals
+
+
+def lie_on_surface(
+    places: NDArray[np.float64],  # [K, 3]
+    facing: NDArray[np.float64],  # [K, 3]
+    tree: cKDTree,
+    normals: NDArray[np.float64],  # [N, 3]
+    neighbours: int,
+    least_cosine: float,
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:  # [K], [K]
+    """Compare oriented places with a surface that fills about one unit; normals are of either sign.
+
+    Args:
+        places: what is compared.
+        facing: normals of the places.
+        tree: holds the surface's points.
+        normals: of these points.
+        neighbours: how many of them are compared with each place.
+        least_cosine: between the normals of a place and of the same part of the surface.
+
+    Returns:
+        Which places have the surface near, and which lie on a part of it that faces their way.
+    """
+    distance, found = tree.query(places, k=neighbours, distance_upper_bound=_SPREAD)
+    near = np.isfinite(distance)
+    found = np.where(near, found, 0)
+    along = np.abs(((tree.data[found] - places[:, None]) * facing[:, None]).sum(axis=2))
+    cosine = np.abs((normals[found] * facing[:, None]).sum(axis=2))
+    across = np.sqrt((np.where(near, distance, 0.0) ** 2 - along**2).clip(0.0))
+    is_same = near & (across <= _SAME_SURFACE) & (cosine >= least_cosine)
+    return near[:, 0], np.where(is_same, along, np.inf).min(axis=1) < _FIT

@@ -29,14 +29,15 @@ from gscomplete.splats.geometry.axis_coordinates import (
     BoolArray,
     FloatArray,
     Turning,
+    in_box_sides,
+    off_plane,
     turned,
 )
-from gscomplete.splats.geometry.neighbourhood import normals_at
+from gscomplete.splats.geometry.neighbourhood import lie_on_surface, normals_at
 from gscomplete.splats.thinning import every_nth
 
 _MOST_POINTS = 20_000
 _TESTED = 2500
-_FEWEST_POINTS = 200
 _FEWEST_STEEP = 100
 _PAIRS = 500
 _LEAST_CROSSING = 0.25
@@ -54,10 +55,7 @@ _ALIKE_NEIGHBOURS = 12
 _OUTERMOST = 0.995
 """Share of the body within its radius; the rest is noise."""
 _TURNS_RAD = (0.35, 1.6)
-_SPREAD, _SAME_SURFACE = 0.05, 0.02
 _SAME_NORMAL = 0.8
-_FIT = 0.008
-"""Turned points fit P if P's surface passes within this distance of them."""
 _LEAST_UPRIGHT_SHARE, _LEAST_SHARE, _LEAST_EVENNESS = 0.4, 0.55, 0.08
 _LEAST_BODY, _LEAST_FIT, _LEAST_MET = 0.7, 0.74, 0.55
 _LEAST_WIDTH, _LEAST_FLATNESS = 0.15, 0.09
@@ -66,7 +64,7 @@ ways, most of P belongs to the body, turned points meet P often enough and then 
 neither a thin stick nor flat. Of 537 such parts of 1,122 train objects, 465 turn into surfaces of
 which more than nine tenths lie within .02 of the true one, 26 into less than three quarters. Of the
 parts that turn into such good ones, 87 % are found."""
-_ALONG_AXIS = 0.01
+ALONG_AXIS = 0.01
 """The axis lies in a plane at most this far from it, in sizes of the whole. P that seems cut along
 such a plane is better mirrored, which keeps its details: 27 cuts through the middle are within .007
 and lose otherwise. 16 others, of halves and of arcs that only seem cut, are .013 or farther from
@@ -91,8 +89,7 @@ class Revolution:
 
     def distance_of(self, azimuth_rad: float, offset: float) -> float:
         """Return how far the upright plane of that normal and offset passes the axis."""
-        normal = np.array([math.cos(azimuth_rad), math.sin(azimuth_rad)])
-        return float(abs(self.axis.point[:2] @ normal - offset))
+        return off_plane(self.axis.point, azimuth_rad, offset)
 
 
 def find_revolution(
@@ -108,13 +105,10 @@ def find_revolution(
         cut: an upright plane that P is symmetric about: the azimuth of its normal in radians, and
             its offset. If the axis lies in it, P is better mirrored. None = there is none.
     """
-    chosen = every_nth(points, _MOST_POINTS)
-    axes = None if axes is None else every_nth(axes, _MOST_POINTS)
-    low, high = chosen.min(axis=0), chosen.max(axis=0)
-    middle, side = (low + high) / 2, float((high - low).max())
-    if len(chosen) < _FEWEST_POINTS or not side > 0:
+    placed = in_box_sides(points, axes, _MOST_POINTS)
+    if placed is None:
         return None
-    chosen = (chosen - middle) / side
+    chosen, axes, middle, side = placed
     tested = every_nth(chosen, _TESTED)
     tree = cKDTree(chosen)
     normals = normals_at(tested, chosen, tree, axes)
@@ -137,7 +131,7 @@ def find_revolution(
         return None
     found = Axis(axis.point * side + middle, axis.direction, axis.rotation)
     whole = Revolution(found, radius * side, (heights[0] * side, heights[1] * side))
-    if cut is not None and whole.distance_of(*cut) <= _ALONG_AXIS * whole.size:
+    if cut is not None and whole.distance_of(*cut) <= ALONG_AXIS * whole.size:
         return None
     return whole
 
@@ -165,17 +159,9 @@ def turned_fit(turning: Turning, body: BoolArray) -> tuple[float, float]:  # [N]
     index = random.choice(np.flatnonzero(body), _TESTED)
     angle = random.uniform(*_TURNS_RAD, _TESTED) * random.choice([-1.0, 1.0], _TESTED)
     points, normals = (turned(v[index], angle) for v in (turning.points, turning.normals))
-    distance, found = cKDTree(turning.points).query(
-        points, k=_ALIKE_NEIGHBOURS, distance_upper_bound=_SPREAD
-    )
-    near = np.isfinite(distance)
-    found = np.where(near, found, 0)
-    along = np.abs(((turning.points[found] - points[:, None]) * normals[:, None]).sum(axis=2))
-    cosine = np.abs((turning.normals[found] * normals[:, None]).sum(axis=2))
-    across = np.sqrt((np.where(near, distance, 0.0) ** 2 - along**2).clip(0.0))
-    is_same = near & (across <= _SAME_SURFACE) & (cosine >= _SAME_NORMAL)
-    fits = np.where(is_same, along, np.inf).min(axis=1) < _FIT
-    met = near[:, 0]
+    tree = cKDTree(turning.points)
+    near = lie_on_surface(points, normals, tree, turning.normals, _ALIKE_NEIGHBOURS, _SAME_NORMAL)
+    met, fits = near
     return float(met.mean()), float(fits[met].mean()) if met.any() else 0.0
 
 

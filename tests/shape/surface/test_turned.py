@@ -106,9 +106,8 @@ def test_only_what_is_beside_a_feature_may_lie_on_the_body():
     sideways = at(1.0, 290.0, HEIGHT / 2)
     assert bool(found.against_body(at(on_body, 200.0, HEIGHT / 2), out).repeats)
     assert bool(found.against_body(at(on_body, 200.0, HEIGHT / 2), sideways).repeats)
-    assert not bool(
-        found.against_body(at(on_body, 200.0, HEIGHT / 2), -out).repeats
-    )  # behind a thin wall
+    behind = found.against_body(at(on_body, 200.0, HEIGHT / 2), -out)  # of a thin wall
+    assert not bool(behind.repeats)
     assert not bool(found.against_body(at(on_body + 0.1, 200.0, HEIGHT / 2), out).repeats)
     features = half(), foot(60.0, 0.3)
     found = turn(np.concatenate(features))

@@ -44,7 +44,7 @@ def test_what_turns_fill_is_the_whole_and_a_handle_is_no_body():
     np.testing.assert_allclose(center, (low + high) / 2, atol=0.01)
     assert size == pytest.approx(HEIGHT, abs=0.01)
     body = cup[found.is_body]
-    there = found.turned(body, np.full(len(body), 3.0))
+    there = found.turned(body, 3)
     np.testing.assert_allclose(np.hypot(*there[:, :2].T), np.hypot(*body[:, :2].T), atol=2e-3)
 
 
@@ -54,6 +54,14 @@ def test_boxes_sheets_and_thin_sticks_have_none():
     assert find_n_fold(sheet) is None
     assert find_n_fold(faceted(vase(), 8) * (0.2, 0.2, 1.0)) is None
     assert find_n_fold(faceted(vase(), 8) * (1.0, 0.8, 1.0)) is None
+
+
+def test_what_is_cut_along_its_axis_is_better_mirrored():
+    part = faceted(vase(azimuths_deg=(-90.0, 90.0)), 8)
+    assert find_n_fold(part, cut=(np.pi, 0.0)) is None
+    beside = find_n_fold(part, cut=(np.pi, 0.02))  # the vase is .9 high, the limit .009
+    assert beside is not None
+    assert beside.folds == 8
 
 
 def test_round_things_have_no_sides():
