@@ -23,6 +23,7 @@ import torch.nn.functional as F
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from gscomplete.shape.colors.bands import with_bands
 from gscomplete.shape.colors.rim import checked_by_rim
 from gscomplete.shape.colors.sources import nearest_colors, source_colors
 from gscomplete.shape.network import ShapeOutput
@@ -155,6 +156,10 @@ def surface_splats(
             colors[found.is_turned], sure[found.is_turned] = its
         if settings.rim_decides:
             colors = checked_by_rim(colors, sure, points, normals, partial, generator)
+        if turned is not None:
+            new = found.is_turned
+            about = points[new], normals[new], partial, turned.body, turned.revolution.axis
+            colors[new] = with_bands(colors[new], *about)
     else:
         colored = concatenate([partial.with_sh_degree(0), mirrored])
         colors = nearest_colors(colored, points, normals, generator)
