@@ -30,6 +30,8 @@ _PROFILE_POINTS = 2000
 """About so many places along P's profile tell the colours."""
 _ALIKE = 32
 """A colour is a mean over so many points that are alike in radius, height and normal."""
+_SMOOTHED = 16
+"""New splats take the mean over so many of these places, which else show as specks."""
 _NORMAL_REACH = 0.05
 """Length of normals beside places: both walls of a cup are kept apart."""
 _VARIES = 0.04
@@ -71,11 +73,13 @@ def with_bands(
     varies = ((lab - lab.mean(axis=1, keepdims=True)) ** 2).sum(axis=2).mean(axis=1)
     places = points.double().numpy()
     there = _profile(Turning.about(axis, places, normals.double().numpy()))
-    _, nearest = query_nearest(cKDTree(some), there)
-    away, _ = query_nearest(tree, places)
-    weight = np.exp(-varies / _VARIES**2)[nearest] * (away / _SEAM).clip(0.0, 1.0)
+    _, nearest = query_nearest(cKDTree(some), there, range(1, min(_SMOOTHED, len(some)) + 1))
+    away, _ = query_nearest(tree, places, within=_SEAM)
+    beside = (away / _SEAM).clip(0.0, 1.0)
+    weight = np.exp(-varies[nearest].mean(axis=1) / _VARIES**2) * beside
+    mean = shown[alike].mean(axis=1)[nearest].mean(axis=1)
     weights = torch.from_numpy(weight).float()[:, None]
-    return weights * torch.from_numpy(shown[alike].mean(axis=1))[nearest] + (1 - weights) * colors
+    return weights * torch.from_numpy(mean) + (1 - weights) * colors
 
 
 def _profile(turning: Turning) -> FloatArray:  # [M, 4]
