@@ -30,7 +30,7 @@ _PROFILE_POINTS = 2000
 """About so many places along P's profile tell the colours."""
 _ALIKE = 32
 """A colour is a mean over so many points that are alike in radius, height and normal."""
-_SMOOTHED = 16
+_SMOOTHED = 8
 """New splats take the mean over so many of these places, which else show as specks."""
 _NORMAL_REACH = 0.05
 """Length of normals beside places: both walls of a cup are kept apart."""
