@@ -8,7 +8,7 @@ Conventions
 -----------
 * Object frame; axis coordinates as in ``splats.geometry.axis_coordinates``.
 * Normals point away from the other side of a thin wall, else to the side that V's views see empty,
-  else away from the middle.
+  else away from the middle, unless most of those at the same radius and height point the other way.
 * The body is what of P belongs to the surface of revolution; the rest, such as a handle, is its
   features.
 """
@@ -226,7 +226,20 @@ def _outward(
     out = np.where(is_seen, ahead - behind, away)
     wall = _wall_ahead(points, normals, tree)
     sign = np.where(np.where(wall != 0, -wall, out) < 0, -1.0, 1.0)
-    return normals * sign[:, None]
+    return normals * (sign * _against_others(turning, sign))[:, None]
+
+
+def _against_others(turning: Turning, sign: FloatArray) -> FloatArray:  # [N] -> [N]
+    """Return -1 where a normal of that sign opposes most of those at the same profile, else 1.
+
+    Signs are wrong here and there, and what lies before the wall would seem to be behind it there.
+    """
+    places = np.stack([turning.radius, turning.points[:, 2]], axis=1)
+    facing = sign[:, None] * np.stack([turning.radial, turning.normals[:, 2]], axis=1)
+    nearest = range(1, min(_ALIKE, len(places)) + 1)
+    _, index = query_nearest(cKDTree(places), places, nearest)
+    along = (facing[index].mean(axis=1) * facing).sum(axis=1)
+    return np.where(along < 0, -1.0, 1.0)
 
 
 def _wall_ahead(
