@@ -129,7 +129,7 @@ def test_colors_come_from_splats_away_from_features():
     assert len(without) >= 0.9 * len(splats)
 
 
-def test_signs_that_oppose_those_at_the_same_profile_are_turned():
+def test_signs_that_oppose_those_at_the_same_profile_are_reversed():
     random = np.random.default_rng(4)
     points = vase(azimuths_deg=(0.0, 180.0))
     outward = points * [1.0, 1.0, 0.0] / np.hypot(points[:, 0], points[:, 1])[:, None]
