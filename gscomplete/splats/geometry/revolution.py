@@ -68,7 +68,7 @@ _CLEAR_SHARE, _CLEAR_MET, _CLEAR_FIT = 0.85, 0.6, 0.725
 """If so many normals meet the axis, as much of P belongs to the body, and turned points meet P so
 often, these may fit less well: so many times as well as after small turns, which tell how noisy P
 is. Scans are; oval things such as hats fit after small turns only. The last limit was chosen on 22
-parts of train objects and five of validation objects, the only ones that lose without it."""
+parts of train objects and five of validation objects, which lose without it."""
 ALONG_AXIS = 0.01
 """The axis lies in a plane at most this far from it, in sizes of the whole. P that seems cut along
 such a plane is better mirrored, which keeps its details: 27 cuts through the middle are within .007
