@@ -19,8 +19,7 @@ missing fields are errors; a new version number announces new fields.
 from __future__ import annotations
 
 import dataclasses
-import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -34,7 +33,7 @@ from gscomplete.util import jsonio
 from gscomplete.util.digests import sha256_of
 from gscomplete.util.file_names import is_plain_name
 from gscomplete.util.parse import is_text
-from gscomplete.views import FrameOrigin, ObjectFrame, ViewDistribution
+from gscomplete.views import FrameOrigin, GivenOfFrame, ObjectFrame, ViewDistribution
 from splatcomplete_data.atomic_folder import atomic_folder
 from splatcomplete_data.cuts.boxes import CropBox
 
@@ -119,6 +118,9 @@ class ObjectRecord:
     user."""
     views: ViewDistribution
     """Input view c and view distribution V."""
+    frame_given: tuple[GivenOfFrame, ...] | None = None
+    """What the user gave of the frame; None = both if ``frame_origin`` says so, as records of
+    earlier versions do."""
     file_from_source: dict[str, Any] | None = None
     """Similarity from the source's frame to the file frame (JSON form); None = identity."""
     boxes: tuple[CropBox, ...] = ()
@@ -330,17 +332,3 @@ def draw_preview(
     return contact_sheet(
         rows, row_labels=labels, column_labels=columns, title=f"{record.id}: {record.prompt}"
     )
-
-
-def check_steps(steps: Sequence[StepRecord]) -> None:
-    """Check that every step starts where the one before it ended.
-
-    Raises:
-        ValueError: a step does not.
-    """
-    for first, second in itertools.pairwise(steps):
-        if first.after != second.before:
-            raise ValueError(
-                f"steps: {first.name} leaves {first.after}, {second.name} starts with "
-                f"{second.before}"
-            )

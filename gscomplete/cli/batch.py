@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from gscomplete.cli.complete_options import HowToComplete
+from gscomplete.cli.complete_options import HowToComplete, require_plain_fill
 from gscomplete.errors import UserError
 from gscomplete.util.parse import parse_numbers, parse_view
 
@@ -127,6 +127,7 @@ def _check(options: BatchOptions) -> None:
     Raises:
         UserError: an option is wrong.
     """
+    require_plain_fill(options)
     parse_view(options.view)
     parse_numbers(options.center, 3, "--center", "X,Y,Z")
     if re.fullmatch(r"auto|cpu|cuda(:[0-9]+)?", options.device) is None:

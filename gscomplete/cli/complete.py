@@ -64,12 +64,14 @@ def _complete(options: CompleteOptions) -> int:
     from gscomplete.util.stages import stage
 
     with _without_collections(), stage("load"):
+        from gscomplete.cli.complete_options import require_plain_fill
         from gscomplete.cli.request import request_of
         from gscomplete.completion.run_folder import prepare
         from gscomplete.priors import load_prior
         from gscomplete.render.dispatch import choose_render_device
         from gscomplete.util.device import choose_device
 
+        require_plain_fill(options)
         device = choose_device(options.device)
         render_device, fallback = choose_render_device(options.device, device)
         knobs = None if options.diffusion == LatentPriorSettings() else options.diffusion

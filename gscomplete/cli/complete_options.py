@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from gscomplete.errors import UserError
 from gscomplete.priors.latent.settings import LatentPriorSettings
 
 
@@ -129,3 +130,28 @@ class CompleteOptions(HowToComplete):
     """Print time and memory by stage, and keep them as ``profile`` in run.json."""
     json: bool = False
     """Print only the content of run.json on standard output; messages go to standard error."""
+
+
+def require_plain_fill(options: HowToComplete) -> None:
+    """Refuse options that have no effect if only gaps are closed (``--fill``), before any is used.
+
+    Raises:
+        UserError: there is one.
+    """
+    heedless = {
+        "--prior": options.prior != "embedded",
+        "--diffusion": options.diffusion != LatentPriorSettings(),
+        "--preset": options.preset != "default",
+        "--steps": options.steps is not None,
+        "--mirror": options.mirror != "guess",
+        "--alternatives": options.alternatives != 0,
+        "--no-known-shapes": not options.known_shapes,
+        "--prompt-decides": options.prompt_decides,
+        "--text-only": options.text_only,
+        "--edge-colors": options.edge_colors != "auto",
+        "--captured": options.captured != "auto",
+        "--negative-prompt": options.negative_prompt is not None,
+    }
+    found = [name for name, given in heedless.items() if given]
+    if options.fill and found:
+        raise UserError(f"--fill: closes gaps without a prior; expected no {', '.join(found)}")

@@ -13,7 +13,7 @@ import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
-from gscomplete.cli.complete_options import CompleteOptions, HowToComplete
+from gscomplete.cli.complete_options import CompleteOptions, HowToComplete, require_plain_fill
 from gscomplete.completion.pipeline import Request
 from gscomplete.completion.presets import FILL, preset
 from gscomplete.completion.run_folder import RunRequest
@@ -119,8 +119,7 @@ def settings_of(options: HowToComplete, prior: Prior) -> CompletionSettings:
     """
     chosen = FILL if options.fill else preset(options.preset, prior, text_only=options.text_only)
     settings = dataclasses.replace(chosen, seed=options.seed)
-    if options.fill:
-        _require_plain_fill(options)
+    require_plain_fill(options)
     if options.steps is not None:
         if options.steps < 0:
             raise UserError(f"--steps: expected at least 0, found {options.steps}")
@@ -163,29 +162,6 @@ def settings_of(options: HowToComplete, prior: Prior) -> CompletionSettings:
     if options.alternatives:
         _require_guess("--alternatives", options, settings, prior)
     return settings
-
-
-def _require_plain_fill(options: HowToComplete) -> None:
-    """Refuse options that have no effect when only gaps are closed (``--fill``).
-
-    Raises:
-        UserError: there is one.
-    """
-    heedless = {
-        "--preset": options.preset != "default",
-        "--steps": options.steps is not None,
-        "--mirror": options.mirror != "guess",
-        "--alternatives": options.alternatives != 0,
-        "--no-known-shapes": not options.known_shapes,
-        "--prompt-decides": options.prompt_decides,
-        "--text-only": options.text_only,
-        "--edge-colors": options.edge_colors != "auto",
-        "--captured": options.captured != "auto",
-        "--negative-prompt": options.negative_prompt is not None,
-    }
-    found = [name for name, given in heedless.items() if given]
-    if found:
-        raise UserError(f"--fill: closes gaps without a prior; expected no {', '.join(found)}")
 
 
 def given_to(options: CompleteOptions) -> Given:
@@ -368,10 +344,10 @@ def _box(
     Raises:
         UserError: an option has the wrong form.
     """
-    known = None if found is None else found.known_frame
-    sources["center"] = sources["size"] = "guess" if known is None else OBJECT_FILE
-    center = None if known is None else known.center_file
-    size = None if known is None else known.size_file
+    center = None if found is None else found.known_center
+    size = None if found is None else found.known_size
+    sources["center"] = "guess" if center is None else OBJECT_FILE
+    sources["size"] = "guess" if size is None else OBJECT_FILE
     if options.center_file is not None:
         center, sources["center"] = options.center_file, "--center"
     if options.size_file is not None:

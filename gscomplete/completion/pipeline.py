@@ -150,9 +150,9 @@ class Completed:
 
     @property
     def splats(self) -> Splats:
-        """O in the file frame: P's splats first, as given, new ones after."""
+        """O in the file frame, on the CPU: P's splats first, as given, new ones after."""
         given = self.given.splats if isinstance(self.given, SplatFile) else self.given
-        return concatenate([given, self.new_in_file])
+        return concatenate([given.to("cpu"), self.new_in_file])
 
     @property
     def in_object_frame(self) -> Splats:
@@ -243,7 +243,7 @@ def prepare(
         notes += tuple(f"{name}: {warning}" for warning in given.warnings)
     else:
         splats, name = given, "P"
-    drawable = splats.detach().to(dtype=torch.float32)
+    drawable = splats.detach().to("cpu", torch.float32)
     turn = up_rotation(framing_request.up) if settings.leave_out_strays else None
     with stage("strays"):
         working = working_set(drawable, MAX_WORKING_SPLATS, name, turn)

@@ -32,7 +32,13 @@ from gscomplete.evaluate.pictures import (
 from gscomplete.evaluate.report import evaluate
 from gscomplete.fitting.checkpoint import FILE_NAME, check_fits, load_checkpoint
 from gscomplete.fitting.finite import NonFiniteError
-from gscomplete.fitting.step_loop import CHECKPOINTS, LOG_FILE, require_same_identity, run_steps
+from gscomplete.fitting.step_loop import (
+    CHECKPOINTS,
+    LOG_FILE,
+    logged_seconds,
+    require_same_identity,
+    run_steps,
+)
 from gscomplete.folders import OUTPUT_FILE, RUN_FILE, alternative_file
 from gscomplete.priors.base import Prior
 from gscomplete.splats import transform_splats, write_splats
@@ -238,6 +244,7 @@ def _take_steps(run: Run, on_step: Callable[[StepReport], None]) -> None:
     """
     out = run.request.out
     every = run.request.completion.settings.checkpoint_every
+    earlier_s = logged_seconds(out / LOG_FILE, run.steps.step_number)  # of a run that is resumed
     started = time.perf_counter()
     try:
         with stage("steps"):
@@ -246,7 +253,7 @@ def _take_steps(run: Run, on_step: Callable[[StepReport], None]) -> None:
         stopped = NonFiniteError(error.step, error.tensor, _way_back(out / CHECKPOINTS))
         _write_run_file(run, "stopped", {"error": str(stopped)})
         raise stopped from error
-    run.timings["optimise_s"] = time.perf_counter() - started
+    run.timings["optimise_s"] = earlier_s + time.perf_counter() - started
 
 
 def _way_back(folder: Path) -> str:

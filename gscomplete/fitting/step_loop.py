@@ -9,6 +9,7 @@ Conventions
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 from collections.abc import Callable
@@ -78,6 +79,22 @@ def run_steps(
             f"{where}: cannot write: {error.strerror or error}; --resume continues from the last "
             "checkpoint"
         ) from error
+
+
+def logged_seconds(path: Path, steps: int) -> float:
+    """Return how long the first steps of a job took, by its log; damaged lines count nothing.
+
+    Args:
+        path: the log; it need not exist.
+        steps: how many steps.
+    """
+    if not path.exists():
+        return 0.0
+    total = 0.0
+    for line in path.read_bytes().splitlines()[:steps]:
+        with contextlib.suppress(ValueError, TypeError, KeyError):
+            total += float(json.loads(line)["seconds"])
+    return total
 
 
 def _run_trimmed(

@@ -6,7 +6,8 @@ Conventions
   P, ``complete.ply`` the complete object where it is known. The data side writes these and owns
   every other field; here only what a completion or an evaluation needs is read.
 * ``frame`` is for evaluation. A completion may use its centre and size only where they are known
-  without the complete object (``known_frame``); it may always use the up axis, c and V.
+  without the complete object (``known_center``, ``known_size``); it may always use the up axis, c
+  and V.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from gscomplete.errors import UserError
 from gscomplete.util.file_names import COMPLETE_FILE, OBJECT_FILE, PARTIAL_FILE, is_plain_name
 from gscomplete.util.jsonio import read_json
 from gscomplete.util.parse import is_text
-from gscomplete.views import FrameOrigin, ObjectFrame, ViewDistribution
+from gscomplete.views import FrameOrigin, GivenOfFrame, ObjectFrame, ViewDistribution
 
 SCHEMA = "splatcomplete.object"
 """Name of the JSON form."""
@@ -27,6 +28,7 @@ SCHEMA_VERSION = 1
 """Version of the JSON form; other versions are refused."""
 
 _ORIGINS: tuple[FrameOrigin, ...] = get_args(FrameOrigin)
+_GIVEN: tuple[GivenOfFrame, ...] = get_args(GivenOfFrame)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +46,8 @@ class ObjectFolder:
     """Up axis, centre and size of the complete object in the file frame."""
     frame_origin: FrameOrigin
     """Where centre and size come from."""
+    frame_given: frozenset[str]
+    """Which of "center" and "size" the user gave."""
     views: ViewDistribution
     """Input view c and view distribution V."""
     files: frozenset[str]
@@ -60,9 +64,14 @@ class ObjectFolder:
         return self.folder / COMPLETE_FILE if COMPLETE_FILE in self.files else None
 
     @property
-    def known_frame(self) -> ObjectFrame | None:
-        """The frame if the user gave it; None if it comes from the complete object or a guess."""
-        return self.frame if self.frame_origin == "given" else None
+    def known_center(self) -> tuple[float, float, float] | None:
+        """The frame's centre if the user gave it; None if it is the truth's or a guess."""
+        return self.frame.center_file if "center" in self.frame_given else None
+
+    @property
+    def known_size(self) -> float | None:
+        """The frame's size if the user gave it; None if it is the truth's or a guess."""
+        return self.frame.size_file if "size" in self.frame_given else None
 
 
 def read_object_folder(folder: Path) -> ObjectFolder:
@@ -90,6 +99,12 @@ def read_object_folder(folder: Path) -> ObjectFolder:
     if origin not in _ORIGINS:
         expected = ", ".join(_ORIGINS)
         raise UserError(f"{path}: frame_origin: expected one of {expected}, found {origin!r}")
+    given = data.get("frame_given")
+    if given is None:
+        given = list(_GIVEN) if origin == "given" else []
+    if not isinstance(given, list) or any(name not in _GIVEN for name in given):
+        expected = ", ".join(_GIVEN)
+        raise UserError(f"{path}: frame_given: expected some of {expected}, found {given!r}")
     object_id = data.get("id")
     if not is_plain_name(object_id):
         raise UserError(f"{path}: id: expected a plain name, found {object_id!r}")
@@ -103,6 +118,7 @@ def read_object_folder(folder: Path) -> ObjectFolder:
         _text(data, "prompt", path),
         ObjectFrame.from_json(data.get("frame"), f"{path}: frame"),
         origin,
+        frozenset(given),
         ViewDistribution.from_json(data.get("views"), f"{path}: views"),
         frozenset(files),
     )

@@ -21,6 +21,7 @@ from gscomplete.splats import Similarity, Splats, transform_splats
 from gscomplete.util.parse import require_positive
 from gscomplete.views import (
     FrameOrigin,
+    GivenOfFrame,
     ObjectFrame,
     UpAxis,
     ViewDistribution,
@@ -89,9 +90,17 @@ class Framing:
 
     frame: ObjectFrame
     origin: FrameOrigin
+    given: tuple[GivenOfFrame, ...]
     views: ViewDistribution
     notes: tuple[str, ...]
     """Reasons for what was guessed, for the user."""
+
+
+def frame_about(complete: Splats, request: FramingRequest) -> ObjectFrame:
+    """Return the frame of a complete object; the user's centre and size replace its box's."""
+    own = ObjectFrame.about(complete, request.up)
+    center, size = request.center_file or own.center_file, request.size_file or own.size_file
+    return ObjectFrame(request.up, center, size)
 
 
 def decide_framing(
@@ -121,8 +130,8 @@ def decide_framing(
     origin: FrameOrigin = "given"
     notes: tuple[str, ...] = ()
     if complete is not None and (center is None or size is None):
-        known = ObjectFrame.about(complete, request.up)
-        center, size, origin = center or known.center_file, size or known.size_file, "truth"
+        known = frame_about(complete, request)
+        center, size, origin = known.center_file, known.size_file, "truth"
     is_boxed = center is not None and size is not None
     camera = request.camera_position_file if view is None else None
     is_viewed = view is not None or camera is not None
@@ -162,7 +171,10 @@ def decide_framing(
         radius=radius,
         fov_deg=fov_deg,
     )
-    return Framing(frame, origin, views, notes)
+    given: list[GivenOfFrame] = []
+    given += ["center"] if request.center_file is not None else []
+    given += ["size"] if request.size_file is not None else []
+    return Framing(frame, origin, tuple(given), views, notes)
 
 
 def _azimuth_of_camera(partial: Splats, request: FramingRequest) -> float | None:

@@ -140,8 +140,8 @@ def guess_framing(
     Args:
         partial: P in z-up axes.
         settings: knobs; None = defaults.
-        seen_from_deg: azimuth that all of P was seen from, if a single scanner recorded it. What
-            is missing then lies behind P, whatever the scores say. None = unknown.
+        seen_from_deg: azimuth that all of P was seen from, if a single scanner recorded it. If P
+            is open, it is so towards the opposite side, whatever the scores say. None = unknown.
         is_half: whether what is missing is P's mirror image through the plane that P ends at.
         half_toward_deg: rough azimuth of the other half; None = it is found.
 

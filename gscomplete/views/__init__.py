@@ -11,6 +11,7 @@ from gscomplete.views.cameras import (
 from gscomplete.views.distribution import ViewDistribution
 from gscomplete.views.frame import (
     FrameOrigin,
+    GivenOfFrame,
     ObjectFrame,
     UpAxis,
     axis_direction,
@@ -21,6 +22,7 @@ from gscomplete.views.frame import (
 __all__ = [
     "Cameras",
     "FrameOrigin",
+    "GivenOfFrame",
     "ObjectFrame",
     "UpAxis",
     "ViewDistribution",

@@ -42,7 +42,11 @@ UpAxis = str
 """The file axis that points up, X, Y, Z, -X, -Y or -Z, or a direction "X,Y,Z" in file axes."""
 
 FrameOrigin = Literal["truth", "guess", "given"]
-"""Whether centre and size come from the complete object, a guess from the part, or the user."""
+"""Whether centre and size come from the complete object, a guess from the part, or the user. If the
+user gave one of the two, this is where the other comes from."""
+
+GivenOfFrame = Literal["center", "size"]
+"""What the user gave of a frame."""
 
 _OBJECT_ROWS: dict[str, tuple[tuple[float, float, float], ...]] = {
     "Z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),

@@ -78,13 +78,13 @@ def read_part(known: ObjectFolder, prior: Prior, bank: Bank | None) -> Part:
     """
     partial = _drawable(known.partial)
     truth = None if known.complete is None else _drawable(known.complete)
-    given, views = known.known_frame, known.views
+    views = known.views
     request = FramingRequest(
         known.frame.up,
         (views.azimuth_deg, views.elevation_deg),
         views.azimuth_range_deg,
-        None if given is None else given.center_file,
-        None if given is None else given.size_file,
+        known.known_center,
+        known.known_size,
         elevation_range_deg=views.elevation_range_deg,
     )
     framing = framing_for(partial, request, prior)

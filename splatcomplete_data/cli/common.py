@@ -205,6 +205,7 @@ def store_object(options: ObjectOptions, made: ObjectDraft) -> ObjectRecord:
             ),
             frame=decided.frame,
             frame_origin=decided.origin,
+            frame_given=decided.given,
             views=decided.views,
             file_from_source=None if turn is None else turn.to_json(),
             boxes=made.boxes,

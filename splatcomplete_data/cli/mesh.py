@@ -90,9 +90,10 @@ def make(options: MeshOptions, enter: StageCallback = ignore_stage) -> ObjectDra
     Raises:
         UserError: the mesh cannot be read or has no surface, or a cut is wrong.
     """
-    from gscomplete.views import ObjectFrame
+    from gscomplete.framing.decide import frame_about
     from splatcomplete_data.cli.common import framing_request
     from splatcomplete_data.cuts.named import ScanCut, apply_cuts, parse_cut, scanner_position
+    from splatcomplete_data.framing import moved_center
     from splatcomplete_data.mesh.convert import OUTLINE_PX, ConvertSettings, convert_mesh
     from splatcomplete_data.mesh.files.load import BakedLight, load_mesh
     from splatcomplete_data.mesh.files.up_axis import up_of_mesh_file
@@ -127,12 +128,12 @@ def make(options: MeshOptions, enter: StageCallback = ignore_stage) -> ObjectDra
     part: Splats | None = None
     steps: tuple[StepRecord, ...] = ()
     scanner = None
+    moved = None if mesh.offset is None else without_offset(mesh.offset)
     if cuts:
         enter("cutting", 0.5)
-        frame = ObjectFrame.about(complete, request.up)
+        frame = frame_about(complete, request if moved is None else moved_center(request, moved))
         part, steps = apply_cuts(complete, frame, cuts, (), str(options.file))
         scanner = scanner_position(cuts, frame)
-    moved = None if mesh.offset is None else without_offset(mesh.offset)
     far = () if mesh.offset is None else (offset_note(mesh.offset),)
     size = f"{len(complete):,} splats, spacing {made.spacing:.4g} file units"
     return ObjectDraft(

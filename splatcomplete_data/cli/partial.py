@@ -64,7 +64,7 @@ def make(options: PartialOptions) -> tuple[PartialOptions, ObjectDraft]:
     Raises:
         UserError: the file cannot be read, no cut is given, or the cuts keep nothing.
     """
-    from gscomplete.views import ObjectFrame
+    from gscomplete.framing.decide import frame_about
     from splatcomplete_data.cuts.boxes import read_boxes
     from splatcomplete_data.cuts.named import ScanCut, apply_cuts, parse_cut, scanner_position
     from splatcomplete_data.framing import SPLAT_FILE_UP, UP_ASSUMED
@@ -88,7 +88,7 @@ def make(options: PartialOptions) -> tuple[PartialOptions, ObjectDraft]:
         notes = (*notes, UP_ASSUMED)
     complete, dropped = _drawable(source.splats, options.file)
     request = framing_request(options, default_up)
-    frame = ObjectFrame.about(complete, request.up)
+    frame = frame_about(complete, request)
     if options.seen_from_views > 0:
         from gscomplete.views import ViewDistribution
 

@@ -3,7 +3,8 @@
 Conventions
 -----------
 * Cuts are given in the object frame of the complete object: z up, centred on its box, largest
-  side 1. They return a mask with its reason (``geometry.PartialCut``) and change no splat.
+  side 1, unless the user gives another centre or size (``framing.decide.frame_about``). They
+  return a mask with its reason (``geometry.PartialCut``) and change no splat.
 * As text: ``plane:AZIMUTH[,OFFSET]`` takes away what lies beyond an upright plane towards that
   azimuth, at a signed distance from the centre; ``box:LX,LY,LZ,HX,HY,HZ`` keeps what lies inside;
   ``scan:AZ/EL[,AZ/EL...]`` keeps what a scanner sees from those directions.

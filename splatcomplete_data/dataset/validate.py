@@ -29,8 +29,6 @@ from splatcomplete_data.objects import (
     PREVIEW_FILE,
     RECORD_FILE,
     ObjectRecord,
-    StepRecord,
-    check_steps,
     read_record,
 )
 
@@ -170,16 +168,6 @@ def _check_record(folder: Path, record: ObjectRecord) -> Iterator[tuple[str, Sev
     """Check that the record is consistent in itself and with the splats."""
     if record.id != folder.name:
         yield "other_name", "warning", f"id {record.id!r} in a folder called {folder.name!r}"
-    chains: list[list[StepRecord]] = [[]]
-    for step in record.steps:
-        if chains[-1] and step.before != chains[-1][-1].after:
-            chains.append([])  # triangles, then splats: another unit starts another chain
-        chains[-1].append(step)
-    try:
-        for chain in chains:
-            check_steps(chain)
-    except ValueError as error:
-        yield "bad_steps", "error", str(error)
     for step in record.steps:
         if step.before - step.after != sum(step.reasons.values()) and step.before > step.after:
             yield "uncounted", "warning", f"step {step.name}: reasons do not add up"

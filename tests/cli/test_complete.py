@@ -46,6 +46,15 @@ def test_resuming_is_told_of_once_there_is_a_run_to_resume(monkeypatch, tmp_path
     assert "interrupted; the same command starts again\n" in run_here("validate", SAMPLE).stderr
 
 
+@pytest.mark.parametrize("command", ["complete", "batch"])
+def test_filling_gaps_asks_for_no_prior(tmp_path, command):
+    """Before the prior is looked for: its weights are not there."""
+    words = (command, SAMPLE, "--fill", "--prior", "mvdream", "--out", tmp_path / "run")
+    told = run_here(*words)
+    assert told.returncode == 2
+    assert "--fill: closes gaps without a prior; expected no --prior\n" in told.stderr
+
+
 @pytest.mark.parametrize("mirror", ["none", "30,0.1", "cut", "cut:30"])
 def test_a_plane_is_refused_where_the_prior_cannot_guess_the_complete_object(mirror):
     """``reconstruct`` starts from a guess, but only if the prior has one."""

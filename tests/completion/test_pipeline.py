@@ -24,6 +24,7 @@ from gscomplete.splats import (
 from gscomplete.splats.slits import slit_splats
 from tests.builders.objects import ball, half, half_cylinder, leaning_board
 from tests.builders.priors import GuessingPrior, OraclePrior
+from tests.builders.simulated_gpu import simulated_gpu
 
 TRUTH = ball(1500)
 PARTIAL = TRUTH.select(TRUTH.means[:, 0] > 0)
@@ -67,6 +68,27 @@ def test_splats_of_another_kind_are_completed_as_float32_and_kept(kind):
         assert a.dtype == torch.float32
     assert found.given is given
     assert torch.equal(found.splats.means[: len(given)], given.means)
+
+
+def test_splats_on_a_gpu_are_completed_on_the_cpu(monkeypatch):
+    """As far as the first step, which reads numbers: those of the simulated GPU are none."""
+    seen = []
+
+    def working_set(splats, *_):
+        seen.append(splats)
+        raise Stop
+
+    class Stop(Exception):
+        pass
+
+    monkeypatch.setattr("gscomplete.completion.pipeline.working_set", working_set)
+    request = Request("a ball", QUICK, FramingRequest(**KNOWN))
+    with simulated_gpu() as gpu:
+        on_gpu = PARTIAL.to(gpu)
+        with pytest.raises(Stop):
+            prepare(on_gpu, request, OraclePrior(TRUTH))
+    assert {value.device.type for _, value in on_gpu.fields()} == {"cuda"}
+    assert {value.device.type for _, value in seen[0].fields()} == {"cpu"}
 
 
 def test_what_is_added_lies_in_the_file_frame():

@@ -88,6 +88,15 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(tmp_path: Path, settings) -> No
     assert results[0] == results[1]
 
 
+def test_the_time_of_a_resumed_run_is_that_of_all_its_steps(stopped: Path) -> None:
+    log = stopped / "out" / LOG_FILE
+    lines = [json.loads(line) | {"seconds": 100.0} for line in log.read_text().splitlines()]
+    log.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    content = execute(begin(stopped, resume=True), lambda report: None)
+    assert 400 < content["timings"]["optimise_s"] < 500  # four steps, and two that take no time
+    assert content["result"]["seconds"] > 400
+
+
 def test_a_run_that_adds_nothing_goes_on_after_its_checkpoint(tmp_path: Path, monkeypatch) -> None:
     def fail(*arguments) -> None:
         raise Stop

@@ -9,6 +9,7 @@ from gscomplete.fitting.checkpoint import load_checkpoint
 from gscomplete.fitting.step_loop import (
     CHECKPOINTS,
     LOG_FILE,
+    logged_seconds,
     require_same_identity,
     run_steps,
 )
@@ -69,6 +70,16 @@ def test_an_interrupted_job_goes_on_from_a_state_that_is_whole(tmp_path, updatin
     again.step_number = kept
     run_steps(again, tmp_path, 2, lambda _: None)
     assert logged(tmp_path) == list(range(5))  # none twice
+
+
+def test_the_log_tells_how_long_the_steps_took(tmp_path):
+    path = tmp_path / LOG_FILE
+    assert logged_seconds(path, 9) == 0
+    path.write_text(
+        '{"seconds": 1.5}\n{"seconds": 0.25}\nnot JSON\n{"seconds": null}\n{"seconds": 4}\n'
+    )
+    assert logged_seconds(path, 4) == 1.75
+    assert logged_seconds(path, 1) == 1.5
 
 
 def test_without_checkpoints_the_end_is_kept(tmp_path):

@@ -19,7 +19,8 @@ def folder(tmp_path):
 def test_fields_are_those_of_the_record(folder):
     found = read_object_folder(folder)
     assert (found.id, found.subset, found.prompt) == ("mug", "mesh", "a red mug")
-    assert found.frame == found.known_frame == ObjectFrame("Y", (0.1, 0.0, 0.0), 1.25)
+    assert found.frame == ObjectFrame("Y", (0.1, 0.0, 0.0), 1.25)
+    assert (found.known_center, found.known_size) == ((0.1, 0.0, 0.0), 1.25)
     assert found.views == ViewDistribution(30.0, 10.0, 40.0, 12.0)
     assert found.partial == folder / "partial.ply"
     assert found.complete == folder / "complete.ply"
@@ -30,8 +31,14 @@ def test_fields_are_those_of_the_record(folder):
 def test_a_frame_of_the_truth_or_of_a_guess_is_not_known(tmp_path, origin):
     folder = write_object_folder(tmp_path / "cup", random_splats(5), frame_origin=origin)
     found = read_object_folder(folder)
-    assert found.known_frame is None
+    assert (found.known_center, found.known_size) == (None, None)
     assert found.complete is None
+
+
+def test_a_center_alone_is_known(tmp_path):
+    changes = {"frame_origin": "guess", "frame_given": ("center",)}
+    found = read_object_folder(write_object_folder(tmp_path / "cup", random_splats(5), **changes))
+    assert (found.known_center, found.known_size) == ((0.1, 0.0, 0.0), None)
 
 
 @pytest.mark.parametrize("name", ["", "object.json", "partial.ply", "complete.ply", "preview.png"])
@@ -64,6 +71,8 @@ def test_an_object_file_of_another_program_is_none_of_ours(tmp_path):
         ("prompt", " ", "prompt: expected a text, found ' '"),
         ("prompt", "\udcff", "prompt: expected a text, found"),
         ("frame_origin", "luck", "frame_origin: expected one of truth, guess, given, found 'luck'"),
+        ("frame_given", ["up"], r"frame_given: expected some of center, size, found \['up'\]"),
+        ("frame_given", "size", "frame_given: expected some of center, size, found 'size'"),
         ("frame", None, "frame: the top level: expected an object"),
         ("views", None, "views: view distribution: expected an object"),
         ("files", None, "files: expected an object, found None"),

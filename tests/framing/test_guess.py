@@ -164,12 +164,21 @@ def test_fewer_splats_grow_to_cover_the_same_surface():
 
 @pytest.mark.parametrize("azimuth", [0.0, 120.0, 250.0])
 def test_the_complete_object_reaches_behind_what_one_scanner_saw(azimuth, without_axes):
-    """A half open to the left of the scanner grows away from the scanner all the same."""
-    part = half_cylinder(azimuth + 90.0, True)
-    guess = guess_framing(part, seen_from_deg=azimuth)
-    low, high = part.bounds()
-    moved = torch.tensor(guess.center) - (low + high).double() / 2
-    away = -torch.tensor([np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth)), 0.0])
-    assert float(moved @ away) >= 0
-    free = guess_framing(part)
+    """A shallow part that is open to the side of the scanner's axis grows along that axis."""
+    along = np.deg2rad(azimuth)
+    away = -torch.tensor([np.cos(along), np.sin(along), 0.0])
+    half = half_cylinder(azimuth + 60.0)
+    flattened = half.means - 0.6 * (half.means @ away.float())[:, None] * away.float()
+    part = dataclasses.replace(half, means=flattened)
+    guess, free = guess_framing(part, seen_from_deg=azimuth), guess_framing(part)
+
+    def growth(center: tuple[float, float, float]) -> float:
+        depths = part.means.double() @ away
+        return float(torch.tensor(center).double() @ away - (depths.min() + depths.max()) / 2)
+
+    # It is less than half as deep as wide, so its box becomes twice as deep.
+    assert growth(guess.center) == pytest.approx(
+        0.5 * np.ptp((part.means @ away.float()).numpy()), rel=1e-3
+    )
+    assert growth(free.center) < 0.95 * growth(guess.center)
     assert free.view_azimuth_deg == guess.view_azimuth_deg

@@ -16,8 +16,6 @@ from splatcomplete_data.atomic_folder import atomic_folder, forget_leftovers
 from splatcomplete_data.cli.common import ObjectOptions, check_out
 from splatcomplete_data.cuts.boxes import CropBox, inside_boxes, parse_box
 from splatcomplete_data.objects import (
-    StepRecord,
-    check_steps,
     read_object,
     read_record,
     write_object,
@@ -140,12 +138,6 @@ def test_odd_records_name_file_and_field(tmp_path: Path, change: dict, message: 
     path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
     with pytest.raises(UserError, match=rf"object\.json.*{message}"):
         read_record(tmp_path / "ball")
-
-
-def test_steps_must_follow_each_other() -> None:
-    check_steps([StepRecord("a", 9, 7), StepRecord("b", 7, 7)])
-    with pytest.raises(ValueError, match="starts with 6"):
-        check_steps([StepRecord("a", 9, 7), StepRecord("b", 6, 6)])
 
 
 numbers = st.floats(-5, 5, allow_nan=False)

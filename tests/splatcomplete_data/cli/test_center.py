@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from gscomplete.splats import Similarity
+from gscomplete.folders import read_object_folder
+from gscomplete.splats import Similarity, read_splats
 from splatcomplete_data import cli
 
 FAR = np.array([500_123.0, 4_200_456.0, 120.0])
@@ -16,6 +17,7 @@ FAR = np.array([500_123.0, 4_200_456.0, 120.0])
 
 def source(folder: Path, command: str, place: np.ndarray) -> Path:
     """A unit box's corner at ``place``, as points or as a mesh."""
+    folder.mkdir(exist_ok=True)
     if command == "mesh":
         box = trimesh.creation.box((1, 1, 1))
         box.apply_translation(place + 0.5)
@@ -74,3 +76,25 @@ def test_a_box_far_from_the_part_is_refused(tmp_path, capsys, command, place):
 def test_a_part_on_the_face_of_the_box_touches_it(tmp_path):
     words = ["--box", "0,0,0,0.01,9,9", "--center=-0.5,0.5,0.5", "--object-size", "1"]
     assert made(tmp_path, "scan", np.zeros(3), *words) == 0
+
+
+@pytest.mark.parametrize("command", ["mesh", "partial"])
+def test_what_is_cut_is_given_about_the_center(tmp_path, command):
+    """The plane passes through the centre that the user gives, not that of the box."""
+    words = ["--center", "0.3,0.5,0.5", "--object-size", "2", "--cut", "plane:0"]
+    if command == "mesh":
+        assert made(tmp_path, "mesh", np.zeros(3), *words) == 0
+    else:
+        assert made(tmp_path / "whole", "mesh", np.zeros(3)) == 0
+        whole, out = tmp_path / "whole/out", tmp_path / "out"
+        assert cli.main(["partial", str(whole), *words, "--out", str(out)]) == 0
+    part = read_splats(tmp_path / "out/partial.ply").splats
+    # 800 splats on a unit box are .09 apart
+    assert 0.3 - 0.12 < float(part.means[:, 0].max()) <= 0.3
+
+
+def test_a_center_without_a_size_is_remembered(tmp_path):
+    assert made(tmp_path, "scan", np.zeros(3), "--center", "0.5,0.4,0.3") == 0
+    found = read_object_folder(tmp_path / "out")
+    assert found.frame_origin == "guess"
+    assert (found.known_center, found.known_size) == ((0.5, 0.4, 0.3), None)
