@@ -127,7 +127,8 @@ def _check(options: BatchOptions) -> None:
     Raises:
         UserError: an option is wrong.
     """
-    require_plain_fill(options)
+    if options.fill:
+        require_plain_fill(options)
     parse_view(options.view)
     parse_numbers(options.center, 3, "--center", "X,Y,Z")
     if re.fullmatch(r"auto|cpu|cuda(:[0-9]+)?", options.device) is None:

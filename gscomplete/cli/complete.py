@@ -71,7 +71,8 @@ def _complete(options: CompleteOptions) -> int:
         from gscomplete.render.dispatch import choose_render_device
         from gscomplete.util.device import choose_device
 
-        require_plain_fill(options)
+        if options.fill:
+            require_plain_fill(options)
         device = choose_device(options.device)
         render_device, fallback = choose_render_device(options.device, device)
         knobs = None if options.diffusion == LatentPriorSettings() else options.diffusion

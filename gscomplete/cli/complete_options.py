@@ -153,5 +153,5 @@ def require_plain_fill(options: HowToComplete) -> None:
         "--negative-prompt": options.negative_prompt is not None,
     }
     found = [name for name, given in heedless.items() if given]
-    if options.fill and found:
+    if found:
         raise UserError(f"--fill: closes gaps without a prior; expected no {', '.join(found)}")

@@ -119,7 +119,8 @@ def settings_of(options: HowToComplete, prior: Prior) -> CompletionSettings:
     """
     chosen = FILL if options.fill else preset(options.preset, prior, text_only=options.text_only)
     settings = dataclasses.replace(chosen, seed=options.seed)
-    require_plain_fill(options)
+    if options.fill:
+        require_plain_fill(options)
     if options.steps is not None:
         if options.steps < 0:
             raise UserError(f"--steps: expected at least 0, found {options.steps}")
