@@ -38,7 +38,7 @@ from gscomplete.framing.check import (
     require_visible,
 )
 from gscomplete.framing.decide import Framing, FramingRequest, decide_framing
-from gscomplete.framing.input_view import refine_input_view
+from gscomplete.framing.input_view import SettledView, given_view, refine_input_view
 from gscomplete.priors.base import Conditioning, KnowsShapes, Prior, prior_identity
 from gscomplete.shape.mirror_plane import HalfCut
 from gscomplete.splats import (
@@ -266,20 +266,21 @@ def prepare(
         conditioning = prior.with_known_shape(conditioning, heeded, framing.views)
     with stage("start"):
         start = start_splats(heeded, prior, conditioning, framing.views, settings, diameter)
-    views, moved = framing.views, ""
-    if start.is_guess and framing_request.view_deg is None:
+    settled = SettledView(framing.views, 0.0)
+    if start.is_guess:
+        settle = refine_input_view if framing_request.view_deg is None else given_view
         with stage("input view"):
-            views, moved = refine_input_view(heeded, start.splats, framing.views)
+            settled = settle(heeded, start.splats, framing.views)
+    views = settled.views
     skipped: tuple[str, ...] = ()
     if settings.steps and settings.least_color_spread:
         settings, skipped = _without_idle_steps(settings, partial)
     steps = Optimisation(partial, start.splats, prior, conditioning, views, settings, device)
 
     report = () if settings.start == "fill" else conditioning.report  # gaps heed no prompt
-    notes += (start.note, *((moved,) if moved else ()), *skipped, *report)
+    notes += (start.note, *filter(None, (settled.note,)), *skipped, *report)
     doubts = doubts_of_partial(heeded)
-    if start.is_guess and len(start.splats):
-        doubts += doubts_of_guess(heeded, start.splats, views)
+    doubts += doubts_of_guess(settled.hidden_share)
     notes += doubts
     if request.negative_prompt and not steps.heeds_negative_prompt:
         notes += ("negative prompt: has no effect in this run; this prior needs --text-only",)

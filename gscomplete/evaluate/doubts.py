@@ -12,18 +12,12 @@ import numpy as np
 import torch
 from scipy.ndimage import label, sum_labels
 
-from gscomplete.framing.input_view import hidden_share
-from gscomplete.splats import Splats, concatenate
+from gscomplete.framing.input_view import MOST_HIDDEN
+from gscomplete.splats import Splats
 from gscomplete.splats.suspects import FEWEST
-from gscomplete.splats.thinning import thinned
-from gscomplete.views import ViewDistribution
 
 MARK = "doubtful: "
 """Begins each doubt among the notes of a run."""
-_MOST_HIDDEN = 0.1
-"""A guess is doubtful if it hides more than this share of P's pixels in c and views beside it."""
-_MOST_SPLATS = 20_000
-"""Most splats of P that are drawn to measure this share."""
 _CELLS_OF_PIECES = 6
 """P is in pieces if a layer of empty cells separates them, with so many cells along P's largest
 side, ..."""
@@ -59,23 +53,18 @@ def doubts_of_partial(partial: Splats) -> tuple[str, ...]:
     )
 
 
-def doubts_of_guess(partial: Splats, guess: Splats, views: ViewDistribution) -> tuple[str, ...]:
+def doubts_of_guess(hidden_share: float) -> tuple[str, ...]:
     """Return what indicates a wrong guess or a wrong input view, before any step is taken.
 
     Args:
-        partial: P.
-        guess: the splats that the prior guesses to be missing.
-        views: V as the run uses it.
+        hidden_share: of P's pixels in the input view and beside it, those that the guess hides.
     """
-    found = []
-    shown = thinned(partial.with_sh_degree(0), _MOST_SPLATS, torch.Generator().manual_seed(0))
-    hidden = hidden_share(shown, concatenate([shown, guess]), views)
-    if hidden > _MOST_HIDDEN:
-        found.append(
-            f"the guess hides {hidden:.0%} of P from the input view, although P was seen from "
-            "there: the view or the guess is wrong (--view, --mirror, --alternatives)"
-        )
-    return tuple(MARK + reason for reason in found)
+    if hidden_share <= MOST_HIDDEN:
+        return ()
+    return (
+        f"{MARK}the guess hides {hidden_share:.0%} of P from the input view, although P was seen "
+        "from there: the view or the guess is wrong (--view, --mirror, --alternatives)",
+    )
 
 
 def doubts_of_result(partial: Splats, new: Splats, lost: float | None) -> tuple[str, ...]:

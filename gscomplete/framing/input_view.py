@@ -19,6 +19,7 @@ Conventions
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -29,7 +30,7 @@ from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.thinning import thinned
 from gscomplete.views import ViewDistribution
 
-_MOST_HIDDEN = 0.1
+MOST_HIDDEN = 0.1
 """A view is kept if the complete object hides no more than this share of P's pixels from it, ..."""
 _LEAST_HIDDEN = 0.05
 """... or if the best other view (by score and hidden share) hides more than this: then probably not
@@ -44,12 +45,24 @@ _MAX_SPLATS = 20_000
 """Splats of P that are drawn, chosen at random where it has more and widened to match."""
 
 
+@dataclass(frozen=True, slots=True)
+class SettledView:
+    """An input view, consistent with the guess of the complete object as far as one was found."""
+
+    views: ViewDistribution
+    """V about it."""
+    hidden_share: float
+    """Share of P's pixels that the guess hides from there."""
+    note: str = ""
+    """Why it is another than the one guessed from P alone; "" = it is the same."""
+
+
 def refine_input_view(
     partial: Splats,
     new: Splats,
     guessed: ViewDistribution,
-) -> tuple[ViewDistribution, str]:
-    """Return V about an input view consistent with the guess, and a note if it moved.
+) -> SettledView:
+    """Return V about an input view consistent with the guess.
 
     Args:
         partial: P in the object frame.
@@ -57,14 +70,12 @@ def refine_input_view(
         guessed: V about the view that was guessed from P alone.
 
     Returns:
-        ``guessed`` itself and "" unless another view is clearly better.
+        ``guessed`` itself unless another view is clearly better.
     """
-    generator = torch.Generator().manual_seed(0)
-    partial = thinned(partial.with_sh_degree(0), _MAX_SPLATS, generator)
-    completed = concatenate([partial, new.with_sh_degree(0)])
+    partial, completed = _drawn(partial, new)
     before = hidden_share(partial, completed, guessed)
-    if before <= _MOST_HIDDEN:
-        return guessed, ""
+    if before <= MOST_HIDDEN:
+        return SettledView(guessed, before)
     scores = score_partial(partial)
     shares = scores.score / max(float(scores.score.max()), 1e-12)
     best, least, best_score = guessed, before, 0.0
@@ -77,12 +88,26 @@ def refine_input_view(
         if score > best_score:
             best, least, best_score = views, hidden, score
     if least >= _LEAST_HIDDEN:
-        return guessed, ""
-    return best, (
+        return SettledView(guessed, before)
+    return SettledView(
+        best,
+        least,
         f"input view changed to {best.azimuth_deg:g},{best.elevation_deg:g}: the guess of the "
         f"complete object hides {100 * least:.0f} % of P from there, and {100 * before:.0f} % from "
-        f"{guessed.azimuth_deg:g},{guessed.elevation_deg:g} (--view gives another)"
+        f"{guessed.azimuth_deg:g},{guessed.elevation_deg:g} (--view gives another)",
     )
+
+
+def given_view(partial: Splats, new: Splats, views: ViewDistribution) -> SettledView:
+    """Return V as the user gave it, with what the guess hides of P; as ``refine_input_view``."""
+    return SettledView(views, hidden_share(*_drawn(partial, new), views))
+
+
+def _drawn(partial: Splats, new: Splats) -> tuple[Splats, Splats]:
+    """Return P, thinned, and the complete object, both in base colours."""
+    generator = torch.Generator().manual_seed(0)
+    shown = thinned(partial.with_sh_degree(0), _MAX_SPLATS, generator)
+    return shown, concatenate([shown, new.with_sh_degree(0)])
 
 
 def hidden_share(partial: Splats, completed: Splats, views: ViewDistribution) -> float:

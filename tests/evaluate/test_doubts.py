@@ -9,6 +9,7 @@ from gscomplete.api import complete
 from gscomplete.completion.preserve.outcome import CheckedErrors, HardPreservationReport
 from gscomplete.completion.presets import GUESS
 from gscomplete.evaluate.doubts import MARK, doubts_of_guess, doubts_of_partial, doubts_of_result
+from gscomplete.framing.input_view import given_view
 from gscomplete.priors.base import FirstGuess
 from gscomplete.splats import concatenate, transform_splats
 from gscomplete.splats.transform import Similarity
@@ -23,8 +24,8 @@ REPORT = HardPreservationReport(CLEAN, CLEAN, True, 100, 100, 0, 0, 0, {}, 0, 0,
 
 
 def test_a_guess_behind_p_is_not_doubted_one_before_p_is():
-    assert doubts_of_guess(PART, REST, RIGHT) == ()
-    (found,) = doubts_of_guess(PART, REST, WRONG)
+    assert doubts_of_guess(given_view(PART, REST, RIGHT).hidden_share) == ()
+    (found,) = doubts_of_guess(given_view(PART, REST, WRONG).hidden_share)
     assert found.startswith(MARK)
     assert "hides" in found
     assert "--view" in found
