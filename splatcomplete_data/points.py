@@ -47,7 +47,8 @@ def median_spacing(
 
     Args:
         points: the cloud.
-        max_points: number of points measured at; None = all.
+        max_points: at least so many points are measured at, and less than twice as many; None =
+            all.
 
     Raises:
         UserError: there are fewer than two distinct points.

@@ -7,7 +7,8 @@ likely plane is drawn, with the option that makes a run take it.
 Conventions
 -----------
 * Object frame. Guesses are those of step 0: nothing is optimised or held to bounds.
-* A function of (P, V, prompt, settings): the guess by a plane is what a run with it starts from.
+* A function of (P, V, prompt, settings): the guess by a plane is what a run with it starts from. A
+  run by the plane that P ends at has the frame of P and its image, so it differs a little.
 """
 
 from __future__ import annotations
@@ -17,13 +18,11 @@ from dataclasses import dataclass
 from PIL import Image
 
 from gscomplete.completion.settings import CompletionSettings
-from gscomplete.completion.start import scale_bounds
+from gscomplete.completion.start import colored_for_guess, guess_by, scale_bounds
 from gscomplete.evaluate.pictures import contact_sheet, render_images
 from gscomplete.priors.base import Conditioning, Prior, ShapePrior
-from gscomplete.shape.colors.edges import without_mixed_edges
 from gscomplete.shape.mirror_plane import ChosenMirror, MirrorPlane
 from gscomplete.splats import Splats, concatenate
-from gscomplete.util.randomness import generator_for
 from gscomplete.views import ViewDistribution
 
 _SIZE_PX = 192
@@ -67,23 +66,13 @@ def guess_alternatives(
     """
     if settings.start != "guess" or not isinstance(prior, ShapePrior):
         return []
-    seen = without_mixed_edges(partial)[0] if settings.mixed_edge_colors else partial
+    seen, _ = colored_for_guess(partial, settings)
     mirrors = prior.likely_mirrors(seen, distribution, conditioning)
     found, bounds = [], scale_bounds(prior.views, settings)
     planes = [mirror for mirror in mirrors if isinstance(mirror, MirrorPlane)]
     others = [mirror for mirror in mirrors if not isinstance(mirror, MirrorPlane)]
     for mirror in (*planes[:count], *others):
-        generator = generator_for(settings.seed, 0, "first guess")
-        guess = prior.first_guess(
-            seen,
-            distribution,
-            conditioning,
-            generator,
-            settings.new_splats,
-            mirror,
-            known_shapes=settings.known_shapes,
-            captured=settings.captured,
-        )
+        guess = guess_by(seen, prior, conditioning, distribution, settings, mirror)
         if guess is not None:
             found.append(Alternative(mirror, bounds.clamped(guess.splats)))
     return found

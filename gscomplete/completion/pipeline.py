@@ -140,7 +140,7 @@ class Completed:
     hard_preservation: HardPreservationReport | None
     """What the bounds on E_color and E_depth took; None = no bounds."""
     seconds: float
-    """From P to the new splats."""
+    """From P to the new splats; of ``finish``, what it took itself."""
 
     @property
     @plain_torch()

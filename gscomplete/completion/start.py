@@ -17,8 +17,9 @@ from gscomplete.completion.settings import CompletionSettings
 from gscomplete.errors import UserError
 from gscomplete.fitting.finite import require_finite
 from gscomplete.fitting.parameters import Bounds
-from gscomplete.priors.base import Conditioning, Prior, PriorViews, ShapePrior
+from gscomplete.priors.base import Conditioning, FirstGuess, Prior, PriorViews, ShapePrior
 from gscomplete.shape.colors.edges import without_mixed_edges
+from gscomplete.shape.mirror_plane import MirrorWish
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.util.randomness import generator_for, sphere_points
 from gscomplete.views import ViewDistribution
@@ -34,7 +35,7 @@ class Start:
     splats: Splats
     """New splats."""
     is_guess: bool
-    """Whether the prior guessed them; False = scattered in a sphere."""
+    """Whether the prior guessed them; False = scattered in a sphere, or they close gaps."""
     note: str
     """How they came about, for the user."""
 
@@ -91,6 +92,42 @@ def start_splats(
     return dataclasses.replace(start, splats=bounds.clamped(start.splats))
 
 
+def colored_for_guess(partial: Splats, settings: CompletionSettings) -> tuple[Splats, int]:
+    """Return P as guesses see it, and how many of its splats have other colours there."""
+    return without_mixed_edges(partial) if settings.mixed_edge_colors else (partial, 0)
+
+
+def guess_by(
+    seen: Splats,
+    prior: ShapePrior,
+    conditioning: Conditioning,
+    views: ViewDistribution,
+    settings: CompletionSettings,
+    mirror: MirrorWish,
+) -> FirstGuess | None:
+    """Ask for the guess by one plane, or by another way to choose it.
+
+    Args:
+        seen: P, from ``colored_for_guess``.
+        prior: the model that guesses.
+        conditioning: the prompt as that prior encoded it.
+        views: V.
+        settings: of the run, whose own plane does not matter.
+        mirror: what P is mirrored through.
+    """
+    return prior.first_guess(
+        seen,
+        views,
+        conditioning,
+        generator_for(settings.seed, 0, "first guess"),
+        settings.new_splats,
+        mirror,
+        known_shapes=settings.known_shapes,
+        prompt_decides=settings.prompt_decides,
+        captured=settings.captured,
+    )
+
+
 def _guess(
     partial: Splats,
     prior: ShapePrior,
@@ -99,20 +136,8 @@ def _guess(
     settings: CompletionSettings,
 ) -> Start | None:
     """Return the prior's guess, which is empty where it finds nothing missing; None = no guess."""
-    seen, recolored = partial, 0
-    if settings.mixed_edge_colors:
-        seen, recolored = without_mixed_edges(partial)
-    guess = prior.first_guess(
-        seen,
-        views,
-        conditioning,
-        generator_for(settings.seed, 0, "first guess"),
-        settings.new_splats,
-        settings.mirror,
-        known_shapes=settings.known_shapes,
-        prompt_decides=settings.prompt_decides,
-        captured=settings.captured,
-    )
+    seen, recolored = colored_for_guess(partial, settings)
+    guess = guess_by(seen, prior, conditioning, views, settings, settings.mirror)
     if guess is None:
         return None
     notes = [f"start: {len(guess.splats):,} splats that the prior guesses", *guess.notes]

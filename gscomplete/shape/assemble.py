@@ -25,7 +25,7 @@ from gscomplete.shape.bank.fit import FittedShape
 from gscomplete.shape.evidence import Evidence, gather_evidence
 from gscomplete.shape.mirror_plane import MirrorPlane
 from gscomplete.shape.outline.lattice import seen_through
-from gscomplete.shape.outline.one_view import ONE_VIEW_SHARE
+from gscomplete.shape.outline.one_view import is_scan
 from gscomplete.shape.partial_voxels import PartialVoxels
 from gscomplete.shape.predict import Prediction
 from gscomplete.shape.surface.cover import (
@@ -243,7 +243,7 @@ def _missing_share(prediction: Prediction) -> float:  # in [0, 1]
 
 def _surface_logit(prediction: Prediction, settings: AssembleSettings) -> float:
     """Return the logit from which on cells count as filled (see ``AssembleSettings``)."""
-    if _is_scan(prediction):
+    if is_scan(prediction.voxels.shown_at_once, prediction.ends_in_plane):
         return settings.occupancy_threshold_low
     if prediction.voxels.shown_at_once < settings.shown_of_piece:
         return settings.occupancy_threshold_piece
@@ -256,11 +256,6 @@ def _surface_logit(prediction: Prediction, settings: AssembleSettings) -> float:
         by_share,
         float(np.interp(prediction.symmetry_score, _SYMMETRY_SCORES, levels)),
     )
-
-
-def _is_scan(prediction: Prediction) -> bool:
-    """Say whether P is a scan from one view, which always lacks a whole side."""
-    return not prediction.ends_in_plane and prediction.voxels.shown_at_once >= ONE_VIEW_SHARE
 
 
 def is_mirrored(prediction: Prediction) -> bool:

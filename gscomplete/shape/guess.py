@@ -211,7 +211,7 @@ def _turned_guess(
         return None
     plain = ask_about(asked, partial, views, "guess")
     if revolution.distance_of(*plane_of(plain.seen.symmetries[0])) > _BESIDE_AXIS:
-        plain = dataclasses.replace(plain, symmetry_score=0.0)  # P's splats are not mirrored
+        plain = plain.without_copies()
     with stage("surface"):
         settings = AssembleSettings(count=count)
         assembled = assemble_splats(plain, partial, settings, generator, turned=turned)
@@ -241,7 +241,7 @@ def _folded_guess(
         return None
     given = concatenate([partial.with_sh_degree(0), copies])
     plain = ask_about(dataclasses.replace(asked, ends_in_plane=False), given, views, "guess")
-    plain = dataclasses.replace(plain, symmetry_score=0.0)  # splats are not mirrored as well
+    plain = plain.without_copies()
     with stage("surface"):
         assembled = assemble_splats(plain, given, AssembleSettings(count=count), generator)
     notes = (_FOLD_NOTE.format(folds=fold.folds), *_prompt_note(plain.prompt_share))
@@ -272,7 +272,7 @@ def _by_known_shapes(
     if known.decide:
         points = given.means.double().numpy()
         occupancy = occupancy_of(there[0], points)
-        plain = dataclasses.replace(plain, symmetry_score=0.0)  # P's splats are not mirrored
+        plain = plain.without_copies()
         settings = dataclasses.replace(settings, near_partial=LIKE_PARTIAL)
     else:
         with stage("known shapes"):

@@ -23,7 +23,7 @@ from gscomplete.shape.ask import ask, mean_answer
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter, ShapeOutput
 from gscomplete.shape.outline.lattice import off_lattice
-from gscomplete.shape.outline.one_view import ONE_VIEW_SHARE, beside_scan
+from gscomplete.shape.outline.one_view import beside_scan, is_scan
 from gscomplete.shape.outline.scorer import MOST_LOGITS, doubts_beside_outlines
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs, voxelize_partial
 from gscomplete.shape.placements import mean_over_placements
@@ -58,6 +58,14 @@ class Prediction:
     there is no prompt."""
     added: FloatArray | None = None  # [len(benefit.OF_ANSWERS)]
     """What all answers add to P; None = the mirror image was given."""
+
+    def without_copies(self) -> Prediction:
+        """Return the prediction as one whose mirror image counts as wrong.
+
+        P's own splats are not mirrored then, and the surface, which may follow that image, needs
+        the stricter level (``assemble``).
+        """
+        return dataclasses.replace(self, symmetry_score=0.0)
 
 
 def predict(
@@ -132,8 +140,8 @@ def _doubted_beside(
     possible = (logits > _EMPTY_LOGIT).nonzero()[:, 0]
     places = cell_centers(CELLS).reshape(-1, 3)[possible.numpy()]
     points, doubts = voxels.positions, np.zeros(len(places), np.float32)
-    is_scan = not ends_in_plane and voxels.shown_at_once >= ONE_VIEW_SHARE
-    if not is_scan:
+    one_view = is_scan(voxels.shown_at_once, ends_in_plane)
+    if not one_view:
         doubts = doubts_beside_outlines(
             points,
             distribution,
@@ -144,7 +152,7 @@ def _doubted_beside(
     if not ends_in_plane:
         doubts[beside_scan(points, distribution, places)] = MOST_LOGITS
     toward_c = distribution.direction()
-    doubts[off_lattice(points, toward_c, places, is_scan=is_scan)] = MOST_LOGITS
+    doubts[off_lattice(points, toward_c, places, is_scan=one_view)] = MOST_LOGITS
     lowered = logits.clone()
     lowered[possible] -= torch.from_numpy(doubts)
     return dataclasses.replace(answer, occupancy=lowered.reshape(answer.occupancy.shape))

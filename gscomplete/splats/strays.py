@@ -27,6 +27,7 @@ from torch import Tensor
 
 from gscomplete.networks.packaged import PACKAGED_WEIGHTS
 from gscomplete.networks.perceptron import Perceptron
+from gscomplete.splats.geometry.neighbourhood import FLAT
 from gscomplete.splats.record import Splats
 from gscomplete.splats.rotations import thinnest_axes
 from gscomplete.util.nearest import query_nearest
@@ -55,8 +56,6 @@ share of the median, or so many times as large."""
 _DENSE_QUANTILE = 0.05
 _REACH_SIGMAS = 3.0
 """A splat is drawn up to about this many standard deviations from its centre."""
-_FLAT = 0.5
-"""A splat has a normal if its smallest standard deviation is below this share of the next."""
 _TINY, _MOST_LOG = 1e-12, 6.0
 """Logarithms are clamped to the second: beyond it the scorer has seen nothing, and what is so far
 from others is a stray."""
@@ -143,7 +142,7 @@ def standing_out(splats: Splats) -> StandingOut:
     quaternions = splats.quaternions.detach().cpu().double()
     own = thinnest_axes(quaternions, splats.scales.detach().cpu()).numpy()
     colors = splats.base_colors.detach().cpu().double().numpy()
-    is_flat = scales[rows, 0] < _FLAT * scales[rows, 1]
+    is_flat = scales[rows, 0] < FLAT * scales[rows, 1]
     facing = np.abs((own[rows] * normals).sum(axis=1))
     alike = np.abs(np.einsum("mkc,mc->mk", own[index[:, :_RANK]], own[rows])).mean(axis=1)
     columns = [

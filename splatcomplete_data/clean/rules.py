@@ -32,7 +32,7 @@ from gscomplete.splats import Splats, usable_rows
 from gscomplete.splats.filters import FAR_FACTOR, far_positions, in_words, middle_and_extent
 from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.splats.suspects import FEWEST, SuspectLimits, suspect_rows
-from splatcomplete_data.multiview.propose_box import Focus, propose_box
+from splatcomplete_data.multiview.propose_box import Focus, propose_box, shown_area
 from splatcomplete_data.scan.clusters import cluster
 
 Rule = Literal["floaters", "giants", "haze", "needles", "islands", "background"]
@@ -46,8 +46,6 @@ _ISLAND_GAP = 0.03
 """Least distance of an island from everything else, share of the extent."""
 _REACH_SIGMAS = 1.5
 """Splats touch each other within this many of their standard deviations."""
-_CLIP_QUANTILE = 0.95
-"""Splats with a larger area count as if their area were that at this quantile."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +160,7 @@ def islands(splats: Splats, strength: float) -> NDArray[np.bool_]:  # [N]
     links.resize(len(splats) + count, len(splats) + count)
     _, component = connected_components(links, directed=False)
     own = component[: len(splats)]
-    weight = _weights(splats)
+    weight = shown_area(splats) + 1e-30
     held = np.bincount(own, weight)
     share = _between(_ISLAND_SHARES, strength)
     far = far_positions(splats.means.numpy(), middle, extent, FAR_FACTOR)
@@ -179,14 +177,6 @@ def _reach(splats: Splats) -> tuple[NDArray[np.float64], NDArray[np.int64]]:  # 
     places = torch.cat([splats.means[:, None], splats.means[:, None] + ends], dim=1).double()
     owners = np.repeat(np.arange(len(splats)), places.shape[1])
     return places.reshape(-1, 3).numpy(), owners
-
-
-def _weights(splats: Splats) -> NDArray[np.float64]:  # [N]
-    """Return how much splats show: area times opacity, the largest areas clipped."""
-    sizes = np.sort(splats.scales.double().numpy(), axis=1)
-    area = sizes[:, 1] * sizes[:, 2]
-    clipped = np.minimum(area, np.quantile(area, _CLIP_QUANTILE))
-    return clipped * splats.opacities.double().numpy() + 1e-30
 
 
 def _background(splats: Splats, focus: Focus, notes: list[str]) -> NDArray[np.bool_]:  # [N]

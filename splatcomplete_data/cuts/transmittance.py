@@ -19,6 +19,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from gscomplete.splats.geometry.neighbourhood import FLAT
 from gscomplete.splats.record import Splats
 from gscomplete.splats.rotations import rotation_matrices
 
@@ -26,8 +27,6 @@ _VISIBLE = 0.55
 """A splat is seen if the transmittance to it is at least this."""
 _REACH_SIGMAS = 3.0
 """Radius of a disc in standard deviations."""
-_FLAT = 0.5
-"""A splat whose smallest scale is less than this share of the middle one is a disc."""
 _LEAST_SLACK, _SLACK_SIZES = 0.003, 0.5
 """Slack perpendicular to a surface: a constant in object sizes, plus a multiple of the splat's
 size."""
@@ -74,7 +73,7 @@ def seen_splats(
     local = (splats.means.double().numpy() - eye) @ camera_from_object.T
     distance = np.linalg.norm(local, axis=1)
     rays = local / np.maximum(distance, 1e-12)[:, None]
-    is_round = scales[:, 2] >= _FLAT * scales[:, 1]
+    is_round = scales[:, 2] >= FLAT * scales[:, 1]
     facing = np.cross(rays, np.array([0.0, 1.0, 0.0]))
     facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-12)
     axes[is_round] = np.stack([facing, np.cross(rays, facing), rays], axis=1)[is_round]

@@ -32,6 +32,8 @@ _LEVEL_DEG = 12.0
 """Tables and beds are level to this angle, as far as the up direction is known."""
 _FEWEST = 20
 """Fewer splats are nothing to enclose."""
+_CLIP_QUANTILE = 0.95
+"""Splats with a larger area count as if their area were that at this quantile."""
 _MIN_OPACITY = 0.2
 """Fainter splats do not count."""
 _BALL = 1.3
@@ -194,16 +196,21 @@ def _three(values: FloatArray) -> tuple[float, float, float]:
     return x, y, z
 
 
+def shown_area(splats: Splats) -> NDArray[np.float64]:  # [N]
+    """Return how much splats show: area times opacity, the largest areas clipped."""
+    sizes = np.sort(splats.scales.double().numpy(), axis=1)
+    area = sizes[:, 1] * sizes[:, 2]
+    clipped = np.minimum(area, np.quantile(area, _CLIP_QUANTILE))
+    return clipped * splats.opacities.double().numpy()
+
+
 def _solid(splats: Splats, min_opacity: float) -> tuple[FloatArray, FloatArray]:
     """Return points [N, 3] and weights [N] of the splats that count."""
     usable, _ = usable_rows(splats)
     chosen = splats.select(usable & (splats.opacities >= min_opacity))
     if len(chosen) < _FEWEST:
         raise UserError(f"--box auto: expected splats to enclose, found {len(chosen)} solid ones")
-    sizes = np.sort(chosen.scales.double().numpy(), axis=1)
-    area = sizes[:, 1] * sizes[:, 2]
-    area = np.clip(area, None, np.quantile(area, 0.95))
-    return chosen.means.double().numpy(), chosen.opacities.double().numpy() * area
+    return chosen.means.double().numpy(), shown_area(chosen)
 
 
 def _weighted_median(points: FloatArray, weight: FloatArray) -> FloatArray:  # [3]

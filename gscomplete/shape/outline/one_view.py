@@ -49,6 +49,16 @@ _SILHOUETTE_PX, _GROWN_PX = 128, 5
 """Side of a picture of P's silhouette, and of the square that each of its pixels is grown to."""
 
 
+def is_scan(shown_at_once: float, ends_in_plane: bool) -> bool:
+    """Say whether P is a scan from one view, which always lacks a whole side.
+
+    Args:
+        shown_at_once: ``best_view_share`` of P's points.
+        ends_in_plane: whether P was cut along a plane, as far as ``framing.cut_plane`` finds.
+    """
+    return not ends_in_plane and shown_at_once >= ONE_VIEW_SHARE
+
+
 def best_view_share(points: NDArray[np.floating]) -> float:  # [N, 3] z up, in [0, 1]
     """Return the largest share of P that a single orthographic view shows; 1 for no points."""
     if not len(points):

@@ -182,7 +182,7 @@ def turned_surface(
     chosen = every_nth(points, _MOST_POINTS)
     axes = None if axes is None else every_nth(axes, _MOST_POINTS)
     own = Turning.about(revolution.axis, chosen, _outward(chosen, axes, revolution, evidence))
-    body, sectors = own.body(1.0)
+    body, sectors = own.body()
     if not body.any():
         return None
     places, normals, around = _profile(own.select(body))

@@ -5,7 +5,8 @@ Conventions
 * The axis is upright or nearly so, z up.
 * In axis coordinates the axis is the z axis. A point has a radius, an azimuth and a height there,
   and its normal a radial, a tangential and an upward part.
-* Lengths are in sides of P's box, unless a docstring says otherwise. Arithmetic is float64.
+* Lengths are in sides of P's box or, of P in the object frame, in object sizes: limits are the same
+  numbers for both. Arithmetic is float64.
 """
 
 from __future__ import annotations
@@ -100,21 +101,21 @@ class Turning:
         """Lengths of the normals' horizontal parts."""
         return np.hypot(self.radial, self.tangential)
 
-    def off_axis(self, side: float) -> FloatArray:  # [N]
-        """Return how far normals pass the axis, over what is allowed; ``side`` of P's box."""
+    def off_axis(self) -> FloatArray:  # [N]
+        """Return how far normals pass the axis, over what is allowed."""
         distance = self.radius * np.abs(self.tangential) / self.horizontal.clip(1e-9)
-        return distance / np.maximum(OFF * side, OFF_SINE * self.radius)
+        return distance / np.maximum(OFF, OFF_SINE * self.radius)
 
     def sectors(self) -> NDArray[np.int64]:  # [N]
         """Return the sector that each point is in."""
         turn = (self.azimuth_rad + math.pi) / (2 * math.pi)
         return (turn * SECTORS).astype(np.int64) % SECTORS
 
-    def body(self, side: float) -> tuple[BoolArray, NDArray[np.int64]]:  # [N], [N]
+    def body(self) -> tuple[BoolArray, NDArray[np.int64]]:  # [N], [N]
         """Return which points belong to the body, and in how many sectors P has their like."""
-        meets = (self.horizontal < STEEP) | (self.off_axis(side) < _BODY_OFF)
+        meets = (self.horizontal < STEEP) | (self.off_axis() < _BODY_OFF)
         profile = np.stack([self.radius, self.points[:, 2]], axis=1)
-        cells = np.floor(profile / (_CELL * side)).astype(np.int64)
+        cells = np.floor(profile / _CELL).astype(np.int64)
         _, cell = np.unique(cells, axis=0, return_inverse=True)
         cell = cell.reshape(-1)
         sector = self.sectors()
@@ -124,7 +125,7 @@ class Turning:
         if not meets.any():
             return meets, sectors
         fewest = max(_LEAST_ROUND * float(np.median(sectors[meets])), _FEWEST_SECTORS)
-        return meets & ((sectors >= fewest) | (self.radius < NEAR_AXIS * side)), sectors
+        return meets & ((sectors >= fewest) | (self.radius < NEAR_AXIS)), sectors
 
 
 def turned(points: FloatArray, angle_rad: FloatArray) -> FloatArray:  # [N, 3], [N] -> [N, 3]

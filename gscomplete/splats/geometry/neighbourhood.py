@@ -17,7 +17,7 @@ from gscomplete.splats.rotations import thinnest_axes
 ON_RIM = 0.5
 """Points of which ``one_sidedness`` is larger are on the rim."""
 _NORMAL_NEIGHBOURS = 16
-_FLAT = 0.5
+FLAT = 0.5
 """A splat is flat if its least scale is smaller than this share of its middle one."""
 _AGREE = 0.6
 """The axes of neighbours tell a normal if their mean squared part along it is larger: 1 if all are
@@ -60,7 +60,7 @@ def normals_of(
 def are_flat(splats: Splats) -> Tensor:  # [N] bool
     """Mark the splats that are much thinner along one axis than along the others."""
     ordered = splats.scales.sort(dim=1).values
-    return ordered[:, 0] < _FLAT * ordered[:, 1]
+    return ordered[:, 0] < FLAT * ordered[:, 1]
 
 
 def flat_axes(splats: Splats) -> NDArray[np.float64]:  # [N, 3]

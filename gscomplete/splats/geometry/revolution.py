@@ -125,7 +125,7 @@ def find_revolution(
     if share < _LEAST_SHARE:
         return None
     turning = Turning.about(axis, chosen, normals_at(chosen, chosen, tree, axes))
-    body, _ = turning.body(1.0)
+    body, _ = turning.body()
     if body.mean() < _LEAST_BODY:
         return None
     heights = float(turning.points[:, 2].min()), float(turning.points[:, 2].max())
@@ -210,7 +210,7 @@ def _share_met(axis: Axis, points: FloatArray, normals: FloatArray) -> float:
     """Return how many of the normals meet the axis; 0 if these do not face several ways."""
     turning = Turning.about(axis, points, normals)
     weights = np.where(turning.horizontal > STEEP, turning.horizontal, 0.0)
-    met = weights * (turning.off_axis(1.0) < 1.0)
+    met = weights * (turning.off_axis() < 1.0)
     if not met.any():
         return 0.0
     facing = turning.normals[:, :2] / turning.horizontal.clip(1e-9)[:, None]

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from gscomplete.priors.embedded.ending import Ending, ending_of
 from gscomplete.priors.embedded.weights import SHAPE_FILE, packaged_weights
-from gscomplete.shape.outline.one_view import ONE_VIEW_SHARE
+from gscomplete.shape.outline.one_view import is_scan
 from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.planes.answer_scorer import (
     FEATURES,
@@ -130,7 +130,7 @@ def answer_sets_of(task: ObjectTask) -> AnswerSets:
         if asked is None:
             continue
         answers = asked.answers
-        one_view = not asked.ending.in_plane and answers.shown_at_once >= ONE_VIEW_SHARE
+        one_view = is_scan(answers.shown_at_once, asked.ending.in_plane)
         true = shadow_ious(answers, asked.solid, _LEVEL_ONE_VIEW if one_view else LEVEL)
         weight = _WEIGHTS.get(kind, 1.0)
         rows.append(_padded(answer_features(answers), true.numpy(), weight))

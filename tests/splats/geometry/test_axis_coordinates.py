@@ -17,7 +17,7 @@ def test_a_handle_is_no_part_of_the_body():
     found = find_revolution(points)
     assert found is not None
     normals = np.concatenate([_outward(body), _outward(rod - [0.0, 0.42, 0.0])])
-    mine, sectors = Turning.about(found.axis, points, normals).body(1.0)
+    mine, sectors = Turning.about(found.axis, points, normals).body()
     assert mine[: len(body)].mean() > 0.95
     assert mine[len(body) :].mean() < 0.05
     # 18 of the 36 sectors are kept
