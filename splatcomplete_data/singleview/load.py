@@ -205,7 +205,8 @@ def _select(
     known = np.isfinite(z)
     apply("known_depth", known, "unknown")
     if settings.near is not None or settings.far is not None:
-        low, high = settings.near or 0.0, settings.far or np.inf
+        low = 0.0 if settings.near is None else settings.near
+        high = np.inf if settings.far is None else settings.far
         with np.errstate(invalid="ignore"):
             apply("near_far", (z >= low) & (z <= high), "too_near_or_far")
     if settings.min_confidence is not None:

@@ -17,8 +17,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gscomplete.errors import UserError
 from gscomplete.fitting.densify import GradientStatistics
+from gscomplete.fitting.finite import NonFiniteError
 from gscomplete.render import render
 from gscomplete.render.settings import RenderSettings
 from gscomplete.splats import Splats
@@ -57,12 +57,6 @@ class StepReport:
     loss: float
     splats: int
     growth: GrowthReport | None  # None: no division in this step
-
-
-class NonFiniteError(UserError):
-    """A value stopped being finite; the last checkpoint is still good."""
-
-    exit_code = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,7 +221,7 @@ class Training:
         if self.step_number % CHECK_EVERY == 0 or self.finished:
             bad = self.parameters.first_nonfinite()
             if bad is not None:
-                raise NonFiniteError(f"training: step {number}: {bad} is not finite")
+                raise NonFiniteError(number, bad)
         return StepReport(number, target.name, float(loss.detach()), len(self.parameters), report)
 
     def _target(self, number: int) -> Target:
@@ -290,8 +284,7 @@ class Training:
         }
         for name, value in state.items():
             if not bool(torch.isfinite(value).all()):
-                step = self.step_number - 1
-                raise NonFiniteError(f"training: by step {step}: {name} is not finite")
+                raise NonFiniteError(self.step_number - 1, name)
         return state
 
     def restore(self, state: dict[str, Tensor]) -> None:

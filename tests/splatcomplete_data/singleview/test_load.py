@@ -143,6 +143,7 @@ def test_masks_alpha_crop_range_and_confidence(tmp_path: Path) -> None:
         assert view.kept.sum() == count
     for changes, message in (
         ({"near": 5.0}, "near_far"),
+        ({"far": 0.0}, "near_far"),
         ({"min_confidence": 3.0}, "confidence"),
         ({"mask": tmp_path / "gone.png"}, "mask"),
     ):

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from gscomplete.fitting.checkpoint import load_checkpoint
+from gscomplete.fitting.finite import NonFiniteError
 from gscomplete.fitting.step_loop import CHECKPOINTS, run_steps
 from gscomplete.splats import Splats
 from splatcomplete_data.multiview.photos.images import View, load_views
@@ -20,7 +21,6 @@ from splatcomplete_data.multiview.training.settings import (
     TrainingSettings,
 )
 from splatcomplete_data.multiview.training.train import (
-    NonFiniteError,
     StepReport,
     Target,
     Training,
