@@ -12,7 +12,7 @@ from gscomplete.shape.mirror_plane import HalfCut, MirrorPlane
 from gscomplete.splats import validation
 from tests.builders.commands import SAMPLE, run_here
 from tests.builders.folders import write_object_folder
-from tests.builders.objects import ball
+from tests.builders.objects import ball, random_splats
 
 
 @pytest.mark.parametrize(
@@ -80,6 +80,15 @@ def test_what_to_mirror_through_is_read(text, expected):
     settings = request_of(options, prior).completion.settings
     assert settings.mirror == expected
     assert text == "30,0.1" or str(settings.mirror) == text
+
+
+def test_a_center_that_the_object_folder_knows_alone_is_used(tmp_path):
+    changes = {"frame_origin": "guess", "frame_given": ("center",)}
+    folder = write_object_folder(tmp_path / "mug", random_splats(5), **changes)
+    request = request_of(CompleteOptions(partial=folder), load_prior("embedded"))
+    assert request.completion.framing.center_file == (0.1, 0.0, 0.0)
+    assert request.completion.framing.size_file is None
+    assert (request.sources["center"], request.sources["size"]) == ("object.json", "guess")
 
 
 @pytest.mark.parametrize("text", ["cut:", "cut:a", "cut:1,2", "cut:inf", "half", "1", ""])
