@@ -11,9 +11,11 @@ Conventions
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import os
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -46,8 +48,8 @@ def read_text(path: str) -> str | None:
     """
     try:
         if is_url(path):
-            system, inner = _open(path)
-            return str(system.cat_file(inner).decode("utf-8-sig"))
+            with _store(path) as (system, inner):
+                return str(system.cat_file(inner).decode("utf-8-sig"))
         return Path(path).read_text(encoding="utf-8-sig")
     except (FileNotFoundError, NotADirectoryError):
         return None
@@ -65,9 +67,9 @@ def list_folder(folder: str) -> tuple[set[str], set[str]] | None:
     """
     try:
         if is_url(folder):
-            system, inner = _open(folder)
-            system.invalidate_cache(inner)
-            rows = system.ls(inner, detail=True)
+            with _store(folder) as (system, inner):
+                system.invalidate_cache(inner)
+                rows = system.ls(inner, detail=True)
             kinds = {str(row["name"]).rstrip("/").rpartition("/")[2]: row["type"] for row in rows}
             files = {name for name, kind in kinds.items() if kind == "file"}
             return files, set(kinds) - files
@@ -84,10 +86,17 @@ def list_folder(folder: str) -> tuple[set[str], set[str]] | None:
 
 
 def folders_with(folder: str, name: str) -> list[str]:
-    """Return the names of the folders in a folder that hold a file of that name, sorted."""
+    """Return the names of the folders in a folder that hold a file of that name, sorted.
+
+    Raises:
+        UserError: the folder cannot be listed.
+    """
     if is_url(folder):
-        system, inner = _open(folder)
-        found = system.glob(f"{inner.rstrip('/')}/*/{name}")
+        try:
+            with _store(folder) as (system, inner):
+                found = system.glob(f"{inner.rstrip('/')}/*/{name}")
+        except OSError as error:
+            raise UserError(f"{folder}: cannot list it ({error})") from error
         return sorted(str(path).split("/")[-2] for path in found)
     listed = list_folder(folder)
     names = () if listed is None else listed[1]
@@ -98,8 +107,8 @@ def signature(path: str) -> Signature | None:
     """Return a file's size and time (or tag), to detect changes; None where there is no file."""
     try:
         if is_url(path):
-            system, inner = _open(path)
-            info = system.info(inner)
+            with _store(path) as (system, inner):
+                info = system.info(inner)
             if info.get("type") != "file":
                 return None
             stamp = next(
@@ -120,11 +129,11 @@ def fetch(path: str, folder: Path) -> Path:
     """
     if not is_url(path):
         return Path(path)
-    system, inner = _open(path)
-    copy = folder / inner.rpartition("/")[2]
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        system.get_file(inner, str(copy))
+        with _store(path) as (system, inner):
+            copy = folder / inner.rpartition("/")[2]
+            folder.mkdir(parents=True, exist_ok=True)
+            system.get_file(inner, str(copy))
     except FileNotFoundError as error:
         raise UserError(f"{path}: no such file") from error
     except OSError as error:
@@ -140,9 +149,9 @@ def put(local: Path, path: str) -> None:
     """
     try:
         if is_url(path):
-            system, inner = _open(path)
-            system.makedirs(inner.rpartition("/")[0], exist_ok=True)
-            system.put_file(str(local), inner)
+            with _store(path) as (system, inner):
+                system.makedirs(inner.rpartition("/")[0], exist_ok=True)
+                system.put_file(str(local), inner)
         elif not os.path.exists(path) or not os.path.samefile(local, path):
             Path(path).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(local, path)
@@ -163,7 +172,8 @@ def publish(work: Path, folder: str, marker: str) -> None:
     """
     try:
         if is_url(folder):
-            _upload(work, folder, marker)
+            with _store(folder) as (system, inner):
+                _upload(work, folder, marker, system, inner)
             shutil.rmtree(work)
             return
         old = work.with_name(f".{work.name}.old")
@@ -181,9 +191,8 @@ def publish(work: Path, folder: str, marker: str) -> None:
         raise UserError(f"{folder}: cannot write it ({error})") from error
 
 
-def _upload(work: Path, folder: str, marker: str) -> None:
+def _upload(work: Path, folder: str, marker: str, system: Any, inner: str) -> None:
     """Copy a folder to a store; its marker is absent until all other files are there."""
-    system, inner = _open(folder)
     if system.exists(inner):
         if not system.exists(f"{inner}/{marker}"):
             _require_leftover(folder, system, inner, work)
@@ -211,6 +220,23 @@ def _require_leftover(folder: str, system: Any, inner: str, work: Path) -> None:
             f"{folder}: expected nothing or a result of a batch, found {min(found - ours)}; move "
             "it away"
         )
+
+
+@contextlib.contextmanager
+def _store(url: str) -> Iterator[tuple[Any, str]]:
+    """Give the file system of a URL and the path in it; whatever it raises becomes an OSError.
+
+    Raises:
+        UserError: as ``_open``.
+        OSError: of the file system, or in place of an error of its library's own.
+    """
+    system, inner = _open(url)
+    try:
+        yield system, inner
+    except (OSError, UserError, UnicodeDecodeError):
+        raise
+    except Exception as error:
+        raise OSError(f"{type(error).__name__}: {error}") from error
 
 
 def _open(url: str) -> tuple[Any, str]:

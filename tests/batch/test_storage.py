@@ -64,3 +64,32 @@ def test_what_is_not_there_is_told_in_one_line(store):
     with pytest.raises(UserError, match="no such file"):
         plan("s3://lab/nothing.jsonl", {})
     assert storage.signature("s3://lab/nothing.ply") is None
+
+
+class Unreachable:
+    """A file system whose library has errors of its own kind, as botocore has without a key."""
+
+    def __getattr__(self, name):
+        def fail(*_, **__):
+            raise RuntimeError("no credentials")
+
+        return fail
+
+
+def test_a_store_that_cannot_be_reached_is_told_in_one_line(monkeypatch, tmp_path):
+    monkeypatch.setattr(storage, "_open", lambda url: (Unreachable(), "lab/a"))
+    (tmp_path / "work").mkdir()
+    (tmp_path / "file").write_text("a")
+    url = "s3://lab/a"
+    for ask in (
+        lambda: storage.read_text(url),
+        lambda: storage.list_folder(url),
+        lambda: storage.folders_with(url, "object.json"),
+        lambda: storage.fetch(url, tmp_path / "here"),
+        lambda: storage.put(tmp_path / "file", url),
+        lambda: storage.publish(tmp_path / "work", url, "run.json"),
+    ):
+        with pytest.raises(UserError, match=r"s3://lab/a: cannot .*RuntimeError: no credentials"):
+            ask()
+    assert storage.signature(url) is None
+    assert (tmp_path / "work").is_dir()  # what could not be published is kept
