@@ -151,10 +151,14 @@ def _table_rows(path: str, text: str, suffix: str) -> Iterator[tuple[int, dict[s
     """Yield the rows of a table with their line numbers; an empty cell counts as not given.
 
     Raises:
-        UserError: a row has more cells than the first line.
+        UserError: a name is there twice, or a row has more cells than the first line.
     """
     reader = csv.DictReader(io.StringIO(text), delimiter="\t" if suffix == ".tsv" else ",")
     try:
+        names = list(reader.fieldnames or ())
+        twice = sorted({name for name in names if name and names.count(name) > 1})
+        if twice:
+            raise UserError(f"{path}:1: expected every name once, found {twice[0]!r} again")
         for row in reader:
             if None in row:
                 raise UserError(f"{path}:{reader.line_num}: more cells than names in line 1")

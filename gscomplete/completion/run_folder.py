@@ -301,7 +301,7 @@ def _write_run_file(run: Run, status: str, result: dict[str, Any] | None) -> dic
         "input": {
             "path": str(run.request.partial_path),
             "splats": run.source.n_rows,
-            "object": None if folder is None else str(folder),
+            "object": None if folder is None else str(folder.resolve()),
             "sources": run.request.sources,
         },
         "identity": run.identity,

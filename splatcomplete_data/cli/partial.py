@@ -166,6 +166,8 @@ def _drawable(splats: Splats, source: Path) -> tuple[Splats, tuple[StepRecord, .
     from gscomplete.splats.filters import in_words
     from splatcomplete_data.objects import StepRecord
 
+    if not len(splats):
+        raise UserError(f"{source}: expected splats, found none")
     usable, reasons = usable_rows(splats)
     if bool(usable.all()):
         return splats, ()

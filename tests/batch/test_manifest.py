@@ -98,6 +98,14 @@ def test_a_dataset_is_what_its_index_lists(tmp_path):
     assert planned(tmp_path / "dataset.json") == planned(tmp_path)
 
 
+def test_a_column_that_is_there_twice_is_refused(tmp_path):
+    (tmp_path / "a.csv").write_text("partial,prompt,prompt\na.ply,cow,dog\n")
+    with pytest.raises(
+        UserError, match=r"a\.csv:1: expected every name once, found 'prompt' again"
+    ):
+        planned(tmp_path / "a.csv")
+
+
 @pytest.mark.parametrize("name", ["missing", "missing.jsonl", ""])
 def test_nothing_to_do_is_an_error(tmp_path, name):
     with pytest.raises(UserError):

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 
 from gscomplete.splats import Similarity, read_splats, write_splats
@@ -81,6 +82,13 @@ def test_a_part_of_an_object_remembers_where_the_source_lies(tmp_path):
     )
     assert kept == moved
     assert moved["translation"] == [-500_000, -5_300_000, -300]
+
+
+def test_nothing_cannot_be_cut(tmp_path, capsys):
+    write_splats(tmp_path / "none.ply", BALL.select(torch.arange(0)))
+    words = ["partial", str(tmp_path / "none.ply"), "--cut", "plane:90"]
+    assert cli.main([*words, "--out", str(tmp_path / "b")]) == 2
+    assert "none.ply: expected splats, found none" in capsys.readouterr().err
 
 
 def test_a_view_out_of_range_is_named(tmp_path, capsys):
