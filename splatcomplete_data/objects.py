@@ -12,8 +12,9 @@ Conventions
   of this machine other than those the user gave.
 * Folders are written whole or not at all (``atomic_folder``); SHA-256 covers every other file.
 
-Schema of object.json: the fields of ``ObjectRecord`` plus ``schema`` and ``version``. Unknown or
-missing fields are errors; a new version number announces new fields.
+Schema of object.json: the fields of ``ObjectRecord`` plus ``schema`` and ``version``. Unknown
+fields are errors, and so are missing ones that have no default. Fields with a default may be new,
+and records of earlier versions lack them; a new version number announces any other change.
 """
 
 from __future__ import annotations

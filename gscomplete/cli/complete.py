@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from gscomplete.cli.complete_options import CompleteOptions
+from gscomplete.cli.complete_options import CompleteOptions, require_plain_fill
 from gscomplete.cli.guard import how_to_go_on
 from gscomplete.errors import UserError
 from gscomplete.priors.latent.settings import LatentPriorSettings
@@ -64,7 +64,6 @@ def _complete(options: CompleteOptions) -> int:
     from gscomplete.util.stages import stage
 
     with _without_collections(), stage("load"):
-        from gscomplete.cli.complete_options import require_plain_fill
         from gscomplete.cli.request import request_of
         from gscomplete.completion.run_folder import prepare
         from gscomplete.priors import load_prior
