@@ -10,12 +10,15 @@ from gscomplete.completion import pipeline
 from gscomplete.completion.optimise import StepReport
 from gscomplete.completion.presets import PresetName, preset
 from gscomplete.completion.settings import CompletionSettings
+from gscomplete.errors import UserError
 from gscomplete.framing.decide import FramingRequest
 from gscomplete.priors import load_prior, require_prior
 from gscomplete.priors.base import Prior
 from gscomplete.render.dispatch import choose_render_device
-from gscomplete.splats import SplatFile, Splats
+from gscomplete.splats import SplatFile, Splats, usable_rows
+from gscomplete.splats.filters import in_words
 from gscomplete.util.device import choose_device
+from gscomplete.util.file_names import PARTIAL_FILE
 from gscomplete.views import UpAxis
 from gscomplete.views.distribution import AZIMUTH_RANGE_DEG, ELEVATION_RANGE_DEG
 
@@ -24,7 +27,7 @@ def complete(
     partial: SplatFile | Splats | str | Path,
     prompt: str,
     *,
-    prior: Prior | str = "embedded",
+    prior: Prior | str | Path = "embedded",
     preset_name: PresetName = "default",
     settings: CompletionSettings | None = None,
     up: UpAxis = "Z",
@@ -42,7 +45,8 @@ def complete(
 
     Args:
         partial: P: a splat file, read (``read_splats``) or its path, or splats in the file frame
-            (any scale; ``up`` points up).
+            (any scale; ``up`` points up). An ``object.json`` beside a file is not read: what it
+            says are arguments here.
         prompt: what the complete object is, such as "a red mug".
         prior: a loaded prior (``load_prior``; load it once to complete many), or what ``--prior``
             takes: ``embedded``, ``mvdream``, or the path of weights.
@@ -65,10 +69,21 @@ def complete(
     Raises:
         UserError: the input, an option, the prior or its weights are wrong.
     """
+    if isinstance(partial, str | Path) and Path(partial).is_dir():
+        raise UserError(
+            f"{partial}: expected a splat file, found a folder; name the {PARTIAL_FILE} in it, and "
+            "give what its object.json says as arguments"
+        )
+    if not isinstance(prompt, str):
+        raise UserError(f"prompt: expected a text, found {prompt!r}")
+    if not isinstance(negative_prompt, str | None):
+        raise UserError(f"negative_prompt: expected a text, found {negative_prompt!r}")
+    if isinstance(partial, Splats):
+        _require_drawable(partial)
     chosen_device = choose_device(device)
     render_device, _ = choose_render_device(device, chosen_device)
-    if isinstance(prior, str):
-        prior = load_prior(prior, chosen_device)
+    if isinstance(prior, str | Path):
+        prior = load_prior(str(prior), chosen_device)
     require_prior(prior, "prior")
     if settings is None:
         settings = dataclasses.replace(preset(preset_name, prior), seed=seed)
@@ -82,3 +97,17 @@ def complete(
     )
     request = pipeline.Request(prompt, settings, framing, negative_prompt)
     return pipeline.complete(partial, request, prior, render_device, on_step)
+
+
+def _require_drawable(partial: Splats) -> None:
+    """Refuse splats that no file could hold, before anything is computed for them.
+
+    Raises:
+        UserError: a value is not finite or out of range.
+    """
+    usable, reasons = usable_rows(partial)
+    if not bool(usable.all()):
+        raise UserError(
+            f"partial: expected splats that can be drawn, found {in_words(reasons)}: leave these "
+            "out (gscomplete.splats.usable_rows)"
+        )

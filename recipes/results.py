@@ -39,8 +39,9 @@ class Results:
         content = jsonio.read_json(path)
         if not isinstance(content, dict) or not {"made_with", "rows"} <= set(content):
             raise UserError(f"{path}: expected made_with and rows, found neither; remove it")
-        for name, wanted in self._made_with.items():
-            found = content["made_with"].get(name)
+        before = content["made_with"]
+        for name in {**before, **self._made_with}:
+            wanted, found = self._made_with.get(name), before.get(name)
             if found != wanted:
                 where, wanted, found = _first_difference(name, wanted, found)
                 raise UserError(

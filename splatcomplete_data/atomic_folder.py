@@ -9,6 +9,9 @@ Conventions
   other folder is ever removed.
 * It is replaced by exchanging the two names in one step where the system can (Linux); elsewhere
   the old folder is moved aside first.
+* Files in a replaced folder that the caller did not write go on in the new one.
+* Where something has taken the destination's name meanwhile, it stays, and the files are kept next
+  to it, in ``NAME.XXXX``.
 * ``forget_leftovers`` removes the temporary folders that killed processes left behind.
 """
 
@@ -16,10 +19,11 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 
 from gscomplete.errors import UserError
@@ -32,7 +36,12 @@ _RANDOM_LETTERS = 8
 
 @contextlib.contextmanager
 def atomic_folder(
-    folder: Path, *, marker: str, spare: Collection[str] = (), overwrite: bool = False
+    folder: Path,
+    *,
+    marker: str,
+    spare: Collection[str] = (),
+    overwrite: bool = False,
+    written: Callable[[Path], Collection[str]] | None = None,
 ) -> Iterator[Path]:
     """Yield an empty temporary folder that becomes ``folder`` when the block succeeds.
 
@@ -43,10 +52,11 @@ def atomic_folder(
         marker: name of a file that tells the caller's folders from others.
         spare: names of files that may be lost; a folder of nothing else needs no marker.
         overwrite: replace a folder that exists and holds something, if it is the caller's.
+        written: tells the names in such a folder that the caller wrote; None = all of them.
 
     Raises:
         UserError: the folder exists without ``overwrite`` or is not the caller's, is a file, or
-            cannot be written.
+            cannot be written; also if this is found only when the block has succeeded.
     """
     check_destination(folder, marker=marker, spare=spare, overwrite=overwrite)
     try:
@@ -60,7 +70,15 @@ def atomic_folder(
         mask = os.umask(0)
         os.umask(mask)
         temporary.chmod(0o777 & ~mask)
-        _take_name(temporary, folder)
+        try:
+            check_destination(folder, marker=marker, spare=spare, overwrite=overwrite)
+        except UserError as error:
+            kept = folder.with_name(f"{folder.name}{temporary.suffix}")
+            os.rename(temporary, kept)
+            raise UserError(f"{error}; what was to be written is in {kept}") from error
+        if written is not None and folder.is_dir():
+            _keep_others(folder, temporary, {marker, *spare, *written(folder)})
+        _take_name(temporary, folder, overwrite=overwrite)
     except OSError as error:
         if error.filename is not None and not str(error.filename).startswith(str(folder.parent)):
             raise  # the block failed over some other file
@@ -123,15 +141,30 @@ def _prefix(name: str) -> str:
     return f".{name[:32]}."
 
 
-def _take_name(temporary: Path, folder: Path) -> None:
+def _keep_others(folder: Path, temporary: Path, written: set[str]) -> None:
+    """Copy what someone else put into a folder to the one that takes its place."""
+    for path in folder.iterdir():
+        kept = temporary / path.name
+        if path.name in written or kept.exists():
+            continue
+        if path.is_dir() and not path.is_symlink():
+            shutil.copytree(path, kept, symlinks=True)
+        else:
+            shutil.copy2(path, kept, follow_symlinks=False)
+
+
+def _take_name(temporary: Path, folder: Path, *, overwrite: bool) -> None:
     """Rename ``temporary`` to ``folder``; an earlier ``folder`` takes its place or is removed."""
-    if not folder.exists():
-        os.rename(temporary, folder)
-    elif not _exchange(temporary, folder):
-        aside = Path(tempfile.mkdtemp(dir=folder.parent, prefix=_prefix(folder.name)))
-        os.rename(folder, aside)
-        os.rename(temporary, folder)
-        shutil.rmtree(aside, ignore_errors=True)
+    try:
+        os.rename(temporary, folder)  # where there is nothing, or an empty folder
+    except OSError as error:
+        if not overwrite or error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+            raise
+        if not _exchange(temporary, folder):
+            aside = Path(tempfile.mkdtemp(dir=folder.parent, prefix=_prefix(folder.name)))
+            os.rename(folder, aside)
+            os.rename(temporary, folder)
+            shutil.rmtree(aside, ignore_errors=True)
     with contextlib.suppress(OSError):
         _flush_one(folder.parent)
 

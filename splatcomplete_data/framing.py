@@ -1,4 +1,4 @@
-"""What the data side adds to ``gscomplete.framing``: source coordinates, files of unknown up."""
+"""What the data side adds to ``gscomplete.framing``: source coordinates, truths, unknown axes."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ import dataclasses
 import torch
 
 from gscomplete.errors import UserError
-from gscomplete.framing.decide import FramingRequest
-from gscomplete.splats import Similarity, Splats
+from gscomplete.framing.decide import Framing, FramingRequest
+from gscomplete.framing.input_view import refine_input_view
+from gscomplete.splats import Similarity, Splats, transform_splats
 from gscomplete.views import ObjectFrame, UpAxis, up_rotation
 
 SPLAT_FILE_UP: UpAxis = "-Y"
@@ -39,6 +40,30 @@ def moved_center(request: FramingRequest, file_from_source: Similarity) -> Frami
     center = torch.tensor(request.center_file, dtype=torch.float64)
     x, y, z = file_from_source.apply(center).tolist()
     return dataclasses.replace(request, center_file=(x, y, z))
+
+
+def seen_past_truth(decided: Framing, partial: Splats | None, complete: Splats | None) -> Framing:
+    """Return a framing from whose V the complete object does not hide P, where it is known.
+
+    A completion keeps P's appearance from V, so the truth has to leave P in sight from there.
+
+    Args:
+        decided: by P alone.
+        partial: P in the file frame; None = there is none.
+        complete: the complete object, file frame; None = not known.
+    """
+    if partial is None or complete is None:
+        return decided
+    to_object = decided.frame.object_from_file
+    part, truth = (transform_splats(splats, to_object) for splats in (partial, complete))
+    views = refine_input_view(part, truth, decided.views).views
+    if views == decided.views:
+        return decided
+    note = (
+        f"input view {views.azimuth_deg:g},{views.elevation_deg:g}: from the one guessed by P "
+        "alone, the complete object hides P (--view gives another)"
+    )
+    return dataclasses.replace(decided, views=views, notes=(*decided.notes, note))
 
 
 def require_touching(

@@ -14,8 +14,21 @@ import stat
 from dataclasses import dataclass
 from pathlib import Path
 
+from gscomplete.errors import UserError
+
 MAX_FILE_BYTES = 2**31
 """Larger files are not read where a mesh names them."""
+
+
+def require_allowed(folder: Path | None) -> None:
+    """Refuse what allows no file: a further folder to read from that is none; None passes.
+
+    Raises:
+        UserError: there is no such folder.
+    """
+    if folder is not None and not folder.is_dir():
+        found = "a file" if folder.exists() else "none"
+        raise UserError(f"--allow-outside {folder}: expected a folder, found {found}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +39,12 @@ class Reach:
 
     @staticmethod
     def of(holder: Path, allowed: Path | None = None) -> Reach:
-        """Return what ``holder`` may name: its folder's files, and those of ``allowed``."""
+        """Return what ``holder`` may name: its folder's files, and those of ``allowed``.
+
+        Raises:
+            UserError: ``allowed`` is no folder.
+        """
+        require_allowed(allowed)
         folders = (holder.parent, *((allowed,) if allowed is not None else ()))
         return Reach(tuple(folder.resolve() for folder in folders))
 

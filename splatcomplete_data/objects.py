@@ -23,17 +23,24 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from gscomplete import __version__
 from gscomplete.errors import UserError
-from gscomplete.folders.object_folder import COMPLETE_FILE, PARTIAL_FILE, SCHEMA, SCHEMA_VERSION
+from gscomplete.folders.object_folder import (
+    COMPLETE_FILE,
+    PARTIAL_FILE,
+    SCHEMA,
+    SCHEMA_VERSION,
+    Subset,
+    read_views,
+)
 from gscomplete.folders.object_folder import OBJECT_FILE as RECORD_FILE
 from gscomplete.splats import Similarity, Splats, read_splats, write_splats
 from gscomplete.util import jsonio
 from gscomplete.util.digests import sha256_of
 from gscomplete.util.file_names import is_plain_name
-from gscomplete.util.parse import is_text
+from gscomplete.util.parse import has_controls, is_text
 from gscomplete.views import FrameOrigin, GivenOfFrame, ObjectFrame, ViewDistribution
 from splatcomplete_data.atomic_folder import atomic_folder
 from splatcomplete_data.cuts.boxes import CropBox
@@ -48,9 +55,6 @@ CLUSTERS_FILE = "clusters.png"
 """Picture of what stands in a scan: what ``scan --propose`` leaves."""
 PROPOSED_FILES = (BOXES_FILE, CLUSTERS_FILE)
 """A folder that holds only these is no object's yet; they may be lost."""
-
-Subset = Literal["multiview", "singleview", "lidar", "mesh"]
-"""Kinds of source, as in the paper's section "Dataset"."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,8 +151,8 @@ class ObjectRecord:
         """Check what would make the object useless.
 
         Raises:
-            ValueError: the id or a file's name is no plain file name, or the prompt is empty or
-                no Unicode text.
+            ValueError: the id or a file's name is no plain file name, or the prompt is empty, no
+                Unicode text, or holds control characters.
         """
         for name in self.files:
             if not is_plain_name(name):
@@ -159,6 +163,10 @@ class ObjectRecord:
             raise ValueError("prompt: expected a name of the complete object, found an empty text")
         if not is_text(self.prompt):
             raise ValueError(f"prompt: expected Unicode text, found {self.prompt!r}")
+        if has_controls(self.prompt):
+            raise ValueError(
+                f"prompt: expected a text without control characters, found {self.prompt!r}"
+            )
 
     def to_json(self) -> dict[str, Any]:
         """Return the JSON form."""
@@ -181,7 +189,7 @@ class ObjectRecord:
                     f"{source}: {name}: expected {expected!r}, found {data.get(name)!r}"
                 )
         values = {key: value for key, value in data.items() if key not in ("schema", "version")}
-        views = ViewDistribution.from_json(values.get("views"), f"{source}: views")
+        views = read_views(values.get("views"), source)
         record = jsonio.from_json(cls, {**values, "views": jsonio.to_json(views)}, source)
         if record.file_from_source is not None:
             try:
@@ -241,7 +249,13 @@ def write_object(
     assert drawn is not None
     counts = {"sh_degree": drawn.sh_degree}
     comments = (f"splatcomplete-data {record.tool_version}", f"object {record.id}")
-    place = atomic_folder(folder, marker=RECORD_FILE, spare=PROPOSED_FILES, overwrite=overwrite)
+    place = atomic_folder(
+        folder,
+        marker=RECORD_FILE,
+        spare=PROPOSED_FILES,
+        overwrite=overwrite,
+        written=_written_names,
+    )
     with place as temporary:
         for name, splats in ((PARTIAL_FILE, partial), (COMPLETE_FILE, complete)):
             if splats is None:
@@ -260,6 +274,15 @@ def write_object(
         written = dataclasses.replace(record, counts=counts, files=files)
         jsonio.write_json(temporary / RECORD_FILE, written.to_json())
     return written
+
+
+def _written_names(folder: Path) -> set[str]:
+    """Return the names of the files of an object folder that were written with its record."""
+    names = {PARTIAL_FILE, COMPLETE_FILE, PREVIEW_FILE}
+    try:
+        return names | set(read_record(folder).files)
+    except UserError:
+        return names
 
 
 def read_record(folder: Path) -> ObjectRecord:

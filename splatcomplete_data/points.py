@@ -22,6 +22,8 @@ from scipy.spatial import cKDTree
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Similarity, Splats, colors_to_sh
+from gscomplete.util.arrays import BoolArray, Float64Array, IntArray
+from gscomplete.util.device import plain_torch
 
 Offset = tuple[float, float, float]
 """What is taken from coordinates before they become float32, in whole units of the file."""
@@ -115,6 +117,7 @@ def offset_note(offset: Offset) -> str:
     )
 
 
+@plain_torch()
 def points_to_splats(
     points: NDArray[np.floating],  # [N, 3]
     colors: NDArray[np.floating],  # [N, 3] sRGB in [0, 1]
@@ -153,7 +156,7 @@ def points_to_splats(
 def thin_to_spacing(
     points: NDArray[np.floating],  # [N, 3]
     spacing: float,
-) -> NDArray[np.bool_]:  # [N]
+) -> BoolArray:  # [N]
     """Keep one point, the one nearest to the middle, in every cube of side ``spacing``.
 
     Raises:
@@ -172,13 +175,13 @@ def thin_to_spacing(
     return keep
 
 
-def _cube_numbers(cubes: NDArray[np.float64]) -> NDArray[np.int64]:  # [N, 3] >= 0, whole -> [N]
+def _cube_numbers(cubes: Float64Array) -> IntArray:  # [N, 3] >= 0, whole -> [N]
     """Give every cube a number of its own, in the order of x, then y, then z."""
     extent = cubes.max(axis=0) + 1
     if extent.prod() < 2.0**62:
         x, y, z = cubes.astype(np.int64).T
         _, wide, high = extent.astype(np.int64)
-        numbers: NDArray[np.int64] = (x * wide + y) * high + z
+        numbers: IntArray = (x * wide + y) * high + z
         return numbers
     # Places among all cubes of the box would be beyond 64 bits: places among those with points.
     return np.unique(cubes, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
@@ -187,7 +190,7 @@ def _cube_numbers(cubes: NDArray[np.float64]) -> NDArray[np.int64]:  # [N, 3] >=
 def thin_to_count(
     points: NDArray[np.floating],  # [N, 3]
     count: int,
-) -> tuple[NDArray[np.bool_], float]:  # [N]
+) -> tuple[BoolArray, float]:  # [N]
     """Keep at most, and nearly, ``count`` evenly spread points; return the spacing found too.
 
     Raises:

@@ -13,6 +13,8 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 """Processes of tests share the cores; tests of threads set their numbers themselves."""
 
+import torch  # noqa: E402
+
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 """A shell starts background jobs with interrupts ignored; tests interrupt what they start."""
@@ -22,6 +24,13 @@ settings.register_profile("same examples", deadline=None, derandomize=True)
 settings.load_profile("same examples")
 """A suite of the same code gives the same result; ``--hypothesis-profile explore`` draws new
 examples. How long an example takes says more about what else runs than about the code."""
+
+
+@pytest.fixture(autouse=True)
+def seeded() -> None:
+    """Let what tests draw with PyTorch's own generator be the same every time."""
+    torch.manual_seed(0)
+
 
 _LONGEST = ("end_to_end", "recipes", "batch", "completion", "priors")
 """Folders of the files that take longest, longest first."""

@@ -139,7 +139,7 @@ def _json_rows(path: str, text: str) -> Iterator[tuple[int, dict[str, Any]]]:
         if not line.strip():
             continue
         try:
-            row = json.loads(line)
+            row = json.loads(line, object_pairs_hook=_each_once)
         except (ValueError, RecursionError) as error:
             raise UserError(f"{path}:{number}: expected a JSON object ({error})") from error
         if not isinstance(row, dict):
@@ -147,13 +147,29 @@ def _json_rows(path: str, text: str) -> Iterator[tuple[int, dict[str, Any]]]:
         yield number, row
 
 
+def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Make a JSON object of its names and values.
+
+    Raises:
+        ValueError: a name is there twice.
+    """
+    row = dict(pairs)
+    names = [name for name, _ in pairs]
+    if len(row) < len(pairs):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"expected every name once, found {twice!r} again")
+    return row
+
+
 def _table_rows(path: str, text: str, suffix: str) -> Iterator[tuple[int, dict[str, Any]]]:
     """Yield the rows of a table with their line numbers; an empty cell counts as not given.
 
     Raises:
-        UserError: a name is there twice, or a row has more cells than the first line.
+        UserError: a name is there twice, a row has more cells than the first line, or a quote is
+            not closed.
     """
-    reader = csv.DictReader(io.StringIO(text), delimiter="\t" if suffix == ".tsv" else ",")
+    delimiter = "\t" if suffix == ".tsv" else ","
+    reader = csv.DictReader(io.StringIO(text), delimiter=delimiter, strict=True)
     try:
         names = list(reader.fieldnames or ())
         twice = sorted({name for name in names if name and names.count(name) > 1})
@@ -164,7 +180,8 @@ def _table_rows(path: str, text: str, suffix: str) -> Iterator[tuple[int, dict[s
                 raise UserError(f"{path}:{reader.line_num}: more cells than names in line 1")
             yield reader.line_num, {name: value for name, value in row.items() if value}
     except csv.Error as error:
-        raise UserError(f"{path}:{reader.line_num}: {error}") from error
+        hint = " (is a quote not closed?)" if "unexpected end" in str(error) else ""
+        raise UserError(f"{path}:{reader.line_num + 1}: {error}{hint}") from error
 
 
 def _item(where: str, folder: str, row: dict[str, Any], fields: Mapping[str, FieldKind]) -> Item:

@@ -32,7 +32,7 @@ from gscomplete.batch.local_workers import Done, run_local
 from gscomplete.batch.machine import WorkerPlan
 from gscomplete.batch.manifest import Item
 from gscomplete.batch.on_ray import run_on_ray
-from gscomplete.batch.work import Job, Task, died, do, input_signatures, option_key
+from gscomplete.batch.work import Job, Task, died, do, input_signatures, is_whole, option_key
 from gscomplete.errors import UserError
 from gscomplete.util import jsonio
 from gscomplete.util.folder_lock import FolderLock, lock_folder
@@ -134,9 +134,13 @@ def open_batch(
     listed = storage.list_folder(runs)
     results = set() if listed is None else listed[1]
     with ThreadPoolExecutor(_LOOKS) as pool:  # a store takes some milliseconds per request
-        far = any(storage.is_url(item.source) for item in items)
+        far = any(storage.is_url(path) for path in (runs, *(item.source for item in items)))
         finished = (pool.map if far else map)(
-            lambda item: item.id in results and _is_finished(rows.get(item.id), item, identity),
+            lambda item: (
+                item.id in results
+                and _is_finished(rows.get(item.id), item, identity)
+                and is_whole(storage.join(runs, item.id))
+            ),
             items,
         )
         to_do = [item for item, yes in zip(items, finished, strict=True) if not yes]

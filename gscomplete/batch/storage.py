@@ -17,7 +17,7 @@ import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from gscomplete.errors import UserError
 
@@ -40,8 +40,12 @@ def join(folder: str, name: str) -> str:
     return f"{folder.rstrip('/')}/{name}"
 
 
-def read_text(path: str) -> str | None:
+def read_text(path: str, errors: Literal["strict", "replace"] = "strict") -> str | None:
     """Return a file's text without a byte order mark; None where there is no such file.
+
+    Args:
+        path: path or URL.
+        errors: whether bytes that are no text are refused, or read as U+FFFD.
 
     Raises:
         UserError: it cannot be read, or is no text.
@@ -49,8 +53,8 @@ def read_text(path: str) -> str | None:
     try:
         if is_url(path):
             with _store(path) as (system, inner):
-                return str(system.cat_file(inner).decode("utf-8-sig"))
-        return Path(path).read_text(encoding="utf-8-sig")
+                return str(system.cat_file(inner).decode("utf-8-sig", errors))
+        return Path(path).read_text(encoding="utf-8-sig", errors=errors)
     except (FileNotFoundError, NotADirectoryError):
         return None
     except UnicodeDecodeError as error:

@@ -34,7 +34,7 @@ from gscomplete.batch.manifest import Item
 from gscomplete.errors import UserError
 from gscomplete.util.atomic import forget_leftovers
 from gscomplete.util.digests import sha256_of
-from gscomplete.util.file_names import OBJECT_FILE, PARTIAL_FILE, RUN_FILE, splat_stem
+from gscomplete.util.file_names import OBJECT_FILE, OUTPUT_FILE, PARTIAL_FILE, RUN_FILE, splat_stem
 from gscomplete.util.jsonio import read_json, write_json
 
 ITEM_FILE = "item.json"
@@ -119,6 +119,12 @@ def input_signatures(source: str) -> list[Any]:
     return [None if each is None else list(each) for each in found]
 
 
+def is_whole(result: str) -> bool:
+    """Tell whether a result has its record and its splats: files can be lost or damaged later."""
+    size, _ = storage.signature(storage.join(result, OUTPUT_FILE)) or (0, "")
+    return size > 0 and _read_record(result, RUN_FILE) is not None
+
+
 def do(task: Task) -> Row:
     """Do one object; an error of that object becomes a row, and only a SetupError is raised.
 
@@ -178,8 +184,9 @@ def _do(task: Task) -> tuple[bool, dict[str, Any]]:
     source = _local_source(task.item.source, copies)
     inputs = {Path(path).name: sha256_of(local) for path, local in source.files.items()}
     record = {"schema": _SCHEMA, "version": 1, "inputs": inputs, "asked": task.key}
-    result = _read_record(task.result)
-    if result is not None and all(result.get(name) == value for name, value in record.items()):
+    result = _read_record(task.result, ITEM_FILE)
+    same = result is not None and all(result.get(name) == value for name, value in record.items())
+    if result is not None and same and is_whole(task.result):
         begun.unlink(missing_ok=True)
         shutil.rmtree(copies, ignore_errors=True)
         return True, result.get("facts", {})
@@ -252,12 +259,12 @@ def _make(
     return task.job.make(task.item, source, work, resume=False)
 
 
-def _read_record(result: str) -> dict[str, Any] | None:
-    """Return what a result says it was made of; None where there is no result."""
-    text = storage.read_text(storage.join(result, ITEM_FILE))
+def _read_record(result: str, name: str) -> dict[str, Any] | None:
+    """Return one of a result's records; None where there is none, or something else."""
+    text = storage.read_text(storage.join(result, name), errors="replace")
     try:
         record = json.loads(text or "null")
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
     return record if isinstance(record, dict) else None
 

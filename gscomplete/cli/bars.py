@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.progress import Progress
 
+_TIME_WIDTH = 7
+"""Of H:MM:SS."""
 COUNT = "{task.completed:,.0f}/{task.total:,.0f}"
 
 
@@ -25,9 +27,12 @@ def progress_bar(
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
     from rich.progress import TimeRemainingColumn as Remaining
+    from rich.table import Column
 
     counted = () if count is None else (TextColumn(count),)
-    columns = (TextColumn(title), BarColumn(), *counted, TimeElapsedColumn(), TextColumn("ETA"))
+    # On a narrow terminal, what follows the ETA is cut off, not the times.
+    taken = TimeElapsedColumn(Column(no_wrap=True, min_width=_TIME_WIDTH))
+    left = Remaining(table_column=Column(no_wrap=True, min_width=_TIME_WIDTH))
+    columns = (TextColumn(title), BarColumn(), *counted, taken, TextColumn("ETA"), left)
     rest = map(TextColumn, after)
-    console = Console(file=sys.stderr)
-    return Progress(*columns, Remaining(), *rest, console=console, transient=transient)
+    return Progress(*columns, *rest, console=Console(file=sys.stderr), transient=transient)

@@ -44,10 +44,11 @@ class BatchOptions(HowToComplete):
 
     SOURCE is a dataset of splatcomplete-data, a folder of object folders or splat files, or a
     manifest (.jsonl, .csv, .tsv) with one object per line: partial (splat file or object folder),
-    id, and options of that object alone (prompt, up, view, ...). RUNS/ID becomes the run folder of
-    object ID, with the same bytes as "gscomplete complete" gives. If a batch was stopped or killed,
-    the same command continues it; objects finished with the same input, options and weights are
-    not made again. If an object fails, its error and log are kept and the others go on.
+    id, and options of that object alone (prompt, up, view, ...). --prompt is for the objects that
+    have none there and no object.json. RUNS/ID becomes the run folder of object ID, with the same
+    bytes as "gscomplete complete" gives. If a batch was stopped or killed, the same command
+    continues it; objects finished with the same input, options and weights are not made again. If
+    an object fails, its error and log are kept and the others go on.
 
     SOURCE, RUNS and objects may be URLs (s3://bucket/folder, and any other that fsspec reads).
 

@@ -58,6 +58,7 @@ class CompleteJob:
 
         from gscomplete.cli.request import request_of, settings_of
         from gscomplete.completion.run_folder import execute, prepare
+        from gscomplete.folders import object_folder_of
 
         try:
             prior, device = _warm_prior(
@@ -70,6 +71,8 @@ class CompleteJob:
             field.name: getattr(self.options, field.name)
             for field in dataclasses.fields(HowToComplete)
         }
+        if object_folder_of(source) is not None:
+            shared["prompt"] = None  # the folder has one; the batch's is for objects without
         own = {_NAMES.get(name, name): value for name, value in item.options.items()}
         options = CompleteOptions(**(shared | own), partial=source, out=out, resume=resume)
         try:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from gscomplete.errors import UserError
-from gscomplete.util.file_names import require_suffix, shown_name, splat_stem
+from gscomplete.util.file_names import require_destination, shown_name, splat_stem
 
 if TYPE_CHECKING:
     from gscomplete.evaluate.kept import Kept
@@ -92,14 +92,14 @@ def run(options: EvaluateOptions) -> int:
 
 
 def check_tables(csv: Path | None, markdown: Path | None, latex: Path | None) -> None:
-    """Check the names of the tables before anything is measured.
+    """Check where the tables go before anything is measured.
 
     Raises:
-        UserError: one is not named as a table of its kind.
+        UserError: one is not named as a table of its kind, or cannot be written there.
     """
-    require_suffix("--csv", csv, (".csv", ".tsv", ".txt"))
-    require_suffix("--markdown", markdown, (".md", ".markdown", ".txt"))
-    require_suffix("--latex", latex, (".tex", ".txt"))
+    require_destination("--csv", csv, (".csv", ".tsv", ".txt"))
+    require_destination("--markdown", markdown, (".md", ".markdown", ".txt"))
+    require_destination("--latex", latex, (".tex", ".txt"))
 
 
 def write_tables(
@@ -186,6 +186,9 @@ def list_jobs(options: EvaluateOptions) -> list[Job]:
             if value:
                 raise UserError(f"{name}: expected together with --dataset")
         jobs = [named(str(path)) for path in options.paths]
+        for number, job in enumerate(jobs):
+            if job in jobs[:number]:
+                raise UserError(f"{job[1]}: expected each completion once, found it again")
         return [Job(path, method, options.object, path.name) for method, path in jobs]
     if not options.runs:
         raise UserError("--runs: expected at least one folder of runs, found none")
@@ -279,5 +282,8 @@ def _measure(
     report = evaluate(
         subject.completed, subject.partial, subject.views, truth=subject.truth, settings=settings
     )
-    row = row_of(report, job.method, subject.object, subject.subset, subject.seconds, subject.notes)
+    for warning in subject.warnings:
+        print(f"gscomplete: {job.method}: {subject.object}: {warning}", file=sys.stderr)
+    notes = (*subject.notes, *subject.warnings)
+    row = row_of(report, job.method, subject.object, subject.subset, subject.seconds, notes)
     return Kept(row, None if draw is None else draw(subject, row))

@@ -25,31 +25,76 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from gscomplete import __version__
 from gscomplete.errors import UserError
+from gscomplete.util.parse import shown_text
 
 DEBUG_VARIABLE = "GSCOMPLETE_DEBUG"
 """Set to anything, an unexpected error ends in its traceback."""
-
 _ALLOCATOR = "DefaultCPUAllocator: can't allocate memory"
 """What PyTorch's RuntimeError says where Python would raise a MemoryError."""
-
-
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # of glibc's malloc.h
 _KEPT_BYTES = 2**30
 _LARGEST_OF_OLD_GLIBC = 2**25
-
-
 _OBJECTS_BETWEEN_COLLECTIONS = 100_000
-
 
 how_to_go_on: ContextVar[str] = ContextVar("how_to_go_on")
 """What the running command tells after an interrupt; it may change that as it goes on."""
+
+
+def read_options(
+    command: Any,
+    arguments: Sequence[str],
+    *,
+    prog: str,
+    description: str,
+    config: Sequence[Any] = (),
+) -> Any:
+    """Read the words of a command line into the options of one of its commands.
+
+    Args:
+        command: union of the classes of options.
+        arguments: words of the command line.
+        prog: what the program is called.
+        description: what it does.
+        config: tyro's markers.
+    """
+    import tyro
+
+    with _joined_help():
+        return tyro.cli(
+            command, prog=prog, description=description, args=arguments, config=tuple(config)
+        )
+
+
+@contextlib.contextmanager
+def _joined_help() -> Iterator[None]:
+    """Have help texts of several lines wrapped as one.
+
+    The parser of docstrings keeps the indentation of their lines, and tyro takes indented lines for
+    those of a list.
+    """
+    import docstring_parser
+
+    parse = docstring_parser.parse_from_object
+
+    def joined(owner: object) -> Any:
+        found = parse(owner)
+        for option in found.params:
+            if option.description is not None:
+                option.description = " ".join(option.description.split())
+        return found
+
+    docstring_parser.parse_from_object = joined  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        docstring_parser.parse_from_object = parse
 
 
 class Stopped(KeyboardInterrupt):
@@ -141,7 +186,7 @@ def _guarded(program: str, command: Callable[[], int]) -> int:
 
     def say(message: str) -> None:
         with contextlib.suppress(OSError):  # the terminal may be gone
-            sys.stderr.write(f"{program}: {message}\n")
+            sys.stderr.write(f"{program}: {shown_text(message)}\n")
 
     received: list[KeyboardInterrupt] = []
     try:

@@ -12,9 +12,10 @@ from gscomplete.cli.guard import (
     keep_freed_memory,
     let_threads_sleep,
     print_version,
+    read_options,
     run_guarded,
 )
-from gscomplete.util.parse import with_new_names
+from gscomplete.util.parse import with_new_names, with_signs_joined
 
 let_threads_sleep()  # the commands load PyTorch, and with it the OpenMP runtime
 from gscomplete.cli import batch, complete, evaluate, render, report, validate, view, weights
@@ -53,11 +54,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     if arguments == ["--version"]:
         return print_version("gscomplete")
-    options = tyro.cli(
+    arguments = with_new_names(arguments, {"--size": "--object-size"})
+    options = read_options(
         Command,
+        with_signs_joined(arguments),
         prog="gscomplete",
         description="Complete partial 3D objects made of Gaussian splats.",
-        args=with_new_names(arguments, {"--size": "--object-size"}),
     )
     keep_freed_memory()
     return run_guarded(

@@ -19,7 +19,7 @@ from gscomplete.cli.evaluate import (
     write_tables,
 )
 from gscomplete.errors import UserError
-from gscomplete.util.file_names import require_suffix
+from gscomplete.util.file_names import require_destination
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def run(options: ReportOptions) -> int:
     from gscomplete.report.cards import card_of
     from gscomplete.report.page import write_page
 
-    require_suffix("--out", options.out, (".html", ".htm"))
+    require_destination("--out", options.out, (".html", ".htm"))
     check_tables(options.csv, options.markdown, options.latex)
     if not 100 <= options.most_splats <= 1_000_000:
         raise UserError(f"--most-splats: expected 100 to 1,000,000, found {options.most_splats}")

@@ -23,6 +23,7 @@ from gscomplete.folders import OBJECT_FILE, ObjectFolder, object_folder_of
 from gscomplete.framing.decide import FramingRequest
 from gscomplete.priors.base import Prior, ShapePrior
 from gscomplete.shape.mirror_plane import ChosenMirror, HalfCut, MirrorPlane
+from gscomplete.util.file_names import PARTIAL_FILE
 from gscomplete.util.parse import parse_numbers, parse_view, require_prompt, require_text
 from gscomplete.views import UpAxis, parse_up
 from gscomplete.views.distribution import AZIMUTH_RANGE_DEG, ELEVATION_RANGE_DEG
@@ -32,6 +33,8 @@ _MIXED_AT_EDGES = ("lidar", "singleview")
 """Subsets whose colours at P's edges may be mixed with those of what stood behind it."""
 _TRAINED = "multiview"
 """Subset whose splats are trained from photos."""
+_STORES = (("http:",), ("https:",), ("s3:",), ("gs:",))
+"""First parts of addresses as paths have them."""
 _ANYTHING = "an object"
 """Prompt of what is completed without one."""
 
@@ -194,7 +197,7 @@ def _require_guess(
         raise UserError(
             f"{name}: expected a run that starts from a guess of the complete object (--preset "
             f"default, fast or reconstruct with the embedded prior), found preset {options.preset} "
-            f"with prior {prior.name}"
+            f"with prior {prior.name}{' and --text-only' if options.text_only else ''}"
         )
 
 
@@ -240,6 +243,11 @@ def take_given(options: Options) -> Given:
         UserError: the path is a folder without a part, the prompt is missing, or an option is
             wrong.
     """
+    if options.path.parts[:1] in _STORES:
+        raise UserError(
+            f"{options.path}: expected a file or folder of this machine, found an address "
+            "(gscomplete batch reads from stores)"
+        )
     found = object_folder_of(options.path)
     if found is None and options.path.is_dir():
         raise UserError(
@@ -250,9 +258,15 @@ def take_given(options: Options) -> Given:
         raise UserError(f"{found.folder}: expected a {found.partial.name}, found none recorded")
     sources: dict[str, str] = {}
     notes: list[str] = []
-    if found is not None and options.path.suffix == ".ply" and options.path != found.partial:
+    means_folder = options.path.is_dir() or options.path.name in (OBJECT_FILE, PARTIAL_FILE)
+    if found is not None and not means_folder:
         notes.append(
             f"{options.path}: {found.partial}, the part of its object folder, is completed instead"
+        )
+    if found is not None and found.is_replaced(found.partial):
+        notes.append(
+            f"doubtful: {found.partial} is not the file that {OBJECT_FILE} records; what that says "
+            "may be of another object (--prompt, --up, --view and others give it)"
         )
     up = _up(options, found, sources)
     view = options.view_deg
@@ -300,6 +314,8 @@ def _prompt(options: Options, found: ObjectFolder | None, sources: dict[str, str
     if found is None and not options.needs_prompt:
         sources["prompt"] = "default"
         return _ANYTHING
+    if found is None and not options.path.exists():
+        raise UserError(f"{options.path}: expected a splat file or an object folder, found none")
     if found is None:
         raise UserError(
             f'--prompt: expected a name of the complete object, such as "a red mug", found none; '

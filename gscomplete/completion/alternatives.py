@@ -90,4 +90,5 @@ def alternatives_sheet(
     completions = [concatenate([partial, alternative.splats]) for alternative in alternatives]
     rows = [render_images(splats, cameras) for splats in (partial, completed, *completions)]
     labels = ["input", "this run", *(alternative.option for alternative in alternatives)]
+    title = f"{title}: guesses as they are, before a run keeps P's appearance"
     return contact_sheet(rows, row_labels=labels, title=title)

@@ -16,11 +16,6 @@ from gscomplete.render import Render
 from gscomplete.util.same_bits import fixed_sum
 
 
-def over(color: Tensor, alpha: Tensor, background: Tensor) -> Tensor:  # [..., 3], [...], [3]
-    """Place premultiplied colour over a background."""
-    return color + (1.0 - alpha)[..., None] * background
-
-
 def preservation_loss(
     completed: Render, partial: Render, background: Tensor, *, masked: bool
 ) -> Tensor:  # []
@@ -32,9 +27,7 @@ def preservation_loss(
         background: [3] colour behind both.
         masked: False sets M_c to one everywhere (the warm-up of section 3.3).
     """
-    difference = over(completed.color, completed.alpha, background) - over(
-        partial.color, partial.alpha, background
-    )
+    difference = completed.over(background).color - partial.over(background).color
     if masked:
         difference = difference * partial.alpha[..., None]
     return fixed_sum(difference.square()) / completed.alpha.shape[0]
@@ -51,9 +44,8 @@ def fit_loss(
         target_alpha: [V, H, W].
         background: [3].
     """
-    color = over(render.color, render.alpha, background) - over(
-        target_color, target_alpha, background
-    )
+    target = Render(target_color, target_alpha, render.depth).over(background)
+    color = render.over(background).color - target.color
     alpha = render.alpha - target_alpha
     return 0.5 * (fixed_sum(color.square()) + fixed_sum(alpha.square())) / render.alpha.shape[0]
 

@@ -30,7 +30,13 @@ from gscomplete.completion.preserve.outcome import HardPreservationReport
 from gscomplete.completion.seam import SeamColorReport, match_seam_colors
 from gscomplete.completion.settings import CompletionSettings
 from gscomplete.completion.start import start_splats
-from gscomplete.evaluate.doubts import doubts_of_guess, doubts_of_partial, doubts_of_result
+from gscomplete.errors import naming
+from gscomplete.evaluate.doubts import (
+    doubts_of_guess,
+    doubts_of_partial,
+    doubts_of_result,
+    doubts_of_values,
+)
 from gscomplete.framing.check import (
     check_given_frame,
     describe_frame,
@@ -248,7 +254,7 @@ def prepare(
     with stage("strays"):
         working = working_set(drawable, MAX_WORKING_SPLATS, name, turn)
     notes += describe_suspects(working.heeded)
-    with stage("frame"):
+    with stage("frame"), naming(name):
         framing = framing_for(working.heeded, framing_request, prior)
     notes += framing.notes
     if framing_request.center_file is not None or framing_request.size_file is not None:
@@ -279,7 +285,8 @@ def prepare(
 
     report = () if settings.start == "fill" else conditioning.report  # gaps heed no prompt
     notes += (start.note, *filter(None, (settled.note,)), *skipped, *report)
-    doubts = doubts_of_partial(heeded)
+    is_size_given = framing_request.size_file is not None
+    doubts = doubts_of_values(drawable) + doubts_of_partial(heeded, is_size_given=is_size_given)
     doubts += doubts_of_guess(settled.hidden_share)
     notes += doubts
     if request.negative_prompt and not steps.heeds_negative_prompt:

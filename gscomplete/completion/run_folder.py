@@ -23,6 +23,7 @@ from gscomplete.completion.alternatives import alternatives_sheet, guess_alterna
 from gscomplete.completion.optimise import Optimisation, StepReport
 from gscomplete.completion.pipeline import Completed, Prepared
 from gscomplete.errors import UserError
+from gscomplete.evaluate.doubts import doubts_of_change
 from gscomplete.evaluate.pictures import (
     draw_turntable,
     preview_sheet,
@@ -40,6 +41,7 @@ from gscomplete.fitting.step_loop import (
     run_steps,
 )
 from gscomplete.folders import OUTPUT_FILE, RUN_FILE, alternative_file
+from gscomplete.folders.run_folder import SCHEMA
 from gscomplete.priors.base import Prior
 from gscomplete.splats import transform_splats, write_splats
 from gscomplete.splats.formats.any_file import read_splat_file
@@ -207,6 +209,9 @@ def execute(run: Run, on_step: Callable[[StepReport], None]) -> dict[str, Any]:
     together = completed.in_object_frame
     with stage("metrics"):
         metrics = jsonio.to_json(evaluate(together, completed.partial, completed.views))
+    change = metrics["all_views"]
+    doubts = doubts_of_change(change["color"], change["depth"])
+    run.notes += doubts
     run.timings["measure_s"] = time.perf_counter() - started
     started = time.perf_counter()
     title = run.request.completion.prompt
@@ -230,7 +235,7 @@ def execute(run: Run, on_step: Callable[[StepReport], None]) -> dict[str, Any]:
         "seam_colors": jsonio.to_json(completed.seam_colors),
         "hard_preservation": jsonio.to_json(completed.hard_preservation),
         "alternatives": alternatives,
-        "doubts": list(completed.doubts),
+        "doubts": [*completed.doubts, *doubts],
     }
     return _write_run_file(run, "finished", result)
 
@@ -295,7 +300,7 @@ def _write_run_file(run: Run, status: str, result: dict[str, Any] | None) -> dic
     """Write and return the content of ``run.json``."""
     folder, new_only = run.request.object_folder, run.request.new_only
     content = {
-        "schema": "gscomplete.run",
+        "schema": SCHEMA,
         "version": 1,
         "status": status,
         "input": {

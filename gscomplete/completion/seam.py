@@ -19,17 +19,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.splats.geometry.nearest import query_nearest
 from gscomplete.splats.oklab import oklab_from_srgb, srgb_from_oklab
+from gscomplete.util.arrays import Float64Array
 
 _LEAST_SHARE = 0.01
 """Splats get no correction where it has faded below this share."""
-
-FloatArray = NDArray[np.float64]
-
 _REACH = 0.05
 """New splats within this distance of one of P's are at the seam."""
 _SMOOTHNESS = 0.05
@@ -40,6 +38,8 @@ _NEIGHBOURS = 16
 """Colours are means over this many splats, so that patterns are not corrected away."""
 _ANCHORS = 64
 """Most splats at the seam that the correction of one new splat is interpolated from."""
+_BLOCK = 20_000
+"""About so many new splats are corrected at a time: each takes room for its anchors."""
 _LEAST_OPACITY = 0.1
 """Fainter splats take no part."""
 
@@ -108,29 +108,32 @@ class _Colors:
         self._lab = oklab_from_srgb(base).numpy()
         self._nearest = list(range(1, min(_NEIGHBOURS, len(splats)) + 1))
 
-    def distance(self, points: FloatArray) -> FloatArray:  # [M, 3] -> [M]
+    def distance(self, points: Float64Array) -> Float64Array:  # [M, 3] -> [M]
         """Return the distance to the nearest splat."""
         return np.asarray(self._tree.query(points)[0])
 
-    def mean(self, points: FloatArray) -> FloatArray:  # [M, 3] -> [M, 3]
+    def mean(self, points: Float64Array) -> Float64Array:  # [M, 3] -> [M, 3]
         """Return the mean colour of the nearest splats."""
         _, index = self._tree.query(points, k=self._nearest)
         return np.asarray(self._lab[index].mean(axis=1))
 
 
 def _spread(
-    gap: FloatArray,  # [A, 3]
-    anchors: FloatArray,  # [A, 3]
-    points: FloatArray,  # [N, 3]
-) -> FloatArray:  # [N, 3]
+    gap: Float64Array,  # [A, 3]
+    anchors: Float64Array,  # [A, 3]
+    points: Float64Array,  # [N, 3]
+) -> Float64Array:  # [N, 3]
     """Smooth differences at the seam along it, and let them fade with the distance from it."""
     tree = cKDTree(anchors)
     nearest = list(range(1, min(_ANCHORS, len(anchors)) + 1))
-    distance, index = tree.query(points, k=nearest)
-    # Relative to the nearest anchor, so that weights far from the seam do not vanish all at once.
-    beyond = distance**2 - distance[:, :1] ** 2
-    weight = np.exp(-0.5 * beyond / _SMOOTHNESS**2)
-    weight /= weight.sum(axis=1, keepdims=True)
-    fading = np.exp(-0.5 * (distance[:, 0] / _FADE) ** 2)
-    fading[fading < _LEAST_SHARE] = 0.0
-    return fading[:, None] * (weight[:, :, None] * gap[index]).sum(axis=1)
+    away, _ = query_nearest(tree, points)
+    fading = np.exp(-0.5 * (away / _FADE) ** 2)
+    result = np.zeros((len(points), gap.shape[1]))
+    for rows in np.array_split(np.flatnonzero(fading >= _LEAST_SHARE), len(points) // _BLOCK + 1):
+        distance, index = query_nearest(tree, points[rows], nearest)
+        # Relative to the nearest anchor, so that weights do not vanish all at once far from it.
+        beyond = distance**2 - distance[:, :1] ** 2
+        weight = np.exp(-0.5 * beyond / _SMOOTHNESS**2)
+        weight /= weight.sum(axis=1, keepdims=True)
+        result[rows] = fading[rows, None] * (weight[:, :, None] * gap[index]).sum(axis=1)
+    return result

@@ -19,7 +19,7 @@ from gscomplete.fitting.finite import require_finite
 from gscomplete.fitting.parameters import Bounds
 from gscomplete.priors.base import Conditioning, FirstGuess, Prior, PriorViews, ShapePrior
 from gscomplete.shape.colors.edges import without_mixed_edges
-from gscomplete.shape.mirror_plane import MirrorWish
+from gscomplete.shape.mirror_plane import HalfCut, MirrorWish
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.util.randomness import generator_for, sphere_points
 from gscomplete.views import ViewDistribution
@@ -141,10 +141,10 @@ def _guess(
     if guess is None:
         return None
     notes = [f"start: {len(guess.splats):,} splats that the prior guesses", *guess.notes]
-    if settings.captured:
+    if settings.captured and not isinstance(settings.mirror, HalfCut):
         notes.append(
-            "P is a capture that was not cut: the guess keeps to P's outlines from where they seem "
-            "to be the object's (--captured no uses the scorer of other parts)"
+            "P is a capture that was not cut, as it seems: the guess keeps to P's outlines from "
+            "where they seem to be the object's (--captured no if the object was cut through)"
         )
     if recolored:
         notes.append(

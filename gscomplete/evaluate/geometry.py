@@ -17,10 +17,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gscomplete.splats import Splats
+from gscomplete.util.arrays import Float64Array
 
 SOLID = 0.3
 """Opacity above which a splat counts as surface."""
@@ -30,8 +30,6 @@ OWN = 0.015
 """Surface this near to P's is P's own."""
 _FEWEST = 20
 """With fewer places of hidden truth there is nothing to measure."""
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +71,7 @@ def hidden_surface_errors(
     )  # fmt: skip
 
 
-def _surface(splats: Splats) -> FloatArray:  # [n, 3]
+def _surface(splats: Splats) -> Float64Array:  # [n, 3]
     """Return the centres of solid splats, averaged by cell."""
     solid = splats.opacities > SOLID
     means = splats.means[solid].detach().double().cpu().numpy()
@@ -88,14 +86,14 @@ def _surface(splats: Splats) -> FloatArray:  # [n, 3]
     return np.stack(sums, axis=1) / count[:, None]
 
 
-def _distances(points: FloatArray, surface: FloatArray) -> FloatArray:  # [n]
+def _distances(points: Float64Array, surface: Float64Array) -> Float64Array:  # [n]
     """Return the distance of every point to the nearest of a surface; infinite if that is empty."""
     if len(surface) == 0 or len(points) == 0:
         return np.full(len(points), np.inf)
     return np.asarray(cKDTree(surface).query(points)[0])
 
 
-def _f_score(reach: FloatArray, excess: FloatArray, limit: float) -> float:
+def _f_score(reach: Float64Array, excess: Float64Array, limit: float) -> float:
     """Return the harmonic mean of recall and precision within a distance."""
     recall = float((reach < limit).mean())
     precision = float((excess < limit).mean()) if len(excess) else 0.0

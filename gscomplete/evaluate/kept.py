@@ -81,7 +81,10 @@ class KeptResults:
             UserError: the folder cannot be written.
         """
         path = self._path(method, object_id)
-        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise UserError(f"{path.parent}: cannot create it ({error.strerror})") from error
         content = {
             "made_from": self._made_from(sources),
             "row": jsonio.to_json(kept.row),

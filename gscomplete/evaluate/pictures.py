@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
+from PIL.PngImagePlugin import PngInfo
 from torch import Tensor
 
 from gscomplete.errors import UserError
@@ -29,6 +30,8 @@ LIGHT_GREY = (0.78, 0.78, 0.78)
 """Background of pictures made for people."""
 ERROR_INK = (0.8, 0.05, 0.05)
 """Colour of large errors."""
+_MARK = ("Software", "GSComplete")
+"""Text in every PNG file."""
 _ERROR_GAIN = 4.0
 """Differences of colours are drawn this much larger."""
 _INK = (40, 40, 40)
@@ -190,8 +193,37 @@ def save_image(image: Image.Image, path: Path) -> None:
         UserError: the suffix names no picture format, or the folder cannot be written.
     """
     _require_format(path)
+    text = PngInfo()
+    text.add_text(*_MARK)
     with atomic_path(path) as temporary:
-        image.save(temporary)
+        if path.suffix.lower() == ".png":
+            image.save(temporary, pnginfo=text)
+        else:
+            image.save(temporary)
+
+
+def require_own_picture(path: Path) -> None:
+    """Refuse to replace a picture of a name that the user did not give, unless we drew it.
+
+    Args:
+        path: a PNG file, which need not exist.
+
+    Raises:
+        UserError: it exists, and ``save_image`` did not write it.
+    """
+    if not path.exists():
+        return
+    name, value = _MARK
+    try:
+        with Image.open(path) as image:
+            is_ours = image.info.get(name) == value
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+        is_ours = False
+    if not is_ours:
+        raise UserError(
+            f"{path}: would be replaced, but was not drawn by this program; move it away, or run "
+            "this in another folder"
+        )
 
 
 def draw_turntable(splats: Splats, views: ViewDistribution) -> list[Image.Image]:

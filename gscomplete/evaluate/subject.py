@@ -4,8 +4,8 @@ Conventions
 -----------
 * If the object folder is known, its frame, V and truth are used, the same for every method;
   otherwise those of the run.
-* A run's O contains P's splats. Another system's result, a splat file, is used as it is; it
-  contains P if its first splats lie where P's do.
+* A run's O begins with P's splats, and is refused if these are not the object's. Another system's
+  result, a splat file, is used as it is; it contains P if its first splats lie where P's do.
 * In a folder of runs, the completion of the object ``ID`` is ``ID`` or ``ID_completed`` (a run
   folder) or ``ID.ply`` (a splat file of any format, in P's file frame).
 """
@@ -15,7 +15,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import torch
+from scipy.spatial import cKDTree
+
 from gscomplete.errors import UserError
+from gscomplete.evaluate.doubts import MARK
 from gscomplete.folders import (
     OBJECT_FILE,
     RUN_FILE,
@@ -33,6 +37,11 @@ from gscomplete.views import ObjectFrame, ViewDistribution
 _SAME_PLACE = 1e-4
 """Splats at most this far apart, in object sizes, are at the same place: float32 coordinates change
 by less when they are transformed back and forth."""
+_SAME_VALUE, _LEAST_SCALE = 1e-3, 1e-20
+"""P's other values are the same within the first; scales are compared by their logarithms."""
+_NEAR, _MOSTLY = 0.05, 0.5
+"""A result is doubtful if a smaller share of P's splats has one of its own within this (object
+sizes)."""
 _TIMINGS = ("prepare_s", "optimise_s", "finish_s")
 """Stages of a run that count as completing; writing files and drawing pictures do not."""
 
@@ -53,6 +62,9 @@ class Subject:
     """From the file frame to the object frame."""
     seconds: float | None = None
     notes: tuple[str, ...] = ()
+    """What the run says of itself."""
+    warnings: tuple[str, ...] = ()
+    """What reading it found odd."""
     settings: str = ""
     """How it was made, for people; empty = not known."""
     timings: dict[str, float] = field(default_factory=dict)
@@ -116,17 +128,28 @@ def _read_run(folder: Path, method: str, owner: Path | None) -> Subject:
     run = read_run_folder(folder)
     owner = owner or run.object_folder
     known = object_folder_of(owner) if owner is not None else None
-    partial, new = (_drawable(splats) for splats in run.read())
+    partial, new = run.read()
+    _check_count(run, len(new))
+    partial, new = _drawable(partial), _drawable(new)
     frame = run.frame if known is None else known.frame
     truth = None
+    warnings: tuple[str, ...] = ()
     if known is not None:
-        count = len(read_splats(known.partial).splats)
-        if count != run.partial_count:
+        given = read_splats(known.partial).splats
+        if len(given) != run.partial_count:
             raise UserError(
-                f"{run.folder}: expected a run of {known.partial} with {count} splats, found one "
-                f"of {run.partial_count}"
+                f"{run.folder}: expected a run of {known.partial} with {len(given)} splats, found "
+                f"one of {run.partial_count}"
+            )
+        if not _is_same(partial, _drawable(given), frame.size_file):
+            raise UserError(
+                f"{run.output}: expected the splats of {known.partial} first, found others: it "
+                "completes another part, or was changed"
             )
         truth = _truth(known)
+        warnings = _other_views(run, known)
+    elif owner is not None:
+        warnings = (f"{owner}: the object's folder is not there, so there is no truth to compare",)
     to_object = frame.object_from_file
     return Subject(
         method,
@@ -140,10 +163,45 @@ def _read_run(folder: Path, method: str, owner: Path | None) -> Subject:
         frame,
         _seconds(run),
         tuple(str(note) for note in run.content.get("notes", ())),
+        warnings,
         _settings(run),
         dict(run.content.get("timings") or {}),
         dict(run.content["input"].get("sources") or {}),
     )
+
+
+def _other_views(run: RunFolder, known: ObjectFolder) -> tuple[str, ...]:
+    """Tell that the user gave the run another V than the one that completions are measured over."""
+    sources = run.content["input"].get("sources") or {}
+    given = [sources.get(name) for name in ("input_view", "V")]
+    if not any(str(source).startswith("--") for source in given):
+        return ()
+    ours, theirs = known.views, run.views
+    return (
+        f"{run.folder}: P's appearance was kept from other views ({_in_words(theirs)}) than those "
+        f"of {OBJECT_FILE} that it is measured from ({_in_words(ours)})",
+    )
+
+
+def _in_words(views: ViewDistribution) -> str:
+    """Return V as options give it."""
+    return (
+        f"--view={views.azimuth_deg:g},{views.elevation_deg:g} --range={views.azimuth_range_deg:g}"
+    )
+
+
+def _check_count(run: RunFolder, count: int) -> None:
+    """Refuse a result of which splats are missing, or to which some were added.
+
+    Raises:
+        UserError: the run records another number of new splats.
+    """
+    recorded = (run.content.get("result") or {}).get("new_splats")
+    if isinstance(recorded, int) and recorded != count:
+        raise UserError(
+            f"{run.output}: expected {recorded:,} new splats, as {RUN_FILE} says, found {count:,}: "
+            "it was changed"
+        )
 
 
 def _read_result(path: Path, method: str, known: ObjectFolder) -> Subject:
@@ -161,16 +219,53 @@ def _read_result(path: Path, method: str, known: ObjectFolder) -> Subject:
         None if truth is None else transform_splats(truth, to_object),
         known.views,
         known.frame,
-        holds_partial=_begins_with(completed, partial),
+        warnings=_doubts_of_result(path, completed, partial),
+        holds_partial=_begins_with(completed, partial, 1.0),
     )
 
 
-def _begins_with(completed: Splats, partial: Splats) -> bool:
-    """Tell whether a completion's first splats are P's."""
+def _begins_with(completed: Splats, partial: Splats, size: float) -> bool:
+    """Tell whether a completion's first splats lie where P's do.
+
+    Args:
+        completed: O, or its first splats.
+        partial: P.
+        size: of the object, in the units of both.
+    """
     if len(completed) < len(partial):
         return False
     away = (completed.means[: len(partial)] - partial.means).abs()
-    return bool((away < _SAME_PLACE).all())
+    return bool((away < _SAME_PLACE * size).all())
+
+
+def _is_same(partial: Splats, given: Splats, size: float) -> bool:
+    """Tell whether splats are P's, in every value."""
+    if len(partial) != len(given) or not _begins_with(partial, given, size):
+        return False
+    pairs = [
+        (partial.opacities, given.opacities),
+        (partial.scales.clamp_min(_LEAST_SCALE).log(), given.scales.clamp_min(_LEAST_SCALE).log()),
+        (partial.quaternions, given.quaternions),
+        (partial.sh, given.sh),
+    ]
+    return all(
+        mine.shape == theirs.shape and torch.allclose(mine, theirs, rtol=0, atol=_SAME_VALUE)
+        for mine, theirs in pairs
+    )
+
+
+def _doubts_of_result(path: Path, completed: Splats, partial: Splats) -> tuple[str, ...]:
+    """Return what makes another system's result doubtful as a completion of P."""
+    if not len(completed) or not len(partial):
+        return ()
+    distances, _ = cKDTree(completed.means.double().numpy()).query(partial.means.double().numpy())
+    near = float((distances < _NEAR).mean())
+    if near >= _MOSTLY:
+        return ()
+    return (
+        f"{MARK}{path}: only {near:.0%} of P's splats have a splat of the result within {_NEAR:g} "
+        "object sizes: expected a completion of P in the coordinates of P's file",
+    )
 
 
 def _truth(known: ObjectFolder) -> Splats | None:

@@ -79,13 +79,18 @@ def measures_of(rows: Sequence[Row]) -> list[Measure]:
 
 
 def best_method(rows: Sequence[Row], measure: Measure) -> str | None:
-    """Return the method with the best mean; None where fewer than two have one."""
-    means = {}
+    """Return the method with the best mean.
+
+    None where fewer than two have one, or no object is common to all that have.
+    """
+    means, common = {}, {row.object for row in rows}
     for method in methods_of(rows):
-        mean = mean_of([row for row in rows if row.method == method], measure.name)
+        own = [row for row in rows if row.method == method]
+        mean = mean_of(own, measure.name)
         if mean is not None:
             means[method] = mean.value
-    if len(means) < 2:
+            common &= {row.object for row in own}
+    if len(means) < 2 or not common:
         return None
     choose = min if measure.lower_is_better else max
     return choose(means, key=lambda method: means[method])

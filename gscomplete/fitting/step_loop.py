@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -138,17 +138,25 @@ def require_same_identity(path: Path, identity: dict[str, Any]) -> None:
         if found == value:
             continue
         if isinstance(value, dict) and isinstance(found, dict):
-            detail = "; ".join(
-                f"{name}: the run has {_of(found, name)}, asked for {_of(value, name)}"
-                for name in {**value, **found}
-                if (name in found, found.get(name)) != (name in value, value.get(name))
-            )
+            detail = "; ".join(_differences(found, value))
         else:
             detail = f"the run has {found!r}, asked for {value!r}"
         raise UserError(
             f"{path}: cannot resume with another {key}: {detail}; resume with the options that it "
             "was started with"
         )
+
+
+def _differences(stored: dict[str, Any], asked: dict[str, Any], inside: str = "") -> Iterator[str]:
+    """Yield what differs, value by value."""
+    for name in {**asked, **stored}:
+        mine, theirs = stored.get(name), asked.get(name)
+        if (name in stored, mine) == (name in asked, theirs):
+            continue
+        if isinstance(mine, dict) and isinstance(theirs, dict):
+            yield from _differences(mine, theirs, f"{inside}{name}.")
+        else:
+            yield f"{inside}{name}: the run has {_of(stored, name)}, asked for {_of(asked, name)}"
 
 
 def _of(settings: dict[str, Any], name: str) -> str:

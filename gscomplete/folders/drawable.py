@@ -3,7 +3,8 @@
 Conventions
 -----------
 * A run folder stands for its ``completed.ply``, an object folder for its ``partial.ply``. A file
-  stands for itself, but its frame still comes from the folder that it belongs to.
+  stands for itself, but its frame still comes from the folder that it belongs to, if the record
+  there is one of ours.
 """
 
 from __future__ import annotations
@@ -13,7 +14,12 @@ from pathlib import Path
 
 from gscomplete.errors import UserError
 from gscomplete.folders.object_folder import OBJECT_FILE, object_folder_of
-from gscomplete.folders.run_folder import OUTPUT_FILE, RUN_FILE, read_run_folder
+from gscomplete.folders.run_folder import (
+    OUTPUT_FILE,
+    RUN_FILE,
+    is_run_file,
+    read_run_folder,
+)
 from gscomplete.util.file_names import SPLAT_SUFFIXES, splat_stem
 from gscomplete.views import ObjectFrame, ViewDistribution
 
@@ -42,7 +48,9 @@ def drawable_of(path: Path) -> Drawable:
         UserError: it is a folder of another kind, or its record cannot be read.
     """
     folder = path if path.is_dir() else path.parent
-    means_run = path.is_dir() or path.name in (OUTPUT_FILE, RUN_FILE)
+    means_run = path.is_dir() or path.name == RUN_FILE
+    if path.name == OUTPUT_FILE and path.is_file():
+        means_run = is_run_file(folder / RUN_FILE)
     if means_run and (folder / RUN_FILE).is_file():
         run = read_run_folder(folder)
         return Drawable(run.output, run.frame, run.views)

@@ -12,14 +12,17 @@ Conventions
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 
 from gscomplete.errors import UserError
+from gscomplete.util.digests import sha256_of
 from gscomplete.util.file_names import COMPLETE_FILE, OBJECT_FILE, PARTIAL_FILE, is_plain_name
-from gscomplete.util.jsonio import read_json
-from gscomplete.util.parse import is_text
+from gscomplete.util.jsonio import has_schema, read_json
+from gscomplete.util.parse import has_controls, is_text
 from gscomplete.views import FrameOrigin, GivenOfFrame, ObjectFrame, ViewDistribution
 
 SCHEMA = "splatcomplete.object"
@@ -27,8 +30,14 @@ SCHEMA = "splatcomplete.object"
 SCHEMA_VERSION = 1
 """Version of the JSON form; other versions are refused."""
 
+Subset = Literal["multiview", "singleview", "lidar", "mesh"]
+"""Kinds of source, as in the paper's section "Dataset"."""
+
+_SUBSETS: tuple[Subset, ...] = get_args(Subset)
 _ORIGINS: tuple[FrameOrigin, ...] = get_args(FrameOrigin)
 _GIVEN: tuple[GivenOfFrame, ...] = get_args(GivenOfFrame)
+_HALF_DIAGONAL = math.sqrt(3) / 2
+"""Of a cube that holds the object, object sizes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +47,8 @@ class ObjectFolder:
     folder: Path
     id: str
     """Name, unique within a dataset."""
-    subset: str
-    """Kind of source: multiview, singleview, lidar or mesh."""
+    subset: Subset
+    """Kind of source."""
     prompt: str
     """What the complete object is."""
     frame: ObjectFrame
@@ -52,6 +61,8 @@ class ObjectFolder:
     """Input view c and view distribution V."""
     files: frozenset[str]
     """Names of the files that it records."""
+    digests: Mapping[str, str] = field(default_factory=dict, compare=False)
+    """SHA-256 of these files by their names, where it is recorded."""
 
     @property
     def partial(self) -> Path:
@@ -72,6 +83,11 @@ class ObjectFolder:
     def known_size(self) -> float | None:
         """The frame's size if the user gave it; None if it is the truth's or a guess."""
         return self.frame.size_file if "size" in self.frame_given else None
+
+    def is_replaced(self, path: Path) -> bool:
+        """Tell whether one of its files is there, but not the one that was recorded."""
+        digest = self.digests.get(path.name)
+        return digest is not None and path.is_file() and sha256_of(path) != digest
 
 
 def read_object_folder(folder: Path) -> ObjectFolder:
@@ -111,17 +127,47 @@ def read_object_folder(folder: Path) -> ObjectFolder:
     files = data.get("files")
     if not isinstance(files, dict):
         raise UserError(f"{path}: files: expected an object, found {files!r}")
+    subset = data.get("subset")
+    if subset not in _SUBSETS:
+        expected = ", ".join(_SUBSETS)
+        raise UserError(f"{path}: subset: expected one of {expected}, found {subset!r}")
     return ObjectFolder(
         folder,
         object_id,
-        _text(data, "subset", path),
+        subset,
         _text(data, "prompt", path),
         ObjectFrame.from_json(data.get("frame"), f"{path}: frame"),
         origin,
         frozenset(given),
-        ViewDistribution.from_json(data.get("views"), f"{path}: views"),
+        read_views(data.get("views"), str(path)),
         frozenset(files),
+        _digests(files),
     )
+
+
+def read_views(data: Any, source: str) -> ViewDistribution:
+    """Read the view distribution of an object, whose views see it.
+
+    Args:
+        data: JSON values.
+        source: the file named in errors.
+
+    Returns:
+        Input view c and V.
+
+    Raises:
+        UserError: a field is missing, unknown or wrong, or the views look past the object.
+    """
+    views = ViewDistribution.from_json(data, f"{source}: views")
+    seen = views.radius * math.tan(math.radians(views.fov_deg / 2))  # to either side of the target
+    limit = seen + _HALF_DIAGONAL
+    if not math.hypot(*views.target) <= limit:
+        found = ",".join(f"{value:g}" for value in views.target)
+        raise UserError(
+            f"{source}: views: target: expected a point from which the object is in sight, at most "
+            f"{limit:.3g} object sizes from its centre, found {found}"
+        )
+    return views
 
 
 def object_folder_of(path: Path) -> ObjectFolder | None:
@@ -142,24 +188,25 @@ def object_folder_of(path: Path) -> ObjectFolder | None:
         folder = path if path.is_dir() else path.parent
         return read_object_folder(folder) if (folder / OBJECT_FILE).is_file() else None
     beside = path.with_name(OBJECT_FILE)
-    if not (path.is_file() and beside.is_file()) or not _is_ours(beside):
+    if not (path.is_file() and beside.is_file()) or not has_schema(beside, SCHEMA):
         return None
     found = read_object_folder(path.parent)
     return found if path.name in found.files else None
 
 
-def _is_ours(path: Path) -> bool:
-    """Tell whether a file called object.json is one of ours: other programs may call theirs so."""
-    try:
-        data = read_json(path)
-    except UserError:
-        return False
-    return isinstance(data, dict) and data.get("schema") == SCHEMA
+def _digests(files: dict[str, Any]) -> dict[str, str]:
+    """Return the SHA-256 of the files of which it is recorded."""
+    found = {name: file.get("sha256") for name, file in files.items() if isinstance(file, dict)}
+    return {name: digest for name, digest in found.items() if isinstance(digest, str)}
 
 
 def _text(data: dict[str, Any], name: str, path: Path) -> str:
-    """Return a text field that is not empty."""
+    """Return a text field that is not empty and can be shown."""
     value = data.get(name)
     if not isinstance(value, str) or not value.strip() or not is_text(value):
         raise UserError(f"{path}: {name}: expected a text, found {value!r}")
+    if has_controls(value):
+        raise UserError(
+            f"{path}: {name}: expected a text without control characters, found {value!r}"
+        )
     return value

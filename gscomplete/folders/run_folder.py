@@ -17,8 +17,11 @@ import torch
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, read_splats
 from gscomplete.util.file_names import ALTERNATIVES_FOLDER, OUTPUT_FILE, RUN_FILE
-from gscomplete.util.jsonio import read_json
+from gscomplete.util.jsonio import has_schema, read_json
 from gscomplete.views import ObjectFrame, ViewDistribution
+
+SCHEMA = "gscomplete.run"
+"""Name of the JSON form of ``run.json``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +84,11 @@ def alternative_file(number: int) -> str:
         The path within the run folder.
     """
     return f"{ALTERNATIVES_FOLDER}/{number}.ply"
+
+
+def is_run_file(path: Path) -> bool:
+    """Tell whether a file is the record of a run: other programs may call theirs so."""
+    return has_schema(path, SCHEMA)
 
 
 def read_run_folder(folder: Path) -> RunFolder:

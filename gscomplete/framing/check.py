@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
 from gscomplete.render import render
 from gscomplete.splats import Splats
 from gscomplete.splats.filters import near_rows
+from gscomplete.util.arrays import Float64Array
 from gscomplete.views import ObjectFrame, ViewDistribution
 
 _LEAST_SHARE = 0.01
@@ -125,12 +125,12 @@ def require_visible(partial: Splats, views: ViewDistribution, name: str) -> None
         )
 
 
-def _middle_box(splats: Splats) -> tuple[NDArray[np.float64], NDArray[np.float64]]:  # [3], [3]
+def _middle_box(splats: Splats) -> tuple[Float64Array, Float64Array]:  # [3], [3]
     """Return the box of the splats' centres, without the farthest 0.1 % on each side."""
     low, high = np.quantile(splats.means.double().numpy(), [0.001, 0.999], axis=0)
     return low, high
 
 
-def _point(values: NDArray[np.float64]) -> str:
+def _point(values: Float64Array) -> str:
     """Write a point as ``--center`` reads it."""
     return ",".join(f"{value:.4g}" for value in values)

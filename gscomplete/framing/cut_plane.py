@@ -20,13 +20,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gscomplete.splats.geometry.neighbourhood import ON_RIM, normals_at, one_sidedness
+from gscomplete.splats.geometry.upright_plane import UprightPlane, fitted_to_edge
 from gscomplete.splats.thinning import every_nth
-
-FloatArray = NDArray[np.float64]
+from gscomplete.util.arrays import Float64Array
 
 _MOST_POINTS = 6000
 _TESTED = 1500
@@ -74,25 +73,6 @@ _OWN_SYMMETRY, _OWN_TOLERANCE, _OWN_SHIFTS = 0.95, 0.02, (-0.01, 0.0, 0.01)
 """Nor is P symmetric about its cut if more of it than this has its mirror image on P itself, about
 a parallel plane through P's middle, within the tolerance, in sides of P's box: it then lacks
 nothing that way. The plane is also tried beside the middle."""
-
-
-@dataclass(frozen=True, slots=True)
-class UprightPlane:
-    """The points x with ``normal . x = offset``."""
-
-    azimuth_deg: float
-    """Azimuth of its normal, which points to the side that was cut away."""
-    offset: float
-
-    @property
-    def normal(self) -> FloatArray:  # [3]
-        """Unit normal, which is horizontal."""
-        angle = math.radians(self.azimuth_deg)
-        return np.array([math.cos(angle), math.sin(angle), 0.0])
-
-    def mirrored(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
-        """Mirror points through the plane."""
-        return points + 2 * (self.offset - points @ self.normal)[:, None] * self.normal
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,8 +124,8 @@ class CutPlane(UprightPlane):
 
 
 def find_cut(
-    points: FloatArray,  # [N, 3] z up
-    axes: FloatArray | None = None,  # [N, 3]
+    points: Float64Array,  # [N, 3] z up
+    axes: Float64Array | None = None,  # [N, 3]
 ) -> CutPlane | None:
     """Return the upright plane that P was cut along, P on one side of it; None = there is none.
 
@@ -186,21 +166,22 @@ def find_cut(
         _breadth(in_plane, normal, 0.05) / max(_breadth(chosen, normal, 0.005), 1e-12),
         float(np.ptp(chosen[:, 2])),
     )
-    if not plane.is_square:
-        return plane
-    return dataclasses.replace(plane, own_symmetry=_own_symmetry(chosen, tree, normal))
+    if plane.is_square:
+        plane = dataclasses.replace(plane, own_symmetry=_own_symmetry(chosen, tree, normal))
+    edge = fitted_to_edge(points, plane)
+    return dataclasses.replace(plane, azimuth_deg=edge.azimuth_deg, offset=edge.offset)
 
 
-def _breadth(points: FloatArray, normal: FloatArray, left_out: float) -> float:  # [N, 3], [3]
+def _breadth(points: Float64Array, normal: Float64Array, left_out: float) -> float:  # [N, 3], [3]
     """Return how far points reach along a plane, without a share of them at both ends."""
     along = points @ np.array([-normal[1], normal[0], 0.0])
     return float(np.ptp(np.quantile(along, (left_out, 1.0 - left_out))))
 
 
 def _own_symmetry(
-    points: FloatArray,  # [N, 3]
+    points: Float64Array,  # [N, 3]
     tree: cKDTree,
-    normal: FloatArray,  # [3]
+    normal: Float64Array,  # [3]
 ) -> float:
     """Return how much of P is symmetric (``CutPlane.own_symmetry``)."""
     low, high = np.quantile(points @ normal, (0.005, 0.995))
@@ -214,10 +195,10 @@ def _own_symmetry(
 
 
 def _wall_cosine(
-    points: FloatArray,  # [N, 3]
+    points: Float64Array,  # [N, 3]
     tree: cKDTree,
-    axes: FloatArray | None,  # [N, 3]
-    normal: FloatArray,  # [3]
+    axes: Float64Array | None,  # [N, 3]
+    normal: Float64Array,  # [3]
     offset: float,
 ) -> float:
     """Return how slantingly walls meet an upright plane (``CutPlane.wall_cosine``)."""
@@ -233,11 +214,11 @@ def _wall_cosine(
 
 
 def _best_plane(
-    points: FloatArray,  # [N, 3]
-    rim: FloatArray,  # [R, 3]
-) -> tuple[FloatArray, FloatArray] | None:  # [3], [K, 3]
+    points: Float64Array,  # [N, 3]
+    rim: Float64Array,  # [R, 3]
+) -> tuple[Float64Array, Float64Array] | None:  # [3], [K, 3]
     """Return the normal of the plane with most of the rim, and the rim's points in it."""
-    best: tuple[FloatArray, FloatArray] | None = None
+    best: tuple[Float64Array, Float64Array] | None = None
     most = max(_FEWEST_RIM, int(_LEAST_SQUARE_SHARE * len(rim))) - 1
     for azimuth_deg in np.arange(0.0, 360.0, _STEP_DEG):
         angle = math.radians(float(azimuth_deg))
@@ -257,7 +238,7 @@ def _best_plane(
     return None if best is None else (_refined(*best), best[1])
 
 
-def _refined(normal: FloatArray, in_plane: FloatArray) -> FloatArray:  # [3], [K, 3] -> [3]
+def _refined(normal: Float64Array, in_plane: Float64Array) -> Float64Array:  # [3], [K, 3] -> [3]
     """Return the horizontal direction along which points of a plane vary least."""
     flat = in_plane[:, :2] - in_plane[:, :2].mean(axis=0)
     values, vectors = np.linalg.eigh(flat.T @ flat)
@@ -268,7 +249,7 @@ def _refined(normal: FloatArray, in_plane: FloatArray) -> FloatArray:  # [3], [K
     return np.array([sign * x, sign * y, 0.0])
 
 
-def _rim(points: FloatArray, tree: cKDTree) -> FloatArray:  # [N, 3] -> [R, 3]
+def _rim(points: Float64Array, tree: cKDTree) -> Float64Array:  # [N, 3] -> [R, 3]
     """Return the rim points of a surface; none if hardly any of its points are on a rim."""
     tested = every_nth(points, _TESTED)
     _, index = tree.query(tested, k=_NEIGHBOURS + 1)

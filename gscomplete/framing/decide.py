@@ -18,7 +18,7 @@ import torch
 from gscomplete.errors import UserError
 from gscomplete.framing.guess import guess_framing
 from gscomplete.splats import Similarity, Splats, transform_splats
-from gscomplete.util.parse import require_positive
+from gscomplete.util.parse import as_numbers, require_positive, shown_numbers
 from gscomplete.views import (
     FrameOrigin,
     GivenOfFrame,
@@ -60,28 +60,36 @@ class FramingRequest:
     """Rough azimuth of the other half, degrees; None = it is found."""
 
     def __post_init__(self) -> None:
-        """Check what the user gives.
+        """Check what the user gives; any sequence of numbers becomes a tuple of them.
 
         Raises:
-            UserError: the size is no length, the centre is not finite, up is no direction, or an
-                angle is out of range.
+            UserError: the size is no length, the centre is not three finite numbers, up is no
+                direction, or an angle is out of range.
         """
-        parse_up(self.up)
-        view = self.view_deg
-        if view is not None and not (len(view) == 2 and abs(view[0]) < 1e6 and abs(view[1]) <= 90):
-            raise UserError(
-                "view_deg: expected an azimuth and an elevation of -90 to 90 degrees, found "
-                + ",".join(f"{angle:g}" for angle in view)
-            )
-        for name, most in (("azimuth_range_deg", 180), ("elevation_range_deg", 90)):
-            if not 0 <= getattr(self, name) <= most:
+        if parse_up(self.up) is None:
+            raise UserError("up: expected an axis or a direction, found None")
+        if self.view_deg is not None:
+            view = as_numbers(self.view_deg)
+            if not (len(view) == 2 and abs(view[0]) < 1e6 and abs(view[1]) <= 90):
                 raise UserError(
-                    f"{name}: expected 0 to {most} degrees, found {getattr(self, name):g}"
+                    "view_deg: expected an azimuth and an elevation of -90 to 90 degrees, found "
+                    + shown_numbers(self.view_deg)
                 )
+            object.__setattr__(self, "view_deg", view)
+        for name, most in (("azimuth_range_deg", 180), ("elevation_range_deg", 90)):
+            angle = getattr(self, name)
+            if not (as_numbers([angle]) and 0 <= angle <= most):
+                found = f"{angle:g}" if as_numbers([angle]) else repr(angle)
+                raise UserError(f"{name}: expected 0 to {most} degrees, found {found}")
+        if self.size_file is not None and not as_numbers([self.size_file]):
+            raise UserError(f"--object-size: expected a positive length, found {self.size_file!r}")
         require_positive(self.size_file, "--object-size")
-        if self.center_file is not None and not all(map(math.isfinite, self.center_file)):
-            found = ",".join(f"{value:g}" for value in self.center_file)
-            raise UserError(f"--center: expected three finite numbers, found {found}")
+        if self.center_file is not None:
+            center = as_numbers(self.center_file)
+            if len(center) != 3 or not all(map(math.isfinite, center)):
+                found = shown_numbers(self.center_file)
+                raise UserError(f"--center: expected three finite numbers, found {found}")
+            object.__setattr__(self, "center_file", center)
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,14 +15,13 @@ Conventions
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gscomplete.framing.cut_plane import CutPlane, UprightPlane
+from gscomplete.framing.cut_plane import CutPlane
 from gscomplete.splats.geometry.neighbourhood import normals_at
+from gscomplete.splats.geometry.upright_plane import UprightPlane, fitted_to_edge
 from gscomplete.splats.thinning import every_nth
-
-FloatArray = NDArray[np.float64]
+from gscomplete.util.arrays import Float64Array
 
 _MOST_POINTS = 6000
 _FEWEST_POINTS = 100
@@ -44,10 +43,10 @@ _LEAST_DENSITY = 1e-3
 
 
 def find_end(
-    points: FloatArray,  # [N, 3] z up
+    points: Float64Array,  # [N, 3] z up
     cut: CutPlane | None,
     toward_deg: float | None = None,
-    axes: FloatArray | None = None,  # [N, 3]
+    axes: Float64Array | None = None,  # [N, 3]
 ) -> UprightPlane | None:
     """Return the plane that points end at; None = too few points, or no extent.
 
@@ -71,7 +70,8 @@ def find_end(
         return None
     axes = None if axes is None else every_nth(axes, _MOST_POINTS)
     found = _outermost((chosen - middle) / side, axes, toward_deg)
-    return UprightPlane(found.azimuth_deg, found.offset * side + float(middle @ found.normal))
+    rough = UprightPlane(found.azimuth_deg, found.offset * side + float(middle @ found.normal))
+    return fitted_to_edge(points, rough)
 
 
 def _apart_deg(plane: UprightPlane, azimuth_deg: float) -> float:
@@ -80,8 +80,8 @@ def _apart_deg(plane: UprightPlane, azimuth_deg: float) -> float:
 
 
 def _outermost(
-    points: FloatArray,  # [N, 3]
-    axes: FloatArray | None,  # [N, 3]
+    points: Float64Array,  # [N, 3]
+    axes: Float64Array | None,  # [N, 3]
     toward_deg: float | None,
 ) -> UprightPlane:
     """Return that outermost plane up to which the most surface runs squarely."""
@@ -103,7 +103,9 @@ def _outermost(
 class _Ends:
     """Where points end towards A azimuths."""
 
-    def __init__(self, points: FloatArray, normals: FloatArray, azimuths_deg: FloatArray) -> None:
+    def __init__(
+        self, points: Float64Array, normals: Float64Array, azimuths_deg: Float64Array
+    ) -> None:
         angles = np.radians(azimuths_deg)
         ways = np.stack([np.cos(angles), np.sin(angles), 0 * angles])
         self.along = points @ ways  # [N, A]

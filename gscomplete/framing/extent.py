@@ -19,13 +19,11 @@ from collections.abc import Callable
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gscomplete.framing.cut_plane import CutPlane
 from gscomplete.splats.geometry.neighbourhood import normals_of
-
-FloatArray = NDArray[np.float64]
+from gscomplete.util.arrays import BoolArray, Float64Array
 
 CLOSED_BELOW, CLOSED_BELOW_FINELY = 0.008, 0.005
 """P's surface is closed if a smaller share of it is exposed on both sides: less than the first
@@ -69,7 +67,7 @@ _PX_PER_SPACING = 2.0
 class Exposure:
     """Share of P's surface that is exposed on both sides, computed when it is first asked for."""
 
-    def __init__(self, points: FloatArray) -> None:  # [N, 3] z up
+    def __init__(self, points: Float64Array) -> None:  # [N, 3] z up
         """Take P's points."""
         self._points = points
 
@@ -85,7 +83,7 @@ class Exposure:
 
 
 def is_closed(
-    points: FloatArray,  # [N, 3] z up
+    points: Float64Array,  # [N, 3] z up
     cut: CutPlane | None,
     openness: Callable[[], float],
     exposure: Exposure | None = None,
@@ -111,14 +109,14 @@ def is_closed(
     return not (little <= exposure.with_few < much and openness() > _MOST_OPENNESS)
 
 
-def thickness_of(points: FloatArray) -> float:  # [N, 3]
+def thickness_of(points: Float64Array) -> float:  # [N, 3]
     """Return the smallest side of P's box over its largest."""
     sides = np.ptp(points, axis=0)
     return float(sides.min() / max(sides.max(), 1e-12))
 
 
 def _hides_its_inside(
-    points: FloatArray,  # [N, 3]
+    points: Float64Array,  # [N, 3]
     cut: CutPlane | None,
     exposure: Exposure,
 ) -> bool:
@@ -141,9 +139,9 @@ def _hides_its_inside(
 
 
 def extended_box(
-    points: FloatArray,  # [N, 3]
+    points: Float64Array,  # [N, 3]
     toward_deg: float,
-) -> tuple[FloatArray, float, str]:
+) -> tuple[Float64Array, float, str]:
     """Grow the box of P towards its open side to where the complete object probably ends.
 
     Along the open direction the complete object is taken to be as deep as it is wide, but at most
@@ -176,7 +174,7 @@ def extended_box(
 
 
 def share_exposed_twice(
-    points: FloatArray,  # [N, 3] z up
+    points: Float64Array,  # [N, 3] z up
     most_points: int = _MOST_POINTS,
 ) -> float:
     """Return the share of surface points that are exposed on both sides of their surface."""
@@ -202,7 +200,7 @@ def share_exposed_twice(
     return float((front & back).mean())
 
 
-def _directions() -> FloatArray:  # [D, 3] unit, from the object to the viewer
+def _directions() -> Float64Array:  # [D, 3] unit, from the object to the viewer
     """Return directions about the object and from straight above."""
     azimuths = np.linspace(0, 2 * np.pi, _AZIMUTHS, endpoint=False)
     found = [[0.0, 0.0, 1.0]]
@@ -214,10 +212,10 @@ def _directions() -> FloatArray:  # [D, 3] unit, from the object to the viewer
 
 
 def _seen_from(
-    points: FloatArray,  # [N, 3]
-    direction: FloatArray,  # [3] to the viewer
+    points: Float64Array,  # [N, 3]
+    direction: Float64Array,  # [3] to the viewer
     spacing: float,
-) -> NDArray[np.bool_]:  # [N]
+) -> BoolArray:  # [N]
     """Mark the points that lie on the surface nearest to a distant viewer."""
     helper = np.array([0.0, 0.0, 1.0]) if abs(direction[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
     right = np.cross(helper, direction)
@@ -236,13 +234,13 @@ def _seen_from(
 
 @numba.njit(cache=True)
 def _on_nearest_surface(
-    place: FloatArray,  # [N, 2] px
-    depth: FloatArray,  # [N]
+    place: Float64Array,  # [N, 2] px
+    depth: Float64Array,  # [N]
     width_px: int,
     height_px: int,
     reach_px: float,
     tolerance: float,
-) -> NDArray[np.bool_]:  # [N]
+) -> BoolArray:  # [N]
     """Draw squares into a depth image, then compare each point with it."""
     nearest = np.full((height_px, width_px), np.inf)
     for n in range(len(depth)):

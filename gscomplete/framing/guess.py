@@ -23,11 +23,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from gscomplete.errors import UserError
-from gscomplete.framing.cut_plane import UprightPlane, find_cut
+from gscomplete.framing.cut_plane import find_cut
 from gscomplete.framing.end_plane import find_end
 from gscomplete.framing.extent import extended_box, is_closed
 from gscomplete.render import render
@@ -35,12 +34,12 @@ from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.geometry.n_fold import find_n_fold
 from gscomplete.splats.geometry.neighbourhood import are_flat, flat_axes
 from gscomplete.splats.geometry.revolution import box_of, find_revolution
+from gscomplete.splats.geometry.upright_plane import UprightPlane
 from gscomplete.splats.rotations import thinnest_axes
+from gscomplete.util.arrays import Float64Array
 from gscomplete.util.same_bits import fixed_sum
 from gscomplete.views import Cameras, orbit_cameras
 from gscomplete.views.distribution import FOV_DEG, RADIUS
-
-FloatArray = NDArray[np.float64]
 
 _SURFACE_TOLERANCE = 0.03
 """A splat this far behind the surface seen still counts as visible (in sides of P's box)."""
@@ -92,14 +91,14 @@ class FramingGuess:
 class ViewScores:
     """P's appearance from E elevations times A azimuths."""
 
-    azimuths_deg: FloatArray  # [A]
-    elevations_deg: FloatArray  # [E]
-    area: FloatArray  # [E, A] visible alpha as a share of the image
-    facing: FloatArray  # [E, A] share of that area which shows P's outside
-    visible: FloatArray  # [E, A] share of P's splats on the surface seen
+    azimuths_deg: Float64Array  # [A]
+    elevations_deg: Float64Array  # [E]
+    area: Float64Array  # [E, A] visible alpha as a share of the image
+    facing: Float64Array  # [E, A] share of that area which shows P's outside
+    visible: Float64Array  # [E, A] share of P's splats on the surface seen
 
     @property
-    def score(self) -> FloatArray:  # [E, A]
+    def score(self) -> Float64Array:  # [E, A]
         """How good an input view is: it shows much of P, from outside, and its opposite does not.
 
         On 152 cuts of real meshes this lay within 45 degrees of the side that was kept or scanned
@@ -208,9 +207,9 @@ def guess_framing(
 
 
 def _box_of_both(
-    points: FloatArray,  # [N, 3]
+    points: Float64Array,  # [N, 3]
     plane: UprightPlane,
-) -> tuple[FloatArray, float]:  # [3]
+) -> tuple[Float64Array, float]:  # [3]
     """Return the centre and the largest side of the box of points and their mirror image."""
     both = np.concatenate([points, plane.mirrored(points)])
     low, high = both.min(axis=0), both.max(axis=0)
@@ -266,7 +265,7 @@ def score_views(centered: Splats, settings: FramingSettings) -> ViewScores:
         settings: knobs.
     """
     drawn = _thinned(centered, settings.max_splats)
-    normals = outward_normals(drawn)
+    normals = normals_from_centroid(drawn)
     drawn = dataclasses.replace(drawn, sh=colors_to_sh(0.5 + 0.5 * normals))
     azimuths = 360.0 / settings.azimuths * torch.arange(settings.azimuths, dtype=torch.float64)
     rows = []
@@ -284,7 +283,7 @@ def score_views(centered: Splats, settings: FramingSettings) -> ViewScores:
     return ViewScores(azimuths.numpy(), elevations, area, facing, visible)
 
 
-def outward_normals(splats: Splats) -> Tensor:  # [N, 3] unit
+def normals_from_centroid(splats: Splats) -> Tensor:  # [N, 3] unit
     """Return each splat's normal, signed to point away from the opacity-weighted centroid."""
     weights = splats.opacities[:, None]
     centroid = (weights * splats.means).sum(dim=0) / fixed_sum(weights).clamp_min(1e-12)
@@ -299,7 +298,7 @@ def _score_ring(
     splats: Splats,  # colours hold outward normals as 0.5 + 0.5 n
     cameras: Cameras,
     tolerance: float,
-) -> tuple[FloatArray, FloatArray, FloatArray]:  # area, facing, visible, each [A]
+) -> tuple[Float64Array, Float64Array, Float64Array]:  # area, facing, visible, each [A]
     """Score one ring of views."""
     with torch.no_grad():
         seen = render(splats, cameras)
@@ -321,7 +320,7 @@ def _score_ring(
     return tuple(value.double().numpy() for value in values)  # type: ignore[return-value]
 
 
-def _centered(splats: Splats, center: FloatArray, size: float) -> Splats:
+def _centered(splats: Splats, center: Float64Array, size: float) -> Splats:
     """Return the splats, float32 on the CPU, moved to the origin and scaled to size 1."""
     means = (splats.means.double().cpu() - torch.from_numpy(center)) / size
     scales = (splats.scales.double().cpu() / size).float()
@@ -339,7 +338,7 @@ def _thinned(splats: Splats, max_splats: int) -> Splats:
     return dataclasses.replace(chosen, scales=chosen.scales * math.sqrt(step))
 
 
-def _local_density(points: FloatArray) -> FloatArray:  # [N, 3] -> [N]
+def _local_density(points: Float64Array) -> Float64Array:  # [N, 3] -> [N]
     """Count the points in the 27 grid cells around each point."""
     low, high = np.quantile(points, [0.01, 0.99], axis=0)
     side = float((high - low).max()) / 24.0

@@ -17,12 +17,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save
 from torch import Tensor, nn
 
 from gscomplete.errors import UserError
+from gscomplete.util.arrays import Float32Array
 from gscomplete.util.atomic import atomic_path
 
 LAYERS = 3
@@ -37,12 +37,12 @@ _FARTHEST = 60.0
 class Perceptron:
     """Features in, score out."""
 
-    tensors: dict[str, NDArray[np.float32]]
+    tensors: dict[str, Float32Array]
 
     def __call__(
         self,
-        features: NDArray[np.float32],  # [..., F]
-    ) -> NDArray[np.float32]:  # [...]
+        features: Float32Array,  # [..., F]
+    ) -> Float32Array:  # [...]
         """Return the scores."""
         t = self.tensors
         rows = features.reshape(-1, features.shape[-1])

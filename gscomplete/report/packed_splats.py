@@ -25,14 +25,13 @@ from numpy.typing import NDArray
 from gscomplete.evaluate.align.align import evenly_spread
 from gscomplete.splats import Splats
 from gscomplete.splats.thinning import thinned
+from gscomplete.util.arrays import Float64Array
 
 REACH = 1.0
 SMALLEST, LARGEST = 1e-4, 0.5
 FAINT = 0.02
 _LOOKED_AT, _LOOKED_AT_PER_SHOWN = 30_000, 3
 """Splats that the choice is made from: so many, or so many for each that is shown."""
-
-FloatArray = NDArray[np.float32]
 
 
 class Packed(TypedDict):
@@ -71,7 +70,7 @@ def _spread(splats: Splats, most: int) -> Splats:
     return dataclasses.replace(chosen, scales=widened)
 
 
-def unpacked(splats: Packed) -> dict[str, NDArray[np.float64]]:
+def unpacked(splats: Packed) -> dict[str, Float64Array]:
     """Read what ``packed`` wrote: means, scales, quaternions, colors, opacities."""
     count, data = splats["count"], base64.b64decode(splats["data"])
     at = np.cumsum([0, 6 * count, 3 * count, 4 * count, 4 * count])

@@ -26,7 +26,7 @@ without a mirroring; averaging over all of them is no better."""
 @torch.no_grad()
 def ask(
     model: ShapeCompleter,
-    seen: ShapeInputs,
+    inputs: ShapeInputs,
     tokens: Tensor,  # [L]
     orientation: int = 0,  # 0 to 7
     *,
@@ -36,7 +36,7 @@ def ask(
 
     Args:
         model: in evaluation mode, on the CPU.
-        seen: the network's inputs.
+        inputs: the network's inputs.
         tokens: the prompt.
         orientation: in which the object is given: quarter turns, plus 4 if it is mirrored. The
             answer is turned back.
@@ -45,15 +45,15 @@ def ask(
     Returns:
         The answer for a batch of one.
     """
-    volumes = torch.from_numpy(seen.volumes)[None]
-    evidence = torch.from_numpy(seen.evidence)[None]
-    scores = torch.from_numpy(seen.scores)[None]
+    volumes = torch.from_numpy(inputs.volumes)[None]
+    evidence = torch.from_numpy(inputs.evidence)[None]
+    scores = torch.from_numpy(inputs.scores)[None]
     return answer_in(model, volumes, evidence, scores, tokens[None], orientation, bfloat16=bfloat16)
 
 
 def mean_answer(
     model: ShapeCompleter,
-    seen: ShapeInputs,
+    inputs: ShapeInputs,
     prompts: Sequence[Tensor],  # [L] each
     *,
     first: ShapeOutput | None = None,
@@ -63,7 +63,7 @@ def mean_answer(
 
     Args:
         model: in evaluation mode, on the CPU.
-        seen: the network's inputs.
+        inputs: the network's inputs.
         prompts: one for each orientation, at most eight.
         first: the answer to the first prompt, if the network has given it already.
         bfloat16: whether the network runs in bfloat16.
@@ -73,7 +73,7 @@ def mean_answer(
     """
     answers = [] if first is None else [first]
     for orientation in range(len(answers), len(prompts)):
-        answers.append(ask(model, seen, prompts[orientation], orientation, bfloat16=bfloat16))
+        answers.append(ask(model, inputs, prompts[orientation], orientation, bfloat16=bfloat16))
     return mean_of(answers)
 
 

@@ -34,6 +34,7 @@ from gscomplete.shape.surface.cover import (
     median_spacing,
     surface_splats,
 )
+from gscomplete.shape.surface.solid import SolidViews, is_known_all_round, solid_views
 from gscomplete.shape.surface.turned import TurnedSurface
 from gscomplete.shape.symmetry import SymmetryMap, mirror, mirror_image, plane_of
 from gscomplete.shape.voxels import CELL_SIDE, missing_surface_share, sample_volume
@@ -159,12 +160,13 @@ def assemble_splats(
             known shapes to decide about them.
         turned: the surface of revolution that P is part of; None = there is none.
     """
-    copies, contradicted = mirrored_copies(prediction, partial, generator, known)
-    covering = surface_settings(prediction, settings, copies)
-    asked = prediction.output, prediction.seen, partial, covering, generator
+    solid = where_solid(prediction, partial)
+    copies, contradicted = mirrored_copies(prediction, partial, generator, known, solid)
     if copies is not None and settings.image_is_all and len(copies) >= _NEARLY_ALL * len(partial):
         return AssembledSplats(copies, len(copies), len(contradicted))
-    surface = surface_splats(*asked, copies, turned)
+    covering = surface_settings(prediction, settings, copies)
+    asked = prediction.output, prediction.inputs, partial, covering, generator
+    surface = surface_splats(*asked, copies, turned, solid)
     if turned is None:
         surface = surface.select(~in_holes(surface, prediction.voxels))
     if copies is None:
@@ -174,15 +176,24 @@ def assemble_splats(
     return AssembledSplats(concatenate([copies, surface]), len(copies), len(contradicted))
 
 
+def where_solid(prediction: Prediction, partial: Splats) -> SolidViews | None:
+    """Return where P shows solid surface; None = its surface is known from one side only."""
+    shown, in_plane = prediction.voxels.shown_at_once, prediction.ends_in_plane
+    if not is_known_all_round(partial, shown, ends_in_plane=in_plane):
+        return None
+    return solid_views(partial)
+
+
 def mirrored_copies(
     prediction: Prediction,
     partial: Splats,
     generator: torch.Generator,
     known: Callable[[], Sequence[FittedShape]] = tuple,
+    solid: SolidViews | None = None,
 ) -> tuple[Splats | None, Splats]:
     """Mirror P's splats through the first plane; leave out what P has or something contradicts.
 
-    Arguments are those of :func:`assemble_splats`.
+    Arguments are those of :func:`assemble_splats`, and ``solid`` is ``where_solid``.
 
     Returns:
         The copies to add (None = P's splats are not to be mirrored, or no copy is left), and those
@@ -190,7 +201,7 @@ def mirrored_copies(
     """
     if not is_mirrored_by_splats(prediction):
         return None, partial.select(torch.arange(0))
-    copies = mirror_image(partial, prediction.seen.symmetries[0])
+    copies = mirror_image(partial, prediction.inputs.symmetries[0])
     occupancy = prediction.output.occupancy.float()
     least_logit = -math.inf if _is_certain(prediction) else _LEAST_COPY_LOGIT
     copies = select_consistent(copies, occupancy, prediction.voxels.evidence, least_logit)
@@ -199,7 +210,7 @@ def mirrored_copies(
     if float(doubted.sum()) > _FEW_DOUBTED * len(copies):
         against = contradicted_by(known(), copies, doubted)
     contradicted, copies = copies.select(against), copies.select(~against)
-    copies = beyond(copies, partial, generator)
+    copies = beyond(copies, partial, generator, solid)
     return copies if len(copies) else None, contradicted
 
 
@@ -260,7 +271,7 @@ def _surface_logit(prediction: Prediction, settings: AssembleSettings) -> float:
 
 def is_mirrored(prediction: Prediction) -> bool:
     """Say whether the network was given any mirror image."""
-    return prediction.seen.symmetries[0].score > 0
+    return prediction.inputs.symmetries[0].score > 0
 
 
 def mirror_plane_of(symmetry: SymmetryMap) -> MirrorPlane:
@@ -286,10 +297,12 @@ def image_of_half(
     symmetry = mirror(math.radians(plane.azimuth_deg), plane.offset, 1.0)
     copies = mirror_image(partial, symmetry)
     copies = copies.select(hides_nothing(copies, gather_evidence(partial, views)))
-    return beyond(copies, partial, generator)
+    return beyond(copies, partial, generator, solid_views(partial))
 
 
-def beyond(copies: Splats, partial: Splats, generator: torch.Generator) -> Splats:
+def beyond(
+    copies: Splats, partial: Splats, generator: torch.Generator, solid: SolidViews | None = None
+) -> Splats:
     """Return the copies that lie where P has no surface, as close to its rim as the seam allows."""
     if not len(copies):
         return copies
@@ -297,7 +310,8 @@ def beyond(copies: Splats, partial: Splats, generator: torch.Generator) -> Splat
     anchor = thinned(partial, _MOST_LOOKED_AT, generator)
     seam = _SEAM_SPACINGS * median_spacing(anchor.means)
     beyond = SurfaceSettings(near_rim=min(_MOST_SEAM, seam), one_sided=_ONE_SIDED_COPY)
-    return copies.select(is_missing(copies.means, normals, anchor.means, beyond))
+    copies = copies.select(is_missing(copies.means, normals, anchor.means, beyond))
+    return copies if solid is None else copies.select(~solid.cover(copies.means))
 
 
 def select_consistent(

@@ -24,7 +24,8 @@ from torch import Tensor
 from gscomplete.networks.packaged import PACKAGED_WEIGHTS
 from gscomplete.networks.perceptron import Perceptron
 from gscomplete.shape.planes.answer_scorer import Answers
-from gscomplete.shape.voxels import FloatArray, grown, shadows, surface_cells
+from gscomplete.shape.voxels import grown, shadows, surface_cells
+from gscomplete.util.arrays import Float32Array
 
 BENEFIT_SCORER_FILE = "benefit.safetensors"
 OF_ENDING = (
@@ -67,8 +68,8 @@ def packaged_benefit_scorer() -> Perceptron:
 
 
 def is_better_left(
-    of_ending: FloatArray | None,  # [len(OF_ENDING)]
-    of_answers: FloatArray | None,  # [len(OF_ANSWERS)]
+    of_ending: Float32Array | None,  # [len(OF_ENDING)]
+    of_answers: Float32Array | None,  # [len(OF_ANSWERS)]
 ) -> bool:
     """Say whether what the network would add makes P worse; False if either argument is None."""
     if of_ending is None or of_answers is None:
@@ -77,7 +78,7 @@ def is_better_left(
     return float(packaged_benefit_scorer()(features[None])[0]) < LEFT_BELOW
 
 
-def features_of_answers(answers: Answers, chosen: int) -> FloatArray:  # [len(OF_ANSWERS)]
+def features_of_answers(answers: Answers, chosen: int) -> Float32Array:  # [len(OF_ANSWERS)]
     """Return the features of the network's answers; columns as ``OF_ANSWERS``."""
     own = answers.partial > 0
     elsewhere = grown(answers.partial[None]) <= 0

@@ -15,11 +15,10 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from gscomplete.render import render
-from gscomplete.shape.voxels import FloatArray
 from gscomplete.splats import Splats
+from gscomplete.util.arrays import Float32Array, IntArray
 from gscomplete.util.kernels import HELPER
 from gscomplete.views import ViewDistribution
 
@@ -32,15 +31,15 @@ FRONT_TOLERANCE = 0.03
 class Evidence:
     """P's depth from a few views of V."""
 
-    depth: FloatArray  # [V, S, S] of P's surface; inf where P is not
-    camera_from_world: FloatArray  # [V, 4, 4]
+    depth: Float32Array  # [V, S, S] of P's surface; inf where P is not
+    camera_from_world: Float32Array  # [V, 4, 4]
     focal_px: float
 
-    def toward_c(self) -> FloatArray:  # [3]
+    def toward_c(self) -> Float32Array:  # [3]
         """Return the direction from the object to c, at most as steep as the views to its sides."""
         return -self.camera_from_world[0, 2, :3]
 
-    def classify(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
+    def classify(self, points: Float32Array) -> Float32Array:  # [N, 3] -> [N, 3]
         """Return for every point the shares of views that find it in front, behind, beside P."""
         flat = points.reshape(-1, 3).astype(np.float32)
         shares = np.zeros((len(flat), 3), np.float32)
@@ -68,8 +67,8 @@ def kind_of(
     x: float,
     y: float,
     z: float,
-    depth: FloatArray,  # [S, S]
-    m: FloatArray,  # [4, 4] camera from world
+    depth: Float32Array,  # [S, S]
+    m: Float32Array,  # [4, 4] camera from world
     focal_px: float,
 ) -> int:
     """Return whether one view finds a point in front of P (0), behind it (1) or beside it (2)."""
@@ -88,11 +87,11 @@ def kind_of(
 
 
 def _kinds_of(
-    points: FloatArray,  # [N, 3]
-    depth: FloatArray,  # [S, S]
-    m: FloatArray,  # [4, 4] camera from world
+    points: Float32Array,  # [N, 3]
+    depth: Float32Array,  # [S, S]
+    m: Float32Array,  # [4, 4] camera from world
     focal_px: float,
-) -> NDArray[np.int64]:  # [N]
+) -> IntArray:  # [N]
     """Return ``kind_of`` of every point; in NumPy, because so few points do not repay compiling."""
     size = depth.shape[0]
     x, y, z = points.T

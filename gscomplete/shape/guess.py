@@ -42,16 +42,16 @@ from gscomplete.shape.evidence import gather_evidence
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.n_fold_copies import n_fold_copies
 from gscomplete.shape.network import ShapeCompleter
-from gscomplete.shape.placements import symmetry_in, views_in
+from gscomplete.shape.placements import plane_in, symmetry_in, views_in
 from gscomplete.shape.predict import Prediction, predict
 from gscomplete.shape.surface.turned import turned_surface
 from gscomplete.shape.symmetry import plane_of
-from gscomplete.shape.voxels import FloatArray
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.geometry.n_fold import find_n_fold
 from gscomplete.splats.geometry.neighbourhood import flat_axes
 from gscomplete.splats.geometry.revolution import Revolution, find_revolution
 from gscomplete.splats.transform import Similarity, transform_splats
+from gscomplete.util.arrays import Float32Array
 from gscomplete.util.stages import stage
 from gscomplete.views import ViewDistribution
 
@@ -71,7 +71,7 @@ _FOLD_NOTE = (
 )
 _LEFT_NOTE = (
     "P seems to lack little or nothing, by its surface and by what the network would add: nothing "
-    "is added (--mirror none completes it all the same)"
+    "is added (--mirror none completes it all the same, --mirror cut if it is one half)"
 )
 
 
@@ -90,7 +90,7 @@ class Guess:
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class NetworkContext:
     """The network, and what is the same in every question to it."""
 
     model: ShapeCompleter
@@ -106,7 +106,7 @@ class Asked:
 
 
 def guess_complete(
-    asked: Asked,
+    context: NetworkContext,
     partial: Splats,
     views: ViewDistribution,
     mirror: Mirror,
@@ -115,13 +115,13 @@ def guess_complete(
     generator: torch.Generator,
     *,
     mirror_is_cut: bool = False,
-    of_ending: FloatArray | None = None,  # [len(benefit.OF_ENDING)]
+    of_ending: Float32Array | None = None,  # [len(benefit.OF_ENDING)]
     plane_back: Callable[[MirrorPlane], MirrorPlane] | None = None,
 ) -> Guess:
     """Guess the complete object.
 
     Args:
-        asked: the network.
+        context: the network.
         partial: P in the object frame.
         views: V.
         mirror: the plane to mirror P through, or how it is chosen.
@@ -141,23 +141,23 @@ def guess_complete(
     if (mirror == "guess" or mirror_is_cut) and not known.decide:
         revolution = _revolution(partial, mirror)
         if revolution is not None:
-            turned = _turned_guess(asked, partial, views, revolution, count, generator)
+            turned = _turned_guess(context, partial, views, revolution, count, generator)
             if turned is not None:
                 return turned
             mirror, mirror_is_cut, heeds_cut = "guess", False, False
         else:
-            folded = _folded_guess(asked, partial, views, mirror, count, generator)
+            folded = _folded_guess(context, partial, views, mirror, count, generator)
             if folded is not None:
                 return folded
     settings = AssembleSettings(count=count, image_is_all=mirror_is_cut)
-    plain = ask_about(asked, partial, views, mirror)
+    plain = ask_about(context, partial, views, mirror)
     if not known.decide and is_better_left(of_ending, plain.added):
         nothing = partial.with_sh_degree(0).select(torch.arange(0))
         return Guess(nothing, (), (_LEFT_NOTE,))
     notes: tuple[str, ...] = ()
     takes_image = isinstance(mirror, MirrorPlane) or is_mirrored_by_splats(plain)
     if known.decide or not takes_image:  # else little is left to guess from a noun
-        found = _by_known_shapes(asked, plain, partial, views, mirror, known, settings, generator)
+        found = _by_known_shapes(context, plain, partial, views, mirror, known, settings, generator)
         if found is not None:
             told = known.notes(found.known) + found.notes
             return dataclasses.replace(found, notes=told, heeds_cut=heeds_cut)
@@ -192,7 +192,7 @@ def _cut(mirror: Mirror) -> tuple[float, float] | None:
 
 
 def _turned_guess(
-    asked: Asked,
+    context: NetworkContext,
     partial: Splats,
     views: ViewDistribution,
     revolution: Revolution,
@@ -209,8 +209,8 @@ def _turned_guess(
         turned = turned_surface(places, revolution, evidence, generator, axes)
     if turned is None:
         return None
-    plain = ask_about(asked, partial, views, "guess")
-    if revolution.distance_of(*plane_of(plain.seen.symmetries[0])) > _BESIDE_AXIS:
+    plain = ask_about(context, partial, views, "guess")
+    if revolution.distance_of(*plane_of(plain.inputs.symmetries[0])) > _BESIDE_AXIS:
         plain = plain.without_copies()
     with stage("surface"):
         settings = AssembleSettings(count=count)
@@ -220,7 +220,7 @@ def _turned_guess(
 
 
 def _folded_guess(
-    asked: Asked,
+    context: NetworkContext,
     partial: Splats,
     views: ViewDistribution,
     mirror: Mirror,
@@ -240,7 +240,7 @@ def _folded_guess(
     if copies is None:
         return None
     given = concatenate([partial.with_sh_degree(0), copies])
-    plain = ask_about(dataclasses.replace(asked, ends_in_plane=False), given, views, "guess")
+    plain = ask_about(dataclasses.replace(context, ends_in_plane=False), given, views, "guess")
     plain = plain.without_copies()
     with stage("surface"):
         assembled = assemble_splats(plain, given, AssembleSettings(count=count), generator)
@@ -249,7 +249,7 @@ def _folded_guess(
 
 
 def _by_known_shapes(
-    asked: Asked,
+    context: NetworkContext,
     plain: Prediction,
     partial: Splats,
     views: ViewDistribution,
@@ -267,7 +267,7 @@ def _by_known_shapes(
     if frame is not None:
         given = transform_splats(partial.with_sh_degree(0), frame)
         there = tuple(shape_in(shape, frame) for shape in shapes)
-        plain = ask_about(asked, given, views_in(views, frame), mirror)
+        plain = ask_about(context, given, views_in(views, frame), plane_in(mirror, frame))
     occupancy: Tensor | None
     if known.decide:
         points = given.means.double().numpy()
@@ -277,13 +277,13 @@ def _by_known_shapes(
     else:
         with stage("known shapes"):
             occupancy = occupancy_by_shapes(
-                asked.model,
+                context.model,
                 plain.voxels,
-                plain.seen,
+                plain.inputs,
                 plain.in_frame,
                 there,
-                asked.tokens,
-                bfloat16=asked.bfloat16,
+                context.tokens,
+                bfloat16=context.bfloat16,
             )
     if occupancy is None:
         return None
@@ -304,18 +304,20 @@ def _by_known_shapes(
     return Guess(splats, shapes, notes_of(heeded, assembled.mirrored))
 
 
-def ask_about(asked: Asked, partial: Splats, views: ViewDistribution, mirror: Mirror) -> Prediction:
+def ask_about(
+    context: NetworkContext, partial: Splats, views: ViewDistribution, mirror: Mirror
+) -> Prediction:
     """Ask the network about P; arguments are those of :func:`guess_complete`."""
     return predict(
-        asked.model,
+        context.model,
         partial,
         views,
-        asked.tokens,
-        ends_in_plane=asked.ends_in_plane,
-        no_tokens=asked.no_tokens,
-        bfloat16=asked.bfloat16,
+        context.tokens,
+        ends_in_plane=context.ends_in_plane,
+        no_tokens=context.no_tokens,
+        bfloat16=context.bfloat16,
         mirror_plane=mirror,
-        captured=asked.captured,
+        captured=context.captured,
     )
 
 
@@ -352,7 +354,7 @@ def _mirror_note(
     """Name the plane as users would ask for it."""
     if not is_mirrored(prediction):
         return "not mirrored"
-    plane = mirror_plane_of(prediction.seen.symmetries[0])
+    plane = mirror_plane_of(prediction.inputs.symmetries[0])
     if plane_back is not None:
         plane = plane_back(plane)
     how = "P's mirror image is added" if mirrored else "P's mirror image guides the guess"
@@ -361,6 +363,6 @@ def _mirror_note(
 
 def _carried(prediction: Prediction, frame: Similarity) -> Prediction:
     """Return a prediction whose mirror planes are expressed in another frame."""
-    maps = tuple(symmetry_in(symmetry, frame) for symmetry in prediction.seen.symmetries)
-    seen = dataclasses.replace(prediction.seen, symmetries=maps)
-    return dataclasses.replace(prediction, seen=seen)
+    maps = tuple(symmetry_in(symmetry, frame) for symmetry in prediction.inputs.symmetries)
+    inputs = dataclasses.replace(prediction.inputs, symmetries=maps)
+    return dataclasses.replace(prediction, inputs=inputs)

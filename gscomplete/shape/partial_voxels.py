@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gscomplete.shape.evidence import Evidence, gather_evidence
@@ -28,12 +27,12 @@ from gscomplete.shape.symmetry import (
 from gscomplete.shape.voxels import (
     CELLS,
     COARSE_CELLS,
-    FloatArray,
     cell_centers,
     fill_colored,
     splat_arrays,
 )
 from gscomplete.splats import Splats
+from gscomplete.util.arrays import Float32Array, Float64Array
 from gscomplete.views import ViewDistribution
 
 _SHAPE_REACH = 0.008
@@ -46,9 +45,9 @@ _SHAPE_SCORE = 0.5
 class ShapeInputs:
     """Everything the network sees but the prompt."""
 
-    volumes: FloatArray  # [SOURCES, 4, C, C, C] occupancy and colour
-    evidence: FloatArray  # [3, C/2, C/2, C/2]
-    scores: FloatArray  # [COPIES]
+    volumes: Float32Array  # [SOURCES, 4, C, C, C] occupancy and colour
+    evidence: Float32Array  # [3, C/2, C/2, C/2]
+    scores: Float32Array  # [COPIES]
     symmetries: tuple[SymmetryMap, ...]  # COPIES
 
 
@@ -56,13 +55,13 @@ class ShapeInputs:
 class PartialVoxels:
     """P as the network sees it, whatever mirror images are given beside it."""
 
-    positions: FloatArray  # [N, 3]
-    tangents: FloatArray  # [N, 2, 3]
-    opacities: FloatArray  # [N]
-    colors: FloatArray  # [N, 3]
-    volume: FloatArray  # [4, C, C, C]
+    positions: Float32Array  # [N, 3]
+    tangents: Float32Array  # [N, 2, 3]
+    opacities: Float32Array  # [N]
+    colors: Float32Array  # [N, 3]
+    volume: Float32Array  # [4, C, C, C]
     evidence: Evidence
-    shares: FloatArray  # [3, C/2, C/2, C/2]
+    shares: Float32Array  # [3, C/2, C/2, C/2]
 
     @functools.cached_property
     def shown_at_once(self) -> float:
@@ -91,13 +90,13 @@ class PartialVoxels:
 
     def with_shape(
         self,
-        seen: ShapeInputs,
-        points: NDArray[np.float64],  # [M, 3]
+        inputs: ShapeInputs,
+        points: Float64Array,  # [M, 3]
     ) -> ShapeInputs:
         """Return inputs with a surface as the first mirror image, in P's nearest colours.
 
         Args:
-            seen: inputs from :meth:`with_copies`; their last mirror image is dropped.
+            inputs: inputs from :meth:`with_copies`; their last mirror image is dropped.
             points: of the surface, object frame.
         """
         places = np.ascontiguousarray(points, np.float32)
@@ -107,10 +106,10 @@ class PartialVoxels:
         surface = fill_colored(
             places, tangents, np.ones(len(places), np.float32), self.colors[nearest], CELLS
         )
-        volumes = np.stack([seen.volumes[0], surface, *seen.volumes[1:-1]])
-        scores = np.array([_SHAPE_SCORE, *seen.scores[:-1]], np.float32)
+        volumes = np.stack([inputs.volumes[0], surface, *inputs.volumes[1:-1]])
+        scores = np.array([_SHAPE_SCORE, *inputs.scores[:-1]], np.float32)
         same = SymmetryMap(np.eye(3, dtype=np.float32), np.zeros(3, np.float32), _SHAPE_SCORE)
-        return ShapeInputs(volumes, seen.evidence, scores, (same, *seen.symmetries[:-1]))
+        return ShapeInputs(volumes, inputs.evidence, scores, (same, *inputs.symmetries[:-1]))
 
 
 def voxelize_partial(partial: Splats, distribution: ViewDistribution) -> PartialVoxels:

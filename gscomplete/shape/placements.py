@@ -14,6 +14,7 @@ Conventions
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -21,6 +22,7 @@ import torch
 from torch import Tensor
 
 from gscomplete.shape.ask import mean_answer
+from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.shape.network import ShapeCompleter, ShapeOutput
 from gscomplete.shape.partial_voxels import ShapeInputs, voxelize_partial
 from gscomplete.shape.symmetry import SymmetryMap
@@ -44,7 +46,7 @@ def placements() -> tuple[Similarity, ...]:
 def mean_over_placements(
     model: ShapeCompleter,
     answer: ShapeOutput,
-    seen: ShapeInputs,
+    inputs: ShapeInputs,
     partial: Splats,
     distribution: ViewDistribution,
     prompts: Sequence[Tensor],  # [L] each
@@ -55,8 +57,8 @@ def mean_over_placements(
 
     Args:
         model: in evaluation mode, on the CPU.
-        answer: to ``seen``, for a batch of one.
-        seen: the network's inputs in the object frame.
+        answer: to ``inputs``, for a batch of one.
+        inputs: the network's inputs in the object frame.
         partial: P in the object frame.
         distribution: V.
         prompts: as for ``ask.mean_answer``.
@@ -70,7 +72,7 @@ def mean_over_placements(
     for frame in placements():
         given = transform_splats(partial.with_sh_degree(0), frame)
         voxels = voxelize_partial(given, views_in(distribution, frame))
-        copies = tuple(symmetry_in(symmetry, frame) for symmetry in seen.symmetries)
+        copies = tuple(symmetry_in(symmetry, frame) for symmetry in inputs.symmetries)
         found = mean_answer(model, voxels.with_copies(copies), prompts, bfloat16=bfloat16)
         total += brought_back(found.occupancy, frame, answer.occupancy)
     return dataclasses.replace(answer, occupancy=total / (1 + len(_SCALES)))
@@ -100,6 +102,19 @@ def views_in(views: ViewDistribution, frame: Similarity) -> ViewDistribution:
     target = frame.apply(torch.tensor(views.target, dtype=torch.float64))
     x, y, z = target.tolist()
     return dataclasses.replace(views, target=(x, y, z), radius=views.radius * frame.scale)
+
+
+def plane_in(mirror: Mirror, frame: Similarity) -> Mirror:
+    """Return a plane to mirror P through in a frame of the same axes.
+
+    Where it is too far from that frame's centre to be asked for, the plane is to be guessed.
+    """
+    if not isinstance(mirror, MirrorPlane):
+        return mirror
+    angle = math.radians(mirror.azimuth_deg)
+    x, y, _ = frame.translation.tolist()
+    offset = frame.scale * mirror.offset + x * math.cos(angle) + y * math.sin(angle)
+    return dataclasses.replace(mirror, offset=offset) if abs(offset) <= 1 else "guess"
 
 
 def symmetry_in(symmetry: SymmetryMap, frame: Similarity) -> SymmetryMap:

@@ -28,8 +28,9 @@ from gscomplete.shape.outline.scorer import MOST_LOGITS, doubts_beside_outlines
 from gscomplete.shape.partial_voxels import PartialVoxels, ShapeInputs, voxelize_partial
 from gscomplete.shape.placements import mean_over_placements
 from gscomplete.shape.symmetry_choice import choose_symmetries
-from gscomplete.shape.voxels import CELLS, FloatArray, cell_centers
+from gscomplete.shape.voxels import CELLS, cell_centers
 from gscomplete.splats import Splats
+from gscomplete.util.arrays import Float32Array
 from gscomplete.util.stages import stage
 from gscomplete.views import ViewDistribution
 
@@ -42,7 +43,7 @@ class Prediction:
     """The network's answer about one object."""
 
     voxels: PartialVoxels
-    seen: ShapeInputs
+    inputs: ShapeInputs
     """The network's input."""
     output: ShapeOutput
     """Its answer, for a batch of one: the mean over placements."""
@@ -56,7 +57,7 @@ class Prediction:
     prompt_share: float | None
     """Share of the cells filled with or without the prompt that only one of the two fills; None =
     there is no prompt."""
-    added: FloatArray | None = None  # [len(benefit.OF_ANSWERS)]
+    added: Float32Array | None = None  # [len(benefit.OF_ANSWERS)]
     """What all answers add to P; None = the mirror image was given."""
 
     def without_copies(self) -> Prediction:
@@ -105,7 +106,7 @@ def predict(
             mirror_plane=mirror_plane,
         )
     with stage("network"):
-        asked = model, choice.seen
+        asked = model, choice.inputs
         first = choice.answer
         if first is None:
             first = ask(*asked, tokens, bfloat16=bfloat16)
@@ -115,7 +116,7 @@ def predict(
             without = ask(*asked, no_tokens, bfloat16=bfloat16)
             change = (without.occupancy - first.occupancy) / 2
             share = differing_share(answer.occupancy, answer.occupancy + change)
-        given = answer, choice.seen, partial, distribution, (tokens, no_tokens)
+        given = answer, choice.inputs, partial, distribution, (tokens, no_tokens)
         mean = mean_over_placements(model, *given, bfloat16=bfloat16)
     output = mean
     if not isinstance(mirror_plane, MirrorPlane):
@@ -123,8 +124,8 @@ def predict(
             about = mean, voxels, distribution
             output = _doubted_beside(*about, ends_in_plane=ends_in_plane, captured=captured)
     in_frame = answer.occupancy - (mean.occupancy - output.occupancy)
-    seen, score = choice.seen, choice.symmetry_score
-    return Prediction(voxels, seen, output, in_frame, score, ends_in_plane, share, choice.added)
+    inputs, score = choice.inputs, choice.symmetry_score
+    return Prediction(voxels, inputs, output, in_frame, score, ends_in_plane, share, choice.added)
 
 
 def _doubted_beside(

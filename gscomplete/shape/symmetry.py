@@ -21,9 +21,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from gscomplete.shape.voxels import FloatArray
 from gscomplete.splats import Splats
 from gscomplete.splats.transform import multiply_quaternions, quaternion_from_rotation
+from gscomplete.util.arrays import Float32Array
 
 COPIES = 3
 SOURCES = 1 + COPIES
@@ -37,26 +37,26 @@ sizes."""
 class SymmetryMap:
     """A rigid map of P onto what it may lack."""
 
-    matrix: FloatArray  # [3, 3] orthogonal
-    shift: FloatArray  # [3]
+    matrix: Float32Array  # [3, 3] orthogonal
+    shift: Float32Array  # [3]
     score: float
 
-    def apply(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
+    def apply(self, points: Float32Array) -> Float32Array:  # [N, 3] -> [N, 3]
         """Map points."""
         return np.ascontiguousarray(points @ self.matrix.T + self.shift, dtype=np.float32)
 
-    def is_like(self, other: SymmetryMap, points: FloatArray) -> bool:  # points [N, 3] of P
+    def is_like(self, other: SymmetryMap, points: Float32Array) -> bool:  # points [N, 3] of P
         """Tell whether two maps carry P to nearly the same place."""
         apart = np.linalg.norm(self.apply(points) - other.apply(points), axis=1)
         return bool(apart.mean() <= _ALIKE)
 
-    def undo(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
+    def undo(self, points: Float32Array) -> Float32Array:  # [N, 3] -> [N, 3]
         """Map points back."""
         return np.ascontiguousarray((points - self.shift) @ self.matrix, dtype=np.float32)
 
 
 def second_symmetry(
-    planes: Sequence[SymmetryMap], first: int, points: FloatArray
+    planes: Sequence[SymmetryMap], first: int, points: Float32Array
 ) -> SymmetryMap:  # points [N, 3] of P
     """Return the first other plane that is not like the first one, or else simply the next."""
     others = [plane for index, plane in enumerate(planes) if index != first]

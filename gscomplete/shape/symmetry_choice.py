@@ -28,7 +28,8 @@ from gscomplete.shape.planes.answer_scorer import (
 )
 from gscomplete.shape.planes.proposals import candidate_planes
 from gscomplete.shape.symmetry import SymmetryMap, mirror, no_symmetries
-from gscomplete.shape.voxels import CELLS, FloatArray
+from gscomplete.shape.voxels import CELLS
+from gscomplete.util.arrays import Float32Array
 from gscomplete.util.same_bits import fixed_sigmoid
 from gscomplete.util.stages import stage
 
@@ -39,13 +40,13 @@ CANDIDATES = 8
 class Choice:
     """The inputs chosen for the network."""
 
-    seen: ShapeInputs
+    inputs: ShapeInputs
     symmetry_score: float
     """Score of the first mirror image by the network's answer; 0 = there is none, 1 = a user chose
     it."""
     answer: ShapeOutput | None = None
     """The network's answer to these inputs, for a batch of one; None = it was not asked."""
-    added: FloatArray | None = None  # [len(benefit.OF_ANSWERS)]
+    added: Float32Array | None = None  # [len(benefit.OF_ANSWERS)]
     """Features of what all its answers add to P; None = it was not asked."""
 
 
@@ -69,14 +70,14 @@ class ScoredPlanes:
     """Score of each plane by the network's answer to it."""
     none_is_best: bool
     """Whether the answer without any mirror image is ranked first."""
-    seen: ShapeInputs
+    inputs: ShapeInputs
     """Inputs of the answer ranked first: with the best plane, or without mirror image."""
     answer: ShapeOutput
     """The answer ranked first."""
-    added: FloatArray  # [len(benefit.OF_ANSWERS)]
+    added: Float32Array  # [len(benefit.OF_ANSWERS)]
     """Features of what all answers add to P."""
 
-    def distinct(self, points: FloatArray) -> tuple[SymmetryMap, ...]:  # points [N, 3] of P
+    def distinct(self, points: Float32Array) -> tuple[SymmetryMap, ...]:  # points [N, 3] of P
         """Return the planes that are not like any plane before them."""
         found: list[SymmetryMap] = []
         for plane in self.planes:
@@ -113,7 +114,7 @@ def choose_symmetries(
         return Choice(voxels.with_copies(voxels.input_symmetries([given, *planes], 0)), 1.0)
     asked = score_planes(model, voxels, tokens, ends_in_plane=ends_in_plane, bfloat16=bfloat16)
     score = 0.0 if asked.none_is_best else asked.symmetry_scores[0]
-    return Choice(asked.seen, score, asked.answer, asked.added)
+    return Choice(asked.inputs, score, asked.answer, asked.added)
 
 
 def score_planes(
@@ -161,10 +162,10 @@ def ask_about_planes(
     copies = torch.empty(count, *(CELLS,) * 3)
     outputs = []
     for k, symmetries in enumerate(shown):  # one by one, so that a question fits into the caches
-        seen = voxels.with_copies(symmetries)
-        outputs.append(ask(model, seen, tokens, bfloat16=bfloat16))
+        inputs = voxels.with_copies(symmetries)
+        outputs.append(ask(model, inputs, tokens, bfloat16=bfloat16))
         if k < count:
-            copies[k] = torch.from_numpy(seen.volumes[1, 0])
+            copies[k] = torch.from_numpy(inputs.volumes[1, 0])
     answers = Answers(
         tuple(planes),
         copies,

@@ -15,11 +15,11 @@ import numba
 import numpy as np
 import torch
 import torch.nn.functional as F
-from numpy.typing import NDArray
 from torch import Tensor
 
 from gscomplete.splats import Splats
 from gscomplete.splats.rotations import rotation_matrices
+from gscomplete.util.arrays import Float32Array
 from gscomplete.util.kernels import KERNEL
 
 HALF_SIDE = 0.72
@@ -27,12 +27,10 @@ CELLS = 48
 COARSE_CELLS = CELLS // 2
 CELL_SIDE = 2 * HALF_SIDE / CELLS
 
-FloatArray = NDArray[np.float32]
-
 
 def splat_arrays(
     splats: Splats,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+) -> tuple[Float32Array, Float32Array, Float32Array, Float32Array]:
     """Return positions, tangents, opacities and colours as contiguous float32 arrays.
 
     Tangents [N, 2, 3] are the two longest axes of each splat, one standard deviation long.
@@ -55,12 +53,12 @@ def splat_arrays(
 
 
 def fill_colored(
-    positions: FloatArray,  # [N, 3]
-    tangents: FloatArray,  # [N, 2, 3]
-    opacities: FloatArray,  # [N]
-    colors: FloatArray,  # [N, 3]
+    positions: Float32Array,  # [N, 3]
+    tangents: Float32Array,  # [N, 2, 3]
+    opacities: Float32Array,  # [N]
+    colors: Float32Array,  # [N, 3]
     cells: int,
-) -> FloatArray:  # [4, cells, cells, cells]
+) -> Float32Array:  # [4, cells, cells, cells]
     """Return occupancy and occupancy-weighted mean colour (0 where empty).
 
     Every splat counts at its centre and one standard deviation along its tangents, so that large
@@ -76,11 +74,11 @@ def fill_colored(
 
 @numba.njit(**KERNEL)
 def _add_splats(
-    positions: FloatArray,  # [N, 3]
-    tangents: FloatArray,  # [N, 2, 3]
-    opacities: FloatArray,  # [N]
-    colors: FloatArray,  # [N, 3]
-    volume: FloatArray,  # [4, cells, cells, cells], added to
+    positions: Float32Array,  # [N, 3]
+    tangents: Float32Array,  # [N, 2, 3]
+    opacities: Float32Array,  # [N]
+    colors: Float32Array,  # [N, 3]
+    volume: Float32Array,  # [4, cells, cells, cells], added to
 ) -> None:
     """Sum opacities, and colours times opacities."""
     cells = volume.shape[1]
@@ -107,7 +105,7 @@ def _add_splats(
                 volume[1 + c, i, j, l] += weight * colors[n, c]
 
 
-def cell_centers(cells: int) -> FloatArray:  # [cells, cells, cells, 3]
+def cell_centers(cells: int) -> Float32Array:  # [cells, cells, cells, 3]
     """Return the centres of all cells of a grid."""
     along = (np.arange(cells, dtype=np.float32) + 0.5) * (2 * HALF_SIDE / cells) - HALF_SIDE
     return np.stack(np.meshgrid(along, along, along, indexing="ij"), axis=-1)

@@ -1,6 +1,5 @@
 """Splat sets: the record, its file form, transforms and validation."""
 
-from gscomplete.splats.compressed_ply import read_compressed_ply
 from gscomplete.splats.filters import usable_rows
 from gscomplete.splats.ply import SplatFile, append_splats, load_splats, read_splats, write_splats
 from gscomplete.splats.ply_files.header import PlyError
@@ -17,7 +16,6 @@ __all__ = [
     "colors_to_sh",
     "concatenate",
     "load_splats",
-    "read_compressed_ply",
     "read_splats",
     "transform_splats",
     "usable_rows",

@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from gscomplete.splats.record import Splats
+from gscomplete.util.arrays import BoolArray, Float32Array, Float64Array
 
 MAX_MAGNITUDE = 1e18
 """Largest coordinate or scale whose square is a finite float32."""
@@ -84,19 +84,19 @@ def near_rows(splats: Splats) -> tuple[Tensor, dict[str, int]]:  # [N] bool
 
 
 def middle_and_extent(
-    means: NDArray[np.float32],  # [N, 3]
-) -> tuple[NDArray[np.float64], float]:  # [3]
+    means: Float32Array,  # [N, 3]
+) -> tuple[Float64Array, float]:  # [3]
     """Return the median position, and the largest side of the box of the middle 90 % by axis."""
     low, middle, high = np.quantile(means, (0.05, 0.5, 0.95), axis=0).astype(np.float64)
     return middle, float((high - low).max())
 
 
 def far_positions(
-    means: NDArray[np.float32],  # [N, 3]
-    middle: NDArray[np.float64],  # [3]
+    means: Float32Array,  # [N, 3]
+    middle: Float64Array,  # [3]
     extent: float,
     factor: float,
-) -> NDArray[np.bool_]:  # [N]
+) -> BoolArray:  # [N]
     """Mark positions further than ``factor`` half extents from the middle along any axis."""
     if not extent > 0:
         return np.zeros(len(means), bool)

@@ -42,6 +42,13 @@ from gscomplete.splats.ply_files.payload import (
 from gscomplete.splats.ply_files.records import Decoder, Encoder
 from gscomplete.splats.record import Splats
 from gscomplete.util.atomic import atomic_path
+from gscomplete.util.file_names import SPLAT_SUFFIXES
+
+_OTHER_SUFFIXES = (
+    *(suffix for suffix in SPLAT_SUFFIXES if suffix != ".ply"),
+    *(".usd", ".usda", ".usdc", ".html"),
+)
+"""Of files that are no plain PLY, ``.compressed.ply`` among them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,9 +185,12 @@ def write_splats(path: str | Path, splats: Splats, comments: Sequence[str] = ())
         comments: texts of comment lines; line breaks in them become spaces.
 
     Raises:
-        UserError: the file cannot be written.
+        UserError: the file cannot be written, or its name is that of another format.
         ValueError: a value is not finite or out of range (``Encoder``).
     """
+    if isinstance(splats, SplatFile):
+        raise TypeError("splats: expected Splats, found a SplatFile; its .splats are meant")
+    _require_ply(Path(path))
     names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
     names += [f"f_rest_{i}" for i in range(3 * (splats.sh.shape[1] - 1))]
     names += [name for name in REQUIRED if name not in names]  # opacity, scale, rot
@@ -210,9 +220,10 @@ def append_splats(
 
     Raises:
         UserError: the source's records cannot hold the new splats (fewer SH bands, integer
-            types), or the file cannot be written.
+            types), or the file cannot be written, or its name is that of another format.
         ValueError: a new value is not finite or out of range (``Encoder``).
     """
+    _require_ply(Path(path))
     require_appendable(source)
     element, layout = source.element, source.layout
     if new.sh.shape[1] > layout.coefficients:
@@ -236,6 +247,21 @@ def append_splats(
         else:
             write_rows(stream, len(new), dtype.itemsize, encoder.records)
         stream.write(payload.after)
+
+
+def _require_ply(path: Path) -> None:
+    """Refuse a file that would be named as one of another format.
+
+    Raises:
+        UserError: it would.
+    """
+    name = path.name.lower()
+    others = [suffix for suffix in _OTHER_SUFFIXES if name.endswith(suffix)]
+    if others:
+        raise UserError(
+            f"{path}: expected the name of a .ply file, found {others[0]}; write a PLY and convert "
+            "it (splatcomplete-data convert)"
+        )
 
 
 def require_appendable(source: SplatFile) -> None:

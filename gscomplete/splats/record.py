@@ -95,6 +95,14 @@ class Splats:
         """Return the splats cut from the autograd graph."""
         return Splats(**{name: value.detach() for name, value in self.fields()})
 
+    def as_read(self) -> Splats:
+        """Return the splats as a file gives them, for NumPy: on the CPU and without gradients.
+
+        Types of fewer bits than float32, which NumPy may lack, become float32.
+        """
+        dtype = torch.promote_types(self.means.dtype, torch.float32)
+        return self.detach().to("cpu", dtype)
+
     def with_sh_degree(self, degree: int) -> Splats:
         """Return the splats with bands above ``degree`` dropped, or missing bands as zeros."""
         bands = (degree + 1) ** 2

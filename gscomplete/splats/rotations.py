@@ -1,11 +1,15 @@
-"""Quaternions (w, x, y, z): to rotation matrices and directions, and from directions."""
+"""Rotations: quaternions (w, x, y, z) and matrices, from each other, directions and angles."""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
+
+from gscomplete.util.arrays import Float32Array, Float64Array
 
 
 def rotation_matrices(quaternions: Tensor) -> Tensor:  # [N, 4] wxyz -> [N, 3, 3]
@@ -44,3 +48,29 @@ def quaternions_facing(normals: Tensor) -> Tensor:  # [N, 3] unit -> [N, 4] wxyz
     zero = torch.zeros_like(upper[:, 0])
     parts = [1.0 + upper[:, 2], -upper[:, 1], upper[:, 0], zero]
     return torch.nn.functional.normalize(torch.stack(parts, dim=1), dim=1)
+
+
+def turn_about_z(angle_rad: float) -> Float64Array:  # [3, 3]
+    """Return the rotation about +z by an angle."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def turn_onto_z(direction: Float64Array) -> Float64Array:  # [3] unit -> [3, 3]
+    """Return the shortest rotation that takes a direction to +z; half a turn about x from -z."""
+    x, y, z = direction
+    if z < -1 + 1e-9:
+        return np.diag([1.0, -1.0, -1.0])
+    skew = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
+    return np.eye(3) + skew + skew @ skew / (1.0 + z)
+
+
+def unit_quaternions(quaternions: Float32Array) -> Float32Array:  # [B, 4]
+    """Normalise without overflow or underflow; zero quaternions become the identity."""
+    columns = np.ascontiguousarray(quaternions.T)
+    largest = np.abs(columns).max(axis=0)
+    zero = largest == 0
+    columns /= np.where(zero, 1, largest)
+    columns[0, zero] = 1
+    columns /= np.sqrt((columns * columns).sum(axis=0))
+    return columns.T

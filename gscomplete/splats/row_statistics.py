@@ -21,6 +21,7 @@ from gscomplete.splats.ply_files.header import Element, PlyHeader
 from gscomplete.splats.ply_files.layout import SplatLayout
 from gscomplete.splats.ply_files.payload import payload_warnings, stream_records
 from gscomplete.splats.ply_files.records import value_table
+from gscomplete.util.arrays import BoolArray, Float32Array
 
 _BLOCK_ROWS = 8192
 _SH_SAMPLE_ROWS = 20_000
@@ -47,7 +48,12 @@ class Range:
     low: float = float("inf")
     high: float = float("-inf")
 
-    def add(self, values: NDArray[np.float32]) -> None:
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Smallest and largest value."""
+        return self.low, self.high
+
+    def add(self, values: Float32Array) -> None:
         """Widen the range to some values."""
         if values.size:
             self.low = min(self.low, float(values.min()))
@@ -63,15 +69,15 @@ class RowStatistics:
     opacity: Range = field(default_factory=Range)  # of the finite rows, as are all below
     scale: Range = field(default_factory=Range)
     base: Range = field(default_factory=Range)  # f_dc
-    means: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
-    scales: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
-    opacities: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
-    higher_sample: NDArray[np.float32] = field(  # [M, 3 (K - 1)] in the order of Splats.sh
+    means: Float32Array = field(default_factory=lambda: np.zeros((0, 3), np.float32))
+    scales: Float32Array = field(default_factory=lambda: np.zeros((0, 3), np.float32))
+    opacities: Float32Array = field(default_factory=lambda: np.zeros(0, np.float32))
+    higher_sample: Float32Array = field(  # [M, 3 (K - 1)] in the order of Splats.sh
         default_factory=lambda: np.zeros((0, 0), np.float32)
     )
 
     @property
-    def largest_scales(self) -> NDArray[np.float32]:  # [N]
+    def largest_scales(self) -> Float32Array:  # [N]
         """Logarithm of every splat's largest standard deviation."""
         return self.scales.max(axis=1, initial=-np.inf)
 
@@ -133,11 +139,11 @@ def gather_statistics(
 
 
 def _count_rows(
-    values: NDArray[np.float32],  # [B, 14]: mean, f_dc, opacity, scales, quaternion
-    higher: NDArray[np.float32],  # [B, 3 (K - 1)]: f_rest
+    values: Float32Array,  # [B, 14]: mean, f_dc, opacity, scales, quaternion
+    higher: Float32Array,  # [B, 3 (K - 1)]: f_rest
     quaternion_tolerance: float,
     counts: Counter[str],
-) -> NDArray[np.bool_]:  # [B]
+) -> BoolArray:  # [B]
     """Count odd rows of a block; return which rows are finite throughout."""
     opacity, scales, quaternions = values[:, 6], values[:, 7:10], values[:, 10:]
     large = (np.abs(values[:, :3]) >= MAX_MAGNITUDE).any(axis=1)
@@ -145,7 +151,7 @@ def _count_rows(
     large |= (np.abs(values[:, 3:6]) >= MAX_COEFFICIENT).any(axis=1)
     large |= (np.abs(higher) >= MAX_COEFFICIENT).any(axis=1)
     usual, usual_higher = np.isfinite(values), np.isfinite(higher).all(axis=1)
-    finite: NDArray[np.bool_] = np.logical_and(usual.all(axis=1), usual_higher)
+    finite: BoolArray = np.logical_and(usual.all(axis=1), usual_higher)
     counts["too_large"] += int((large & finite).sum())
     if not finite.all():
         nan = np.isnan(values).any(axis=1) | np.isnan(higher).any(axis=1)
@@ -164,7 +170,7 @@ def _count_rows(
     return finite
 
 
-def hash_rows(values: NDArray[np.float32]) -> NDArray[np.uint64]:  # [B, C] -> [B]
+def hash_rows(values: Float32Array) -> NDArray[np.uint64]:  # [B, C] -> [B]
     """Hash each row's bits; different rows agree with a chance of about 2^-64."""
     columns = np.ascontiguousarray(values.T).view(np.uint32)
     result = np.zeros(len(values), np.uint64)

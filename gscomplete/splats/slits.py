@@ -21,11 +21,10 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from gscomplete.splats.geometry.nearest import query_nearest
 from gscomplete.splats.geometry.neighbourhood import normals_of
 from gscomplete.splats.record import Splats, colors_to_sh
-from gscomplete.util.nearest import query_nearest
-
-FloatArray = NDArray[np.float64]
+from gscomplete.util.arrays import Float64Array
 
 _ROUND = 0.5
 """P is a scan if its splats are round, the smallest standard deviation being at least this share of
@@ -64,9 +63,9 @@ _COLOR_NEIGHBOURS = 4
 class _Samples:
     """Splats and their nearest neighbours."""
 
-    points: FloatArray  # [N, 3]
+    points: Float64Array  # [N, 3]
     tree: cKDTree
-    distance: FloatArray  # [N, K]
+    distance: Float64Array  # [N, K]
     index: NDArray[np.intp]  # [N, K]
 
     @property
@@ -77,7 +76,7 @@ class _Samples:
 
 def slit_splats(
     partial: Splats,
-    eye: FloatArray,  # [3] in the frame of P
+    eye: Float64Array,  # [3] in the frame of P
 ) -> Splats:
     """Return the samples that close P's slits; none if P is not a scan.
 
@@ -117,7 +116,7 @@ def _samples_of(partial: Splats) -> _Samples | None:
 
 def _ends(
     samples: _Samples,
-    eye: FloatArray,  # [3]
+    eye: Float64Array,  # [3]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:  # [S], [S]
     """Return the pairs of samples with a slit between them."""
     points, spacing = samples.points, samples.spacing
@@ -149,7 +148,7 @@ def _ends(
     return first[belong], second[belong]
 
 
-def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+def _dot(a: Float64Array, b: Float64Array) -> Float64Array:
     return np.einsum("...i,...i->...", a, b)
 
 
@@ -157,7 +156,7 @@ def _between(
     samples: _Samples,
     first: NDArray[np.intp],  # [S]
     second: NDArray[np.intp],  # [S]
-) -> FloatArray:  # [M, 3]
+) -> Float64Array:  # [M, 3]
     """Return places on the lines between samples, about a spacing apart."""
     start, end = samples.points[first], samples.points[second]
     length = np.linalg.norm(end - start, axis=1)
@@ -169,10 +168,10 @@ def _between(
 
 
 def _opacity_at(
-    points: FloatArray,  # [M, 3]
+    points: Float64Array,  # [M, 3]
     partial: Splats,
     tree: cKDTree,
-) -> FloatArray:  # [M]
+) -> Float64Array:  # [M]
     """Return the sum of the opacities of P's splats at places, as if they were balls."""
     distance, index = query_nearest(tree, points, range(1, _COVERING + 1))
     sigmas = partial.scales.double().mean(dim=1).clamp_min(1e-12).numpy()[index]
@@ -180,14 +179,14 @@ def _opacity_at(
     return np.einsum("mk,mk->m", partial.opacities.double().numpy()[index], falloff)
 
 
-def _thinned(points: FloatArray, side: float) -> FloatArray:  # [M, 3] -> [K, 3]
+def _thinned(points: Float64Array, side: float) -> Float64Array:  # [M, 3] -> [K, 3]
     """Keep one place of every grid cell."""
     cells = np.floor(points / side).astype(np.int64)
     _, kept = np.unique(cells, axis=0, return_index=True)
     return points[kept]
 
 
-def _like(partial: Splats, points: FloatArray, samples: _Samples) -> Splats:
+def _like(partial: Splats, points: Float64Array, samples: _Samples) -> Splats:
     """Return splats of the samples' size, in the colours of the samples about them."""
     distance, index = query_nearest(samples.tree, points, range(1, _COLOR_NEIGHBOURS + 1))
     weights = 1 / (distance + 1e-3 * samples.spacing)

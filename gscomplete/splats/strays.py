@@ -27,10 +27,11 @@ from torch import Tensor
 
 from gscomplete.networks.packaged import PACKAGED_WEIGHTS
 from gscomplete.networks.perceptron import Perceptron
+from gscomplete.splats.geometry.nearest import query_nearest
 from gscomplete.splats.geometry.neighbourhood import FLAT
 from gscomplete.splats.record import Splats
 from gscomplete.splats.rotations import thinnest_axes
-from gscomplete.util.nearest import query_nearest
+from gscomplete.util.arrays import Float32Array, Float64Array
 
 STRAY_SCORER_FILE = "strays.safetensors"
 STRAY_FROM = 0.0
@@ -109,7 +110,7 @@ class StandingOut:
     """The splats of a set that may be strays."""
 
     rows: NDArray[np.intp]  # [M] increasing
-    features: NDArray[np.float32]  # [M, F]
+    features: Float32Array  # [M, F]
 
 
 def standing_out(splats: Splats) -> StandingOut:
@@ -169,10 +170,10 @@ def standing_out(splats: Splats) -> StandingOut:
 
 def _outlying(
     tree: cKDTree,
-    points: NDArray[np.float64],  # [N, 3]
-    distance: NDArray[np.float64],  # [M, K] of the splats that stand out
+    points: Float64Array,  # [N, 3]
+    distance: Float64Array,  # [M, K] of the splats that stand out
     about: NDArray[np.intp],  # [M, A] their surroundings
-) -> NDArray[np.float64]:  # [M, R]
+) -> Float64Array:  # [M, R]
     """Return logarithms of distances over those of the surroundings, for ``_OUTLYING_RANKS``."""
     ranks = [rank + 1 for rank in _OUTLYING_RANKS]
     others, place = np.unique(about, return_inverse=True)
@@ -183,9 +184,9 @@ def _outlying(
 
 
 def _planes(
-    points: NDArray[np.float64],  # [M, 3]
-    about: NDArray[np.float64],  # [M, A, 3]
-) -> tuple[NDArray[np.float64], ...]:  # [M], [M], [M, 3], [M, 3]
+    points: Float64Array,  # [M, 3]
+    about: Float64Array,  # [M, A, 3]
+) -> tuple[Float64Array, ...]:  # [M], [M], [M, 3], [M, 3]
     """Return distances from the middle and the plane of surroundings, variances and normals."""
     middle = about.mean(axis=1)
     offsets = about - middle[:, None]
@@ -197,5 +198,5 @@ def _planes(
     return np.linalg.norm(away, axis=1), off_plane, np.maximum(variances, _TINY**2), normals
 
 
-def _log(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _log(values: Float64Array) -> Float64Array:
     return np.log(np.maximum(values, _TINY)).clip(-_MOST_LOG, _MOST_LOG)

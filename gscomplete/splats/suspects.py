@@ -23,13 +23,13 @@ from typing import Literal
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
 from gscomplete.splats.filters import middle_and_extent
 from gscomplete.splats.record import Splats
 from gscomplete.splats.thinning import every_nth
+from gscomplete.util.arrays import BoolArray, Float32Array, Float64Array
 
 Reason = Literal["floaters", "giants", "haze", "needles"]
 
@@ -116,11 +116,11 @@ def describe_suspects(splats: Splats) -> tuple[str, ...]:
 
 
 def find_suspects(
-    means: NDArray[np.float32],  # [N, 3] finite
-    scales: NDArray[np.float32],  # [N, 3] standard deviations
-    opacities: NDArray[np.float32],  # [N] in [0, 1]
+    means: Float32Array,  # [N, 3] finite
+    scales: Float32Array,  # [N, 3] standard deviations
+    opacities: Float32Array,  # [N] in [0, 1]
     limits: SuspectLimits | None = None,
-) -> dict[Reason, NDArray[np.bool_]]:  # [N] each
+) -> dict[Reason, BoolArray]:  # [N] each
     """Mark the suspects of a set, by reason (``suspect_rows`` on bare arrays)."""
     chosen = limits or SuspectLimits()
     none = np.zeros(len(means), np.bool_)
@@ -143,10 +143,10 @@ def find_suspects(
 
 
 def _floaters(
-    means: NDArray[np.float32],  # [N, 3]
-    sizes: NDArray[np.float32],  # [N] largest standard deviation of each
+    means: Float32Array,  # [N, 3]
+    sizes: Float32Array,  # [N] largest standard deviation of each
     spacings: float,
-) -> NDArray[np.bool_]:  # [N]
+) -> BoolArray:  # [N]
     """Mark splats whose eighth neighbour is far away and out of their reach."""
     floating = np.zeros(len(means), np.bool_)
     middle, extent = middle_and_extent(means)
@@ -167,9 +167,9 @@ def _floaters(
 
 
 def _crowded(
-    points: NDArray[np.float64],  # [N, 3]
+    points: Float64Array,  # [N, 3]
     distance: float,
-) -> NDArray[np.bool_]:  # [N]
+) -> BoolArray:  # [N]
     """Mark points that surely have eight others within a distance: those of one cell of a grid."""
     cells = (points - points.min(axis=0)) / (distance / np.sqrt(3.0))
     if cells.max() >= _MOST_CELLS:

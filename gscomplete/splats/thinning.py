@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gscomplete.splats.record import Splats
+from gscomplete.util.arrays import Float32Array
 
 _LEVELS = 2**20
 """Steps that positions are quantised to along each axis."""
@@ -60,7 +61,7 @@ def thinned(splats: Splats, limit: int, generator: torch.Generator) -> Splats:
     return dataclasses.replace(chosen, scales=chosen.scales * (count / max(limit, 1)) ** 0.5)
 
 
-def space_filling_order(means: NDArray[np.float32]) -> Tensor:  # [N, 3] -> [N]
+def space_filling_order(means: Float32Array) -> Tensor:  # [N, 3] -> [N]
     """Return the order of finite positions along a Morton curve through their box."""
     if not len(means):
         return torch.zeros(0, dtype=torch.int64)

@@ -51,7 +51,8 @@ class Similarity:
         if rotation.shape != (3, 3) or translation.shape != (3,):
             shapes = f"{tuple(rotation.shape)} and {tuple(translation.shape)}"
             raise ValueError(f"Similarity: expected shapes (3, 3) and (3,), found {shapes}")
-        error = (rotation @ rotation.T - torch.eye(3, dtype=torch.float64)).abs().max()
+        unit = torch.eye(3, dtype=torch.float64, device="cpu")
+        error = (rotation @ rotation.T - unit).abs().max()
         if not (error <= ROTATION_TOLERANCE and torch.linalg.det(rotation) > 0):
             raise ValueError(f"Similarity.rotation: not a proper rotation: {rotation.tolist()}")
         if not bool(torch.isfinite(translation).all()):

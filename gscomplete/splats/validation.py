@@ -26,12 +26,15 @@ from gscomplete.splats.filters import (
     far_positions,
     middle_and_extent,
 )
+from gscomplete.splats.linear_values import linear_values
 from gscomplete.splats.ply import splat_element
 from gscomplete.splats.ply_files.header import Element, PlyError, PlyHeader, read_header
 from gscomplete.splats.ply_files.layout import SplatLayout, find_layout
 from gscomplete.splats.row_statistics import RowStatistics, gather_statistics
 from gscomplete.splats.suspects import SuspectLimits, find_suspects
 
+_FAINTEST_LOGIT = -math.log(254)
+"""Of an opacity of 1/255, below which renderers skip a splat."""
 Severity = Literal["error", "warning", "info"]
 
 
@@ -76,19 +79,7 @@ class ValidationLimits:
     positions lose visible precision (2^-24 * 1000 = 6e-5 of the extent)."""
 
     min_rows_for_guesses: int = 100
-    """Guesses about linear values and SH order need at least this many rows."""
-
-    linear_spread: float = 0.5
-    """Opacities (or f_dc) all in [0, 1] that spread over more than this are linear, surely."""
-
-    linear_hint: float = 0.05
-    """Opacities all in [0, 1] that spread over more than this may be linear."""
-
-    large_scale: float = 0.25
-    """A typical splat larger than this part of the extent hints at linear scales."""
-
-    byte_color: float = 20.0
-    """f_dc that are all positive and reach above this look like RGB of 0 to 255."""
+    """Guesses about SH order need at least this many rows."""
 
     tiny_scale: float = 1e-6
     """Splats smaller than this part of the extent are invisible."""
@@ -129,7 +120,7 @@ def validate_file(path: str | Path, limits: ValidationLimits | None = None) -> V
         *_value_findings(statistics, limits),
         *_frame_findings(statistics, limits),
         *_suspect_findings(statistics, limits.suspects),
-        *_linear_findings(statistics, limits),
+        *_linear_findings(statistics),
         *_sh_order_findings(statistics, limits),
     ]
     order = {"error": 0, "warning": 1, "info": 2}
@@ -179,7 +170,14 @@ def _value_findings(rows: RowStatistics, limits: ValidationLimits) -> list[Findi
         ("too_large", "warning", "rows with a position, size or colour too large to be drawn"),
         ("unnormalised_quaternions", "info", "quaternions not of length 1, normal in training"),
     ]
-    return [Finding(n, severity, counts[n], text) for n, severity, text in table if counts[n]]
+    found = [Finding(n, severity, counts[n], text) for n, severity, text in table if counts[n]]
+    count = len(rows.means)
+    if count and counts["too_large"] == count:
+        found.append(Finding("not_drawable", "error", count, "no row can be drawn"))
+    elif count and rows.opacity.high < _FAINTEST_LOGIT and not counts["infinite_opacity"]:
+        message = "nothing can be seen: all opacities are below 1/255"
+        found.append(Finding("invisible", "error", count, message))
+    return found
 
 
 def _frame_findings(rows: RowStatistics, limits: ValidationLimits) -> list[Finding]:
@@ -236,41 +234,15 @@ def _suspect_findings(rows: RowStatistics, limits: SuspectLimits) -> list[Findin
     ]
 
 
-def _linear_findings(rows: RowStatistics, limits: ValidationLimits) -> list[Finding]:
+def _linear_findings(rows: RowStatistics) -> list[Finding]:
     """Findings about values that look as if logit, log or SH conversion had been left out."""
+    ranges = (rows.opacity.ends, rows.scale.ends, rows.base.ends)
+    found = linear_values(rows.means, rows.largest_scales, *ranges)
     count = len(rows.means)
-    if count < limits.min_rows_for_guesses:
-        return []
-    found = []
-    spread = rows.opacity.high - rows.opacity.low
-    if rows.opacity.low >= 0 and rows.opacity.high <= 1 and spread > limits.linear_hint:
-        severity: Severity = "error" if spread > limits.linear_spread else "warning"
-        message = (
-            f"opacities look linear, expected logits: all in [{rows.opacity.low:.3g}, "
-            f"{rows.opacity.high:.3g}]"
-        )
-        found.append(Finding("linear_opacity", severity, count, message))
-    extent = float(np.ptp(np.quantile(rows.means, (0.05, 0.95), axis=0), axis=0).max())
-    typical = float(np.median(rows.largest_scales))
-    large = limits.large_scale * extent
-    if rows.scale.low >= 0 and typical < large < math.exp(min(typical, 80.0)):
-        message = (
-            f"scales look linear, expected logarithms: all positive, typically {typical:.3g}; as "
-            f"logarithms they are splats of {math.exp(min(typical, 80.0)):.3g} in an extent of "
-            f"{extent:.3g}"
-        )
-        found.append(Finding("linear_scale", "error", count, message))
-    spread = rows.base.high - rows.base.low
-    if rows.base.low >= 0 and (
-        rows.base.high > limits.byte_color
-        or (rows.base.high <= 1 and spread > limits.linear_spread)
-    ):
-        message = (
-            f"f_dc looks like RGB, expected (RGB - 0.5) / 0.2821: all in [{rows.base.low:.3g}, "
-            f"{rows.base.high:.3g}]"
-        )
-        found.append(Finding("linear_color", "warning", count, message))
-    return found
+    return [
+        Finding(each.name, "error" if each.is_sure else "warning", count, each.message)
+        for each in found
+    ]
 
 
 def _sh_order_findings(rows: RowStatistics, limits: ValidationLimits) -> list[Finding]:

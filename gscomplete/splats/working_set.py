@@ -81,7 +81,7 @@ class WorkingSet:
 def working_set(
     partial: Splats,
     limit: int | None,
-    path: str,
+    name: str,
     z_up_from_file: Tensor | None = None,  # [3, 3] rotation
 ) -> WorkingSet:
     """Choose the splats of P that take part.
@@ -89,7 +89,7 @@ def working_set(
     Args:
         partial: P as read.
         limit: most splats to draw; None = all.
-        path: the file named in errors.
+        name: what errors call P: its file, or "P".
         z_up_from_file: takes file axes to z-up ones; None = neither strays nor table are looked
             for.
 
@@ -99,7 +99,7 @@ def working_set(
     usable, reasons = usable_rows(partial)
     if not bool(usable.any()):
         raise UserError(
-            f"{path}: expected at least one splat that can be drawn, found none of "
+            f"{name}: expected at least one splat that can be drawn, found none of "
             f"{len(partial)} ({in_words(reasons) or 'no splats'})"
         )
     splats = partial if bool(usable.all()) else partial.select(usable)

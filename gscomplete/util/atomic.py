@@ -28,6 +28,7 @@ _OS_REASONS = {
     errno.ENOENT: "the folder does not exist",
     errno.ENOTDIR: "a part of the path is a file, not a folder",
     errno.EISDIR: "the destination is a folder",
+    errno.ELOOP: "it is a link that leads back to itself",
     errno.ENAMETOOLONG: "the file name is too long",
     errno.EFBIG: "the file would be too large for this file system",
 }
@@ -51,7 +52,10 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     temporary: Path | None = None
     try:
         if destination.is_symlink():
-            destination = destination.resolve()  # replace the file behind a link, not the link
+            # replace the file behind a link, not the link
+            destination = Path(os.path.realpath(destination))
+            if destination.is_symlink():
+                raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
         if destination.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
         handle, name = tempfile.mkstemp(

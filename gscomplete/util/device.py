@@ -3,7 +3,8 @@
 Conventions
 -----------
 * Gradients, inference mode, autocast and the default device are the calling thread's. The default
-  type is one for all threads: it is changed only where it is not float32.
+  type is one for all threads: it is changed only where it is not float32, and changed back when no
+  thread needs it any more.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import logging
+import threading
 from collections.abc import Iterator
 
 import torch
@@ -36,7 +38,7 @@ def choose_device(name: str) -> torch.device:
         return torch.device("cuda" if is_there else "cpu")
     try:
         device = torch.device(name)
-    except RuntimeError as error:
+    except (RuntimeError, TypeError) as error:
         raise UserError(f"--device: expected auto, cpu, cuda or cuda:N, found {name!r}") from error
     if device.type not in ("cpu", "cuda"):
         raise UserError(f"--device: expected auto, cpu, cuda or cuda:N, found {name!r}")
@@ -69,7 +71,6 @@ def peak_gpu_bytes() -> int | None:
 @contextlib.contextmanager
 def plain_torch() -> Iterator[None]:
     """Have gradients, float32 on the CPU by default, and no autocast in the block."""
-    dtype = torch.get_default_dtype()
     with contextlib.ExitStack() as stack:
         stack.enter_context(torch.inference_mode(False))
         stack.enter_context(torch.enable_grad())
@@ -78,7 +79,34 @@ def plain_torch() -> Iterator[None]:
                 stack.enter_context(torch.autocast(device, enabled=False))
         if torch.get_default_device().type != "cpu":
             stack.enter_context(torch.device("cpu"))
-        if dtype != torch.float32:
-            stack.callback(torch.set_default_dtype, dtype)
-            torch.set_default_dtype(torch.float32)
+        stack.enter_context(_DEFAULT_TYPE.float32())
         yield
+
+
+class _DefaultType:
+    """PyTorch's default type, which threads that need float32 share."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._needed_by = 0
+        self._before = torch.float32
+
+    @contextlib.contextmanager
+    def float32(self) -> Iterator[None]:
+        """Have float32 by default here: the first of several sets it, the last undoes it."""
+        with self._lock:
+            if self._needed_by == 0:
+                self._before = torch.get_default_dtype()
+                if self._before != torch.float32:
+                    torch.set_default_dtype(torch.float32)
+            self._needed_by += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._needed_by -= 1
+                if self._needed_by == 0 and self._before != torch.float32:
+                    torch.set_default_dtype(self._before)
+
+
+_DEFAULT_TYPE = _DefaultType()

@@ -1,5 +1,6 @@
 """Names of the files that make object, run and dataset folders, of splat files, and of objects."""
 
+import os
 import re
 from pathlib import Path
 from typing import Any, TypeGuard
@@ -51,17 +52,26 @@ def splat_stem(name: str) -> str | None:
     return None if suffix is None else name[: -len(suffix)] or None
 
 
-def require_suffix(name: str, path: Path | None, suffixes: tuple[str, ...]) -> None:
-    """Check that a file to be written, and replaced if it exists, is named as one of its kind.
+def require_destination(name: str, path: Path | None, suffixes: tuple[str, ...]) -> None:
+    """Check, before any work is done for it, that a file can be written, or replaced.
 
     Args:
         name: the option that names it.
         path: the file; None = none is written.
-        suffixes: of files of that kind, in lower case.
+        suffixes: of files of its kind, in lower case.
 
     Raises:
-        UserError: it has another suffix, as a splat file named by mistake has.
+        UserError: it has another suffix, as a splat file named by mistake has; its folder is not
+            there or not writable, or it is a folder itself.
     """
-    if path is not None and path.suffix.lower() not in suffixes:
+    if path is None:
+        return
+    if path.suffix.lower() not in suffixes:
         kinds = ", ".join(suffixes)
         raise UserError(f"{name}: expected a file name ending in {kinds}, found {str(path)!r}")
+    if path.is_dir():
+        raise UserError(f"{name}: {path}: expected a file, found a folder")
+    if not path.parent.is_dir():
+        raise UserError(f"{name}: {path}: expected a folder that exists, found no {path.parent}")
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise UserError(f"{name}: {path}: no permission to write into {path.parent}")

@@ -87,6 +87,15 @@ def write_json(path: Path, value: Any) -> None:
         Path(temporary).write_text(text, encoding="utf-8")
 
 
+def has_schema(path: Path, schema: str) -> bool:
+    """Tell whether a JSON file is of a kind of ours: other programs' may have the same name."""
+    try:
+        content = read_json(path)
+    except UserError:
+        return False
+    return isinstance(content, dict) and content.get("schema") == schema
+
+
 def read_json(path: Path) -> Any:
     """Read JSON values from a file.
 

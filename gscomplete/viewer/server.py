@@ -12,13 +12,13 @@ Conventions
 from __future__ import annotations
 
 import io
+import socket
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from gscomplete.errors import UserError
@@ -26,6 +26,7 @@ from gscomplete.evaluate.pictures import ERROR_INK
 from gscomplete.splats import Splats
 from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.splats.transform import quaternion_from_rotation
+from gscomplete.util.arrays import Float32Array
 from gscomplete.viewer.layers import Layer, Scene
 from gscomplete.viewer.pages import mended_answers
 from gscomplete.viewer.view_errors import bounds_of, view_errors
@@ -34,7 +35,6 @@ from gscomplete.views import Cameras, ViewDistribution, join_cameras
 if TYPE_CHECKING:
     import viser
 
-FloatArray = NDArray[np.float32]
 Colors = Literal["own", "tints", "errors"]
 COLORS: tuple[Colors, ...] = ("own", "tints", "errors")
 TINTS = ((0.25, 0.5, 0.95), (0.98, 0.55, 0.15), (0.3, 0.75, 0.35), (0.85, 0.3, 0.6))
@@ -126,7 +126,7 @@ def layer_colors(
     colors: Colors,
     place: int,
     errors: Tensor | None = None,  # [N] on its splats; None = there are none
-) -> FloatArray:  # [N, 3]
+) -> Float32Array:  # [N, 3]
     """Return the colours of layer number ``place``, in [0, 1]."""
     own = splats.base_colors.detach().float().clamp(0, 1).cpu().numpy()
     if colors == "own":
@@ -140,7 +140,7 @@ def layer_colors(
     return np.float32((1 - _TINT_SHARE) * lightness + _TINT_SHARE * tinted).clip(0, 1)
 
 
-def covariances(splats: Splats) -> FloatArray:  # [N, 3, 3]
+def covariances(splats: Splats) -> Float32Array:  # [N, 3, 3]
     """Return the splats' second moments."""
     axes = rotation_matrices(splats.quaternions.double()) * splats.scales.double()[:, None]
     moments = axes @ axes.transpose(1, 2)
@@ -163,12 +163,29 @@ def listen(host: str, port: int) -> viser.ViserServer:
         raise UserError(
             'the viewer needs viser, which is not installed: pip install "gscomplete[view]"'
         ) from error
+    _require_own_address(host)
     try:
         # viser prints a banner of its own, whatever ``verbose`` says.
         with redirect_stdout(io.StringIO()), mended_answers(host):
             return viser.ViserServer(host=host, port=port, label="GSComplete", verbose=False)
     except OSError as error:
         raise UserError(f"--host {host} --port {port}: cannot listen there: {error}") from error
+
+
+def _require_own_address(host: str) -> None:
+    """Refuse a host that is not this machine's: viser would wait for it without end.
+
+    Raises:
+        UserError: nothing can listen there.
+    """
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.bind(address)
+    except (OSError, UnicodeError) as error:
+        raise UserError(
+            f"--host {host}: expected a name or an address of this machine, to listen at ({error})"
+        ) from error
 
 
 def show_layer(viewer: Viewer, layer: Layer) -> None:
@@ -237,7 +254,7 @@ def show_errors(viewer: Viewer) -> None:
     viewer.drawn["P"].rgbs = _colors(viewer, "P")
 
 
-def _colors(viewer: Viewer, name: str) -> FloatArray:  # [N, 3]
+def _colors(viewer: Viewer, name: str) -> Float32Array:  # [N, 3]
     layer, place = viewer.colored[name]
     errors = viewer.errors[0] if name == "P" and viewer.errors else None
     return layer_colors(layer.splats, viewer.coloring.value, place, errors)

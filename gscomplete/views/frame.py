@@ -70,8 +70,8 @@ def up_rotation(up: UpAxis) -> Tensor:  # [3, 3]
     Raises:
         ValueError: ``up`` is neither one of the six axes nor a direction.
     """
-    if up in _OBJECT_ROWS:
-        return torch.tensor(_OBJECT_ROWS[up], dtype=torch.float64)
+    if isinstance(up, str) and up in _OBJECT_ROWS:
+        return torch.tensor(_OBJECT_ROWS[up], dtype=torch.float64, device="cpu")
     direction = _parsed_direction(up)
     axes = {name: np.array(rows[2]) for name, rows in _OBJECT_ROWS.items()}
     nearest = max(axes, key=lambda name: float(axes[name] @ direction))
@@ -91,7 +91,7 @@ def _parsed_direction(up: str) -> np.ndarray:  # [3] unit
     """
     try:
         direction = np.array([float(part) for part in up.split(",")])
-    except ValueError:
+    except (AttributeError, ValueError):  # of what is no text
         direction = np.zeros(0)
     length = float(np.linalg.norm(direction))
     if direction.shape != (3,) or not 1e-12 < length < math.inf:
@@ -150,14 +150,14 @@ class ObjectFrame:
 
         Raises:
             ValueError: an unknown axis, a centre that is not three finite numbers, or a size that
-                is not finite and positive.
+                is not positive, or not finite, or whose inverse is not.
         """
         up_rotation(self.up)
         if len(self.center_file) != 3 or not all(math.isfinite(c) for c in self.center_file):
             raise ValueError(
                 f"center_file: expected three finite numbers, found {self.center_file}"
             )
-        if not (math.isfinite(self.size_file) and self.size_file > 0):
+        if not (0 < self.size_file < math.inf and 1 / self.size_file < math.inf):
             raise ValueError(f"size_file: expected a positive number, found {self.size_file}")
 
     @classmethod
@@ -165,7 +165,8 @@ class ObjectFrame:
         cls, up: UpAxis, center_z_up: tuple[float, float, float], size_file: float
     ) -> ObjectFrame:
         """Build the frame from a centre given in z-up file units (``up_rotation`` applied)."""
-        center = up_rotation(up).T @ torch.tensor(center_z_up, dtype=torch.float64)
+        center_in_axes = torch.tensor(center_z_up, dtype=torch.float64, device="cpu")
+        center = up_rotation(up).T @ center_in_axes
         x, y, z = center.tolist()
         return cls(up, (x, y, z), float(size_file))
 
@@ -201,13 +202,13 @@ class ObjectFrame:
     def object_from_file(self) -> Similarity:
         """Similarity that takes file coordinates to object coordinates."""
         rotation = up_rotation(self.up)
-        center = torch.tensor(self.center_file, dtype=torch.float64)
+        center = torch.tensor(self.center_file, dtype=torch.float64, device="cpu")
         return Similarity(1.0 / self.size_file, rotation, -(rotation @ center) / self.size_file)
 
     @property
     def file_from_object(self) -> Similarity:
         """Similarity that takes object coordinates to file coordinates."""
-        center = torch.tensor(self.center_file, dtype=torch.float64)
+        center = torch.tensor(self.center_file, dtype=torch.float64, device="cpu")
         return Similarity(self.size_file, up_rotation(self.up).T.contiguous(), center)
 
     def to_json(self) -> dict[str, Any]:

@@ -17,19 +17,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 from scipy.spatial import cKDTree
 
 from gscomplete.errors import UserError
+from gscomplete.util.arrays import Float32Array
 from gscomplete.util.atomic import atomic_path
 from recipes.entry_point import start
 from recipes.train_embedded_prior.data.mesh_pack import read_manifest, read_mesh
 from recipes.train_embedded_prior.procedural.quads import turn_about
 from splatcomplete_data.mesh.discs import sample_triangles
 
-FloatArray = NDArray[np.float32]
 POINTS = 4096
 """Points of an object; a random order lets the first of them stand for all."""
 _FEW = 96
@@ -56,8 +55,8 @@ class Bank:
     """Objects to retrieve."""
 
     ids: tuple[str, ...]
-    points: FloatArray  # [N, POINTS, 3]
-    colors: FloatArray  # [N, POINTS, 3] in [0, 1]
+    points: Float32Array  # [N, POINTS, 3]
+    colors: Float32Array  # [N, POINTS, 3] in [0, 1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,8 +64,8 @@ class Retrieved:
     """The nearest object, turned as it is nearest."""
 
     id: str
-    points: FloatArray  # [POINTS, 3]
-    colors: FloatArray  # [POINTS, 3]
+    points: Float32Array  # [POINTS, 3]
+    colors: Float32Array  # [POINTS, 3]
     distance: float
 
 
@@ -117,7 +116,7 @@ def read_bank(path: Path) -> Bank:
         raise UserError(f"{path}: --bank: expected a bank of {made}: {error}") from error
 
 
-def nearest(bank: Bank, points: FloatArray, colors: FloatArray) -> Retrieved:
+def nearest(bank: Bank, points: Float32Array, colors: Float32Array) -> Retrieved:
     """Retrieve the object nearest to a part.
 
     Args:
@@ -147,7 +146,7 @@ def nearest(bank: Bank, points: FloatArray, colors: FloatArray) -> Retrieved:
     )
 
 
-def _joint(points: FloatArray, colors: FloatArray) -> FloatArray:  # [N, 6]
+def _joint(points: Float32Array, colors: Float32Array) -> Float32Array:  # [N, 6]
     return np.concatenate([points, _COLOR_LENGTH * colors], axis=1)
 
 

@@ -27,13 +27,13 @@ from typing import Literal
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from gscomplete.evaluate.align import AlignmentSettings, align_points
 from gscomplete.evaluate.align.refine import Candidate, Target, surface_of
 from gscomplete.splats.transform import Similarity
+from gscomplete.util.arrays import Float64Array
 from recipes.entry_point import start
 from recipes.real_objects.unseen import chosen_entries
 from recipes.train_embedded_prior.data.mesh_pack import (
@@ -45,7 +45,6 @@ from recipes.train_embedded_prior.data.mesh_pack import (
 from splatcomplete_data.mesh.discs import sample_triangles, triangle_areas_and_normals
 from splatcomplete_data.mesh.sampling import uniform_points
 
-FloatArray = NDArray[np.float64]
 _POINTS = 30_000
 """Samples of the surface, for the result, for the object that P is cut from, and to judge with."""
 _PLAIN = 0.6
@@ -83,12 +82,12 @@ class Options:
 class Case:
     """A part to be found in a result."""
 
-    points: FloatArray  # [n, 3] of the complete object, largest side 1, box centred
-    colors: FloatArray  # [n, 3]
-    result: FloatArray  # [k, 3] points, or what a distortion makes of them, moved by ``true``
-    result_colors: FloatArray  # [k, 3]
-    part: FloatArray  # [m, 3]
-    part_colors: FloatArray  # [m, 3]
+    points: Float64Array  # [n, 3] of the complete object, largest side 1, box centred
+    colors: Float64Array  # [n, 3]
+    result: Float64Array  # [k, 3] points, or what a distortion makes of them, moved by ``true``
+    result_colors: Float64Array  # [k, 3]
+    part: Float64Array  # [m, 3]
+    part_colors: Float64Array  # [m, 3]
     true: Similarity
     """result_from_object"""
 
@@ -133,7 +132,7 @@ def make_case(
 
 def surface_samples(
     mesh: PackMesh, entry: PackEntry, seed: int | None
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[Float64Array, Float64Array]:
     """Return points on a mesh, evenly spread or drawn at random from a seed, and their colours."""
     triangles = mesh.vertices[mesh.faces]
     if seed is None:

@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from gscomplete.util.arrays import Float32Array
 from gscomplete.util.optional import import_open3d
 from gscomplete.views import Cameras, ObjectFrame
 from splatcomplete_data.mesh.files.load import Mesh
@@ -31,8 +32,8 @@ _STEP = 1e-4
 class Truth:
     """What the mesh looks like from V cameras."""
 
-    color: NDArray[np.float32]  # [V, H, W, 3] times coverage
-    coverage: NDArray[np.float32]  # [V, H, W] share of rays that hit
+    color: Float32Array  # [V, H, W, 3] times coverage
+    coverage: Float32Array  # [V, H, W] share of rays that hit
 
 
 def cast_mesh(mesh: Mesh, frame: ObjectFrame, cameras: Cameras, samples: int) -> Truth:
@@ -70,9 +71,7 @@ def scene_of(mesh: Mesh, frame: ObjectFrame) -> Any:
     return scene
 
 
-def _rays(
-    camera: Cameras, samples: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:  # [3], [H S W S, 3]
+def _rays(camera: Cameras, samples: int) -> tuple[Float32Array, Float32Array]:  # [3], [H S W S, 3]
     """Return the camera's centre and its rays, sub-rows and sub-columns interleaved."""
     rotation = camera.camera_from_world[0, :3, :3].double().numpy()
     focal = camera.focal_px[0].double().numpy()
@@ -88,7 +87,7 @@ def _rays(
 
 def _cast(
     mesh: Mesh, scene: object, core: object, origin: NDArray, directions: NDArray
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:  # [R, 3], [R]
+) -> tuple[Float32Array, Float32Array]:  # [R, 3], [R]
     """Return colours (0 where nothing is hit) and whether something opaque is hit."""
     rgb = np.zeros((len(directions), 3), np.float32)
     hit = np.zeros(len(directions), np.float32)

@@ -20,7 +20,8 @@ from gscomplete.util.atomic import atomic_path
 from recipes.entry_point import start
 from splatcomplete_data.multiview.photos.capture import photo_folder
 from splatcomplete_data.multiview.photos.images import list_photos
-from splatcomplete_data.multiview.reconstruct import Request, execute, prepare
+from splatcomplete_data.multiview.reconstruct import execute, prepare
+from splatcomplete_data.multiview.request import Request
 from splatcomplete_data.multiview.sfm.structure_from_motion import find_poses
 from splatcomplete_data.multiview.training.settings import GrowthSettings, TrainingSettings
 from splatcomplete_data.multiview.training.train import StepReport

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gscomplete.splats import Splats, transform_splats
+from gscomplete.util.arrays import BoolArray, Float64Array
 from gscomplete.util.optional import import_open3d
 from recipes.benchmarks.mesh_conversion import Options as MeshOptions
 from recipes.benchmarks.mesh_conversion import mesh_paths, views_of
@@ -60,8 +60,8 @@ class Kept:
 
 
 def seen_by_rays(
-    scene: object, splats: Splats, eye: NDArray[np.float64]
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:  # [N], [N]
+    scene: object, splats: Splats, eye: Float64Array
+) -> tuple[BoolArray, BoolArray]:  # [N], [N]
     """Return which splats are visible, and which are hidden.
 
     Args:

@@ -15,11 +15,11 @@ import math
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from gscomplete.render import render
 from gscomplete.splats import Splats, colors_to_sh, concatenate
 from gscomplete.splats.rotations import quaternions_facing
+from gscomplete.util.arrays import Float64Array
 from gscomplete.views.cameras import Cameras, orbit_cameras
 from splatcomplete_data.cuts.geometry import by_visibility, splat_points
 from splatcomplete_data.multiview.photos.images import View
@@ -81,14 +81,14 @@ def captured_part(complete: Splats, rng: np.random.Generator, steps: int = STEPS
     return trained.select(torch.from_numpy(((places >= low) & (places <= high)).all(axis=1)))
 
 
-def _table(middle: NDArray[np.float64], low: float, rng: np.random.Generator) -> Splats:
+def _table(middle: Float64Array, low: float, rng: np.random.Generator) -> Splats:
     places = np.full((_TABLE_SPLATS, 3), low - _TABLE_BELOW)
     places[:, :2] = middle[:2] + rng.uniform(-1, 1, (_TABLE_SPLATS, 2)) * _TABLE_HALF
     up = np.tile((0.0, 0.0, 1.0), (_TABLE_SPLATS, 1))
     return _patterned(places, up, 2 * _TABLE_HALF / math.sqrt(_TABLE_SPLATS), rng)
 
 
-def _room(middle: NDArray[np.float64], rng: np.random.Generator) -> Splats:
+def _room(middle: Float64Array, rng: np.random.Generator) -> Splats:
     ways = rng.standard_normal((_ROOM_SPLATS, 3))
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     spacing = _ROOM_RADIUS * math.sqrt(4 * math.pi / _ROOM_SPLATS)
@@ -96,8 +96,8 @@ def _room(middle: NDArray[np.float64], rng: np.random.Generator) -> Splats:
 
 
 def _patterned(
-    places: NDArray[np.float64],  # [N, 3]
-    normals: NDArray[np.float64],  # [N, 3] unit
+    places: Float64Array,  # [N, 3]
+    normals: Float64Array,  # [N, 3] unit
     size: float,
     rng: np.random.Generator,
 ) -> Splats:
@@ -119,8 +119,8 @@ def _patterned(
 
 
 def _cameras(
-    middle: NDArray[np.float64], rng: np.random.Generator
-) -> tuple[Cameras, NDArray[np.float64]]:  # eyes [V, 3]
+    middle: Float64Array, rng: np.random.Generator
+) -> tuple[Cameras, Float64Array]:  # eyes [V, 3]
     """Place cameras on arcs of three elevations, not quite evenly."""
     half = float(rng.uniform(*_HALF_ARC_DEG))
     drawn = rng.uniform(size=(len(_ELEVATIONS_DEG), _PER_ELEVATION))

@@ -277,9 +277,13 @@ def _picture_row(framed: FramedObject, completed: Path) -> list[Image.Image]:
 
 
 def table(results: dict[str, dict[str, Any]], ways: tuple[Way, ...]) -> str:
-    """Show every object's silhouettes by way, then the means of everything."""
+    """Show every object's silhouettes by way, then the means of everything.
+
+    Objects that an earlier run completed in other ways only are left out.
+    """
     lines = [f"{'silhouette IoU':18}" + "".join(f"{way:>12}" for way in ways)]
-    known = [name for name, rows in results.items() if "silhouette_iou" in rows.get(ways[0], {})]
+    measured = {name: rows for name, rows in results.items() if set(ways) <= set(rows)}
+    known = [name for name, rows in measured.items() if "silhouette_iou" in rows[ways[0]]]
     for name in known:
         values = (results[name][way]["silhouette_iou"] for way in ways)
         lines.append(f"{name:18}" + "".join(f"{value:12.3f}" for value in values))
@@ -294,7 +298,7 @@ def table(results: dict[str, dict[str, Any]], ways: tuple[Way, ...]) -> str:
     ):
         form = ".5f" if key.startswith("e_") else ".3f"
         means = [
-            mean_of_known([results[name][way].get(key) for name in known or results], form)
+            mean_of_known([results[name][way].get(key) for name in known or measured], form)
             for way in ways
         ]
         lines.append(f"{label:18}" + "".join(f"{mean:>12}" for mean in means))

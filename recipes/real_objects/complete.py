@@ -201,7 +201,9 @@ def _mean_line(rows: list[dict[str, Any]]) -> str:
     ]
     if known:
         iou = sum(truth["hidden_iou"] for truth in known) / len(known)
-        psnr = sum(truth["hidden_color_psnr_db"] or 0.0 for truth in known) / len(known)
+        decibels = [truth["hidden_color_psnr_db"] for truth in known]
+        told = [value for value in decibels if value is not None]
+        psnr = sum(told) / len(told) if told else float("nan")
         parts.append(
             f"hidden IoU {iou:.3f}, PSNR {psnr:.1f} dB over {len(known)} known complete objects"
         )

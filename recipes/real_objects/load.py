@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
-from gscomplete.splats import Splats, read_compressed_ply, transform_splats
+from gscomplete.splats import Splats, transform_splats
+from gscomplete.splats.formats.compressed_ply import read_compressed_ply
 from gscomplete.views import ObjectFrame, UpAxis
 from recipes.real_objects.catalogue import ENTRIES, Entry
 from splatcomplete_data.cuts.geometry import PartialCut

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
 from gscomplete.priors.embedded.weights import packaged_weights
 from gscomplete.shape.bank.store import BANK_CELLS, BANK_FILE, ShapeName, write_bank
+from gscomplete.util.arrays import BoolArray
 from recipes.entry_point import start
 from recipes.train_embedded_prior.data.mesh_pack import PackMesh, read_manifest, read_mesh
 from splatcomplete_data.mesh.discs import sample_triangles
@@ -37,7 +37,7 @@ class Options:
     """Shapes under other licences are left out."""
 
 
-def surface_cells(mesh: PackMesh) -> NDArray[np.bool_]:  # [C, C, C]
+def surface_cells(mesh: PackMesh) -> BoolArray:  # [C, C, C]
     """Mark the cells of a mesh's own box cube that its surface passes."""
     triangles = mesh.vertices[mesh.faces]
     face, weights = sample_triangles(triangles, _SAMPLES, 1)

@@ -23,7 +23,6 @@ from typing import Literal
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -32,6 +31,7 @@ from gscomplete.splats import Splats, usable_rows
 from gscomplete.splats.filters import FAR_FACTOR, far_positions, in_words, middle_and_extent
 from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.splats.suspects import FEWEST, SuspectLimits, suspect_rows
+from gscomplete.util.arrays import BoolArray, Float64Array, IntArray
 from splatcomplete_data.multiview.propose_box import Focus, propose_box, shown_area
 from splatcomplete_data.scan.clusters import cluster
 
@@ -52,7 +52,7 @@ _REACH_SIGMAS = 1.5
 class Cleaned:
     """What stays, and why the rest goes."""
 
-    keep: NDArray[np.bool_]  # [N]
+    keep: BoolArray  # [N]
     reasons: dict[str, int]
     """Splats by the first rule that marks them; rules that mark none are left out."""
     notes: tuple[str, ...] = ()
@@ -118,10 +118,10 @@ def _marks(
     rules: Sequence[Rule],
     focus: Focus | None,
     notes: list[str],
-) -> list[tuple[Rule, NDArray[np.bool_]]]:  # [N] each
+) -> list[tuple[Rule, BoolArray]]:  # [N] each
     """Return what each rule marks, in the order of the rules' description."""
     suspects = suspect_rows(drawn, limits_at(strength))
-    marks: list[tuple[Rule, NDArray[np.bool_]]] = [
+    marks: list[tuple[Rule, BoolArray]] = [
         (name, mask.numpy()) for name, mask in suspects.items() if name in rules
     ]
     gone = np.any([mask for _, mask in marks], axis=0) if marks else np.zeros(len(drawn), bool)
@@ -141,7 +141,7 @@ def _marks(
     return marks
 
 
-def islands(splats: Splats, strength: float) -> NDArray[np.bool_]:  # [N]
+def islands(splats: Splats, strength: float) -> BoolArray:  # [N]
     """Mark splats of clusters that hold little and touch nothing else, and those far off.
 
     Args:
@@ -167,7 +167,7 @@ def islands(splats: Splats, strength: float) -> NDArray[np.bool_]:  # [N]
     return np.asarray(far | (held[own] < share * weight.sum()))
 
 
-def _reach(splats: Splats) -> tuple[NDArray[np.float64], NDArray[np.int64]]:  # [5 N, 3], [5 N]
+def _reach(splats: Splats) -> tuple[Float64Array, IntArray]:  # [5 N, 3], [5 N]
     """Return the points that splats reach (centres, ends of long axes) and the splat of each."""
     order = splats.scales.argsort(dim=1, descending=True)[:, :2]
     axes = rotation_matrices(splats.quaternions).transpose(1, 2)
@@ -179,7 +179,7 @@ def _reach(splats: Splats) -> tuple[NDArray[np.float64], NDArray[np.int64]]:  # 
     return places.reshape(-1, 3).numpy(), owners
 
 
-def _background(splats: Splats, focus: Focus, notes: list[str]) -> NDArray[np.bool_]:  # [N]
+def _background(splats: Splats, focus: Focus, notes: list[str]) -> BoolArray:  # [N]
     """Mark what lies in or behind the planes that bear the object."""
     none = np.zeros(len(splats), np.bool_)
     try:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from gscomplete.errors import UserError
+from gscomplete.errors import UserError, naming
 from splatcomplete_data.cli.common import say
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def run(options: CleanOptions) -> int:
     Raises:
         UserError: the file cannot be read or written, or nothing is left.
     """
-    from gscomplete.evaluate.pictures import save_image
+    from gscomplete.evaluate.pictures import require_own_picture, save_image
     from gscomplete.splats.formats.any_file import writable_format_of
     from gscomplete.views import parse_up
     from splatcomplete_data.clean.rules import clean_rows
@@ -75,6 +75,8 @@ def run(options: CleanOptions) -> int:
         writable_format_of(options.out)
         path = options.picture or options.out.with_suffix(".png")
         named = [options.out, path]
+    if not named:
+        require_own_picture(path)
     for file in named:
         if file.exists() and not options.overwrite:
             raise UserError(f"{file}: it exists; replace it with --overwrite")
@@ -82,8 +84,10 @@ def run(options: CleanOptions) -> int:
     rules: list[Rule] = [*options.rules]
     if options.background:
         rules.append("background")
-    focus = scene.focus() if options.background else None
-    cleaned = clean_rows(scene.file.splats, options.strength, rules, focus)
+    with naming(f"{options.file}: --background"):
+        focus = scene.focus() if options.background else None
+    with naming(options.file):
+        cleaned = clean_rows(scene.file.splats, options.strength, rules, focus)
     lost = _write(options.out, scene, cleaned) if options.out is not None else ()
     save_image(_sheet(scene, cleaned), path)
     _report(options, scene, cleaned, lost, path)

@@ -22,10 +22,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gscomplete.cli.bars import progress_bar
-from gscomplete.errors import UserError
+from gscomplete.errors import UserError, naming
 from gscomplete.util import jsonio
-from gscomplete.util.file_names import shown_name
-from gscomplete.util.parse import parse_numbers, parse_view, require_prompt
+from gscomplete.util.file_names import is_plain_name, shown_name
+from gscomplete.util.parse import (
+    has_controls,
+    parse_numbers,
+    parse_view,
+    require_prompt,
+    shown_text,
+)
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -172,7 +178,7 @@ def store_object(options: ObjectOptions, made: ObjectDraft) -> ObjectRecord:
     """
     from gscomplete.framing.decide import decide_framing
     from gscomplete.util.digests import sha256_of
-    from splatcomplete_data.framing import moved_center, require_touching
+    from splatcomplete_data.framing import moved_center, require_touching, seen_past_truth
     from splatcomplete_data.objects import ObjectRecord, SourceRecord, write_object
 
     folder = options.out or default_folder(made.source_file)
@@ -188,13 +194,16 @@ def store_object(options: ObjectOptions, made: ObjectDraft) -> ObjectRecord:
     given_in = turn if made.is_center_of_source else None
     if given_in is not None:
         request = moved_center(request, given_in)
-    decided = decide_framing(drawn, request, made.complete)
+    with naming(made.source_file):
+        decided = decide_framing(drawn, request, made.complete)
     if request.center_file is not None or request.size_file is not None:
         require_touching(decided.frame, drawn, given_in)
+    if request.view_deg is None and request.camera_position_file is None:
+        decided = seen_past_truth(decided, made.partial, made.complete)
     is_file = made.source_file.is_file()
     try:
         record = ObjectRecord(
-            id=options.id or shown_name(folder.name),
+            id=shown_name(folder.name) if options.id is None else options.id,
             subset=made.subset,
             prompt=options.prompt or _prompt_from(made.source_file),
             source=SourceRecord(
@@ -255,7 +264,8 @@ def check_out(options: ObjectOptions, source_file: Path) -> None:
 
     Raises:
         UserError: it holds something, and ``--overwrite`` is not given or it is no object folder;
-            an option is a number that is not finite, or the prompt is empty or no Unicode text.
+            an option is a number that is not finite, the prompt is empty or no Unicode text, or
+            the id is no plain file name.
     """
     from splatcomplete_data.atomic_folder import check_destination
     from splatcomplete_data.objects import PROPOSED_FILES, RECORD_FILE
@@ -266,6 +276,8 @@ def check_out(options: ObjectOptions, source_file: Path) -> None:
             name = field.name.replace("_", "-")
             raise UserError(f"--{name}: expected a finite number, found {value:g}")
     require_prompt(options.prompt)
+    if options.id is not None and not is_plain_name(options.id):
+        raise UserError(f"--id: expected a plain file name, found {options.id!r}")
     check_destination(
         options.out or default_folder(source_file),
         marker=RECORD_FILE,
@@ -276,7 +288,9 @@ def check_out(options: ObjectOptions, source_file: Path) -> None:
 
 def _prompt_from(source_file: Path) -> str:
     """Return the prompt of an object when ``--prompt`` is not given."""
-    return shown_name(source_file.stem).replace("_", " ").strip() or "an object"
+    name = shown_name(source_file.stem).replace("_", " ")
+    words = "".join(" " if has_controls(character) else character for character in name)
+    return words.strip() or "an object"
 
 
 def default_folder(source_file: Path) -> Path:
@@ -294,7 +308,7 @@ def say(options: Any, *lines: str) -> None:
     """Print lines for a person: standard output, or standard error when that is for a machine."""
     stream = sys.stderr if getattr(options, "json", False) else sys.stdout
     for line in lines:
-        stream.write(f"{line}\n")
+        stream.write(f"{shown_text(line)}\n")
 
 
 @contextlib.contextmanager

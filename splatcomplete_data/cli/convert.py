@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -12,8 +13,9 @@ from gscomplete.errors import UserError
 from splatcomplete_data.cli.common import say
 
 if TYPE_CHECKING:
+    from gscomplete.folders.drawable import Drawable
     from gscomplete.splats import Splats
-    from gscomplete.views import UpAxis
+    from gscomplete.views import ObjectFrame, UpAxis
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +32,8 @@ class ConvertOptions:
     """
 
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
-    """File to read."""
+    """File to read; a run folder stands for its completed.ply, an object folder for its
+    partial.ply."""
     target: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TARGET")]
     """File to write; its suffix selects the format."""
     overwrite: bool = False
@@ -39,8 +42,8 @@ class ConvertOptions:
     """Version of SPZ files: 3 is read everywhere, 4 is smaller."""
     up: str = "auto"
     """For .html and the formats that are y up (.glb, .usd*, .spz): axis of the splats that points
-    up, X, Y, Z, -X, -Y or -Z, or a direction X,Y,Z; auto = as the object folder of SOURCE says, if
-    it is in one, else -Y."""
+    up, X, Y, Z, -X, -Y or -Z, or a direction X,Y,Z; auto = as the object or run folder of SOURCE
+    says, if it is in one, else -Y."""
     most_splats: int = 500_000
     """For .html: a page with more splats holds an even subset, enlarged to match. A splat takes 23
     bytes."""
@@ -59,16 +62,18 @@ def run(options: ConvertOptions) -> int:
     is_page = options.target.suffix.lower() == ".html"
     if not is_page:
         writable_format_of(options.target)
+    _require_heeded(options, is_page=is_page)
     if options.target.exists() and not options.overwrite:
         raise UserError(f"{options.target}: it exists; replace it with --overwrite")
-    found = read_any_splats(options.source)
+    source = _source_of(options.source)
+    found = read_any_splats(source.file)
     say(options, *found.notes)
     if is_page:
-        written = _write_page(options, found.splats)
+        written = _write_page(options, found.splats, source.frame)
     else:
         y_up = None
         if axes_note(options.target) is not None:
-            up, origin = _up_of(options)
+            up, origin = _up_of(options, source)
             y_up = y_up_turn(up)
             say(options, f"{axes_note(options.target, y_up)} ({up} is up, {origin})")
         written = write_any_splats(
@@ -82,32 +87,67 @@ def run(options: ConvertOptions) -> int:
     return 0
 
 
-def _up_of(options: ConvertOptions) -> tuple[UpAxis, str]:
+def _require_heeded(options: ConvertOptions, *, is_page: bool) -> None:
+    """Refuse options that the target's format has no use for.
+
+    Raises:
+        UserError: there is one.
+    """
+    from gscomplete.splats.formats.any_file import axes_note
+
+    defaults = {field.name: field.default for field in dataclasses.fields(ConvertOptions)}
+    suffix = options.target.suffix.lower()
+    heeded = {
+        "up": is_page or axes_note(options.target) is not None,
+        "spz_version": suffix == ".spz",
+        "most_splats": is_page,
+    }
+    for name, is_heeded in heeded.items():
+        value = getattr(options, name)
+        if value != defaults[name] and not is_heeded:
+            flag = name.replace("_", "-")
+            raise UserError(f"--{flag} {value}: has no effect on {suffix} files; leave it out")
+
+
+def _source_of(path: Path) -> Drawable:
+    """Return the file that a path means, with what its folder says of it.
+
+    Raises:
+        UserError: it is a folder of another kind.
+    """
+    from gscomplete.folders.drawable import Drawable, drawable_of
+    from gscomplete.splats.formats.sog import META_FILE
+
+    return Drawable(path) if (path / META_FILE).is_file() else drawable_of(path)
+
+
+def _up_of(options: ConvertOptions, source: Drawable) -> tuple[UpAxis, str]:
     """Return what points up in the source, and what says so.
 
     Raises:
-        UserError: ``--up`` is no axis, or the object folder cannot be read.
+        UserError: ``--up`` is no axis.
     """
-    from gscomplete.folders import object_folder_of
+    from gscomplete.util.file_names import OUTPUT_FILE
     from gscomplete.views import parse_up
     from splatcomplete_data.framing import SPLAT_FILE_UP
 
     up = None if options.up == "auto" else parse_up(options.up)
     if up is not None:
         return up, "by --up"
-    known = object_folder_of(options.source)
-    if known is not None:
-        return known.frame.up, "by its object folder"
+    if source.frame is not None:
+        is_result = source.file.name == OUTPUT_FILE
+        return source.frame.up, "by its run" if is_result else "by its object folder"
     return SPLAT_FILE_UP, "assumed; --up gives another"
 
 
-def _write_page(options: ConvertOptions, splats: Splats) -> tuple[str, ...]:
+def _write_page(
+    options: ConvertOptions, splats: Splats, known: ObjectFrame | None
+) -> tuple[str, ...]:
     """Write the page; return what is lost.
 
     Raises:
         UserError: an option is out of range, or nothing can be drawn.
     """
-    from gscomplete.folders import object_folder_of
     from gscomplete.report.splat_page import write_splat_page
     from gscomplete.splats import usable_rows
     from gscomplete.views import ObjectFrame, parse_up
@@ -118,12 +158,11 @@ def _write_page(options: ConvertOptions, splats: Splats) -> tuple[str, ...]:
     usable, _ = usable_rows(splats)
     if not bool(usable.any()):
         raise UserError(f"{options.source}: expected splats that can be drawn, found none")
-    known = object_folder_of(options.source)
     up = None if options.up == "auto" else parse_up(options.up)
     if up is not None:
         frame = ObjectFrame.without_floaters(splats.select(usable), up)
     elif known is not None:
-        frame = known.frame
+        frame = known
     else:
         say(options, UP_ASSUMED)
         frame = ObjectFrame.without_floaters(splats.select(usable), SPLAT_FILE_UP)

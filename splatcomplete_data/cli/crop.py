@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from gscomplete.errors import UserError
+from gscomplete.errors import UserError, naming
 from splatcomplete_data.cli.common import (
     ObjectDraft,
     ObjectOptions,
@@ -20,9 +20,7 @@ from splatcomplete_data.cli.common import (
 )
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from gscomplete.util.arrays import BoolArray
     from splatcomplete_data.multiview.scene import Scene
 
 
@@ -91,11 +89,13 @@ def make(
     """
     import torch
 
+    from splatcomplete_data.cuts.open_faces import describe_cuts
     from splatcomplete_data.multiview.box_picture import box_sheet
     from splatcomplete_data.multiview.crop import kept_rows, write_rows
     from splatcomplete_data.objects import BOXES_FILE, StepRecord
 
     mask, reasons = kept_rows(scene.file, boxes)
+    notes = [*notes, *describe_cuts(scene.file.splats, boxes)]
     steps = [StepRecord("crop", scene.file.n_rows, int(mask.sum()), reasons)]
     mask, gone = _cleaned(options, scene, mask)
     part = scene.file.splats.select(torch.from_numpy(mask))
@@ -132,8 +132,15 @@ def _boxes(options: CropOptions, scene: Scene) -> tuple[list[Any], list[str]]:
     for text in options.box:
         if text == "auto":
             splats = scene.file.splats
-            cleaned = clean_rows(splats, _strength(options), option="--clean")
-            proposal = propose_box(splats.select(torch.from_numpy(cleaned.keep)), scene.focus())
+            with naming(scene.name):
+                cleaned = clean_rows(splats, _strength(options), option="--clean")
+            kept = splats.select(torch.from_numpy(cleaned.keep))
+            try:
+                proposal = propose_box(kept, scene.focus())
+            except UserError as error:
+                raise UserError(
+                    f"{scene.name}: --box auto: {error}; give the box as numbers"
+                ) from error
             notes += [f"--box auto: {note}" for note in proposal.notes]
             boxes.append(proposal.box)
         else:
@@ -151,8 +158,8 @@ def _strength(options: CropOptions) -> float:
 def _cleaned(
     options: CropOptions,
     scene: Scene,
-    mask: NDArray[np.bool_],  # [N]
-) -> tuple[NDArray[np.bool_], dict[str, int]]:
+    mask: BoolArray,  # [N]
+) -> tuple[BoolArray, dict[str, int]]:
     """Take from what the boxes keep what the rules of ``clean`` mark; return why, too."""
     import torch
 
@@ -160,7 +167,8 @@ def _cleaned(
 
     rows = torch.from_numpy(mask)
     kept = scene.file.splats.select(rows)
-    cleaned = clean_rows(kept, _strength(options), option="--clean")
+    with naming(scene.name):
+        cleaned = clean_rows(kept, _strength(options), option="--clean")
     mask = mask.copy()
     mask[mask] = cleaned.keep
     return mask, cleaned.reasons
@@ -172,9 +180,10 @@ def _propose(options: CropOptions, scene: Scene, boxes: list[Any], notes: list[s
 
     import torch
 
-    from gscomplete.evaluate.pictures import save_image
+    from gscomplete.evaluate.pictures import require_own_picture, save_image
     from gscomplete.util import jsonio
     from splatcomplete_data.cuts.boxes import box_text
+    from splatcomplete_data.cuts.open_faces import describe_cuts
     from splatcomplete_data.multiview.box_picture import box_sheet
     from splatcomplete_data.multiview.crop import kept_rows
     from splatcomplete_data.objects import BOXES_FILE, RECORD_FILE
@@ -186,15 +195,16 @@ def _propose(options: CropOptions, scene: Scene, boxes: list[Any], notes: list[s
             f"{options.out}: --propose: expected a folder without a finished object, whose "
             f"{BOXES_FILE} would be replaced"
         )
+    path = (options.out or Path()) / BOXES_FILE
+    require_own_picture(path)
     mask, _ = kept_rows(scene.file, boxes)
     mask, gone = _cleaned(options, scene, mask)
     part = scene.file.splats.select(torch.from_numpy(mask))
-    path = (options.out or Path()) / BOXES_FILE
     if options.out is not None:
         options.out.mkdir(parents=True, exist_ok=True)
     sheet = box_sheet(scene.drawable(), part, boxes, scene.picture_cameras(boxes), scene.near)
     save_image(sheet, path)
-    say(options, *notes)
+    say(options, *notes, *describe_cuts(scene.file.splats, boxes))
     for box in boxes:
         say(options, f"--box {box_text(box)}")
     for reason, count in gone.items():

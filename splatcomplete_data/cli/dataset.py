@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from splatcomplete_data.dataset.build import Outcome
 
 
+_SHEET = Path("contact_sheet.png")
+"""Picture of ``stats`` where none is named."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class BuildOptions:
     """Build all objects of a recipe.
@@ -149,9 +153,11 @@ def run_validate(options: ValidateOptions) -> int:
 
 def run_stats(options: StatsOptions) -> int:
     """Print the table and draw the sheet; return the exit code."""
-    from gscomplete.evaluate.pictures import save_image
+    from gscomplete.evaluate.pictures import require_own_picture, save_image
     from splatcomplete_data.dataset.stats import draw_sheet, survey
 
+    if options.sheet is None and not options.json:
+        require_own_picture(_SHEET)
     found = survey(options.folder)
     rows = found.rows
     subsets = sorted({row.subset for row in rows})
@@ -175,7 +181,7 @@ def run_stats(options: StatsOptions) -> int:
         say(options, *lines)
     say(options, *found.notes)
     if options.sheet is not None or not options.json:
-        path = options.sheet or Path("contact_sheet.png")
+        path = options.sheet or _SHEET
         save_image(draw_sheet(options.folder, rows), path)
         say(options, f"written: {path}")
     return 0

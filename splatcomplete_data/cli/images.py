@@ -18,7 +18,8 @@ from gscomplete.errors import UserError
 from splatcomplete_data.cli.common import say
 
 if TYPE_CHECKING:
-    from splatcomplete_data.multiview.reconstruct import Reconstruction, Request
+    from splatcomplete_data.multiview.reconstruct import Reconstruction
+    from splatcomplete_data.multiview.request import Request
     from splatcomplete_data.multiview.training.train import StepReport
 
 _TITLE = "{task.description:>9}"
@@ -127,11 +128,13 @@ def make_request(options: ImagesOptions) -> Request:
     """Turn command-line options into a request.
 
     Raises:
-        UserError: an option is out of range.
+        UserError: an option is out of range, or a folder is not there.
     """
-    from splatcomplete_data.multiview.reconstruct import Request
+    from gscomplete.util.parse import require_seed
+    from splatcomplete_data.multiview.request import Request
     from splatcomplete_data.multiview.sfm.structure_from_motion import SfmSettings
     from splatcomplete_data.multiview.training.settings import GrowthSettings, TrainingSettings
+    from splatcomplete_data.named_files import require_allowed
 
     for name, least in (
         ("max_side", 16),
@@ -147,6 +150,8 @@ def make_request(options: ImagesOptions) -> Request:
         if value < least:
             flag = name.replace("_", "-")
             raise UserError(f"--{flag}: expected at least {least}, found {value}")
+    require_seed(options.seed)
+    require_allowed(options.allow_outside)
     training = TrainingSettings(
         steps=options.steps,
         seed=options.seed,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from gscomplete.errors import UserError, naming
 from splatcomplete_data.cli.common import (
     ObjectDraft,
     ObjectOptions,
@@ -53,7 +54,7 @@ class MeshOptions(ObjectOptions):
     outline_px: float | None = None
     """Size of the object, in pixels, at which outlines are to be exact. 3DGS's blur widens
     outlines, so splats lie half such a pixel below the surface, at most 0.3 spacings; 0 leaves them
-    on it. None = 512, or 0 with a scan: cut, which measures surfaces."""
+    on it. None = 512, or 0 with a scan: cut, which measures surfaces. Only for --mode cells."""
     cut: tuple[str, ...] = ()
     """Parts to keep for partial.ply: plane:AZIMUTH[,OFFSET], box:LX,LY,LZ,HX,HY,HZ (object frame)
     or scan:AZ/EL[,AZ/EL...]."""
@@ -88,9 +89,11 @@ def make(options: MeshOptions, enter: StageCallback = ignore_stage) -> ObjectDra
         enter: told when a stage begins.
 
     Raises:
-        UserError: the mesh cannot be read or has no surface, or a cut is wrong.
+        UserError: the mesh cannot be read or has no surface, a cut is wrong, or an option has no
+            effect.
     """
     from gscomplete.framing.decide import frame_about
+    from gscomplete.util.parse import require_seed
     from splatcomplete_data.cli.common import framing_request
     from splatcomplete_data.cuts.named import ScanCut, apply_cuts, parse_cut, scanner_position
     from splatcomplete_data.framing import moved_center
@@ -99,7 +102,9 @@ def make(options: MeshOptions, enter: StageCallback = ignore_stage) -> ObjectDra
     from splatcomplete_data.mesh.files.up_axis import up_of_mesh_file
     from splatcomplete_data.points import offset_note, without_offset
 
+    _require_heeded(options)
     cuts = [parse_cut(text) for text in options.cut]
+    require_seed(options.seed)
     enter("reading", 0.0)
     mesh = load_mesh(
         options.file,
@@ -123,7 +128,8 @@ def make(options: MeshOptions, enter: StageCallback = ignore_stage) -> ObjectDra
     request = framing_request(options, up_of_mesh_file(options.file))
     light = BakedLight.from_above(request.up) if options.light else None
     enter("converting", 0.2)
-    made = convert_mesh(mesh, count, spacing=options.spacing, settings=settings, light=light)
+    with naming(options.file):
+        made = convert_mesh(mesh, count, spacing=options.spacing, settings=settings, light=light)
     complete = made.splats
     part: Splats | None = None
     steps: tuple[StepRecord, ...] = ()
@@ -148,3 +154,23 @@ def make(options: MeshOptions, enter: StageCallback = ignore_stage) -> ObjectDra
         camera_position_file=scanner,
         is_center_of_source=True,
     )
+
+
+def _require_heeded(options: MeshOptions) -> None:
+    """Refuse options that the file's format or the mode has no use for.
+
+    Raises:
+        UserError: there is one.
+    """
+    from splatcomplete_data.mesh.files.file_checks import GLTF_SUFFIXES
+
+    suffix = options.file.suffix.lower()
+    if options.gltf_colors != "linear" and suffix not in GLTF_SUFFIXES:
+        raise UserError(
+            f"--gltf-colors {options.gltf_colors}: has no effect on {suffix} files; leave it out"
+        )
+    if options.outline_px is not None and options.mode != "cells":
+        raise UserError(
+            f"--outline-px {options.outline_px:g}: has no effect with --mode {options.mode}; leave "
+            "it out"
+        )

@@ -64,7 +64,9 @@ def make(options: PartialOptions) -> tuple[PartialOptions, ObjectDraft]:
     Raises:
         UserError: the file cannot be read, no cut is given, or the cuts keep nothing.
     """
+    from gscomplete.folders.drawable import drawable_of
     from gscomplete.framing.decide import frame_about
+    from gscomplete.util.file_names import RUN_FILE
     from splatcomplete_data.cuts.boxes import read_boxes
     from splatcomplete_data.cuts.named import ScanCut, apply_cuts, parse_cut, scanner_position
     from splatcomplete_data.framing import SPLAT_FILE_UP, UP_ASSUMED
@@ -72,7 +74,7 @@ def make(options: PartialOptions) -> tuple[PartialOptions, ObjectDraft]:
     cuts = [parse_cut(text) for text in options.cut]
     boxes = tuple(box for text in options.box for box in read_boxes(text))
     source = _read_complete(options.file)
-    subset, default_up = options.subset, SPLAT_FILE_UP
+    subset = options.subset
     details: dict[str, str] = {}
     notes, record = source.notes, source.record
     if record is not None:
@@ -84,8 +86,12 @@ def make(options: PartialOptions) -> tuple[PartialOptions, ObjectDraft]:
             origin=options.origin or record.source.origin,
         )
         details = {"complete_from": record.id, "source": record.source.file}
-    elif options.up == "auto":
-        notes = (*notes, UP_ASSUMED)
+    else:
+        is_result = (options.file.parent / RUN_FILE).is_file()
+        known = drawable_of(options.file).frame if is_result else None
+        default_up = SPLAT_FILE_UP if known is None else known.up
+        if known is None and options.up == "auto":
+            notes = (*notes, UP_ASSUMED)
     complete, dropped = _drawable(source.splats, options.file)
     request = framing_request(options, default_up)
     frame = frame_about(complete, request)
@@ -137,7 +143,13 @@ def _read_complete(path: Path) -> _CompleteObject:
     """
     from gscomplete.splats import Similarity
     from gscomplete.splats.formats.any_file import read_any_splats
-    from splatcomplete_data.objects import read_object, record_of_file
+    from gscomplete.util.digests import sha256_of
+    from splatcomplete_data.objects import (
+        COMPLETE_FILE,
+        RECORD_FILE,
+        read_object,
+        record_of_file,
+    )
 
     notes: tuple[str, ...] = ()
     if path.is_dir():
@@ -145,6 +157,11 @@ def _read_complete(path: Path) -> _CompleteObject:
         if source.complete is None:
             raise UserError(f"{path}: expected an object folder with complete.ply, found none")
         splats, record = source.complete, source.record
+        if sha256_of(path / COMPLETE_FILE) != record.files[COMPLETE_FILE].sha256:
+            notes = (
+                f"doubtful: {path / COMPLETE_FILE} is not the file that {RECORD_FILE} records; "
+                "what that says may be of another object",
+            )
     else:
         found, known = read_any_splats(path), record_of_file(path)
         if known is None:

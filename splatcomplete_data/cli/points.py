@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +13,10 @@ from gscomplete.util.parse import parse_numbers
 from splatcomplete_data.cli.common import ObjectDraft, ObjectOptions, StageCallback, ignore_stage
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from gscomplete.util.arrays import Float64Array
     from gscomplete.views import UpAxis
     from splatcomplete_data.objects import StepRecord, Subset
+    from splatcomplete_data.scan.clean import CleanSettings
     from splatcomplete_data.scan.cloud import PointCloud
     from splatcomplete_data.scan.make import PartSettings
 
@@ -32,7 +32,7 @@ class PointOptions(ObjectOptions):
     planes: int | None = None
     """Remove up to this many planes: floor, walls, table. They are searched in the complete scene,
     level ones first; faces of the object do not count. None = 1 with --level, --seed-point or
-    --propose, else 0."""
+    (`scan`) --propose, else 0."""
     plane_thickness: float = 4.0
     """Points this close to a plane belong to it, in point spacings; the distance is reduced where
     the plane has less noise."""
@@ -115,6 +115,31 @@ def part_settings(options: PointOptions) -> PartSettings:
     )
 
 
+def require_heeded(options: PointOptions, cleaning: CleanSettings, *, is_levelled: bool) -> None:
+    """Refuse options of planes and clusters where none is looked for.
+
+    Args:
+        options: the flags.
+        cleaning: what is done to the points.
+        is_levelled: whether a plane is looked for to level them on.
+
+    Raises:
+        UserError: there is one.
+    """
+    defaults = {field.name: field.default for field in dataclasses.fields(PointOptions)}
+    is_clustered = cleaning.clusters > 0 and cleaning.seed_point is None
+    for name, is_heeded, where in (
+        ("plane_thickness", cleaning.planes > 0 or is_levelled, "planes (--planes N, --level)"),
+        ("cluster_radius", is_clustered, "clusters (--clusters N without --seed-point)"),
+    ):
+        value = getattr(options, name)
+        if value != defaults[name] and not is_heeded:
+            flag = name.replace("_", "-")
+            raise UserError(
+                f"--{flag} {value:g}: has no effect where nothing looks for {where}; leave it out"
+            )
+
+
 @dataclass(frozen=True, slots=True)
 class PointSource:
     """Points in the frame of the file that they come from, and what is known of them."""
@@ -128,7 +153,7 @@ class PointSource:
     """Whether ``up`` is a picture's: its camera may look down."""
     viewpoint: tuple[float, float, float] | None
     """Where the scanner stood; None = unknown."""
-    scene: NDArray[np.float64] | None  # [M, 3]
+    scene: Float64Array | None  # [M, 3]
     """All that was scanned, where ``cloud`` is a choice of it; None = it is all."""
     steps: tuple[StepRecord, ...]
     """What was done before."""
@@ -155,7 +180,7 @@ def made_from_points(
         enter: told when a stage begins.
 
     Raises:
-        UserError: a flag is wrong, or a step keeps nothing.
+        UserError: a flag is wrong or has no effect, or a step keeps nothing.
     """
     import torch
 
@@ -168,6 +193,13 @@ def made_from_points(
     from splatcomplete_data.scan.picture import removed_sheet
 
     settings = part_settings(options)
+    is_picture_up = found.is_picture_up and options.up == "auto"
+    assert settings.cleaning is not None
+    require_heeded(
+        options,
+        settings.cleaning,
+        is_levelled=settings.level == "always" or (settings.level == "auto" and is_picture_up),
+    )
     enter(f"cleaning {len(found.cloud):,} points", 0.2)
     source_up = framing_request(options, found.up).up
     is_up_told = found.is_up_known or options.up != "auto"
@@ -175,7 +207,7 @@ def made_from_points(
         found.viewpoint,
         axis_direction(source_up) if is_up_told else None,
         found.scene,
-        found.is_picture_up and options.up == "auto",
+        is_picture_up,
     )
     part = make_part(found.cloud, settings, str(source), around)
     moved = part.file_from_source

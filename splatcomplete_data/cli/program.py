@@ -17,9 +17,10 @@ from gscomplete.cli.guard import (
     keep_freed_memory,
     let_threads_sleep,
     print_version,
+    read_options,
     run_guarded,
 )
-from gscomplete.util.parse import with_new_names
+from gscomplete.util.parse import with_new_names, with_signs_joined
 
 let_threads_sleep()  # the commands load PyTorch, and with it the OpenMP runtime
 from splatcomplete_data.cli import clean, convert, crop, dataset, depth, images, mesh, partial, scan
@@ -65,13 +66,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     if arguments == ["--version"]:
         return print_version("splatcomplete-data")
-    arguments = with_new_names(arguments, _RENAMED)
+    arguments = with_signs_joined(with_new_names(arguments, _RENAMED))
     try:
-        options = tyro.cli(
+        options = read_options(
             Command,
+            gathered(arguments),
             prog="splatcomplete-data",
             description="Turn photos, depth, scans and meshes into partial splat objects.",
-            args=gathered(arguments),
             config=(tyro.conf.OmitArgPrefixes,),
         )
     except SystemExit as refusal:

@@ -127,16 +127,16 @@ def _propose(options: ScanOptions) -> int:
     """Draw and print what stands in the scan, and write nothing else.
 
     Raises:
-        UserError: as ``make``; or --out holds a finished object.
+        UserError: as ``make``; or --out holds a finished object, or an option has no effect.
     """
     import json
     import sys
 
-    from gscomplete.evaluate.pictures import save_image
+    from gscomplete.evaluate.pictures import require_own_picture, save_image
     from gscomplete.util import jsonio
-    from splatcomplete_data.cli.points import part_settings
+    from splatcomplete_data.cli.points import part_settings, require_heeded
     from splatcomplete_data.objects import CLUSTERS_FILE, RECORD_FILE
-    from splatcomplete_data.scan.clean import Surroundings
+    from splatcomplete_data.scan.clean import CleanSettings, Surroundings
     from splatcomplete_data.scan.propose import cluster_sheet, propose_clusters
 
     if options.out is not None and (options.out / RECORD_FILE).exists():
@@ -144,6 +144,11 @@ def _propose(options: ScanOptions) -> int:
             f"{options.out}: --propose: expected a folder without a finished object, whose "
             f"{CLUSTERS_FILE} would be replaced"
         )
+    path = (options.out or Path()) / CLUSTERS_FILE
+    require_own_picture(path)
+    settings = part_settings(options)
+    planes = 0 if settings.cleaning is None else settings.cleaning.planes
+    require_heeded(options, CleanSettings(planes=planes, clusters=0), is_levelled=False)
     with stages("scan") as enter:
         enter("reading", 0.0)
         source = _read(options)
@@ -154,10 +159,9 @@ def _propose(options: ScanOptions) -> int:
         up = axis_direction(request.up) if is_told else None
         around = Surroundings(source.viewpoint, up, source.scene)
         enter(f"looking for objects among {len(source.cloud):,} points", 0.2)
-        found = propose_clusters(source.cloud, part_settings(options), str(options.file), around)
+        found = propose_clusters(source.cloud, settings, str(options.file), around)
         enter("drawing", 0.7)
         sheet = cluster_sheet(found, request.up, options.file.name)
-    path = (options.out or Path()) / CLUSTERS_FILE
     if options.out is not None:
         options.out.mkdir(parents=True, exist_ok=True)
     save_image(sheet, path)
@@ -176,14 +180,16 @@ def _pick(options: ScanOptions, path: Path) -> int:
     """Let the user choose boxes on a page.
 
     Raises:
-        UserError: as ``make``; or the page cannot be served.
+        UserError: as ``make``; or the page cannot be served, or an option has no effect.
     """
     from gscomplete.views import axis_direction
     from splatcomplete_data.cli.pick import check_options, run_page
-    from splatcomplete_data.cli.points import part_settings
+    from splatcomplete_data.cli.points import part_settings, require_heeded
     from splatcomplete_data.cuts.box_page import PickedPoints
+    from splatcomplete_data.scan.clean import CleanSettings
 
     check_options(path, propose=options.propose)
+    require_heeded(options, CleanSettings(planes=0, clusters=0), is_levelled=False)
     source = _read(options)
     cloud = source.cloud
     up = axis_direction(framing_request(options, source.up).up)

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
+from gscomplete.util.arrays import BoolArray, Float32Array, Float64Array
 from gscomplete.util.atomic import atomic_path
 from gscomplete.viewer.server import listen
 from splatcomplete_data.cuts.boxes import Action, CropBox, box_text, inside_boxes
@@ -32,7 +33,6 @@ from splatcomplete_data.points import offset_for_float32
 if TYPE_CHECKING:
     import viser
 
-FloatArray = NDArray[np.float32]
 
 _MOST_DRAWN = 300_000
 _EXTENT_QUANTILES = (0.02, 0.98)
@@ -54,7 +54,7 @@ class PickedPoints:
     """What boxes are chosen in."""
 
     points: NDArray[np.floating]  # [N, 3] file frame
-    colors: FloatArray  # [N, 3] in [0, 1]
+    colors: Float32Array  # [N, 3] in [0, 1]
     up: tuple[float, float, float]
     """Unit vector, file frame."""
 
@@ -72,7 +72,7 @@ class BoxPage:
     """Start of the command line that uses the boxes, up to ``--box``."""
     told: Callable[[str], object]
     """Called with that command line when boxes are saved, or with the reason why they are not."""
-    offset: NDArray[np.float64]  # [3]
+    offset: Float64Array  # [3]
     """File coordinates less page coordinates."""
     chosen: int = 0
     """Index of the box that the gizmo moves."""
@@ -86,12 +86,12 @@ class BoxPage:
     """Held by whoever changes the page: viser calls back from many threads at once."""
 
     @property
-    def center_and_size(self) -> tuple[NDArray[np.float64], float]:
+    def center_and_size(self) -> tuple[Float64Array, float]:
         """Return the middle of the scene and its longest side, floaters aside."""
         low, high = _extent(self.picked)
         return (low + high) / 2, max(float((high - low).max()), 1e-9)
 
-    def kept(self) -> NDArray[np.bool_]:  # [N]
+    def kept(self) -> BoolArray:  # [N]
         """Return what the boxes keep."""
         return inside_boxes(self.picked.points, self.boxes)
 
@@ -289,26 +289,26 @@ def _look_at(client: Any, page: BoxPage) -> None:
     client.camera.up_direction = tuple(up)
 
 
-def _colors(colors: FloatArray, kept: NDArray[np.bool_]) -> NDArray[np.uint8]:  # [N, 3]
+def _colors(colors: Float32Array, kept: BoolArray) -> NDArray[np.uint8]:  # [N, 3]
     """Return the colours of points, pale where they are not kept."""
     pale = (1 - _LEFT_OUT_SHARE) * colors + _LEFT_OUT_SHARE * np.array(_LEFT_OUT)
     shown = np.where(kept[:, None], colors, pale)
     return (255 * shown.clip(0, 1)).round().astype(np.uint8)
 
 
-def _extent(picked: PickedPoints) -> tuple[NDArray[np.float64], NDArray[np.float64]]:  # [3], [3]
+def _extent(picked: PickedPoints) -> tuple[Float64Array, Float64Array]:  # [3], [3]
     """Return the corners of the box of the points, floaters aside."""
     points = picked.points[np.isfinite(picked.points).all(axis=1)]
     low, high = np.quantile(points.astype(np.float64), _EXTENT_QUANTILES, axis=0)
     return low, high
 
 
-def _edges(box: CropBox) -> NDArray[np.float64]:  # [12, 2, 3] file frame
+def _edges(box: CropBox) -> Float64Array:  # [12, 2, 3] file frame
     """Return the ends of a box's edges."""
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     corners = signs * np.asarray(box.half_extents) @ box.rotation.T + np.asarray(box.center)
     ends = [
         (a, b) for a in range(8) for b in range(a + 1, 8) if int((signs[a] != signs[b]).sum()) == 1
     ]
-    edges: NDArray[np.float64] = corners[np.array(ends)]
+    edges: Float64Array = corners[np.array(ends)]
     return edges

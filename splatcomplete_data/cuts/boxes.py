@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
 from gscomplete.splats.rotations import matrix_rows
+from gscomplete.util.arrays import BoolArray, Float64Array
 
 Action = Literal["keep", "remove"]
 BOXES_SUFFIX = ".txt"
@@ -59,22 +60,22 @@ class CropBox:
         object.__setattr__(self, "quaternion", (w, x, y, z))
 
     @property
-    def rotation(self) -> NDArray[np.float64]:  # [3, 3], columns are the box's axes
+    def rotation(self) -> Float64Array:  # [3, 3], columns are the box's axes
         """Matrix that turns box axes into file axes."""
         return np.array(matrix_rows(*self.quaternion))
 
-    def contains(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:  # [N, 3] -> [N]
+    def contains(self, points: NDArray[np.floating]) -> BoolArray:  # [N, 3] -> [N]
         """Mark the points inside the box or on its faces; points that are not finite are not."""
         local = (np.asarray(points, np.float64) - np.asarray(self.center)) @ self.rotation
         with np.errstate(invalid="ignore"):
-            inside: NDArray[np.bool_] = np.all(np.abs(local) <= np.asarray(self.half_extents), 1)
+            inside: BoolArray = np.all(np.abs(local) <= np.asarray(self.half_extents), 1)
         return inside
 
 
 def inside_boxes(
     points: NDArray[np.floating],  # [N, 3]
     boxes: Sequence[CropBox],
-) -> NDArray[np.bool_]:  # [N]
+) -> BoolArray:  # [N]
     """Mark what a list of boxes keeps; no box keeps everything."""
     start = next((box for box in boxes if box.action == "keep"), None)
     kept = np.ones(len(points), np.bool_) if start is None else start.contains(points)

@@ -16,14 +16,13 @@ from typing import Literal
 import numba
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from gscomplete.splats.record import Splats
+from gscomplete.util.arrays import BoolArray, Float32Array, Float64Array
 
 CutKind = Literal["plane", "box", "visibility", "crop", "plane+box", "plane+visibility", "nothing"]
-FloatArray = NDArray[np.float32]
-BoolArray = NDArray[np.bool_]
 _GRID_PX = 160
 """Side of the depth image by which splats are told to be seen."""
 
@@ -48,7 +47,7 @@ class PartialCut:
         return f"{self.kind}: kept {self.kept} of {len(self.mask)} splats ({numbers})"
 
 
-def splat_points(splats: Splats) -> FloatArray:
+def splat_points(splats: Splats) -> Float32Array:
     """Return the means as numpy [N, 3]."""
     return splats.means.detach().cpu().float().numpy()
 
@@ -147,7 +146,7 @@ def by_visibility(
 
 def eyes_at(
     azimuth_rad: ArrayLike, elevation_rad: ArrayLike, distance: float = 1.0
-) -> NDArray[np.float64]:  # [V, 3]
+) -> Float64Array:  # [V, 3]
     """Return where cameras stand that look at the origin.
 
     Args:
@@ -164,7 +163,7 @@ def eyes_at(
     )
 
 
-def looking_rotation(eye: NDArray[np.float64], target: ArrayLike) -> NDArray[np.float64]:
+def looking_rotation(eye: Float64Array, target: ArrayLike) -> Float64Array:
     """Return the rotation [3, 3] into camera axes (x right, y down, z forward), z up.
 
     Args:
@@ -181,8 +180,8 @@ def looking_rotation(eye: NDArray[np.float64], target: ArrayLike) -> NDArray[np.
 
 @numba.njit(cache=True)
 def _first_surface(
-    local: FloatArray,  # [N, 3] camera axes
-    sizes: FloatArray,  # [N]
+    local: Float32Array,  # [N, 3] camera axes
+    sizes: Float32Array,  # [N]
     solid: BoolArray,  # [N]
     grid_px: int,
     focal_px: float,

@@ -19,10 +19,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, transform_splats
+from gscomplete.util.arrays import Float64Array
 from gscomplete.views import ObjectFrame
 from splatcomplete_data.cuts.boxes import CropBox, inside_boxes
 from splatcomplete_data.cuts.geometry import (
@@ -86,7 +86,7 @@ class ScanCut:
     """Azimuth and elevation of every viewpoint."""
 
     @property
-    def eyes(self) -> NDArray[np.float64]:  # [V, 3]
+    def eyes(self) -> Float64Array:  # [V, 3]
         """Where the scanner stands, object frame."""
         azimuths, elevations = np.deg2rad(np.array(self.directions_deg, np.float64)).T
         return eyes_at(azimuths, elevations, SCAN_DISTANCE)
@@ -173,7 +173,8 @@ def apply_cuts(
     Raises:
         UserError: the cuts keep nothing, or everything.
     """
-    level = transform_splats(complete, frame.object_from_file)
+    plain = complete.as_read()
+    level = transform_splats(plain, frame.object_from_file)
     mask = torch.ones(len(level), dtype=torch.bool)
     steps = []
     for cut in cuts:
@@ -185,7 +186,7 @@ def apply_cuts(
         steps.append(StepRecord(f"cut_{result.kind}", before, after, removed, result.reason))
     if boxes:
         before = int(mask.sum())
-        mask = mask & torch.from_numpy(inside_boxes(complete.means.numpy(), boxes))
+        mask = mask & torch.from_numpy(inside_boxes(plain.means.numpy(), boxes))
         after = int(mask.sum())
         steps.append(StepRecord("boxes", before, after, {"outside_boxes": before - after}))
     kept = int(mask.sum())
@@ -194,7 +195,7 @@ def apply_cuts(
         raise UserError(
             f"{source}: cut: expected to keep a part of {len(level)} splats, kept {what}"
         )
-    return complete.select(mask), tuple(steps)
+    return complete.select(mask.to(complete.means.device)), tuple(steps)
 
 
 def _number(word: str) -> float:

@@ -16,8 +16,8 @@ import torch
 from numpy.typing import NDArray
 
 from gscomplete.splats.record import Splats
+from gscomplete.util.arrays import Float32Array
 from splatcomplete_data.cuts.geometry import (
-    FloatArray,
     PartialCut,
     by_box,
     by_plane,
@@ -51,7 +51,7 @@ _SLIGHT_BOX_SIZE = (0.15, 0.35)
 """Edges of boxes, object frame."""
 
 
-def _random_direction(rng: np.random.Generator) -> FloatArray:  # [3]
+def _random_direction(rng: np.random.Generator) -> Float32Array:  # [3]
     """Draw a unit vector; half of the time along an axis or level, as people cut."""
     kind = rng.random()
     angle = rng.uniform(0, 2 * math.pi)

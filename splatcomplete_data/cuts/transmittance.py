@@ -17,11 +17,11 @@ from typing import Any
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from gscomplete.splats.geometry.neighbourhood import FLAT
 from gscomplete.splats.record import Splats
 from gscomplete.splats.rotations import rotation_matrices
+from gscomplete.util.arrays import BoolArray, Float64Array
 
 _VISIBLE = 0.55
 """A splat is seen if the transmittance to it is at least this."""
@@ -43,16 +43,14 @@ _NEAR = 1e-4
 _ROUNDING = 1e-6
 """Cells by which a disc's extent is widened, because rays to its very edge are rounded."""
 
-FloatArray = NDArray[np.float64]
-
 
 def seen_splats(
     splats: Splats,
-    eye: FloatArray,  # [3]
-    camera_from_object: FloatArray,  # [3, 3]
+    eye: Float64Array,  # [3]
+    camera_from_object: Float64Array,  # [3, 3]
     grid: int,
     half_width: float,
-) -> NDArray[np.bool_]:  # [N]
+) -> BoolArray:  # [N]
     """Mark the splats that a scanner sees.
 
     Args:
@@ -86,7 +84,7 @@ def seen_splats(
     focal = 0.5 * grid / half_width
     sigmas = np.maximum(scales[:, :2], 1e-9)
     opacities = splats.opacities.double().numpy()
-    seen: NDArray[np.bool_] = _seen(local, axes, sigmas, opacities, own_from, grid, focal)
+    seen: BoolArray = _seen(local, axes, sigmas, opacities, own_from, grid, focal)
     return seen
 
 

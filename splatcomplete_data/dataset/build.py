@@ -46,7 +46,7 @@ from splatcomplete_data.dataset.recipe import Entry, Recipe
 from splatcomplete_data.mesh.files.side_files import side_files
 from splatcomplete_data.multiview.capture_folder import clear_capture
 from splatcomplete_data.multiview.photos.capture import find_masks
-from splatcomplete_data.named_files import Reach
+from splatcomplete_data.named_files import Reach, require_allowed
 from splatcomplete_data.objects import RECORD_FILE, read_record, record_of_file
 from splatcomplete_data.pictures import allow_large_pictures
 
@@ -107,6 +107,7 @@ def build(
         raise UserError(f"--only: the recipe has no object {unknown[0]!r}")
     if workers < 1:
         raise UserError(f"--jobs: expected 1 or more, found {workers}")
+    require_allowed(allow_outside)
     data, out = data.resolve(), out.resolve()
     reach = data if allow_outside is None else allow_outside.resolve()
     for entry in (*recipe.captures, *recipe.objects):
@@ -153,20 +154,28 @@ def build(
 
 
 def write_index(recipe: Recipe, out: Path) -> None:
-    """Write ``dataset.json``: what the dataset holds, in the recipe's order."""
+    """Write ``dataset.json``: what the dataset holds, in the recipe's order.
+
+    Objects whose record is damaged are left out, with a note.
+    """
     rows = []
     for entry in recipe.objects:
         folder = out / entry.id
-        if (folder / RECORD_FILE).is_file():
+        if not (folder / RECORD_FILE).is_file():
+            continue
+        try:
             record = read_record(folder)
-            rows.append(
-                {
-                    "id": record.id,
-                    "subset": record.subset,
-                    "prompt": record.prompt,
-                    "object_sha256": sha256_of(folder / RECORD_FILE),
-                }
-            )
+        except UserError as error:
+            _logger.warning("left out of %s until it is built again: %s", DATASET_FILE, error)
+            continue
+        rows.append(
+            {
+                "id": record.id,
+                "subset": record.subset,
+                "prompt": record.prompt,
+                "object_sha256": sha256_of(folder / RECORD_FILE),
+            }
+        )
     content = {"schema": INDEX_SCHEMA, "version": 1, "name": recipe.name, "objects": rows}
     path = out / DATASET_FILE
     if not path.is_file() or path.read_text(encoding="utf-8") != jsonio.dumps(content):

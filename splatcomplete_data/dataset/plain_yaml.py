@@ -5,6 +5,7 @@ Conventions
 * An alias (``*name``) repeats what its anchor (``&name``) marks, merge keys (``<<``) too. A few
   lines of aliases of aliases can stand for billions of values.
 * The nodes are counted before anything is made of them, as if each alias were written out.
+* A mapping has each key once; YAML's own reader would take the last of its values.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ def read_yaml(path: Path, purpose: str) -> Any:
         purpose: what it is read for, in the message that PyYAML is missing.
 
     Raises:
-        UserError: it is missing, no YAML, or an alias stands for itself or for too much.
+        UserError: it is missing, no YAML, a key is there twice, or an alias stands for itself or
+            for too much.
     """
     yaml = import_optional("yaml", purpose)
     try:
@@ -39,7 +41,7 @@ def read_yaml(path: Path, purpose: str) -> Any:
             root = loader.get_single_node()
             if root is None:
                 return None
-            _check_aliases(path, root, len(text) + _MOST_REPEATED)
+            _check_nodes(path, root, len(text) + _MOST_REPEATED)
             return loader.construct_document(root)
         finally:
             loader.dispose()
@@ -49,8 +51,8 @@ def read_yaml(path: Path, purpose: str) -> Any:
         raise UserError(f"{path}: expected YAML ({error})") from error
 
 
-def _check_aliases(path: Path, root: Any, most: int) -> None:
-    """Check that no node holds itself, and that none stands for more than ``most`` nodes.
+def _check_nodes(path: Path, root: Any, most: int) -> None:
+    """Check keys, that no node holds itself, and that none stands for more than ``most`` nodes.
 
     Raises:
         UserError: one does; the message names the field and its line.
@@ -74,6 +76,10 @@ def _check_aliases(path: Path, root: Any, most: int) -> None:
                 if total > most:
                     found = f"expected at most {most:,} values, found aliases that stand for more"
                     raise refusal(node, where, found)
+            again = _repeated_key(node)
+            if again is not None:
+                found = f"expected every key once, found {_shown(again)!r} again"
+                raise refusal(again, where, found)
             above.remove(id(node))
             sizes[id(node)] = total
         return sizes[id(node)]
@@ -89,6 +95,17 @@ def _children(node: Any) -> list[tuple[Any, str]]:
     if node.id == "sequence":
         return [(item, f"[{index}]") for index, item in enumerate(node.value)]
     return []
+
+
+def _repeated_key(node: Any) -> Any:
+    """Return the first key of a mapping that is there a second time; None = there is none."""
+    seen: set[tuple[str, str]] = set()
+    for key, _ in node.value if node.id == "mapping" else ():
+        if key.id == "scalar":
+            if (key.tag, key.value) in seen:
+                return key
+            seen.add((key.tag, key.value))
+    return None
 
 
 def _shown(key: Any) -> str:

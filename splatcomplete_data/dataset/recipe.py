@@ -187,11 +187,14 @@ def _entries(path: Path, rows: Any, *, is_capture: bool) -> tuple[Entry, ...]:
     commands = CAPTURE_COMMANDS if is_capture else OBJECT_COMMANDS
     entries: list[Entry] = []
     for number, row in enumerate(rows, start=1):
-        if not isinstance(row, dict) or not isinstance(row.get("id"), str):
-            raise UserError(f"{path}: entry {number}: expected a mapping with an id")
+        if not isinstance(row, dict) or "id" not in row:
+            found = f"expected a mapping with an id, found {jsonio.describe(row)}"
+            raise UserError(f"{path}: entry {number}: {found}")
         name, command = row["id"], row.get("command")
         if not is_plain_name(name):
-            raise UserError(f"{path}: entry {number}: id: expected a plain name, found {name!r}")
+            hint = "" if isinstance(name, str) else ", which is no text (put it in quotes)"
+            found = f"expected a plain name, found {jsonio.describe(name)}{hint}"
+            raise UserError(f"{path}: entry {number}: id: {found}")
         if not is_capture and name.lower() in _TAKEN_IDS:
             found = f"expected another name than the dataset's {' and '.join(_TAKEN_IDS)}"
             raise UserError(f"{path}: entry {number}: id: {found}, found {name!r}")

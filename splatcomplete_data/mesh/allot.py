@@ -19,9 +19,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
+from gscomplete.util.arrays import Float32Array, Float64Array, IntArray
 
 OWN_AREA = 0.4
 """A triangle with at least this share of a cell's area gets splats of its own."""
@@ -41,8 +41,8 @@ class Allotment:
 
     spacing: float
     """Side of a cell, in the units of the vertices."""
-    counts: NDArray[np.int64]  # [T]
-    tiny_area: NDArray[np.float64]  # [T] area that each splat of a tiny triangle stands for, else 0
+    counts: IntArray  # [T]
+    tiny_area: Float64Array  # [T] area that each splat of a tiny triangle stands for, else 0
     tiny: int
     """Number of triangles that share splats with others."""
 
@@ -53,8 +53,8 @@ class Allotment:
 
 
 def allot_by_spacing(
-    vertices: NDArray[np.float32],  # [T, 3, 3]
-    areas: NDArray[np.float64],  # [T]
+    vertices: Float32Array,  # [T, 3, 3]
+    areas: Float64Array,  # [T]
     spacing: float,
 ) -> Allotment:
     """Give every triangle its splats at a given spacing.
@@ -89,8 +89,8 @@ def allot_by_spacing(
 
 
 def allot_by_count(
-    vertices: NDArray[np.float32],  # [T, 3, 3]
-    areas: NDArray[np.float64],  # [T]
+    vertices: Float32Array,  # [T, 3, 3]
+    areas: Float64Array,  # [T]
     count: int,
 ) -> Allotment:
     """Give every triangle its splats so that they are about ``count`` in all.
@@ -118,17 +118,17 @@ def allot_by_count(
     return best
 
 
-def _longest_edges(vertices: NDArray[np.float32]) -> NDArray[np.float64]:  # [T, 3, 3] -> [T]
+def _longest_edges(vertices: Float32Array) -> Float64Array:  # [T, 3, 3] -> [T]
     """Return the length of every triangle's longest edge."""
     edges = (np.roll(vertices, -1, axis=1) - vertices).astype(np.float64)
     return np.sqrt(np.einsum("tec,tec->te", edges, edges).max(axis=1))
 
 
 def _represent(
-    centers: NDArray[np.float32],  # [M, 3]
-    areas: NDArray[np.float64],  # [M]
+    centers: Float32Array,  # [M, 3]
+    areas: Float64Array,  # [M]
     spacing: float,
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+) -> tuple[IntArray, IntArray, Float64Array]:
     """Choose which tiny triangles carry the splats of their cube.
 
     Returns:

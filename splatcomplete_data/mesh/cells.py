@@ -23,8 +23,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float32]
-IntArray = NDArray[np.int64]
+from gscomplete.util.arrays import Float32Array, Float64Array, IntArray
 
 THINNEST = 0.15
 """Least height of a cell, in spacings; with ``allot.SLIVER_WIDTH`` it bounds a cell's aspect."""
@@ -44,11 +43,11 @@ _ROUNDS = 8
 class Cells:
     """N cells, each of which becomes one splat."""
 
-    triangle: NDArray[np.int64]  # [N] index into all parts' triangles
-    weights: FloatArray  # [N, 3] barycentric weights of the middle
-    steps: FloatArray  # [N, 2, 3] change of the weights over a quarter cell along x and y
-    axes: FloatArray  # [N, 2, 3] unit x and y
-    sizes: FloatArray  # [N, 2] width and height
+    triangle: IntArray  # [N] index into all parts' triangles
+    weights: Float32Array  # [N, 3] barycentric weights of the middle
+    steps: Float32Array  # [N, 2, 3] change of the weights over a quarter cell along x and y
+    axes: Float32Array  # [N, 2, 3] unit x and y
+    sizes: Float32Array  # [N, 2] width and height
 
 
 @numba.njit(cache=True)
@@ -61,8 +60,8 @@ def row_counts(base: float, height: float, count: int) -> tuple[int, float]:
 
 @numba.njit(cache=True)
 def _inset_triangle(
-    corners: NDArray[np.float64],  # [3, 3] barycentric weights, one row per corner; changed
-    lengths: NDArray[np.float64],  # [3] of the edges; edge e runs from corner e to corner e + 1
+    corners: Float64Array,  # [3, 3] barycentric weights, one row per corner; changed
+    lengths: Float64Array,  # [3] of the edges; edge e runs from corner e to corner e + 1
     area: float,
     marked: int,  # bit e = edge e is inset
     depth: float,
@@ -89,18 +88,18 @@ def _inset_triangle(
 
 @numba.njit(cache=True)
 def cut_into_cells(
-    vertices: FloatArray,  # [T, 3, 3]
+    vertices: Float32Array,  # [T, 3, 3]
     counts: IntArray,  # [T] cells per triangle
-    areas: NDArray[np.float64],  # [T]
+    areas: Float64Array,  # [T]
     marked: NDArray[np.uint8],  # [T] bit e set = edge e (corner e to e + 1) is inset
     ends: NDArray[np.uint8],  # [T] bit k set = the surface is not flat all round corner k
     inset: float,  # depth of the inset over the cell's side
     spacing: float,  # of the mesh, vertices' units
     triangle: IntArray,  # [N] out
-    weights: FloatArray,  # [N, 3] out: barycentric weights of the cell's middle
-    steps: FloatArray,  # [N, 2, 3] out: weights' change over a quarter cell along x and y
-    axes: FloatArray,  # [N, 2, 3] out: unit x and y
-    sizes: FloatArray,  # [N, 2] out: width and height
+    weights: Float32Array,  # [N, 3] out: barycentric weights of the cell's middle
+    steps: Float32Array,  # [N, 2, 3] out: weights' change over a quarter cell along x and y
+    axes: Float32Array,  # [N, 2, 3] out: unit x and y
+    sizes: Float32Array,  # [N, 2] out: width and height
 ) -> int:
     """Fill the cells of all triangles in order; return their number."""
     made = 0
@@ -143,7 +142,7 @@ def cut_into_cells(
 
 
 @numba.njit(cache=True)
-def _edge_lengths(corners: NDArray, lengths: NDArray[np.float64]) -> None:
+def _edge_lengths(corners: NDArray, lengths: Float64Array) -> None:
     """Fill in the lengths of the edges 0-1, 1-2, 2-0."""
     for edge in range(3):
         total = 0.0
@@ -155,16 +154,16 @@ def _edge_lengths(corners: NDArray, lengths: NDArray[np.float64]) -> None:
 
 @numba.njit(cache=True)
 def _cut_one(
-    points: NDArray[np.float64],  # [3, 3]
-    corners: NDArray[np.float64],  # [3, 3]
+    points: Float64Array,  # [3, 3]
+    corners: Float64Array,  # [3, 3]
     count: int,
     thinnest: float,
     made: int,
     triangle: IntArray,
-    weights: FloatArray,
-    steps: FloatArray,
-    axes: FloatArray,
-    sizes: FloatArray,
+    weights: Float32Array,
+    steps: Float32Array,
+    axes: Float32Array,
+    sizes: Float32Array,
     index: int,
     ends: int,
 ) -> int:
@@ -280,14 +279,14 @@ def _slice(
 
 @numba.njit(cache=True, parallel=True)
 def keep_within(
-    vertices: FloatArray,  # [T, 3, 3]
+    vertices: Float32Array,  # [T, 3, 3]
     marked: NDArray[np.uint8],  # [T] bit e set = edge e (corner e to e + 1) bounds the surface
     triangle: IntArray,  # [N]
-    weights: FloatArray,  # [N, 3]
-    axes: FloatArray,  # [N, 2, 3]
+    weights: Float32Array,  # [N, 3]
+    axes: Float32Array,  # [N, 2, 3]
     reach: float,  # of a splat over its cell's sides
     limit: float,  # how far it may reach beyond the surface's edge, vertices' units
-    sizes: FloatArray,  # [N, 2] changed
+    sizes: Float32Array,  # [N, 2] changed
 ) -> None:
     """Shorten cells whose splats would reach beyond a marked edge by more than a limit.
 
@@ -326,7 +325,7 @@ def keep_within(
 
 
 @numba.njit(cache=True)
-def _distance_to_marked(corners: NDArray[np.float64], marked: int) -> float:
+def _distance_to_marked(corners: Float64Array, marked: int) -> float:
     """Return how far the origin is from the nearest marked edge of a triangle [3, 2]."""
     nearest = math.inf
     for edge in range(3):
@@ -341,7 +340,7 @@ def _distance_to_marked(corners: NDArray[np.float64], marked: int) -> float:
 
 
 @numba.njit(cache=True)
-def _beyond(corners: NDArray[np.float64], marked: int, x: float, y: float) -> float:
+def _beyond(corners: Float64Array, marked: int, x: float, y: float) -> float:
     """Return how far a point lies beyond the marked edges of a triangle [3, 2]; 0 = it does not."""
     turn = (corners[1, 0] - corners[0, 0]) * (corners[2, 1] - corners[0, 1]) - (
         corners[1, 1] - corners[0, 1]

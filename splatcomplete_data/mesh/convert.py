@@ -22,10 +22,10 @@ from typing import Literal
 import numba
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.util.arrays import Float32Array, Float64Array, IntArray
 from splatcomplete_data.mesh.allot import MAX_SPLATS, Allotment, allot_by_count, allot_by_spacing
 from splatcomplete_data.mesh.cells import Cells, cut_into_cells, keep_within
 from splatcomplete_data.mesh.edges import find_edges, inside_of, marked_edges
@@ -36,7 +36,6 @@ from splatcomplete_data.mesh.shading import shade_cells
 from splatcomplete_data.mesh.sink import sink, sinking_depth
 from splatcomplete_data.objects import StepRecord
 
-FloatArray = NDArray[np.float32]
 ConvertMode = Literal["cells", "grid", "random", "poisson"]
 """How splats are placed; see the module's conventions."""
 
@@ -115,7 +114,7 @@ def convert_mesh(
     vertices = np.concatenate([part.vertices for part in mesh.parts])
     normals = np.cross(*np.diff(vertices.astype(np.float64), axis=1).swapaxes(0, 1))
     areas = 0.5 * np.linalg.norm(normals, axis=1)
-    raised: FloatArray | None = None
+    raised: Float32Array | None = None
     if chosen.mode in ("random", "poisson"):
         number = count or max(1, round(float(areas.sum()) / float(spacing or 1.0) ** 2))
         _check_number(number)
@@ -199,12 +198,12 @@ def _empty(count: int) -> Cells:
 
 
 def _even_cells(
-    vertices: FloatArray,
-    areas: NDArray[np.float64],
-    normals: NDArray[np.float64],
+    vertices: Float32Array,
+    areas: Float64Array,
+    normals: Float64Array,
     allotment: Allotment,
     settings: ConvertSettings,
-) -> tuple[Cells, FloatArray, StepRecord]:
+) -> tuple[Cells, Float32Array, StepRecord]:
     """Cut every triangle into its cells; those of tiny triangles get the size they stand for.
 
     Returns:
@@ -257,8 +256,8 @@ def _even_cells(
 
 
 def _point_cells(
-    vertices: FloatArray,
-    areas: NDArray[np.float64],
+    vertices: Float32Array,
+    areas: Float64Array,
     count: int,
     side: float,
     settings: ConvertSettings,
@@ -279,9 +278,7 @@ def _point_cells(
     return cells, StepRecord("triangles_with_splats", len(areas), hit, missed)
 
 
-def _grid(
-    vertices: FloatArray, normals: NDArray[np.float64], side: float
-) -> tuple[Cells, StepRecord]:
+def _grid(vertices: Float32Array, normals: Float64Array, side: float) -> tuple[Cells, StepRecord]:
     """Cells of a grid on each triangle's dominant axis plane, and one for each it misses."""
     triangle, weights, steps, axes, sizes, missed = grid_cells(vertices, normals, side)
     found = {"between_grid_points_got_one_each": missed} if missed else {}
@@ -292,12 +289,12 @@ def _grid(
     return Cells(triangle, weights, steps, axes, sizes), step
 
 
-def _grid_step(areas: NDArray[np.float64], normals: NDArray[np.float64], count: int) -> float:
+def _grid_step(areas: Float64Array, normals: Float64Array, count: int) -> float:
     """Grid step for about ``count`` splats: projected area over count."""
     return math.sqrt(_projected_area(areas, normals) / count)
 
 
-def _projected_area(areas: NDArray[np.float64], normals: NDArray[np.float64]) -> float:
+def _projected_area(areas: Float64Array, normals: Float64Array) -> float:
     """Area of all triangles, each projected along its dominant axis."""
     length = np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
     return float((areas * np.abs(normals).max(axis=1) / length).sum())
@@ -314,11 +311,11 @@ def _check_number(number: float) -> None:
 
 
 def _splats(
-    vertices: FloatArray,
+    vertices: Float32Array,
     cells: Cells,
-    raised: FloatArray | None,
-    colors: FloatArray,
-    opacities: FloatArray,
+    raised: Float32Array | None,
+    colors: Float32Array,
+    opacities: Float32Array,
     settings: ConvertSettings,
 ) -> Splats:
     """Turn cells into splats."""
@@ -342,13 +339,13 @@ def _splats(
 
 @numba.njit(cache=True, parallel=True)
 def _place(
-    vertices: FloatArray,  # [T, 3, 3]
-    triangle: NDArray[np.int64],  # [N]
-    weights: FloatArray,  # [N, 3]
-    axes: FloatArray,  # [N, 2, 3]
-    raised: FloatArray,  # [N] how far the splat lies from its cell, along x cross y
-    means: FloatArray,  # [N, 3] out
-    quaternions: FloatArray,  # [N, 4] out, wxyz
+    vertices: Float32Array,  # [T, 3, 3]
+    triangle: IntArray,  # [N]
+    weights: Float32Array,  # [N, 3]
+    axes: Float32Array,  # [N, 2, 3]
+    raised: Float32Array,  # [N] how far the splat lies from its cell, along x cross y
+    means: Float32Array,  # [N, 3] out
+    quaternions: Float32Array,  # [N, 4] out, wxyz
 ) -> None:
     """Fill in positions, and the quaternions that turn x, y, z onto the cells' axes."""
     for n in numba.prange(len(triangle)):

@@ -15,11 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from gscomplete.splats.record import Splats, colors_to_sh
-
-FloatArray = NDArray[np.float32]
+from gscomplete.util.arrays import Float32Array, IntArray
 
 DISC_OPACITY = 0.97
 _TANGENT_PER_SPACING = 0.6
@@ -32,8 +30,8 @@ _NORMAL_PER_TANGENT = 0.05
 class ColoredTriangles:
     """T triangles with a colour at every corner."""
 
-    vertices: FloatArray  # [T, 3, 3] corners
-    colors: FloatArray  # [T, 3, 3] sRGB in [0, 1] at the corners
+    vertices: Float32Array  # [T, 3, 3] corners
+    colors: Float32Array  # [T, 3, 3] sRGB in [0, 1] at the corners
 
     def __post_init__(self) -> None:
         """Check that both arrays are [T, 3, 3].
@@ -52,7 +50,7 @@ class ColoredTriangles:
             )
 
 
-def quaternions_from_normals(normals: FloatArray) -> FloatArray:  # [N, 3] -> [N, 4]
+def quaternions_from_normals(normals: Float32Array) -> Float32Array:  # [N, 3] -> [N, 4]
     """Return wxyz quaternions that turn +z onto each normal or onto its opposite.
 
     Discs are symmetric, so the normal is flipped to z >= 0 first: the shortest rotation is then
@@ -70,10 +68,10 @@ def quaternions_from_normals(normals: FloatArray) -> FloatArray:  # [N, 3] -> [N
 
 
 def discs_at(
-    points: FloatArray,  # [N, 3]
-    normals: FloatArray,  # [N, 3]
-    colors: FloatArray,  # [N, 3] sRGB in [0, 1]
-    spacing: FloatArray | float,  # [N] or one number
+    points: Float32Array,  # [N, 3]
+    normals: Float32Array,  # [N, 3]
+    colors: Float32Array,  # [N, 3] sRGB in [0, 1]
+    spacing: Float32Array | float,  # [N] or one number
     opacity: float = DISC_OPACITY,
 ) -> Splats:
     """Put one oriented disc at every surface point."""
@@ -93,17 +91,17 @@ def discs_at(
     )
 
 
-def triangle_areas_and_normals(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
+def triangle_areas_and_normals(vertices: Float32Array) -> tuple[Float32Array, Float32Array]:
     """Return areas [T] and unnormalised normals [T, 3] of triangles [T, 3, 3]."""
     normals = np.cross(vertices[:, 1] - vertices[:, 0], vertices[:, 2] - vertices[:, 0])
     return 0.5 * np.linalg.norm(normals, axis=1), normals
 
 
 def sample_triangles(
-    vertices: FloatArray,  # [T, 3, 3]
+    vertices: Float32Array,  # [T, 3, 3]
     count: int,
     seed: int,
-) -> tuple[NDArray[np.int64], FloatArray]:
+) -> tuple[IntArray, Float32Array]:
     """Draw surface samples spread evenly by area.
 
     One sample falls in each of ``count`` equal slices of the cumulative area, so a triangle gets

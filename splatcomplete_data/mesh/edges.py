@@ -19,7 +19,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-IntArray = NDArray[np.int64]
+from gscomplete.util.arrays import BoolArray, Float32Array, Float64Array, IntArray
 
 FLAT_DEG = 5.0
 """Two triangles whose planes differ by less belong to one flat surface, such as a cap."""
@@ -47,14 +47,14 @@ class Edges:
         return self.order[at], self.order[at + 1]
 
     @property
-    def agree(self) -> NDArray[np.bool_]:  # [P]
+    def agree(self) -> BoolArray:  # [P]
         """Return which pairs are wound alike: they run along their edge in opposite directions."""
         first, second = self.pairs
         starts: IntArray = self.corner.ravel()
         return starts[first] != starts[second]
 
 
-def find_edges(vertices: NDArray[np.float32]) -> Edges:  # [T, 3, 3]
+def find_edges(vertices: Float32Array) -> Edges:  # [T, 3, 3]
     """Find which sides of triangles are one edge."""
     corner = _merge(vertices.reshape(-1, 3)).reshape(-1, 3)
     following = np.roll(corner, -1, axis=1)
@@ -67,7 +67,7 @@ def find_edges(vertices: NDArray[np.float32]) -> Edges:  # [T, 3, 3]
 
 def marked_edges(
     edges: Edges,
-    normals: NDArray[np.float64],  # [T, 3] any length
+    normals: Float64Array,  # [T, 3] any length
     fold_deg: float,
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:  # [T], [T]
     """Mark borders and folds, and the corners that are not surrounded by flat surface.
@@ -97,8 +97,8 @@ def marked_edges(
 
 def inside_of(
     edges: Edges,
-    vertices: NDArray[np.float32],  # [T, 3, 3]
-    normals: NDArray[np.float64],  # [T, 3] twice the area long
+    vertices: Float32Array,  # [T, 3, 3]
+    normals: Float64Array,  # [T, 3] twice the area long
 ) -> NDArray[np.int8]:  # [T]
     """Tell on which side of its triangles a surface has its inside.
 
@@ -113,8 +113,8 @@ def inside_of(
 
 @numba.njit(cache=True)
 def _inside_of(
-    vertices: NDArray[np.float64],  # [T, 3, 3]
-    normals: NDArray[np.float64],  # [T, 3]
+    vertices: Float64Array,  # [T, 3, 3]
+    normals: Float64Array,  # [T, 3]
     first: IntArray,  # [P] sides of triangles that agree
     second: IntArray,  # [P]
 ) -> NDArray[np.int8]:  # [T]
@@ -163,17 +163,17 @@ def _inside_of(
     return answer
 
 
-def _unit(normals: NDArray[np.float64]) -> NDArray[np.float64]:
+def _unit(normals: Float64Array) -> Float64Array:
     """Return vectors of length 1, or 0."""
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
 
 
-def _bits(flags: NDArray[np.bool_]) -> NDArray[np.uint8]:  # [T, 3] -> [T]
+def _bits(flags: BoolArray) -> NDArray[np.uint8]:  # [T, 3] -> [T]
     """Pack three flags, the first in the lowest bit."""
     return (flags * np.array([1, 2, 4], np.uint8)).sum(axis=1, dtype=np.uint8)
 
 
-def _merge(points: NDArray[np.float32]) -> IntArray:  # [M, 3] -> [M]
+def _merge(points: Float32Array) -> IntArray:  # [M, 3] -> [M]
     """Number the distinct points."""
     low, high = points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64)
     step = max(float((high - low).max()), 1e-30) * 2.0**-20

@@ -16,16 +16,15 @@ import math
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float32]
+from gscomplete.util.arrays import Float32Array, Float64Array, IntArray
 
 
 def grid_cells(
-    vertices: FloatArray,  # [T, 3, 3]
-    normals: NDArray[np.float64],  # [T, 3]
+    vertices: Float32Array,  # [T, 3, 3]
+    normals: Float64Array,  # [T, 3]
     step: float,
-) -> tuple[NDArray[np.int64], FloatArray, FloatArray, FloatArray, FloatArray, int]:
+) -> tuple[IntArray, Float32Array, Float32Array, Float32Array, Float32Array, int]:
     """Return triangle, weights, steps, axes and sizes as ``cells.Cells``, and the missed."""
     drop = np.abs(normals).argmax(axis=1)
     counts = np.zeros(len(vertices), np.int64)
@@ -39,7 +38,7 @@ def grid_cells(
 
 def _room(
     count: int,
-) -> tuple[NDArray[np.int64], FloatArray, FloatArray, FloatArray, FloatArray]:
+) -> tuple[IntArray, Float32Array, Float32Array, Float32Array, Float32Array]:
     """Make room for cells."""
     return (
         np.empty(count, np.int64),
@@ -52,15 +51,15 @@ def _room(
 
 @numba.njit(cache=True)
 def _visit(
-    vertices: FloatArray,
-    drop: NDArray[np.int64],  # [T] axis to project along
+    vertices: Float32Array,
+    drop: IntArray,  # [T] axis to project along
     step: float,
-    counts: NDArray[np.int64],  # [T] filled in when there is no room, read otherwise
-    triangle: NDArray[np.int64],
-    weights: FloatArray,
-    steps: FloatArray,
-    axes: FloatArray,
-    sizes: FloatArray,
+    counts: IntArray,  # [T] filled in when there is no room, read otherwise
+    triangle: IntArray,
+    weights: Float32Array,
+    steps: Float32Array,
+    axes: Float32Array,
+    sizes: Float32Array,
 ) -> None:
     """Count the grid points of every triangle, or fill in their cells."""
     counting = len(triangle) == 0
@@ -105,15 +104,15 @@ def _visit(
 
 @numba.njit(cache=True)
 def _jacobian(
-    corners: FloatArray,  # [3, 3]
+    corners: Float32Array,  # [3, 3]
     bx: float,
     by: float,
     cx: float,
     cy: float,
     double: float,
-    steps: FloatArray,  # [2, 3] out
-    axes: FloatArray,  # [2, 3] out
-    sizes: FloatArray,  # [2] out
+    steps: Float32Array,  # [2, 3] out
+    axes: Float32Array,  # [2, 3] out
+    sizes: Float32Array,  # [2] out
 ) -> None:
     """Fill in axes and sizes from the singular values of surface per grid step."""
     jacobian = np.empty((3, 2))
@@ -135,7 +134,9 @@ def _jacobian(
 
 
 @numba.njit(cache=True)
-def _own_shape(corners: FloatArray, steps: FloatArray, axes: FloatArray, sizes: FloatArray) -> None:
+def _own_shape(
+    corners: Float32Array, steps: Float32Array, axes: Float32Array, sizes: Float32Array
+) -> None:
     """Fill in the cell of a triangle as a whole: the spread of its corners about the centroid."""
     spread = np.empty((3, 3))
     for axis in range(3):

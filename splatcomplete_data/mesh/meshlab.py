@@ -19,9 +19,9 @@ from multiprocessing import get_context
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
+from gscomplete.util.arrays import BoolArray, Float32Array, Float64Array, IntArray
 from gscomplete.util.optional import import_optional
 
 Result = TypeVar("Result")
@@ -31,8 +31,8 @@ Result = TypeVar("Result")
 class Repair:
     """What MeshLab's repair says about T triangles."""
 
-    kept: NDArray[np.int64]  # [K] indices of the triangles that stay, ascending
-    turned: NDArray[np.bool_]  # [K] whose corners 1 and 2 change places
+    kept: IntArray  # [K] indices of the triangles that stay, ascending
+    turned: BoolArray  # [K] whose corners 1 and 2 change places
     vertices_before: int
     vertices_after: int
     null: int
@@ -44,9 +44,9 @@ class Repair:
 
 
 def prune_to_poisson_disk(
-    points: NDArray[np.float64],  # [N, 3]
+    points: Float64Array,  # [N, 3]
     radius: float,
-) -> NDArray[np.int64]:  # [M]
+) -> IntArray:  # [M]
     """Choose points of which no two are closer than ``radius``, and that leave no room for more.
 
     Raises:
@@ -55,7 +55,7 @@ def prune_to_poisson_disk(
     return _in_own_process(_prune, points, radius)
 
 
-def repair_triangles(vertices: NDArray[np.float32]) -> Repair:  # [T, 3, 3]
+def repair_triangles(vertices: Float32Array) -> Repair:  # [T, 3, 3]
     """Merge equal vertices, find null and duplicate triangles, and orient the rest coherently.
 
     Raises:
@@ -75,7 +75,7 @@ def _in_own_process(function: Callable[..., Result], *arguments: Any) -> Result:
         ) from error
 
 
-def _prune(points: NDArray[np.float64], radius: float) -> NDArray[np.int64]:
+def _prune(points: Float64Array, radius: float) -> IntArray:
     meshlab = import_optional("pymeshlab", "Poisson-disk sampling")
     meshes = meshlab.MeshSet()
     numbers = np.arange(len(points), dtype=np.float64)
@@ -87,13 +87,11 @@ def _prune(points: NDArray[np.float64], radius: float) -> NDArray[np.int64]:
         radius=meshlab.PureValue(radius),
         subsample=True,
     )
-    chosen: NDArray[np.int64] = np.rint(meshes.current_mesh().vertex_scalar_array()).astype(
-        np.int64
-    )
+    chosen: IntArray = np.rint(meshes.current_mesh().vertex_scalar_array()).astype(np.int64)
     return np.sort(chosen)
 
 
-def _repair(vertices: NDArray[np.float32]) -> Repair:
+def _repair(vertices: Float32Array) -> Repair:
     meshlab = import_optional("pymeshlab", "mesh repair")
     count = len(vertices)
     corners = vertices.reshape(-1, 3).astype(np.float64)
@@ -134,6 +132,6 @@ def _apply(meshlab: Any, meshes: Any, name: str, **arguments: Any) -> None:
         raise UserError(f"mesh: MeshLab's {name} failed ({str(error).strip()})") from error
 
 
-def _normals(vertices: NDArray[np.float64]) -> NDArray[np.float64]:  # [T, 3, 3] -> [T, 3]
+def _normals(vertices: Float64Array) -> Float64Array:  # [T, 3, 3] -> [T, 3]
     """Cross products of the edges."""
     return np.cross(vertices[:, 1] - vertices[:, 0], vertices[:, 2] - vertices[:, 0])

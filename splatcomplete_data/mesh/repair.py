@@ -11,9 +11,9 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
+from gscomplete.util.arrays import BoolArray, IntArray
 from splatcomplete_data.mesh.files.load import Mesh
 from splatcomplete_data.mesh.files.parts import MeshPart
 from splatcomplete_data.mesh.meshlab import repair_triangles
@@ -57,8 +57,8 @@ def _step(name: str, before: int, removed: int, reason: str) -> StepRecord:
 
 def _rebuilt(
     part: MeshPart,
-    kept: NDArray[np.int64],  # [K]
-    turned: NDArray[np.bool_],  # [K]
+    kept: IntArray,  # [K]
+    turned: BoolArray,  # [K]
 ) -> MeshPart:
     """Pick triangles and swap corners 1 and 2 of those that face the wrong way."""
     order = np.where(turned[:, None], [0, 2, 1], [0, 1, 2])

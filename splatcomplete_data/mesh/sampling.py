@@ -11,9 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float32]
+from gscomplete.util.arrays import Float32Array, Float64Array, IntArray
 
 CANDIDATES_PER_SAMPLE = 10
 """Uniform points from which one Poisson-disk sample is chosen; fewer leave gaps."""
@@ -24,10 +23,10 @@ set at this radius has the wanted number of points within 5 %."""
 
 
 def uniform_points(
-    areas: NDArray[np.float64],  # [T]
+    areas: Float64Array,  # [T]
     count: int,
     seed: int,
-) -> tuple[NDArray[np.int64], FloatArray]:  # [N], [N, 3]
+) -> tuple[IntArray, Float32Array]:  # [N], [N, 3]
     """Draw points uniformly from the surface; return their triangles and weights."""
     rng = np.random.default_rng(seed)
     edges = np.cumsum(areas)
@@ -40,11 +39,11 @@ def uniform_points(
 
 
 def poisson_points(
-    vertices: FloatArray,  # [T, 3, 3]
-    areas: NDArray[np.float64],  # [T]
+    vertices: Float32Array,  # [T, 3, 3]
+    areas: Float64Array,  # [T]
     count: int,
     seed: int,
-) -> tuple[NDArray[np.int64], FloatArray]:  # [N], [N, 3]
+) -> tuple[IntArray, Float32Array]:  # [N], [N, 3]
     """Draw about ``count`` points that keep their distance; return triangles and weights.
 
     Raises:
@@ -60,10 +59,10 @@ def poisson_points(
 
 
 def point_frames(
-    vertices: FloatArray,  # [T, 3, 3]
-    triangle: NDArray[np.int64],  # [N]
+    vertices: Float32Array,  # [T, 3, 3]
+    triangle: IntArray,  # [N]
     side: float,
-) -> tuple[FloatArray, FloatArray]:  # [N, 2, 3] axes, [N, 2, 3] steps
+) -> tuple[Float32Array, Float32Array]:  # [N, 2, 3] axes, [N, 2, 3] steps
     """Return unit tangent axes, and the weights' change over a quarter of ``side`` along each."""
     corners = vertices[triangle].astype(np.float64)
     edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]

@@ -13,15 +13,13 @@ import math
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from gscomplete.util.arrays import Float32Array, IntArray
 from splatcomplete_data.mesh.cells import Cells
 from splatcomplete_data.mesh.files.parts import MeshPart
 
-FloatArray = NDArray[np.float32]
 
-
-def shade_cells(parts: tuple[MeshPart, ...], cells: Cells) -> FloatArray:  # [N, 4]
+def shade_cells(parts: tuple[MeshPart, ...], cells: Cells) -> Float32Array:  # [N, 4]
     """Return the mean sRGB colour and alpha of every cell."""
     rgba = np.ones((len(cells.triangle), 4), np.float32)
     nothing = np.zeros((0, 3, 2), np.float32)
@@ -52,15 +50,15 @@ def shade_cells(parts: tuple[MeshPart, ...], cells: Cells) -> FloatArray:  # [N,
 
 @numba.njit(cache=True, parallel=True)
 def _shade(
-    chosen: NDArray[np.int64],  # [M] cells of this part
-    triangle: NDArray[np.int64],  # [N]
+    chosen: IntArray,  # [M] cells of this part
+    triangle: IntArray,  # [N]
     first: int,
-    weights: FloatArray,  # [N, 3]
-    steps: FloatArray,  # [N, 2, 3]
-    colors: FloatArray,  # [T, 3, 3]
-    uv: FloatArray,  # [T, 3, 2], or [0, 3, 2] without texture
-    texture: FloatArray,  # [H, W, 4]
-    rgba: FloatArray,  # [N, 4] out
+    weights: Float32Array,  # [N, 3]
+    steps: Float32Array,  # [N, 2, 3]
+    colors: Float32Array,  # [T, 3, 3]
+    uv: Float32Array,  # [T, 3, 2], or [0, 3, 2] without texture
+    texture: Float32Array,  # [H, W, 4]
+    rgba: Float32Array,  # [N, 4] out
 ) -> None:
     """Corner colours at the middle, times the mean of four texture look-ups."""
     height, width = texture.shape[:2]

@@ -20,9 +20,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from gscomplete.util.arrays import Float32Array, IntArray
 from splatcomplete_data.mesh.cells import Cells
-
-FloatArray = NDArray[np.float32]
 
 DEPTH_PX = 0.5
 MOST_SPACINGS = 0.3
@@ -40,7 +39,7 @@ _LEANS = 1 / 6
 """Component along an axis from which a unit normal leans towards it."""
 
 
-def sinking_depth(vertices: FloatArray, spacing: float, outline_px: float) -> float:
+def sinking_depth(vertices: Float32Array, spacing: float, outline_px: float) -> float:
     """Return how far splats sink, in the vertices' units.
 
     Args:
@@ -56,12 +55,12 @@ def sinking_depth(vertices: FloatArray, spacing: float, outline_px: float) -> fl
 
 
 def sink(
-    vertices: FloatArray,  # [T, 3, 3]
+    vertices: Float32Array,  # [T, 3, 3]
     cells: Cells,
     inside: NDArray[np.int8],  # [T] as of ``edges.inside_of``
     depth: float,
     spacing: float,
-) -> FloatArray:  # [N]
+) -> Float32Array:  # [N]
     """Return how far the splats of cells are to lie from them, along their winding's normals."""
     count = len(cells.triangle)
     raised = np.zeros(count, np.float32)
@@ -87,7 +86,7 @@ def _cube(x: int, y: int, z: int, cubes: int) -> int:
 
 
 @numba.njit(cache=True)
-def _signs(normal: FloatArray, sign: float) -> int:
+def _signs(normal: Float32Array, sign: float) -> int:
     """Return a bit for every signed axis that a unit normal, times a sign, leans towards.
 
     Of two normals with a cosine below -1/2 one leans towards an axis and the other away from it.
@@ -104,15 +103,15 @@ def _signs(normal: FloatArray, sign: float) -> int:
 
 @numba.njit(cache=True)
 def _file(
-    vertices: FloatArray,  # [T, 3, 3]
-    triangle: NDArray[np.int64],  # [N]
-    weights: FloatArray,  # [N, 3]
-    axes: FloatArray,  # [N, 2, 3]
+    vertices: Float32Array,  # [T, 3, 3]
+    triangle: IntArray,  # [N]
+    weights: Float32Array,  # [N, 3]
+    axes: Float32Array,  # [N, 2, 3]
     inside: NDArray[np.int8],  # [T]
-    low: FloatArray,  # [3] corner of the first cube
+    low: Float32Array,  # [3] corner of the first cube
     side: float,
-    means: FloatArray,  # [N, 3] out
-    outwards: FloatArray,  # [N, 3] out: unit normals
+    means: Float32Array,  # [N, 3] out
+    outwards: Float32Array,  # [N, 3] out: unit normals
     heads: NDArray[np.int32],  # [C] out: first splat of a cube, or -1
     following: NDArray[np.int32],  # [N] out: next one in the same cube
     facing: NDArray[np.uint8],  # [C] out: where its splats face
@@ -143,17 +142,17 @@ def _file(
 
 @numba.njit(cache=True, parallel=True)
 def _limit(
-    means: FloatArray,  # [N, 3]
-    outwards: FloatArray,  # [N, 3]
+    means: Float32Array,  # [N, 3]
+    outwards: Float32Array,  # [N, 3]
     turns: NDArray[np.int8],  # [N] ``inside_of`` of its triangle
-    low: FloatArray,
+    low: Float32Array,
     side: float,
     heads: NDArray[np.int32],
     following: NDArray[np.int32],
     facing: NDArray[np.uint8],
     depth: float,
     spacing: float,
-    depths: FloatArray,  # [N] out
+    depths: Float32Array,  # [N] out
 ) -> None:
     """Find how far every splat can sink."""
     beside2 = (_BESIDE_SPACINGS * spacing) ** 2

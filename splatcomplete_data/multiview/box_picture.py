@@ -12,13 +12,13 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from gscomplete.evaluate.pictures import LIGHT_GREY, contact_sheet, to_image
 from gscomplete.render import render
 from gscomplete.render.settings import RenderSettings
 from gscomplete.splats import Splats
+from gscomplete.util.arrays import Float64Array
 from gscomplete.views import Cameras
 from splatcomplete_data.cuts.boxes import CropBox
 
@@ -26,7 +26,7 @@ _COLORS = {"keep": (20, 200, 60), "remove": (230, 30, 30)}
 _EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
 
 
-def box_corners(box: CropBox) -> NDArray[np.float64]:  # [8, 3]
+def box_corners(box: CropBox) -> Float64Array:  # [8, 3]
     """Return a box's corners in the file's frame; bit k of the index is the side along axis k."""
     signs = np.array([[(index >> axis & 1) * 2 - 1 for axis in range(3)] for index in range(8)])
     return np.array(box.center) + (signs * np.array(box.half_extents)) @ box.rotation.T

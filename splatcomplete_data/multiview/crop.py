@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 from gscomplete.errors import UserError
 from gscomplete.splats import usable_rows
 from gscomplete.splats.ply import SplatFile
+from gscomplete.util.arrays import BoolArray
 from gscomplete.util.atomic import atomic_path
 from splatcomplete_data.cuts.boxes import CropBox, inside_boxes
 
 
 def kept_rows(
     source: SplatFile, boxes: Sequence[CropBox]
-) -> tuple[NDArray[np.bool_], dict[str, int]]:  # [N]
+) -> tuple[BoolArray, dict[str, int]]:  # [N]
     """Mark the splats that boxes keep and that can be drawn.
 
     Raises:
@@ -46,7 +47,7 @@ def kept_rows(
     return mask, reasons
 
 
-def write_rows(path: Path, source: SplatFile, mask: NDArray[np.bool_]) -> None:  # [N]
+def write_rows(path: Path, source: SplatFile, mask: BoolArray) -> None:  # [N]
     """Write the marked records of a file, byte for byte, with its header and other elements.
 
     Raises:

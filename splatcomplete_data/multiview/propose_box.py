@@ -19,15 +19,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, usable_rows
+from gscomplete.util.arrays import BoolArray, Float64Array
 from gscomplete.views import Cameras
 from splatcomplete_data.cuts.boxes import CropBox
 
-FloatArray = NDArray[np.float64]
 _LEVEL_DEG = 12.0
 """Tables and beds are level to this angle, as far as the up direction is known."""
 _FEWEST = 20
@@ -53,6 +52,9 @@ _LEVEL_SHARE = 0.07
 """The same for a level plane."""
 _FRONT_SHARE = 0.6
 """Least share of the other weight that lies in front of a plane that bears the object."""
+_BEYOND_SHARE, _BEYOND_QUANTILE = 0.25, 0.02
+"""A plane that is not level bears the object only if this share of it is beside what is before it,
+without so many of those places at either end."""
 _CELL_SHARE = 0.02
 """Cells lighter than this share of the 99th percentile of cells are empty."""
 _QUANTILE = 0.004
@@ -69,12 +71,12 @@ _SEED = 0
 class Plane:
     """The upper side of what the object stands on or hangs at."""
 
-    normal: FloatArray  # [3] unit, towards the object
+    normal: Float64Array  # [3] unit, towards the object
     top: float  # normal . x on the upper side
 
-    def before(self, points: FloatArray) -> NDArray[np.bool_]:  # [N, 3] -> [N]
+    def before(self, points: Float64Array) -> BoolArray:  # [N, 3] -> [N]
         """Mark the points on the object's side."""
-        mask: NDArray[np.bool_] = points @ self.normal > self.top
+        mask: BoolArray = points @ self.normal > self.top
         return mask
 
 
@@ -91,12 +93,12 @@ class Proposal:
 class Focus:
     """Where to look: a ball in the file's frame, and the cameras that look there."""
 
-    center: FloatArray  # [3]
+    center: Float64Array  # [3]
     radius: float
-    up: FloatArray  # [3]; the box stands along it when there is no plane
+    up: Float64Array  # [3]; the box stands along it when there is no plane
     cameras: tuple[Cameras, ...] = ()  # none: not known
 
-    def attention(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N]
+    def attention(self, points: Float64Array) -> Float64Array:  # [N, 3] -> [N]
         """Return how near to their centre the photos show points, 0 to 1; 1 without cameras."""
         if not self.cameras:
             return np.ones(len(points))
@@ -111,20 +113,20 @@ class Focus:
             total += np.where(local[:, 2] > 0, np.exp(-np.minimum(far, 50.0)), 0.0)
         return total / len(self.cameras)
 
-    def toward_cameras(self) -> FloatArray | None:  # [3]
+    def toward_cameras(self) -> Float64Array | None:  # [3]
         """Return the mean direction to the cameras; None without any."""
         if not self.cameras:
             return None
         positions = np.stack([camera.positions[0].double().numpy() for camera in self.cameras])
         away = positions - self.center
-        mean: FloatArray = (away / np.linalg.norm(away, axis=1, keepdims=True)).mean(axis=0)
+        mean: Float64Array = (away / np.linalg.norm(away, axis=1, keepdims=True)).mean(axis=0)
         return mean
 
 
 def focus_of_cameras(
     cameras: tuple[Cameras, ...],
-    look_at: FloatArray,  # [3]
-    up: FloatArray,  # [3]
+    look_at: Float64Array,  # [3]
+    up: Float64Array,  # [3]
 ) -> Focus:
     """Return the ball that a photo frames at the cameras' median distance."""
     positions = np.stack([camera.positions[0].double().numpy() for camera in cameras])
@@ -133,11 +135,11 @@ def focus_of_cameras(
     return Focus(look_at, max(0.9 * distance * float(np.median(tangents)), 1e-9), up, cameras)
 
 
-def focus_of_splats(splats: Splats, up: FloatArray) -> Focus:
+def focus_of_splats(splats: Splats, up: Float64Array) -> Focus:
     """Return the ball about the densest place, when no cameras are known."""
-    points, weight = _solid(splats, 0.2)
+    points, weight = _solid(splats, _MIN_OPACITY)
     center = _weighted_median(points, weight)
-    for _ in range(10):  # mean shift: the ball holds half of the weight at first, then less
+    for _ in range(10):  # mean shift: the ball holds half of the points
         distance = np.linalg.norm(points - center, axis=1)
         near = distance <= np.quantile(distance, 0.5)
         center = np.average(points[near], axis=0, weights=weight[near])
@@ -149,14 +151,14 @@ def propose_box(splats: Splats, focus: Focus) -> Proposal:
     """Propose a box around the central cluster.
 
     Raises:
-        UserError: there is nothing to be seen where the cameras look.
+        UserError: there is nothing to be seen where the cameras look; callers name file and option.
     """
     points, weight = _solid(splats, _MIN_OPACITY)
     near = np.linalg.norm(points - focus.center, axis=1) <= 2.5 * focus.radius
     if near.sum() < _FEWEST:
         raise UserError(
-            "--box auto: expected splats where the cameras look, found none within "
-            f"{focus.radius:.4g} of {focus.center.round(4).tolist()}; give the box as numbers"
+            "expected splats where the cameras look, found none within "
+            f"{focus.radius:.4g} of {focus.center.round(4).tolist()}"
         )
     local = (points[near] - focus.center) / focus.radius
     ball = np.linalg.norm(local, axis=1) <= _PLANE_BALL
@@ -167,9 +169,7 @@ def propose_box(splats: Splats, focus: Focus) -> Proposal:
     for _ in range(3):  # the object may lie well in front of a plane behind it
         inside = free & (np.linalg.norm(local - middle, axis=1) <= _BALL)
         if inside.sum() < _FEWEST:
-            raise UserError(
-                "--box auto: expected an object beside planes, found none; give the box as numbers"
-            )
+            raise UserError("expected an object beside planes, found none")
         if planes:
             middle = np.average(local[inside], axis=0, weights=weight[inside])
     cluster = _central_cluster(local[inside] - middle, weight[inside])
@@ -190,13 +190,13 @@ def propose_box(splats: Splats, focus: Focus) -> Proposal:
     return Proposal(result, tuple(in_file), tuple(notes))
 
 
-def _three(values: FloatArray) -> tuple[float, float, float]:
+def _three(values: Float64Array) -> tuple[float, float, float]:
     """Return three rounded numbers, so that text and JSON give the same box."""
     x, y, z = (float(f"{value:.6g}") for value in values)
     return x, y, z
 
 
-def shown_area(splats: Splats) -> NDArray[np.float64]:  # [N]
+def shown_area(splats: Splats) -> Float64Array:  # [N]
     """Return how much splats show: area times opacity, the largest areas clipped."""
     sizes = np.sort(splats.scales.double().numpy(), axis=1)
     area = sizes[:, 1] * sizes[:, 2]
@@ -204,16 +204,16 @@ def shown_area(splats: Splats) -> NDArray[np.float64]:  # [N]
     return clipped * splats.opacities.double().numpy()
 
 
-def _solid(splats: Splats, min_opacity: float) -> tuple[FloatArray, FloatArray]:
+def _solid(splats: Splats, min_opacity: float) -> tuple[Float64Array, Float64Array]:
     """Return points [N, 3] and weights [N] of the splats that count."""
     usable, _ = usable_rows(splats)
     chosen = splats.select(usable & (splats.opacities >= min_opacity))
     if len(chosen) < _FEWEST:
-        raise UserError(f"--box auto: expected splats to enclose, found {len(chosen)} solid ones")
+        raise UserError(f"expected splats to enclose, found {len(chosen)} solid ones")
     return chosen.means.double().numpy(), shown_area(chosen)
 
 
-def _weighted_median(points: FloatArray, weight: FloatArray) -> FloatArray:  # [3]
+def _weighted_median(points: Float64Array, weight: Float64Array) -> Float64Array:  # [3]
     """Return the median along every axis."""
     result = np.empty(3)
     for axis in range(3):
@@ -223,7 +223,7 @@ def _weighted_median(points: FloatArray, weight: FloatArray) -> FloatArray:  # [
     return result
 
 
-def _supporting_planes(local: FloatArray, weight: FloatArray, focus: Focus) -> list[Plane]:
+def _supporting_planes(local: Float64Array, weight: Float64Array, focus: Focus) -> list[Plane]:
     """Find planes that bear the object: first a level one, for things stand on something."""
     planes: list[Plane] = []
     rng = np.random.default_rng(_SEED)
@@ -245,6 +245,8 @@ def _supporting_planes(local: FloatArray, weight: FloatArray, focus: Focus) -> l
             normal, offset, height, before, behind = -normal, -offset, -height, behind, before
         if before < _FRONT_SHARE * (before + behind) or before <= 0:
             continue
+        if upright is None and not _reaches_beyond(local, weight, normal, height):
+            continue
         layer = free & (height > -_PLANE_SLACK)
         plane = Plane(normal, offset + _upper_side(height[layer], weight[layer]))
         planes.append(plane)
@@ -252,13 +254,31 @@ def _supporting_planes(local: FloatArray, weight: FloatArray, focus: Focus) -> l
     return planes
 
 
-def _is_turned(normal: FloatArray, before: float, behind: float, focus: Focus) -> bool:
+def _is_turned(normal: Float64Array, before: float, behind: float, focus: Focus) -> bool:
     """Whether a plane's normal points away from the cameras, or from most of the weight."""
     toward = focus.toward_cameras()
     return before < behind if toward is None else float(normal @ toward) < 0
 
 
-def _upper_side(height: FloatArray, weight: FloatArray) -> float:
+def _reaches_beyond(
+    local: Float64Array,  # [N, 3]
+    weight: Float64Array,  # [N]
+    normal: Float64Array,  # [3]
+    height: Float64Array,  # [N] over the plane
+) -> bool:
+    """Tell a wall from a flat side of the object: a wall goes on beside what stands before it."""
+    across = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    across /= np.linalg.norm(across)
+    places = local @ np.stack([across, np.cross(normal, across)], axis=1)
+    ends = np.quantile(
+        places[height > _PLANE_SLACK], (_BEYOND_QUANTILE, 1 - _BEYOND_QUANTILE), axis=0
+    )
+    held = np.abs(height) <= _PLANE_SLACK
+    beyond = ((places < ends[0]) | (places > ends[1])).any(axis=1)
+    return float(weight[held & beyond].sum()) > _BEYOND_SHARE * float(weight[held].sum())
+
+
+def _upper_side(height: Float64Array, weight: Float64Array) -> float:
     """Return the height at which the weight above a plane falls to a fifth of its own."""
     step = _PLANE_SLACK / 2
     edges = np.arange(0.0, _PLANE_REACH + step, step)
@@ -270,11 +290,11 @@ def _upper_side(height: FloatArray, weight: FloatArray) -> float:
 
 
 def _heaviest_plane(
-    points: FloatArray,
-    weight: FloatArray,
-    upright: FloatArray | None,  # [3]
+    points: Float64Array,
+    weight: Float64Array,
+    upright: Float64Array | None,  # [3]
     rng: np.random.Generator,
-) -> tuple[FloatArray, float, float] | None:
+) -> tuple[Float64Array, float, float] | None:
     """Return normal, offset and weight of the plane that holds most, None without any.
 
     With ``upright`` only planes that are nearly level count, their normals upwards.
@@ -307,7 +327,7 @@ def _heaviest_plane(
     return normal, offset, float(weight[held].sum())
 
 
-def _central_cluster(local: FloatArray, weight: FloatArray) -> NDArray[np.bool_]:
+def _central_cluster(local: Float64Array, weight: Float64Array) -> BoolArray:
     """Mark the connected cells that weigh most, the nearer to the centre the more."""
     cells = _CELLS
     index = np.clip(((local / _BALL + 1) * (0.5 * cells)).astype(np.int64), 0, cells - 1)
@@ -319,13 +339,13 @@ def _central_cluster(local: FloatArray, weight: FloatArray) -> NDArray[np.bool_]
     pull = weight * np.exp(-4.0 * np.square(local).sum(axis=1))
     score = np.bincount(own, pull, minlength=count + 1)
     score[0] = 0.0
-    mask: NDArray[np.bool_] = own == int(score.argmax())
+    mask: BoolArray = own == int(score.argmax())
     return mask
 
 
 def _fit(
-    members: FloatArray,
-    axis: FloatArray,
+    members: Float64Array,
+    axis: Float64Array,
     planes: list[Plane],
 ) -> CropBox:
     """Fit a box along ``axis``, turned about it to the smallest base, down to the plane."""
@@ -334,7 +354,7 @@ def _fit(
     first /= np.linalg.norm(first)
     second = np.cross(axis, first)
     low_q, high_q = _QUANTILE, 1.0 - _QUANTILE
-    best: tuple[float, FloatArray] | None = None
+    best: tuple[float, Float64Array] | None = None
     for angle in np.deg2rad(np.arange(0.0, 90.0, 3.0)):
         u = np.cos(angle) * first + np.sin(angle) * second
         turn = np.stack([u, np.cross(axis, u), axis], axis=1)
@@ -355,7 +375,7 @@ def _fit(
     return CropBox(tuple(center), tuple(half), (w, x, y, z))
 
 
-def _quaternion(rotation: FloatArray) -> tuple[float, float, float, float]:
+def _quaternion(rotation: Float64Array) -> tuple[float, float, float, float]:
     """Return the rounded unit quaternion wxyz of a rotation matrix."""
     import torch
 

@@ -13,9 +13,8 @@ import dataclasses
 import hashlib
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -25,7 +24,13 @@ import gscomplete
 from gscomplete.errors import UserError
 from gscomplete.evaluate.pictures import contact_sheet, save_image, to_image
 from gscomplete.fitting.checkpoint import FILE_NAME, check_fits, load_checkpoint
-from gscomplete.fitting.step_loop import CHECKPOINTS, require_same_identity, run_steps
+from gscomplete.fitting.step_loop import (
+    CHECKPOINTS,
+    LOG_FILE,
+    logged_seconds,
+    require_same_identity,
+    run_steps,
+)
 from gscomplete.render import render
 from gscomplete.render.settings import RenderSettings
 from gscomplete.splats import Splats, write_splats
@@ -45,15 +50,14 @@ from splatcomplete_data.multiview.photos.capture import (
     up_direction,
 )
 from splatcomplete_data.multiview.photos.images import (
-    MaskMeaning,
     View,
     load_views,
     orientation_note,
 )
 from splatcomplete_data.multiview.photos.posed import PosedPhotos
+from splatcomplete_data.multiview.request import Request
 from splatcomplete_data.multiview.sfm.structure_from_motion import (
     Progress,
-    SfmSettings,
     has_pycolmap,
     triangulate,
 )
@@ -72,33 +76,6 @@ TRIANGULATED = "triangulated with the given poses"
 """Origin of initial points that structure from motion finds for poses that are not its own."""
 _FEWEST_POINTS = 100
 """If the sparse cloud has fewer points, training starts from random ones."""
-
-Start = Literal["auto", "points", "random"]
-"""``points``: the capture's sparse cloud, triangulated with pycolmap if it has none. ``random``:
-random points that the cameras see. ``auto``: points where they can be had."""
-
-
-@dataclass(frozen=True, slots=True)
-class Request:
-    """What a user asked for."""
-
-    images: Path
-    out: Path
-    poses: str = "auto"
-    masks: Path | None = None  # None = looked for beside the photos
-    mask_means: MaskMeaning = "object"
-    allow_outside: Path | None = None
-    """Folder below which files that a transforms.json names are read, too."""
-    max_side_px: int = 640
-    hold_out: int = 0
-    """Every this many-th photo is kept for measuring; 0 = all are trained on."""
-    start: Start = "auto"
-    random_points: int = 30_000
-    checkpoint_every: int = 500
-    resume: bool = False
-    overwrite: bool = False
-    training: TrainingSettings = field(default_factory=TrainingSettings)
-    sfm: SfmSettings = field(default_factory=SfmSettings)
 
 
 @dataclass(slots=True)
@@ -196,9 +173,10 @@ def execute(run: Reconstruction, on_step: Callable[[StepReport], None]) -> dict[
         UserError: a value stopped being finite, no splat is left, or a file cannot be written.
     """
     out, training = run.request.out, run.training
+    earlier_s = logged_seconds(out / LOG_FILE, training.step_number)  # of a run that is resumed
     started = time.perf_counter()
     run_steps(training, out, run.request.checkpoint_every, on_step)
-    run.timings["train_s"] = time.perf_counter() - started
+    run.timings["train_s"] = earlier_s + time.perf_counter() - started
     return _finish(run)
 
 

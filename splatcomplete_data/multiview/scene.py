@@ -16,24 +16,26 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
+from gscomplete.folders.drawable import drawable_of
 from gscomplete.splats import Splats, read_splats, usable_rows
 from gscomplete.splats.formats.any_file import read_splat_file
 from gscomplete.splats.ply import SplatFile
 from gscomplete.splats.transform import Similarity
 from gscomplete.util import jsonio
+from gscomplete.util.arrays import Float64Array
+from gscomplete.util.file_names import OBJECT_FILE, RUN_FILE
 from gscomplete.views import Cameras, UpAxis, orbit_cameras, radius_to_fit, up_rotation
 from splatcomplete_data.cuts.boxes import CropBox
 from splatcomplete_data.framing import SPLAT_FILE_UP, UP_ASSUMED
 from splatcomplete_data.multiview.capture_folder import CAPTURE_FILE, SPLATS_FILE
 from splatcomplete_data.multiview.propose_box import Focus, focus_of_cameras, focus_of_splats
 from splatcomplete_data.multiview.reconstruct import SCHEMA
+from splatcomplete_data.multiview.training.settings import TrainingSettings
 
 PICTURES = 4
 _PICTURE_PX = 360
-_NEAR_EXTENT = 0.02
 _LARGEST_PX = 100_000
 """Of a picture's side."""
 
@@ -47,7 +49,7 @@ class Scene:
     capture: dict[str, Any] | None  # content of capture.json
     cameras: tuple[Cameras, ...]
     up_axis: UpAxis
-    up: NDArray[np.float64]  # [3], in the file's frame
+    up: Float64Array  # [3], in the file's frame
     near: float
     notes: tuple[str, ...]
 
@@ -55,7 +57,7 @@ class Scene:
         """Return the splats that can be drawn."""
         return self.file.splats.select(usable_rows(self.file.splats)[0])
 
-    def positions(self) -> NDArray[np.float64]:  # [V, 3]
+    def positions(self) -> Float64Array:  # [V, 3]
         """Return the camera centres."""
         return np.stack([camera.positions[0].numpy() for camera in self.cameras])
 
@@ -118,7 +120,7 @@ class Scene:
 
     def _middle(
         self, boxes: Sequence[CropBox], shown: Splats | None = None
-    ) -> tuple[NDArray[np.float64], float]:
+    ) -> tuple[Float64Array, float]:
         """Return centre and size of what is kept: the first box, or the splats that are shown."""
         for box in boxes:
             if box.action == "keep":
@@ -137,24 +139,29 @@ def _fitted(camera: Cameras) -> Cameras:
 
 
 def read_scene(path: Path, up_axis: UpAxis | None = None) -> Scene:
-    """Read a splat file or a capture folder.
+    """Read a splat file, or what a capture, run or object folder holds.
 
     Args:
         path: the file or folder.
-        up_axis: the file axis that points up; None = as the capture's cameras say, else -Y.
+        up_axis: the file axis that points up; None = as the capture's cameras or the folder say,
+            else -Y.
 
     Raises:
         UserError: it is neither, or the capture is not finished.
     """
-    if not path.is_dir():
-        file = read_splat_file(path)
+    if not (path.is_dir() and (path / CAPTURE_FILE).is_file()):
+        folders = (CAPTURE_FILE, RUN_FILE, OBJECT_FILE)
+        if path.is_dir() and not any((path / name).is_file() for name in folders):
+            expected = ", ".join(folders)
+            raise UserError(f"{path}: expected a splat file, or a folder with one of {expected}")
+        drawable = drawable_of(path)
+        file = read_splat_file(drawable.file)
         low, high = (corner.double() for corner in _bounds(file))
         near = 1e-3 * max(float((high - low).max()), 1e-9)
-        notes = () if up_axis else (UP_ASSUMED,)
-        axis = up_axis or SPLAT_FILE_UP
+        known = up_axis or (None if drawable.frame is None else drawable.frame.up)
+        notes = () if known else (UP_ASSUMED,)
+        axis = known or SPLAT_FILE_UP
         return Scene(path, file, None, (), axis, _direction(axis), near, notes)
-    if not (path / CAPTURE_FILE).is_file():
-        raise UserError(f"{path}: expected a splat PLY or a capture folder with {CAPTURE_FILE}")
     capture = jsonio.read_json(path / CAPTURE_FILE)
     if not isinstance(capture, dict) or capture.get("schema") != SCHEMA:
         raise UserError(f"{path / CAPTURE_FILE}: schema: expected {SCHEMA!r}")
@@ -165,7 +172,7 @@ def read_scene(path: Path, up_axis: UpAxis | None = None) -> Scene:
         up = np.array(capture["up"], np.float64).reshape(3)
         if not 0 < np.linalg.norm(up) < np.inf:
             raise ValueError(f"up: expected a direction, found {capture['up']}")
-        near = _NEAR_EXTENT * float(capture["extent"])
+        near = TrainingSettings().near_extent * float(capture["extent"])
         if not 0 < near < np.inf:
             raise ValueError(f"extent: expected a positive length, found {capture['extent']}")
         look_at = np.array(capture["look_at"], np.float64).reshape(3)
@@ -182,18 +189,18 @@ def read_scene(path: Path, up_axis: UpAxis | None = None) -> Scene:
     return Scene(path, file, capture, cameras, axis, up, near, (note,))
 
 
-def nearest_axis(up: NDArray[np.float64]) -> UpAxis:  # [3]
+def nearest_axis(up: Float64Array) -> UpAxis:  # [3]
     """Return the file axis nearest to a direction."""
     axes: tuple[UpAxis, ...] = ("X", "Y", "Z", "-X", "-Y", "-Z")
     return axes[int(np.concatenate([up, -up]).argmax())]
 
 
-def _direction(axis: UpAxis) -> NDArray[np.float64]:  # [3]
+def _direction(axis: UpAxis) -> Float64Array:  # [3]
     """Return a file axis as a direction."""
     return np.asarray(up_rotation(axis).numpy()[2])
 
 
-def _angle_deg(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:  # [3], [3]
+def _angle_deg(a: Float64Array, b: Float64Array) -> float:  # [3], [3]
     """Return the angle between two directions in degrees."""
     along = float(a @ b) / float(np.linalg.norm(a) * np.linalg.norm(b))
     return float(np.degrees(np.arccos(min(max(along, -1.0), 1.0))))

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gscomplete.errors import UserError
+from gscomplete.util.arrays import BoolArray, Float64Array
 from splatcomplete_data.objects import StepRecord
 from splatcomplete_data.points import median_spacing
 from splatcomplete_data.scan.cloud import PointCloud
@@ -32,8 +33,7 @@ from splatcomplete_data.scan.clusters import cluster
 from splatcomplete_data.scan.segments import beyond_boxes, object_at
 from splatcomplete_data.scan.support import PlaneSettings, SupportPlane, find_support_planes
 
-BoolArray = NDArray[np.bool_]
-Points = NDArray[np.float64]
+Points = Float64Array
 
 _SEED_REACH = 0.1
 """A seed point farther than this from every point is a mistake, in diagonals of the points' box."""
@@ -77,7 +77,7 @@ class Surroundings:
     """Position of the scanner; None = unknown."""
     up: tuple[float, float, float] | None = None
     """Direction that is up; None = unknown."""
-    scene: NDArray[np.float64] | None = None  # [M, 3]
+    scene: Float64Array | None = None  # [M, 3]
     """All points scanned, if those to be cleaned are a selection of them; None = they are not."""
     is_picture_up: bool = False
     """Whether ``up`` is only the up direction of a picture, whose camera may look down."""
@@ -160,7 +160,7 @@ def clean(
 
 
 def _require_near(
-    seed: NDArray[np.float64],  # [3]
+    seed: Float64Array,  # [3]
     points: NDArray[np.floating],  # [N, 3]
 ) -> None:
     """Refuse a seed point that is far from every point.
@@ -275,9 +275,9 @@ def not_outliers(points: Points, neighbours: int, ratio: float) -> BoolArray:  #
 
 
 def level_rotation(
-    plane: NDArray[np.float64],  # [4]
-    toward: NDArray[np.float64],  # [3] or [N, 3]
-) -> NDArray[np.float64]:  # [3, 3]
+    plane: Float64Array,  # [4]
+    toward: Float64Array,  # [3] or [N, 3]
+) -> Float64Array:  # [3, 3]
     """Return the rotation that makes a plane horizontal: z up, x as near the source's as possible.
 
     Args:

@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gscomplete.util.arrays import Float32Array, Float64Array, IntArray
+
 GREY = 0.6
 """Colour of points without any."""
 NO_COLOR = "no colour: grey"
@@ -23,9 +25,9 @@ NO_COLOR = "no colour: grey"
 class PointCloud:
     """N coloured points."""
 
-    points: NDArray[np.float64]  # [N, 3]
-    colors: NDArray[np.float32]  # [N, 3] sRGB in [0, 1]
-    labels: NDArray[np.int64] | None = None  # [N], None = the file has none
+    points: Float64Array  # [N, 3]
+    colors: Float32Array  # [N, 3] sRGB in [0, 1]
+    labels: IntArray | None = None  # [N], None = the file has none
 
     def __len__(self) -> int:
         """Return the number of points."""
@@ -37,12 +39,12 @@ class PointCloud:
         return PointCloud(self.points[index], self.colors[index], labels)
 
 
-def grey_colors(count: int) -> NDArray[np.float32]:  # [N, 3]
+def grey_colors(count: int) -> Float32Array:  # [N, 3]
     """Return the colours of a cloud that has none."""
     return np.full((count, 3), GREY, np.float32)
 
 
-def unit_colors(values: NDArray[Any]) -> NDArray[np.float32]:
+def unit_colors(values: NDArray[Any]) -> Float32Array:
     """Scale colours of any type to [0, 1].
 
     Bytes are divided by 255, 16-bit integers by 65535. For wider integers and floats the largest

@@ -14,13 +14,14 @@ from typing import Any
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
+
+from gscomplete.util.arrays import Float64Array, IntArray
 
 _SIDE = (1.0 - 1e-9) / np.sqrt(3.0)
 """Side of a cube over the radius; a little less, so that rounding joins nothing."""
 
 
-def cluster(points: NDArray[np.float64], radius: float) -> NDArray[np.int64]:  # [N, 3] -> [N]
+def cluster(points: Float64Array, radius: float) -> IntArray:  # [N, 3] -> [N]
     """Number the connected clusters, largest first.
 
     Args:

@@ -22,8 +22,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from gscomplete.errors import UserError
+from gscomplete.errors import UserError, naming
 from gscomplete.splats import Similarity, Splats
+from gscomplete.util.arrays import BoolArray, Float64Array
+from gscomplete.util.device import plain_torch
 from splatcomplete_data.cuts.boxes import CropBox, inside_boxes
 from splatcomplete_data.objects import StepRecord
 from splatcomplete_data.points import (
@@ -103,6 +105,7 @@ class Part:
         return moved if self.turn is None else self.turn.compose(moved)
 
 
+@plain_torch()
 def make_part(
     cloud: PointCloud,
     settings: PartSettings,
@@ -121,7 +124,12 @@ def make_part(
     Raises:
         UserError: a step keeps no point, or levelling is asked for and no plane was found.
     """
-    known = around or Surroundings()
+    with naming(source):
+        return _made(cloud, settings, source, around or Surroundings())
+
+
+def _made(cloud: PointCloud, settings: PartSettings, source: str, known: Surroundings) -> Part:
+    """Turn points into splats as ``make_part`` does."""
     steps: list[StepRecord] = []
     scene, wanted = cloud, np.ones(len(cloud), np.bool_)
     if settings.boxes:
@@ -190,7 +198,7 @@ def _plane_to_level_on(
 
 def _levelled(
     plane: SupportPlane,
-    kept: NDArray[np.float64],  # [N, 3]
+    kept: Float64Array,  # [N, 3]
     known: Surroundings,
 ) -> tuple[Similarity, tuple[str, ...]]:
     """Return the rotation that makes a plane level, and warnings about it."""
@@ -219,11 +227,11 @@ def _levelled(
     return Similarity(1.0, torch.from_numpy(rotation), torch.zeros(3)), tuple(doubts)
 
 
-def _turned(points: NDArray[np.float64], turn: Similarity | None) -> NDArray[np.float64]:
+def _turned(points: Float64Array, turn: Similarity | None) -> Float64Array:
     """Turn points in float64."""
     if turn is None:
         return points
-    turned: NDArray[np.float64] = turn.apply(torch.from_numpy(points)).numpy()
+    turned: Float64Array = turn.apply(torch.from_numpy(points)).numpy()
     return turned
 
 
@@ -241,7 +249,7 @@ def _thin(cloud: PointCloud, settings: PartSettings) -> tuple[PointCloud, list[S
     return cloud, steps
 
 
-def _thinned(before: int, mask: NDArray[np.bool_], spacing: float) -> StepRecord:
+def _thinned(before: int, mask: BoolArray, spacing: float) -> StepRecord:
     """Record a thinning."""
     after = int(mask.sum())
     removed = {"closer_than_spacing": before - after} if after < before else {}

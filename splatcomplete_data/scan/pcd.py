@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
+from gscomplete.util.arrays import Float32Array, Float64Array
 from gscomplete.util.limits import check_decoded_bytes
 from gscomplete.views import UpAxis
 from splatcomplete_data.scan.cloud import PointCloud, grey_colors, unit_colors
@@ -114,7 +115,7 @@ def is_at_origin(viewpoint: Position | None) -> bool:
 
 
 def _up_of_picture(
-    points: NDArray[np.float64],  # [N, 3]
+    points: Float64Array,  # [N, 3]
     shape: tuple[int, int],
 ) -> UpAxis | None:
     """Return the up axis of an organised cloud if it is a picture from the origin along z."""
@@ -290,7 +291,7 @@ def _ascii_columns(body: bytes, header: _Header, path: Path) -> dict[str, NDArra
     return {name: table[:, start].astype(dtype) for name, dtype, start in fields}
 
 
-def _unpack(packed: NDArray[np.generic]) -> NDArray[np.float32]:  # [N] -> [N, 3]
+def _unpack(packed: NDArray[np.generic]) -> Float32Array:  # [N] -> [N, 3]
     """Split 0xAARRGGBB words into sRGB in [0, 1]."""
     words = np.ascontiguousarray(packed).view(np.uint32)
     channels = [(words >> shift) & 255 for shift in (16, 8, 0)]

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from gscomplete.evaluate.pictures import LIGHT_GREY, contact_sheet, to_image
 from gscomplete.render import render
 from gscomplete.splats import Splats, colors_to_sh, transform_splats
+from gscomplete.util.arrays import Float64Array, IntArray
 from gscomplete.views import Cameras, ObjectFrame, UpAxis, ViewDistribution
 from splatcomplete_data.points import median_spacing, points_to_splats, thin_to_count
 from splatcomplete_data.scan.clean import Surroundings
@@ -56,7 +56,7 @@ class Proposed:
 
     part: Part
     clusters: tuple[ProposedCluster, ...]
-    labels: NDArray[np.int64]  # [K] of the points that the part kept; -1 = in no cluster
+    labels: IntArray  # [K] of the points that the part kept; -1 = in no cluster
 
 
 def propose_clusters(
@@ -86,7 +86,7 @@ def propose_clusters(
     return Proposed(part, clusters, labels)
 
 
-def _described(points: NDArray[np.float64], margin: float) -> ProposedCluster:
+def _described(points: Float64Array, margin: float) -> ProposedCluster:
     """Return a cluster's seed point and box."""
     middle = np.median(points, axis=0)
     seed = points[int(np.square(points - middle).sum(axis=1).argmin())]
@@ -128,7 +128,7 @@ def _drawn(
     found: Proposed,
     shown: Splats,
     frame: ObjectFrame,
-    middle: NDArray[np.float64],  # [3] taken from the source's coordinates
+    middle: Float64Array,  # [3] taken from the source's coordinates
     camera: Cameras,
 ) -> Image.Image:
     """Draw one picture with numbers and the source's axes."""
@@ -137,7 +137,7 @@ def _drawn(
         picture = to_image(render(shown, camera, torch.tensor(LIGHT_GREY)).color[0])
     draw = ImageDraw.Draw(picture)
 
-    def pixel(point: NDArray[np.float64]) -> tuple[float, float]:  # [3] source's frame
+    def pixel(point: Float64Array) -> tuple[float, float]:  # [3] source's frame
         local = frame.object_from_file.apply(torch.from_numpy(point - middle))
         pose = camera.camera_from_world[0].double()
         x, y, z = (pose[:3, :3] @ local + pose[:3, 3]).tolist()

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gscomplete.errors import UserError
+from gscomplete.errors import UserError, naming
 from gscomplete.splats.ply_files.header import Element, PlyError, PlyHeader, read_header
 from gscomplete.splats.ply_files.payload import parse_records, read_payload
 from gscomplete.views import UpAxis
@@ -208,7 +208,8 @@ def _read_mesh(path: Path) -> Scan:
     from splatcomplete_data.mesh.files.load import load_mesh
 
     mesh = load_mesh(path)
-    made = convert_mesh(mesh, MESH_POINTS)
+    with naming(path):
+        made = convert_mesh(mesh, MESH_POINTS)
     points = made.splats.means.numpy().astype(np.float64) + np.array(mesh.offset or 0.0)
     colors = made.splats.base_colors.numpy().clip(0, 1).astype(np.float32)
     note = f"a mesh of {mesh.triangles:,} triangles, sampled at a spacing of {made.spacing:.4g}"

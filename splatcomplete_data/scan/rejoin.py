@@ -20,14 +20,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 from scipy.spatial import cKDTree
 
-BoolArray = NDArray[np.bool_]
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from gscomplete.util.arrays import BoolArray, Float64Array, IntArray
 
 _SMOOTH_COSINE = 0.7
 """Segments that may be concave and meet at less than 45 degrees count as one inner side."""
@@ -55,15 +52,15 @@ _GAP = 2.0
 class Cubes:
     """The cubes that the points of a cloud are gathered in."""
 
-    means: FloatArray  # [C, 3] means of their points
-    normals: FloatArray  # [C, 3]
-    counts: FloatArray  # [C] points
+    means: Float64Array  # [C, 3] means of their points
+    normals: Float64Array  # [C, 3]
+    counts: Float64Array  # [C] points
     pairs: IntArray  # [P, 2] neighbours
     reach: float
     """Greatest distance between neighbouring cubes, file units."""
 
 
-def rejoin(labels: IntArray, cubes: Cubes, viewpoint: FloatArray | None) -> IntArray:  # [C], [C]
+def rejoin(labels: IntArray, cubes: Cubes, viewpoint: Float64Array | None) -> IntArray:  # [C], [C]
     """Join inner sides with their vessels, then fragments with the segments that they touch most.
 
     Args:
@@ -80,7 +77,7 @@ def rejoin(labels: IntArray, cubes: Cubes, viewpoint: FloatArray | None) -> IntA
     return _with_fragments(labels, cubes)
 
 
-def _with_inner_sides(labels: IntArray, cubes: Cubes, viewpoint: FloatArray) -> IntArray:
+def _with_inner_sides(labels: IntArray, cubes: Cubes, viewpoint: Float64Array) -> IntArray:
     """Give every inner side the label of the outer side in front of it."""
     contacts, lengths, cosines = _contacts(labels, cubes)
     number, sizes = int(labels.max()) + 1, np.bincount(labels)
@@ -118,12 +115,12 @@ def _is_vessel(cubes: Cubes, outer: BoolArray, inner: BoolArray) -> bool:
     return near <= _NEAR * radius and _radius(b) <= _LARGER * radius
 
 
-def _radius(places: FloatArray) -> float:  # [K, 3]
+def _radius(places: Float64Array) -> float:  # [K, 3]
     """Return the root mean square distance to the mean."""
     return float(np.sqrt(np.square(places - places.mean(axis=0)).sum(axis=1).mean()))
 
 
-def bend(cubes: Cubes, labels: IntArray) -> FloatArray:  # [C] -> [labels]
+def bend(cubes: Cubes, labels: IntArray) -> Float64Array:  # [C] -> [labels]
     """Return how concave (-1) or convex (1) every set of cubes is."""
     counts = np.bincount(labels).astype(np.float64)
     places = cubes.means - _sums(labels, cubes.means)[labels] / counts[labels, None]
@@ -131,16 +128,16 @@ def bend(cubes: Cubes, labels: IntArray) -> FloatArray:  # [C] -> [labels]
     squares = np.stack([np.square(places).sum(axis=1), np.square(normals).sum(axis=1)], axis=1)
     spreads = np.sqrt(_sums(labels, squares).prod(axis=1))
     trace = _sums(labels, (places * normals).sum(axis=1)[:, None])[:, 0]
-    bends: FloatArray = np.where(spreads > 0, trace / np.maximum(spreads, 1e-300), 0.0)
+    bends: Float64Array = np.where(spreads > 0, trace / np.maximum(spreads, 1e-300), 0.0)
     return bends
 
 
-def _sums(labels: IntArray, values: FloatArray) -> FloatArray:  # [C], [C, K] -> [labels, K]
+def _sums(labels: IntArray, values: Float64Array) -> Float64Array:  # [C], [C, K] -> [labels, K]
     """Return the sum of the rows of every label."""
     return np.stack([np.bincount(labels, column) for column in values.T], axis=1)
 
 
-def _coverings(cubes: Cubes, viewpoint: FloatArray) -> IntArray:  # [K, 2] front, back
+def _coverings(cubes: Cubes, viewpoint: Float64Array) -> IntArray:  # [K, 2] front, back
     """Return the pairs of cubes that are neighbours in the scanner's picture but not in space."""
     rays = cubes.means - viewpoint
     depths = np.linalg.norm(rays, axis=1)
@@ -172,7 +169,7 @@ def _with_fragments(labels: IntArray, cubes: Cubes) -> IntArray:
 
 def _nearby(
     labels: IntArray, cubes: Cubes, loose: IntArray
-) -> tuple[IntArray, FloatArray]:  # [K, 2], [K]
+) -> tuple[IntArray, Float64Array]:  # [K, 2], [K]
     """Return pairs of a loose segment and a segment it may be a fragment of, with distances."""
     sizes = np.bincount(labels, cubes.counts)
     own = np.flatnonzero(np.isin(labels, loose))
@@ -186,7 +183,7 @@ def _nearby(
     return ends[may_be], np.asarray(near.data, np.float64)[may_be]
 
 
-def _contacts(labels: IntArray, cubes: Cubes) -> tuple[IntArray, FloatArray, FloatArray]:
+def _contacts(labels: IntArray, cubes: Cubes) -> tuple[IntArray, Float64Array, Float64Array]:
     """Return the pairs of segments that touch [K, 2], and for each two sums over pairs of cubes.
 
     These are the number of neighbouring cubes and the sum of the cosines between their normals.

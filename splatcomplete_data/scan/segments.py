@@ -26,11 +26,9 @@ from scipy import sparse
 from scipy.sparse import csgraph
 from scipy.spatial import cKDTree
 
+from gscomplete.util.arrays import BoolArray, Float64Array, IntArray
 from splatcomplete_data.scan.rejoin import Cubes, rejoin
 
-BoolArray = NDArray[np.bool_]
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 _FOLD_DEG = 15.0
 """Concave angle between two patches at which their contact's score is 0."""
 _COLOR_WEIGHT = 1.0
@@ -61,13 +59,13 @@ _LEAST_SCORE = -3.0
 
 
 def object_at(
-    points: FloatArray,  # [N, 3]
+    points: Float64Array,  # [N, 3]
     colors: NDArray[np.floating],  # [N, 3] sRGB
-    seed: FloatArray,  # [3]
+    seed: Float64Array,  # [3]
     spacing_file: float,
     *,
-    viewpoint: FloatArray | None = None,  # [3]
-    up: FloatArray | None = None,  # [3]
+    viewpoint: Float64Array | None = None,  # [3]
+    up: Float64Array | None = None,  # [3]
 ) -> BoolArray:  # [N]
     """Mark the points of the object that the point nearest to ``seed`` belongs to.
 
@@ -88,13 +86,13 @@ def object_at(
 
 
 def beyond_boxes(
-    points: FloatArray,  # [N, 3]
+    points: Float64Array,  # [N, 3]
     colors: NDArray[np.floating],  # [N, 3] sRGB
     is_inside: BoolArray,  # [N]
     spacing_file: float,
     *,
-    viewpoint: FloatArray | None = None,
-    up: FloatArray | None = None,
+    viewpoint: Float64Array | None = None,
+    up: Float64Array | None = None,
 ) -> BoolArray:  # [N]
     """Mark the points of objects other than the one that the boxes are drawn around.
 
@@ -128,13 +126,13 @@ def beyond_boxes(
 
 
 def segment(
-    points: FloatArray,  # [N, 3]
+    points: Float64Array,  # [N, 3]
     colors: NDArray[np.floating],  # [N, 3] sRGB
     spacing_file: float,
     size: tuple[float, float],
     *,
-    viewpoint: FloatArray | None = None,
-    up: FloatArray | None = None,
+    viewpoint: Float64Array | None = None,
+    up: Float64Array | None = None,
 ) -> IntArray:  # [N]
     """Number the objects that concave folds separate, the largest first.
 
@@ -162,8 +160,8 @@ def segment(
 
 
 def _cubes(
-    points: FloatArray, colors: NDArray[np.floating], side: float
-) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:  # [N], [C, 3], [C, 3], [C]
+    points: Float64Array, colors: NDArray[np.floating], side: float
+) -> tuple[IntArray, Float64Array, Float64Array, Float64Array]:  # [N], [C, 3], [C, 3], [C]
     """Gather points in cubes; return each point's cube, and every cube's mean, colour and count."""
     cells = np.floor((points - points.min(axis=0)) / side)
     cube = np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
@@ -173,14 +171,14 @@ def _cubes(
 
 def _mean(
     groups: IntArray, values: NDArray[np.floating], weights: NDArray[np.generic]
-) -> FloatArray:
+) -> Float64Array:
     """Return the sums of rows per group, divided by ``weights`` [G]."""
     sums = [np.bincount(groups, values[:, axis], len(weights)) for axis in range(values.shape[1])]
-    mean: FloatArray = np.stack(sums, axis=1) / np.asarray(weights, np.float64)[:, None]
+    mean: Float64Array = np.stack(sums, axis=1) / np.asarray(weights, np.float64)[:, None]
     return mean
 
 
-def _normals(means: FloatArray, counts: FloatArray, reach: float) -> FloatArray:  # [C, 3]
+def _normals(means: Float64Array, counts: Float64Array, reach: float) -> Float64Array:  # [C, 3]
     """Return the least principal axis of the points about every cube."""
     tree = cKDTree(means)
     near = tree.query_pairs(reach, output_type="ndarray")
@@ -193,16 +191,16 @@ def _normals(means: FloatArray, counts: FloatArray, reach: float) -> FloatArray:
     products = np.einsum("ca,cb->cab", local, local).reshape(-1, 9)
     spread = ((weights @ products) / total[:, None]).reshape(-1, 3, 3)
     spread -= np.einsum("ca,cb->cab", middle, middle)
-    axes: FloatArray = np.linalg.eigh(spread)[1][:, :, 0]
+    axes: Float64Array = np.linalg.eigh(spread)[1][:, :, 0]
     return axes
 
 
 def _turn_normals(
-    normals: FloatArray,  # [C, 3] changed
-    means: FloatArray,
+    normals: Float64Array,  # [C, 3] changed
+    means: Float64Array,
     pairs: IntArray,
-    viewpoint: FloatArray | None,
-    up: FloatArray | None,
+    viewpoint: Float64Array | None,
+    up: Float64Array | None,
 ) -> None:
     """Orient normals towards the scanner or, if its position is unknown, consistently outwards.
 
@@ -233,15 +231,17 @@ def _turn_normals(
                 normals[node] *= -1
 
 
-def _mirrored(normals: FloatArray, chords: FloatArray) -> FloatArray:  # [K, 3], [K, 3] -> [K, 3]
+def _mirrored(
+    normals: Float64Array, chords: Float64Array
+) -> Float64Array:  # [K, 3], [K, 3] -> [K, 3]
     """Mirror normals in the planes perpendicular to chords."""
     unit = chords / np.maximum(np.linalg.norm(chords, axis=1, keepdims=True), 1e-300)
-    mirrored: FloatArray = normals - 2.0 * (normals * unit).sum(axis=1, keepdims=True) * unit
+    mirrored: Float64Array = normals - 2.0 * (normals * unit).sum(axis=1, keepdims=True) * unit
     return mirrored
 
 
 def _patches(
-    means: FloatArray, hues: FloatArray, normals: FloatArray, pairs: IntArray, side: float
+    means: Float64Array, hues: Float64Array, normals: Float64Array, pairs: IntArray, side: float
 ) -> IntArray:  # [C]
     """Gather cubes in patches about seeds; each cube joins the nearest seed along the surface."""
     a, b = pairs.T
@@ -268,10 +268,10 @@ def _patches(
 def _join(
     patch: IntArray,  # [C]
     pairs: IntArray,  # [P, 2]
-    means: FloatArray,
-    hues: FloatArray,
-    normals: FloatArray,
-    counts: FloatArray,
+    means: Float64Array,
+    hues: Float64Array,
+    normals: Float64Array,
+    counts: Float64Array,
 ) -> IntArray:  # [patches]
     """Join patches while contacts are convex enough; return the object of every patch."""
     number = int(patch.max()) + 1
@@ -298,7 +298,7 @@ def _join(
 def _agglomerate(
     number: int,
     contacts: IntArray,  # [K, 2]
-    scores: FloatArray,  # [K]
+    scores: Float64Array,  # [K]
     lengths: IntArray,  # [K]
 ) -> IntArray:  # [number]
     """Repeatedly join the pair whose contact has the best mean score; return roots."""

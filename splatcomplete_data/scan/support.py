@@ -20,10 +20,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-BoolArray = NDArray[np.bool_]
-FloatArray = NDArray[np.float64]
+from gscomplete.util.arrays import BoolArray, Float64Array
 
 _LEAST_SHARE = 0.12
 """Least share of a plane in the points that are in no plane found before."""
@@ -60,7 +58,7 @@ class PlaneSettings:
 class SupportPlane:
     """A plane, and the evidence for and against removing it."""
 
-    plane: FloatArray  # [4] normal to the upper side, offset
+    plane: Float64Array  # [4] normal to the upper side, offset
     inside: BoolArray  # [N] points of the cloud within its thickness
     thickness: float
     """Half thickness, file units."""
@@ -72,26 +70,26 @@ class SupportPlane:
     """Why the plane is not removed; None = it is."""
 
     @property
-    def foot(self) -> FloatArray:  # [3]
+    def foot(self) -> Float64Array:  # [3]
         """Return the plane's point nearest to the origin."""
-        foot: FloatArray = -self.plane[3] * self.plane[:3]
+        foot: Float64Array = -self.plane[3] * self.plane[:3]
         return foot
 
-    def heights(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N]
+    def heights(self, points: Float64Array) -> Float64Array:  # [N, 3] -> [N]
         """Return signed distances, positive on the upper side."""
-        distances: FloatArray = points @ self.plane[:3] + self.plane[3]
+        distances: Float64Array = points @ self.plane[:3] + self.plane[3]
         return distances
 
 
 def find_support_planes(
-    points: FloatArray,  # [N, 3] the complete scene
+    points: Float64Array,  # [N, 3] the complete scene
     wanted: BoolArray,  # [N] the points that boxes keep
     count: int,
     spacing: float,
     settings: PlaneSettings,
     *,
-    up: FloatArray | None = None,  # [3] unit
-    viewpoint: FloatArray | None = None,  # [3]
+    up: Float64Array | None = None,  # [3] unit
+    viewpoint: Float64Array | None = None,  # [3]
 ) -> tuple[list[SupportPlane], list[SupportPlane]]:
     """Find up to ``count`` planes to remove, the most level first.
 
@@ -108,7 +106,7 @@ def find_support_planes(
         The planes to remove, and those that were found but are kept, with reasons.
     """
     free = np.ones(len(points), np.bool_)
-    fits: list[tuple[FloatArray, BoolArray, float, BoolArray]] = []
+    fits: list[tuple[Float64Array, BoolArray, float, BoolArray]] = []
     for number in range(count + _FURTHER_CANDIDATES if count else 0):
         rest = np.flatnonzero(free)
         fitted = find_plane(points[rest], settings.thickness * spacing, settings, number)
@@ -139,12 +137,12 @@ def find_support_planes(
 
 
 def find_level_plane(
-    points: FloatArray,  # [N, 3] the complete scene
+    points: Float64Array,  # [N, 3] the complete scene
     spacing: float,
     settings: PlaneSettings,
     *,
-    up: FloatArray | None,  # [3] unit
-    viewpoint: FloatArray | None,  # [3]
+    up: Float64Array | None,  # [3] unit
+    viewpoint: Float64Array | None,  # [3]
 ) -> SupportPlane | None:
     """Find the largest level plane that bears things (a floor, a table); None = there is none."""
     everything = np.ones(len(points), np.bool_)
@@ -155,11 +153,11 @@ def find_level_plane(
 
 
 def find_plane(
-    points: FloatArray,  # [N, 3]
+    points: Float64Array,  # [N, 3]
     thickness: float,
     settings: PlaneSettings,
     number: int = 0,
-) -> tuple[FloatArray, BoolArray] | None:
+) -> tuple[Float64Array, BoolArray] | None:
     """Find the plane with most points within ``thickness``; None when it has too few.
 
     Returns:
@@ -213,12 +211,12 @@ def _refusal(inside: BoolArray, wanted: BoolArray, over: float) -> str | None:
 
 
 def _to_upper_side(
-    plane: FloatArray,  # [4]
-    points: FloatArray,
+    plane: Float64Array,  # [4]
+    points: Float64Array,
     wanted: BoolArray,
     thickness: float,
-    viewpoint: FloatArray | None,
-) -> FloatArray:  # [4]
+    viewpoint: Float64Array | None,
+) -> Float64Array:  # [4]
     """Orient a plane's normal towards the scanner or, if that is unknown, towards most points."""
     if viewpoint is not None:
         return plane if float(viewpoint @ plane[:3] + plane[3]) > 0 else -plane
@@ -228,9 +226,9 @@ def _to_upper_side(
 
 
 def _share_over(
-    members: FloatArray,  # [M, 3] points of the plane
-    others: FloatArray,  # [K, 3]
-    normal: FloatArray,  # [3]
+    members: Float64Array,  # [M, 3] points of the plane
+    others: Float64Array,  # [K, 3]
+    normal: Float64Array,  # [3]
 ) -> float:
     """Return the share of other points whose foot in the plane has plane points on all four sides.
 

@@ -21,9 +21,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
+from gscomplete.util.arrays import Float64Array
 from splatcomplete_data.scan.cloud import NO_COLOR, PointCloud, grey_colors, unit_colors
 
 _COLOR_NAMES = (("r", "g", "b"), ("red", "green", "blue"), ("rf", "gf", "bf"))
@@ -57,24 +57,22 @@ def read_text_scan(path: Path) -> tuple[PointCloud, tuple[str, ...]]:
             hold words that are not numbers.
     """
     text = path.read_text(encoding="utf-8-sig", errors="replace")
-    lines = [line for line in map(str.strip, text.splitlines()) if line]
-    first = next((i for i, line in enumerate(lines) if _is_row(line)), len(lines))
-    heads = lines[:first]
+    numbered = enumerate(map(str.strip, text.splitlines()), start=1)
+    lines = [(number, line) for number, line in numbered if line]
+    first = next((i for i, (_, line) in enumerate(lines) if _is_row(line)), len(lines))
+    heads = [line for _, line in lines[:first]]
     if sum(not line.startswith(_COMMENT) for line in heads) > _MOST_HEADER_LINES:
         raise UserError(
             f"{path}: expected rows of x y z [r g b], found {heads[0][:40]!r} before the first row"
         )
-    rows = [words for line in lines[first:] if (words := _words(line)) and line[0] not in _COMMENT]
+    rows = {
+        number: words
+        for number, line in lines[first:]
+        if line[0] not in _COMMENT and (words := _words(line))
+    }
     if not rows:
         raise UserError(f"{path}: expected rows of x y z [r g b], found none")
-    widths = sorted({len(row) for row in rows})
-    if widths[0] < 3 or len(widths) > 1:
-        found = " and ".join(map(str, (widths[0], widths[-1])[: len(widths)]))
-        raise UserError(f"{path}: expected rows of equal length, 3 numbers or more; found {found}")
-    try:
-        table = np.array(rows, np.float64)
-    except ValueError as error:
-        raise UserError(f"{path}: expected numbers ({error})") from error
+    table = _numbers(path, rows)
     columns = _columns(heads, table)
     points = table[:, columns.point]
     if columns.color is None:
@@ -82,7 +80,34 @@ def read_text_scan(path: Path) -> tuple[PointCloud, tuple[str, ...]]:
     return PointCloud(points, unit_colors(table[:, columns.color])), (columns.note,)
 
 
-def _columns(heads: list[str], table: NDArray[np.float64]) -> _Columns:
+def _numbers(path: Path, rows: dict[int, list[str]]) -> Float64Array:  # [N, C]
+    """Turn the words of rows into numbers.
+
+    Args:
+        path: the file.
+        rows: words by line number, the first row of numbers first.
+
+    Raises:
+        UserError: a row has another length than the first, or a word is no number.
+    """
+    width = len(next(iter(rows.values())))
+    for number, words in rows.items():
+        if len(words) != width or width < 3:
+            found = f"{width} and {len(words)}" if len(words) != width else f"{width}"
+            raise UserError(
+                f"{path}:{number}: expected rows of equal length, 3 numbers or more; found {found}"
+            )
+    try:
+        return np.array(list(rows.values()), np.float64)
+    except ValueError as error:
+        for number, words in rows.items():
+            if any(not _is_number(word) for word in words):
+                found = " ".join(words)[:40]
+                raise UserError(f"{path}:{number}: expected numbers, found {found!r}") from error
+        raise
+
+
+def _columns(heads: list[str], table: Float64Array) -> _Columns:
     """Tell the columns apart, by the header or else by their numbers."""
     width = table.shape[1]
     headers = [names for names in map(_names, heads) if {"x", "y", "z"} <= set(names)]
@@ -110,7 +135,7 @@ def _named(names: list[str]) -> _Columns:
     return _Columns(point, None, f"{NO_COLOR} (the header names {', '.join(names)})")
 
 
-def _guessed(table: NDArray[np.float64]) -> _Columns:
+def _guessed(table: Float64Array) -> _Columns:
     """Tell by the numbers which columns are colours (module conventions)."""
     point = (0, 1, 2)
     width = table.shape[1]
@@ -135,7 +160,7 @@ def _guessed(table: NDArray[np.float64]) -> _Columns:
     )
 
 
-def _are_normals(values: NDArray[np.float64]) -> bool:  # [N, 3]
+def _are_normals(values: Float64Array) -> bool:  # [N, 3]
     """Tell whether rows have unit length; some may be zero, written where no normal was known."""
     length = np.linalg.norm(values[np.isfinite(values).all(axis=1)], axis=1)
     length = length[length > 0]
@@ -155,7 +180,7 @@ _NOT_NEGATIVE = 3
 colour."""
 
 
-def _kind(values: NDArray[np.float64]) -> int:  # [N, 3]
+def _kind(values: Float64Array) -> int:  # [N, 3]
     """Return the index in ``_KINDS`` of three columns' range; ``len(_KINDS)`` if none fits."""
     numbers = values[np.isfinite(values)]
     if numbers.size == 0 or (numbers < 0).any():
@@ -183,10 +208,13 @@ def _words(line: str) -> list[str]:
 def _is_row(line: str) -> bool:
     """Tell whether a line is a row of numbers, and not a comment, a header or a count."""
     words = _words(line)
-    if line.startswith(_COMMENT) or len(words) < 2:
-        return False
+    return not line.startswith(_COMMENT) and len(words) >= 2 and _is_number(words[0])
+
+
+def _is_number(word: str) -> bool:
+    """Tell whether a word is a number, finite or not."""
     try:
-        float(words[0])
+        float(word)
     except ValueError:
         return False
     return True

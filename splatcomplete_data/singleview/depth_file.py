@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from gscomplete.errors import UserError
+from gscomplete.util.arrays import Float64Array
 from gscomplete.util.limits import check_decoded_bytes
 from gscomplete.util.optional import import_optional
 
@@ -45,11 +46,11 @@ _READ_FROM_NPZ = ("depth", "disparity", "disp", "arr_0", "image", "intrinsics", 
 class DepthImage:
     """A depth file as read."""
 
-    values: NDArray[np.float64]  # [H, W], unknown = NaN
+    values: Float64Array  # [H, W], unknown = NaN
     is_integer: bool
     color: NDArray[np.uint8] | None = None  # [H, W, 3], None = the file has none
-    intrinsics: NDArray[np.float64] | None = None  # [3, 3], None = the file has none
-    confidence: NDArray[np.float64] | None = None  # [H, W], None = the file has none
+    intrinsics: Float64Array | None = None  # [3, 3], None = the file has none
+    confidence: Float64Array | None = None  # [H, W], None = the file has none
     notes: tuple[str, ...] = ()
 
 
@@ -96,7 +97,7 @@ def metric_depth(
     focal_px: float = 1.0,
     baseline: float | None = None,
     offset: float = 0.0,
-) -> tuple[NDArray[np.float64], str]:  # [H, W], NaN = unknown
+) -> tuple[Float64Array, str]:  # [H, W], NaN = unknown
     """Turn a file's values into camera-space z.
 
     Args:

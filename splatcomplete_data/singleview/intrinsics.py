@@ -21,10 +21,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from gscomplete.errors import UserError
+from gscomplete.util.arrays import Float64Array
 
 _EXIF_FOCAL_35MM = 41989
 _EXIF_IFD = 0x8769
@@ -149,7 +149,7 @@ def from_numbers(
 
 
 def from_matrix(
-    matrix: NDArray[np.float64],  # [3, 3]
+    matrix: Float64Array,  # [3, 3]
     width: int,
     height: int,
     origin: str,

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from gscomplete.errors import UserError
 from gscomplete.splats.thinning import every_nth
+from gscomplete.util.arrays import BoolArray, Float32Array, Float64Array
 from gscomplete.views import UpAxis
 from splatcomplete_data.objects import StepRecord
 from splatcomplete_data.pictures import UNREADABLE, eight_bits, read_mask
@@ -75,11 +75,11 @@ class SingleView:
 
     cloud: PointCloud
     camera: Intrinsics
-    kept: NDArray[np.bool_]  # [H, W] pixels that became points, row by row
-    color: NDArray[np.float32]  # [H, W, 3] the picture at the depth's resolution
+    kept: BoolArray  # [H, W] pixels that became points, row by row
+    color: Float32Array  # [H, W, 3] the picture at the depth's resolution
     steps: tuple[StepRecord, ...]
     notes: tuple[str, ...]
-    scene: NDArray[np.float64]  # [M, 3] points of the complete picture, evenly thinned
+    scene: Float64Array  # [M, 3] points of the complete picture, evenly thinned
     up: UpAxis = "-Y"
     """The camera's axis that points up."""
 
@@ -99,6 +99,7 @@ def load_single_view(
             pixel is left.
     """
     chosen = settings or SingleViewSettings()
+    _check_settings(chosen)
     depth = read_depth(depth_path, chosen.frame)
     height, width = depth.values.shape
     opened = _open(image_path, depth, depth_path)
@@ -127,6 +128,26 @@ def load_single_view(
     thinned.flat[every_nth(known, _SCENE_POINTS)] = True
     scene = unproject(z, camera, thinned)
     return SingleView(cloud, camera, keep, color, tuple(steps), tuple(notes), scene, fitting.up)
+
+
+def _check_settings(settings: SingleViewSettings) -> None:
+    """Refuse settings that others would set aside, and ranges that no depth image has.
+
+    Raises:
+        UserError: there is one.
+    """
+    for name, value in (("--focal", settings.focal_px), ("--fov", settings.fov_deg)):
+        if value is not None and settings.intrinsics is not None:
+            raise UserError(f"{name}, --intrinsics: expected one of them, found both")
+    of_disparities = {
+        "--baseline": settings.baseline is not None,
+        "--disparity-offset": settings.disparity_offset != 0,
+    }
+    for name, is_given in of_disparities.items():
+        if is_given and settings.kind != "disparity":
+            raise UserError(f"{name}: expected --kind disparity with it, found {settings.kind}")
+    if not 0 <= settings.flying_jump < float("inf"):
+        raise UserError(f"--flying: expected 0 or more, found {settings.flying_jump:g}")
 
 
 def _open(path: Path | None, depth: DepthImage, depth_path: Path) -> Image.Image:
@@ -178,18 +199,18 @@ def _find_camera(
 
 
 def _select(
-    z: NDArray[np.float64],
+    z: Float64Array,
     depth: DepthImage,
     picture: Image.Image,
     settings: SingleViewSettings,
     source: str,
-) -> tuple[NDArray[np.bool_], list[StepRecord]]:
+) -> tuple[BoolArray, list[StepRecord]]:
     """Choose the pixels that become points."""
     height, width = z.shape
     keep = np.ones(z.shape, np.bool_)
     steps: list[StepRecord] = []
 
-    def apply(name: str, passed: NDArray[np.bool_], reason: str) -> None:
+    def apply(name: str, passed: BoolArray, reason: str) -> None:
         nonlocal keep
         before = int(keep.sum())
         keep = keep & passed
@@ -230,7 +251,7 @@ def _select(
     return keep, steps
 
 
-def _mask(path: Path, width: int, height: int) -> NDArray[np.bool_]:
+def _mask(path: Path, width: int, height: int) -> BoolArray:
     """Read a mask picture at the depth's size.
 
     Raises:

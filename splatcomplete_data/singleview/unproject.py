@@ -13,8 +13,8 @@ Conventions
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gscomplete.util.arrays import BoolArray, Float64Array, IntArray
 from splatcomplete_data.singleview.intrinsics import Intrinsics
 
 FLYING_JUMP = 0.02
@@ -22,9 +22,9 @@ FLYING_JUMP = 0.02
 
 
 def flying_pixels(
-    depth: NDArray[np.float64],  # [H, W], NaN = unknown
+    depth: Float64Array,  # [H, W], NaN = unknown
     jump: float = FLYING_JUMP,
-) -> NDArray[np.bool_]:  # [H, W]
+) -> BoolArray:  # [H, W]
     """Mark flying pixels among the known ones."""
     known = np.isfinite(depth)
     flying = np.zeros(depth.shape, np.bool_)
@@ -39,7 +39,7 @@ def flying_pixels(
     return flying | (known & (_close_neighbours(depth, jump) == 0))
 
 
-def _beside(depth: NDArray[np.float64], step: int, axis: int) -> NDArray[np.float64]:
+def _beside(depth: Float64Array, step: int, axis: int) -> Float64Array:
     """Return every pixel's neighbour, NaN beyond the border."""
     moved = np.roll(depth, step, axis)
     edge = [slice(None), slice(None)]
@@ -48,7 +48,7 @@ def _beside(depth: NDArray[np.float64], step: int, axis: int) -> NDArray[np.floa
     return moved
 
 
-def _close_neighbours(depth: NDArray[np.float64], jump: float) -> NDArray[np.int64]:
+def _close_neighbours(depth: Float64Array, jump: float) -> IntArray:
     """Count how many of the four neighbours are at a pixel's depth."""
     count = np.zeros(depth.shape, np.int64)
     for axis in (0, 1):
@@ -60,10 +60,10 @@ def _close_neighbours(depth: NDArray[np.float64], jump: float) -> NDArray[np.int
 
 
 def unproject(
-    depth: NDArray[np.float64],  # [H, W]
+    depth: Float64Array,  # [H, W]
     camera: Intrinsics,
-    keep: NDArray[np.bool_],  # [H, W]
-) -> NDArray[np.float64]:  # [N, 3]
+    keep: BoolArray,  # [H, W]
+) -> Float64Array:  # [N, 3]
     """Return the points of the pixels kept, row by row."""
     rows, columns = np.nonzero(keep)
     z = depth[rows, columns]

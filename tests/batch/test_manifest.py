@@ -69,6 +69,7 @@ def test_a_byte_order_mark_is_no_part_of_a_manifest(tmp_path, suffix, text, far)
         ('{"partial": "a.ply", "id": "../a"}', "id: expected a plain name"),
         ('{"partial": "a.ply", "id": ".batch"}', "id: expected a plain name"),
         ('{"partial": "b/first.ply"}', "found 'first' twice"),
+        ('{"partial": "a.ply", "seed": 1, "seed": 2}', "list.jsonl:2: expected a JSON object (exp"),
     ],
 )
 def test_what_is_wrong_with_a_line_is_said(tmp_path, line, message):
@@ -104,6 +105,15 @@ def test_a_column_that_is_there_twice_is_refused(tmp_path):
         UserError, match=r"a\.csv:1: expected every name once, found 'prompt' again"
     ):
         planned(tmp_path / "a.csv")
+
+
+def test_a_quote_that_is_not_closed_is_refused(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text('partial,prompt\na.ply,"a cow\nb.ply,a dog\n')
+    with pytest.raises(UserError, match=r"a\.csv:2: unexpected end of data \(is a quote"):
+        planned(path)
+    path.write_text('partial,prompt\na.ply,a 5" pipe\nb.ply,"a dog, black"\n')
+    assert [item.options["prompt"] for item in planned(path)] == ['a 5" pipe', "a dog, black"]
 
 
 @pytest.mark.parametrize("name", ["missing", "missing.jsonl", ""])

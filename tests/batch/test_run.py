@@ -78,6 +78,24 @@ def test_what_changed_or_was_removed_is_done_again(items, tmp_path):
     assert [item.id for item in batch.to_do] == ["a", "c", "d"]
 
 
+@pytest.mark.parametrize("with_ledger", [True, False])
+def test_a_result_that_lost_a_file_is_made_again(items, tmp_path, with_ledger):
+    ran(opened(tmp_path, items), tmp_path)
+    runs = tmp_path / "runs"
+    (runs / "a/completed.ply").unlink()
+    (runs / "b/completed.ply").write_bytes(b"")
+    (runs / "c/run.json").write_bytes(b"\xff{")
+    if not with_ledger:
+        (runs / ".batch" / LEDGER_FILE).unlink()
+    batch = opened(tmp_path, items)
+    assert {"a", "b", "c"} <= {item.id for item in batch.to_do}
+    assert ("e" in {item.id for item in batch.to_do}) != with_ledger
+    counts = ran(batch, tmp_path).counts
+    assert counts["finished"] == 3
+    assert counts.get("found", 0) == (0 if with_ledger else 2)
+    assert all((runs / name / "completed.ply").stat().st_size for name in "abcef")
+
+
 def test_other_options_are_refused_unless_all_is_to_be_done_again(items, tmp_path):
     ran(opened(tmp_path, items), tmp_path)
     other = IDENTITY | {"preset": "default"}
@@ -101,6 +119,8 @@ def test_a_second_run_over_a_thousand_finished_objects_takes_no_time(tmp_path):
     for number in range(1000):
         name = f"{number:04}"
         (runs / name).mkdir()
+        (runs / name / "completed.ply").write_bytes(b"splats")
+        (runs / name / "run.json").write_text("{}")
         path = tmp_path / f"{name}.ply"
         path.write_bytes(b"splats")
         item = Item(name, str(path))
@@ -123,7 +143,8 @@ def test_results_in_a_store_have_their_ledger_there(items, tmp_path):
     signatures = input_signatures(items[0].source)
     ledger.add(Row("a", "finished", option_key(IDENTITY, items[0]), signatures))
     ledger.close()
-    store.pipe("/ledgers/runs/a/item.json", b"{}")
+    for name in ("item.json", "run.json", "completed.ply"):
+        store.pipe(f"/ledgers/runs/a/{name}", b"{}")
     run_batch(
         open_batch(items[:1], IDENTITY, runs, scratch=tmp_path / "scratch"),
         ToyJob(tmp_path),

@@ -63,6 +63,7 @@ def write_run_folder(folder: Path, object_folder: Path, new: Splats, **changes: 
     placed = transform_splats(new, known.frame.file_from_object)
     append_splats(folder / "completed.ply", source, placed)
     record = {
+        "schema": "gscomplete.run",
         "status": "finished",
         "input": {"path": str(known.partial), "splats": len(source.splats),
                   "object": str(object_folder), "sources": {"prompt": "object.json"}},

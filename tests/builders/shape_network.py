@@ -52,5 +52,5 @@ def predicted(symmetry_score: float, *, confidence: float = 200.0) -> Prediction
     distance = torch.from_numpy(np.linalg.norm(cell_centers(CELLS), axis=-1))
     nothing = torch.zeros(1, SOURCES + 1, *(COARSE_CELLS,) * 3)
     output = ShapeOutput((confidence * (0.42 - distance))[None], nothing[:, :3], nothing)
-    seen = voxels.with_copies(mirrors())
-    return Prediction(voxels, seen, output, output.occupancy, symmetry_score, True, None)
+    inputs = voxels.with_copies(mirrors())
+    return Prediction(voxels, inputs, output, output.occupancy, symmetry_score, True, None)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from gscomplete.util.arrays import Float64Array
 
 HEIGHT, HANDLE_RADIUS = 0.9, 0.42
 
 
-def vase_radius(height: FloatArray) -> FloatArray:  # [N] in [0, HEIGHT] -> [N]
+def vase_radius(height: Float64Array) -> Float64Array:  # [N] in [0, HEIGHT] -> [N]
     """Return the radius of the wall at each height."""
     return 0.22 + 0.08 * np.sin(7.0 * height)
 
@@ -20,7 +19,7 @@ def vase(
     azimuths_deg: tuple[float, float] = (0.0, 360.0),
     flattened: float = 1.0,
     seed: int = 0,
-) -> FloatArray:  # [N, 3]
+) -> Float64Array:  # [N, 3]
     """Return points on a vase about the z axis, between two azimuths; the foot is at z = 0.
 
     Args:
@@ -38,7 +37,7 @@ def vase(
     return np.stack([radius * np.cos(angle), flattened * radius * np.sin(angle), height], axis=1)
 
 
-def faceted(round_ones: FloatArray, folds: int) -> FloatArray:  # [N, 3] -> [N, 3]
+def faceted(round_ones: Float64Array, folds: int) -> Float64Array:  # [N, 3] -> [N, 3]
     """Return points of something round moved inwards onto flat sides between its edges."""
     x, y, z = round_ones.T
     step = 2 * np.pi / folds
@@ -47,7 +46,7 @@ def faceted(round_ones: FloatArray, folds: int) -> FloatArray:  # [N, 3] -> [N, 
     return np.stack([factor * x, factor * y, z], axis=1)
 
 
-def handle(azimuth_deg: float, count: int = 800, seed: int = 1) -> FloatArray:  # [N, 3]
+def handle(azimuth_deg: float, count: int = 800, seed: int = 1) -> Float64Array:  # [N, 3]
     """Return points on an upright rod beside the vase."""
     random = np.random.default_rng(seed)
     angle, around = np.deg2rad(azimuth_deg), random.uniform(0.0, 2 * np.pi, count)
@@ -56,7 +55,7 @@ def handle(azimuth_deg: float, count: int = 800, seed: int = 1) -> FloatArray:  
     return np.column_stack([rod, random.uniform(0.2, 0.7, count)])
 
 
-def foot(azimuth_deg: float, height: float, count: int = 600, seed: int = 2) -> FloatArray:
+def foot(azimuth_deg: float, height: float, count: int = 600, seed: int = 2) -> Float64Array:
     """Return points [N, 3] on a level rod that runs from inside the vase through its wall."""
     random = np.random.default_rng(seed)
     angle, around = np.deg2rad(azimuth_deg), random.uniform(0.0, 2 * np.pi, count)

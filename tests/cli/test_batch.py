@@ -9,7 +9,11 @@ from gscomplete.batch.manifest import Item
 from gscomplete.cli import main
 from gscomplete.cli.batch_job import CompleteJob, identity_of
 from gscomplete.cli.complete_options import HowToComplete
+from gscomplete.errors import UserError
+from gscomplete.splats import write_splats
 from tests.builders.batch_jobs import ToyJob
+from tests.builders.folders import write_object_folder
+from tests.builders.objects import ball
 
 
 @pytest.fixture
@@ -98,3 +102,25 @@ def test_a_prior_that_cannot_be_loaded_ends_the_batch(tmp_path):
     job = CompleteJob(HowToComplete(prior=str(tmp_path / "no weights"), device="cpu"))
     with pytest.raises(SetupError, match="no weights"):
         job.make(Item("a", "a.ply"), tmp_path / "a.ply", tmp_path / "out", resume=False)
+
+
+def test_the_prompt_of_a_batch_is_for_objects_that_have_none(tmp_path, monkeypatch):
+    """Options as the job asks with them; a manifest's own prompt counts before the folder's."""
+    asked = []
+
+    def noted(options, prior):
+        asked.append(options.prompt)
+        raise UserError("asked")
+
+    monkeypatch.setattr("gscomplete.cli.request.request_of", noted)
+    folder = write_object_folder(tmp_path / "cow", ball(20), prompt="a cow")
+    write_splats(tmp_path / "a.ply", ball(20))
+    job = CompleteJob(HowToComplete(prompt="a thing", device="cpu"))
+    for item, source in (
+        (Item("a", "a.ply"), tmp_path / "a.ply"),
+        (Item("cow", "cow"), folder),
+        (Item("cow", "cow", {"prompt": "a bull"}), folder),
+    ):
+        with pytest.raises(UserError, match="asked"):
+            job.make(item, source, tmp_path / "out", resume=False)
+    assert asked == ["a thing", None, "a bull"]

@@ -9,7 +9,7 @@ from gscomplete.completion import run_folder
 from gscomplete.errors import UserError
 from gscomplete.priors import load_prior
 from gscomplete.shape.mirror_plane import HalfCut, MirrorPlane
-from gscomplete.splats import validation
+from gscomplete.splats import validation, write_splats
 from tests.builders.commands import SAMPLE, run_here
 from tests.builders.folders import write_object_folder
 from tests.builders.objects import ball, random_splats
@@ -221,3 +221,12 @@ def test_strays_are_left_out_unless_all_of_p_is_to_be_heeded(preset, leaves_out,
     )
     settings = request_of(options, load_prior("embedded")).completion.settings
     assert settings.leave_out_strays is expected
+
+
+def test_a_replaced_part_is_doubted(tmp_path):
+    folder = write_object_folder(tmp_path / "mug", random_splats(5))
+    prior = load_prior("embedded")
+    assert request_of(CompleteOptions(partial=folder), prior).notes == ()
+    write_splats(folder / "partial.ply", random_splats(6))
+    (note,) = request_of(CompleteOptions(partial=folder), prior).notes
+    assert note.startswith(f"doubtful: {folder / 'partial.ply'} is not the file that object.json")

@@ -1,5 +1,6 @@
 """``gscomplete evaluate`` on made-up objects and runs with known answers."""
 
+import dataclasses
 import json
 import shutil
 from pathlib import Path
@@ -153,6 +154,58 @@ def test_a_run_of_another_part_is_refused(dataset, tmp_path):
     assert len(read_splats(other / "partial.ply").splats) == 20
 
 
+def test_a_run_whose_first_splats_are_not_the_objects_is_refused(dataset, tmp_path):
+    front, _ = halves(ball(1500, 0.5))
+    other = write_object_folder(
+        tmp_path / "other", dataclasses.replace(front, means=front.means + 0.01), frame=FRAME
+    )
+    with pytest.raises(UserError, match="completes another part, or was changed"):
+        run(EvaluateOptions(paths=(dataset / "good/cup",), object=other))
+
+
+def test_a_result_that_was_changed_is_refused(dataset, tmp_path):
+    _, back = halves(ball(1500, 0.5))
+    run_folder = write_run_folder(
+        tmp_path / "run", dataset / "open/cup", back, result={"new_splats": len(back)}
+    )
+    path = run_folder / "completed.ply"
+    splats = read_splats(path).splats
+    fainter = dataclasses.replace(splats, opacities=splats.opacities * 0.9)
+    for changed, message in (
+        (fainter, "completes another part, or was changed"),
+        (splats.select(torch.arange(len(splats) - 1)), r"new splats, as run\.json says, found"),
+    ):
+        write_splats(path, changed)
+        with pytest.raises(UserError, match=message):
+            run(EvaluateOptions(paths=(run_folder,)))
+
+
+def test_another_systems_result_that_is_elsewhere_is_doubtful(dataset, capsys, tmp_path):
+    moved = read_splats(dataset / "good/cup/completed.ply").splats
+    write_splats(tmp_path / "a.ply", moved)
+    write_splats(tmp_path / "b.ply", dataclasses.replace(moved, means=moved.means + 10))
+    for name, count in (("a", 0), ("b", 1)):
+        options = EvaluateOptions(
+            paths=(tmp_path / f"{name}.ply",), object=dataset / "open/cup", json=True, **SMALL
+        )
+        assert run(options) == 0
+        said = capsys.readouterr()
+        assert said.err.count("only 0% of P's splats") == count
+        (row,) = json.loads(said.out)["rows"]
+        assert len(row["notes"]) == count
+
+
+def test_a_run_whose_object_has_gone_says_that_nothing_is_compared(dataset, capsys, tmp_path):
+    _, back = halves(ball(1500, 0.5))
+    shutil.copytree(dataset / "open/cup", tmp_path / "cup")
+    write_run_folder(tmp_path / "run", tmp_path / "cup", back)
+    shutil.rmtree(tmp_path / "cup")
+    assert run(EvaluateOptions(paths=(tmp_path / "run",), json=True, **SMALL)) == 0
+    said = capsys.readouterr()
+    assert f"{tmp_path / 'cup'}: the object's folder is not there" in said.err
+    assert json.loads(said.out)["rows"][0]["values"]["silhouette_iou"] is None
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -164,9 +217,11 @@ def test_a_run_of_another_part_is_refused(dataset, tmp_path):
         ({"dataset": Path("b"), "runs": ("nowhere",)}, "nowhere: --runs: expected a folder"),
         ({"dataset": Path("b"), "runs": ("x=a", "x=b")}, "a name for each"),
         ({"paths": (Path("a"),), "size_px": 8}, "--size-px: expected 32 to 4096"),
+        ({"paths": (Path("a"), Path("b"), Path("a"))}, "a: expected each completion once"),
         ({"paths": (Path("a"),), "csv": Path("a.ply")}, "--csv: expected a file name ending in"),
         ({"paths": (Path("a"),), "markdown": Path("a.csv")}, "--markdown: expected a file name"),
         ({"paths": (Path("a"),), "latex": Path("a")}, "--latex: expected a file name ending in"),
+        ({"paths": (Path("a"),), "csv": Path("no/a.csv")}, "--csv: no/a.csv: expected a folder"),
     ],
 )
 def test_options_that_make_no_sense_are_refused(options, message):

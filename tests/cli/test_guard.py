@@ -10,7 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from gscomplete.cli import program
 from gscomplete.cli.guard import how_to_go_on, run_guarded
+from gscomplete.errors import UserError
 from tests.builders.commands import PATIENCE_S, SAMPLE
 
 SPY = """
@@ -259,3 +261,25 @@ def test_characters_that_a_terminal_lacks_end_no_command(encoding: str, written:
         [sys.executable, "-c", code], env=settings, capture_output=True, timeout=PATIENCE_S
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, written, written)
+
+
+def test_help_texts_are_wrapped_whatever_their_lines_in_the_source(capsys):
+    with pytest.raises(SystemExit):
+        program.main(["complete", "--help"])
+    lines = [line.strip("│ ") for line in capsys.readouterr().out.splitlines()]
+    start = lines.index("--view {None}|STR")
+    text = lines[start + 1 : lines.index("--range {None}|FLOAT")]
+    width = max(len(line) for line in text)
+    following = [line.split()[0] for line in text[1:]]
+    assert len(text) > 2
+    # no line could take the first word of the next one
+    for line, word in zip(text[:-1], following, strict=True):
+        assert len(line) + 1 + len(word) > width
+
+
+def test_control_characters_of_a_file_reach_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    def work() -> int:
+        raise UserError("a.json: unknown field \x1b[31m\u202e")
+
+    assert run_guarded("mug", work, "") == 2
+    assert capsys.readouterr().err == "mug: error: a.json: unknown field \\x1b[31m\\u202e\n"

@@ -8,7 +8,14 @@ import torch
 from gscomplete.api import complete
 from gscomplete.completion.preserve.outcome import CheckedErrors, HardPreservationReport
 from gscomplete.completion.presets import GUESS
-from gscomplete.evaluate.doubts import MARK, doubts_of_guess, doubts_of_partial, doubts_of_result
+from gscomplete.evaluate.doubts import (
+    MARK,
+    doubts_of_change,
+    doubts_of_guess,
+    doubts_of_partial,
+    doubts_of_result,
+    doubts_of_values,
+)
 from gscomplete.framing.input_view import given_view
 from gscomplete.priors.base import FirstGuess
 from gscomplete.splats import concatenate, transform_splats
@@ -41,6 +48,41 @@ def test_a_few_splats_and_pieces_far_apart_are_told():
     assert "50% and 50%" in apart
     one_place = dataclasses.replace(part, means=torch.zeros_like(part.means))
     assert doubts_of_partial(one_place) == ()
+
+
+def test_a_line_of_splats_is_told_and_a_narrow_strip_is_not():
+    along = torch.linspace(-1, 1, 500)
+    for breadth, count in ((0.0, 1), (0.02, 0)):
+        across = breadth * torch.linspace(-1, 1, 500)[torch.randperm(500)]
+        means = torch.stack([along, across, torch.zeros(500)], dim=1)
+        part = dataclasses.replace(ball(500, 1.0), means=means)
+        assert len(doubts_of_partial(part)) == count
+
+
+def test_a_part_larger_than_its_object_and_splats_larger_than_the_part_are_told():
+    large = dataclasses.replace(ball(500, 1.0), means=1.5 * ball(500, 1.0).means)
+    assert doubts_of_partial(large) == ()
+    assert "--object-size" in doubts_of_partial(large, is_size_given=True)[0]
+    wide = dataclasses.replace(large, scales=1e5 * large.scales)
+    assert "they form no surface" in doubts_of_partial(wide)[0]
+
+
+def test_values_without_their_conversions_are_told():
+    part = ball(500, 1.0)
+    assert doubts_of_values(part) == ()
+    raw = torch.rand(500, generator=torch.Generator().manual_seed(1))
+    opacities = dataclasses.replace(part, opacities=torch.sigmoid(raw))
+    assert ["opacities look linear" in doubt for doubt in doubts_of_values(opacities)] == [True]
+    scales = dataclasses.replace(part, scales=torch.exp(raw[:, None].expand(500, 3) * 0.02))
+    assert ["scales look linear" in doubt for doubt in doubts_of_values(scales)] == [True]
+    empty = part.select(torch.arange(0))
+    assert doubts_of_values(empty) == ()
+
+
+def test_a_result_that_covers_p_is_told():
+    assert doubts_of_change(0.008, 0.02) == ()
+    assert "E_color 0.02" in doubts_of_change(0.02, 0.0)[0]
+    assert "E_depth 0.5" in doubts_of_change(0.0, 0.5)[0]
 
 
 @pytest.mark.parametrize(("faded", "dropped", "count"), [(20, 10, 0), (20, 60, 1), (80, 0, 1)])

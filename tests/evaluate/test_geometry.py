@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import torch
 
-from gscomplete.evaluate.bootstrap import bootstrap_interval
 from gscomplete.evaluate.geometry import OWN, hidden_surface_errors
 from gscomplete.splats import Splats, concatenate
 from tests.builders.objects import round_splats
@@ -76,11 +75,3 @@ def test_order_repeats_and_faint_splats_do_not_count():
 def test_a_part_that_shows_everything_hides_nothing():
     truth = sheet(0, 0.4)
     assert hidden_surface_errors(truth, truth, truth) is None
-
-
-def test_intervals_hold_the_mean_and_do_not_depend_on_order():
-    values = [1.0, 2.0, 4.0, 8.0]
-    low, high = bootstrap_interval(values)
-    assert low < 3.75 < high
-    assert bootstrap_interval(values[::-1]) == (low, high)
-    assert bootstrap_interval([3.0]) == (3.0, 3.0)

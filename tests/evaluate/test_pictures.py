@@ -17,7 +17,7 @@ from gscomplete.evaluate import (
     save_turntable,
 )
 from gscomplete.evaluate import pictures as module
-from gscomplete.evaluate.pictures import LIGHT_GREY, to_image
+from gscomplete.evaluate.pictures import LIGHT_GREY, require_own_picture, to_image
 from gscomplete.splats import Splats
 from gscomplete.views import ViewDistribution
 from tests.builders.objects import round_splats
@@ -84,6 +84,19 @@ def test_preview_shows_input_and_completion_from_six_views(tmp_path: Path) -> No
     path = tmp_path / "preview.png"
     save_image(sheet, path)
     assert Image.open(path).size == sheet.size
+
+
+def test_only_own_pictures_are_replaced_unasked(tmp_path: Path) -> None:
+    path, picture = tmp_path / "a.png", Image.new("RGB", (4, 4))
+    require_own_picture(path)
+    save_image(picture, path)
+    require_own_picture(path)
+    picture.save(path)
+    with pytest.raises(UserError, match="not drawn by this program"):
+        require_own_picture(path)
+    path.write_text("notes")
+    with pytest.raises(UserError, match="not drawn by this program"):
+        require_own_picture(path)
 
 
 def test_rendered_background_is_light_grey() -> None:

@@ -48,6 +48,12 @@ def test_markdown_has_a_table_by_subset_the_best_in_bold_and_every_object():
     assert "S_CLIP" not in text  # nobody has it
 
 
+def test_nothing_is_best_among_methods_without_a_common_object():
+    rows = [Row(name, name, None, {"e_color_v": 0.1 * k}) for k, name in enumerate("ab", 1)]
+    assert "| 0.10000 |" in markdown(rows)
+    assert "**0." not in markdown(rows)
+
+
 def test_latex_compiles_in_form():
     text = latex(ROWS)
     assert r"\begin{tabular}{lrcc}" in text

@@ -1,6 +1,5 @@
 """A checkpoint is written whole or not at all, and one that does not fit is named."""
 
-import resource
 import stat
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import torch
 
 from gscomplete.errors import UserError
 from gscomplete.fitting.checkpoint import FILE_NAME, check_fits, load_checkpoint, save_checkpoint
+from tests.builders.full_disk import files_end_at
 
 PATH = Path("latest.safetensors")
 
@@ -80,13 +80,9 @@ def test_a_damaged_tensor_is_named(name, damage):
 def test_a_full_disk_is_named_and_leaves_the_checkpoint_before(tmp_path):
     """Writing beyond a limit of the process fails as on a full disk."""
     save_checkpoint(tmp_path, {"step": torch.tensor(1)})
-    old = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, old[1]))
-    try:
-        with pytest.raises(UserError, match=r"latest\.safetensors: cannot write: the file would"):
-            save_checkpoint(tmp_path, {"step": torch.tensor(2), "a": torch.zeros(10_000)})
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, old)
+    told = r"latest\.safetensors: cannot write: the file would"
+    with files_end_at(4096), pytest.raises(UserError, match=told):
+        save_checkpoint(tmp_path, {"step": torch.tensor(2), "a": torch.zeros(10_000)})
     state = load_checkpoint(tmp_path)
     assert state is not None
     assert int(state["step"]) == 1

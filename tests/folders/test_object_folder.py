@@ -6,7 +6,9 @@ import pytest
 
 from gscomplete.errors import UserError
 from gscomplete.folders import object_folder_of, read_object_folder
+from gscomplete.splats import write_splats
 from gscomplete.views import ObjectFrame, ViewDistribution
+from splatcomplete_data.objects import read_record
 from tests.builders.folders import write_object_folder
 from tests.builders.objects import random_splats
 
@@ -76,6 +78,9 @@ def test_an_object_file_of_another_program_is_none_of_ours(tmp_path):
         ("frame", None, "frame: the top level: expected an object"),
         ("views", None, "views: view distribution: expected an object"),
         ("files", None, "files: expected an object, found None"),
+        ("subset", "video", "subset: expected one of multiview, singleview, .* found 'video'"),
+        ("subset", ["mesh"], r"subset: expected one of .* found \['mesh'\]"),
+        ("prompt", "a \x1b[31mmug", r"prompt: .* without control characters, found 'a \\x1b\[31m"),
     ],
 )
 def test_what_is_wrong_is_named(folder, name, value, message):
@@ -83,3 +88,26 @@ def test_what_is_wrong_is_named(folder, name, value, message):
     path.write_text(json.dumps(json.loads(path.read_text()) | {name: value}))
     with pytest.raises(UserError, match=message):
         object_folder_of(folder / "partial.ply")
+
+
+@pytest.mark.parametrize(("place", "is_seen"), [(1.6, True), (1.7, False), (1e300, False)])
+def test_views_past_the_object_are_refused(folder, place, is_seen):
+    path = folder / "object.json"
+    data = json.loads(path.read_text())
+    data["views"]["target"] = [0.0, 0.0, place]
+    path.write_text(json.dumps(data))
+    for read in (read_object_folder, read_record):
+        if is_seen:
+            assert read(folder).views.target == (0.0, 0.0, place)
+        else:
+            with pytest.raises(UserError, match=r"object\.json: views: target: expected a point"):
+                read(folder)
+
+
+def test_a_replaced_file_is_told_from_the_recorded_one(folder):
+    found = read_object_folder(folder)
+    assert not found.is_replaced(found.partial)
+    write_splats(found.partial, random_splats(6))
+    assert found.is_replaced(found.partial)
+    found.partial.unlink()
+    assert not found.is_replaced(found.partial)

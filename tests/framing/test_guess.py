@@ -13,8 +13,8 @@ from gscomplete.framing.guess import (
     FramingSettings,
     extended_box,
     guess_framing,
+    normals_from_centroid,
     object_splats,
-    outward_normals,
     score_views,
 )
 from gscomplete.splats import Similarity, concatenate, transform_splats
@@ -151,7 +151,7 @@ def test_extended_box_grows_at_most_to_width_and_twice_depth() -> None:
 def test_outward_normals_point_away_from_the_centroid() -> None:
     complete = cylinder()
     radial = torch.nn.functional.normalize(complete.means * torch.tensor([1.0, 1.0, 0.0]), dim=1)
-    assert float((outward_normals(complete) * radial).sum(dim=1).min()) > 0.99
+    assert float((normals_from_centroid(complete) * radial).sum(dim=1).min()) > 0.99
 
 
 def test_fewer_splats_grow_to_cover_the_same_surface():

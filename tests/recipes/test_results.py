@@ -22,6 +22,9 @@ def test_rows_of_other_options_are_never_taken_over(tmp_path):
         Results(path, {"seed": 2, "settings": CompletionSettings()})
     with pytest.raises(UserError, match=r"another settings\.steps: expected 7, found \d+; "):
         Results(path, {"seed": 1, "settings": CompletionSettings(steps=7)})
+    Results(tmp_path / "b.json", {"seed": 1, "flaw": "haze"}).save()
+    with pytest.raises(UserError, match="another flaw: expected None, found haze"):
+        Results(tmp_path / "b.json", {"seed": 1})
     path.write_text("[]")
     with pytest.raises(UserError, match="expected made_with and rows"):
         Results(path, {"seed": 1})

@@ -25,6 +25,7 @@ from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.predict import Prediction
 from gscomplete.shape.surface import cover
 from gscomplete.shape.surface.cover import SurfaceSettings, surface_splats
+from gscomplete.shape.surface.solid import solid_views
 from gscomplete.shape.symmetry import mirror_image, no_symmetries
 from gscomplete.shape.voxels import CELLS
 from gscomplete.splats import concatenate
@@ -63,7 +64,8 @@ def test_without_a_consistent_image_the_networks_surface_is_all():
     prediction, partial = predicted(0.1), half(ball())
     generator = torch.Generator().manual_seed(0)
     settings = SurfaceSettings(8000, filled_logit=-0.3)
-    alone = surface_splats(prediction.output, prediction.seen, partial, settings, generator)
+    asked = prediction.output, prediction.inputs, partial, settings, generator
+    alone = surface_splats(*asked, solid=solid_views(partial))
     found = put_together(prediction, occupancy_threshold_high=-0.3, occupancy_threshold_low=-0.3)
     assert torch.equal(found.means, alone.means)
 
@@ -88,7 +90,8 @@ def test_where_little_is_missing_the_network_has_to_be_surer(symmetry_score, sha
     same = put_together(prediction, occupancy_threshold_high=level, occupancy_threshold_low=level)
     assert torch.equal(found.means, same.means)
     if is_sure:  # whoever asks for no mirror image says nothing about what is missing
-        alone = dataclasses.replace(prediction, seen=prediction.voxels.with_copies(no_symmetries()))
+        none = prediction.voxels.with_copies(no_symmetries())
+        alone = dataclasses.replace(prediction, inputs=none)
         asked = put_together(
             alone,
             threshold_missing_shares=(0.0, 0.1),
@@ -108,8 +111,8 @@ def test_what_one_view_shows_lacks_a_side_however_little_it_seems(monkeypatch):
     whole = ball()
     partial = whole.select(whole.means[:, 0] > 0.1)  # all that a view along x shows
     voxels = voxelize_partial(partial, VIEWS)
-    seen = voxels.with_copies(mirrors())
-    scan = dataclasses.replace(predicted(0.0, confidence=40.0), voxels=voxels, seen=seen)
+    inputs = voxels.with_copies(mirrors())
+    scan = dataclasses.replace(predicted(0.0, confidence=40.0), voxels=voxels, inputs=inputs)
     settings = AssembleSettings(
         count=4000, occupancy_threshold_high=2.0, occupancy_threshold_low=-2.0
     )
@@ -151,7 +154,7 @@ def test_scattered_splats_are_no_closed_surface(count, is_sure):
     partial = ball(count)
     voxels = voxelize_partial(partial, VIEWS)
     half_ball = predicted(0.5, confidence=40.0)
-    prediction = dataclasses.replace(half_ball, voxels=voxels, seen=voxels.with_copies(mirrors()))
+    prediction = dataclasses.replace(half_ball, voxels=voxels, inputs=voxels.with_copies(mirrors()))
 
     def found(sure: float, unsure: float):
         settings = AssembleSettings(
@@ -185,20 +188,19 @@ def test_the_networks_surface_leaves_narrow_gaps_of_p_open():
     pickets = round_splats(torch.from_numpy(PICKETS).float(), scale=0.008)
     views = ViewDistribution(90.0, 10.0)
     voxels = voxelize_partial(pickets, views)
-    ball_of = predicted(0.1)
-    prediction = dataclasses.replace(
-        ball_of, voxels=voxels, seen=voxels.with_copies(no_symmetries())
-    )
+    none = voxels.with_copies(no_symmetries())
+    prediction = dataclasses.replace(predicted(0.1), voxels=voxels, inputs=none)
     found = assemble_splats(
         prediction, pickets, AssembleSettings(), torch.Generator().manual_seed(0)
     ).splats
     at_gap = in_holes(found, voxels)
     everything = surface_splats(
         prediction.output,
-        prediction.seen,
+        prediction.inputs,
         pickets,
         surface_settings(prediction, AssembleSettings(), None),
         torch.Generator().manual_seed(0),
+        solid=solid_views(pickets),
     )
     assert not at_gap.any()
     assert int(in_holes(everything, voxels).sum()) > 50
@@ -293,7 +295,7 @@ def test_where_no_mirrored_splat_is_left_the_networks_surface_is_all():
     occupancy[:, 16:32, 16:32, 16:32] = 8.0
     nowhere = dataclasses.replace(
         prediction,
-        seen=prediction.voxels.with_copies((far, along, turn)),
+        inputs=prediction.voxels.with_copies((far, along, turn)),
         output=dataclasses.replace(prediction.output, occupancy=occupancy),
     )
     level = {"occupancy_threshold_high": 0.0, "occupancy_threshold_low": 0.0}
@@ -324,7 +326,7 @@ def test_what_lacks_nothing_is_not_mirrored_beside_itself():
     complete = ball()
     voxels = voxelize_partial(complete, VIEWS)
     prediction = dataclasses.replace(
-        predicted(0.9), voxels=voxels, seen=voxels.with_copies(mirrors())
+        predicted(0.9), voxels=voxels, inputs=voxels.with_copies(mirrors())
     )
     assert is_mirrored_by_splats(predicted(0.9))
     assert not is_mirrored_by_splats(prediction)

@@ -8,7 +8,7 @@ from gscomplete.shape import guess as module
 from gscomplete.shape.bank.known import KnownShapes
 from gscomplete.shape.bank.store import BANK_FILE, ShapeName, write_bank
 from gscomplete.shape.benefit import OF_ANSWERS, OF_ENDING
-from gscomplete.shape.guess import Asked, guess_complete, notes_of
+from gscomplete.shape.guess import NetworkContext, guess_complete, notes_of
 from gscomplete.shape.mirror_plane import MirrorPlane
 from gscomplete.shape.network import ShapeCompleter, ShapeOutput
 from gscomplete.shape.symmetry import no_symmetries
@@ -49,7 +49,9 @@ def asked():
     torch.manual_seed(0)
     model = Believing(TINY, COARSE_CELLS).eval()
     words = torch.ones(4, dtype=torch.int64)
-    return Asked(model, words, torch.zeros_like(words), bfloat16=False, ends_in_plane=False)
+    return NetworkContext(
+        model, words, torch.zeros_like(words), bfloat16=False, ends_in_plane=False
+    )
 
 
 def seat_and_back() -> Splats:
@@ -188,7 +190,7 @@ def test_notes_tell_the_plane_as_users_ask_for_it():
     assert "upright plane 30.0,0.100 (--mirror)" in elsewhere[0]
     prediction = predicted(0.0)
     alone = prediction.voxels.with_copies(no_symmetries())
-    assert notes_of(dataclasses.replace(prediction, seen=alone), 0) == ("not mirrored",)
+    assert notes_of(dataclasses.replace(prediction, inputs=alone), 0) == ("not mirrored",)
 
 
 def test_notes_tell_how_much_the_prompt_decides():

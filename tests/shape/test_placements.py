@@ -1,3 +1,5 @@
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -6,11 +8,13 @@ from hypothesis import strategies as st
 
 from gscomplete.render import render
 from gscomplete.shape.ask import mean_answer
+from gscomplete.shape.mirror_plane import MirrorPlane
 from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.placements import (
     brought_back,
     mean_over_placements,
     placements,
+    plane_in,
     symmetry_in,
     views_in,
 )
@@ -43,6 +47,20 @@ def model():
 def centers():
     """Return the places of all cells, [C^3, 3]."""
     return torch.from_numpy(cell_centers(CELLS).reshape(-1, 3)).double()
+
+
+@given(FRAMES, st.floats(-360.0, 360.0), st.floats(-1.0, 1.0))
+def test_a_plane_goes_with_its_frame(there, azimuth_deg, offset):
+    plane = MirrorPlane(azimuth_deg, offset)
+    found = plane_in(plane, there)
+    assert plane_in("none", there) == "none"
+    expected = symmetry_in(mirror(math.radians(azimuth_deg), offset, 1.0), there)
+    if found == "guess":
+        assert np.abs(expected.shift).max() > 1  # twice the offset, along x or y
+    else:
+        same = mirror(math.radians(found.azimuth_deg), found.offset, 1.0)
+        # float32 shifts of up to 20
+        np.testing.assert_allclose(same.shift, expected.shift, rtol=0, atol=2e-5)
 
 
 @given(FRAMES)

@@ -27,9 +27,9 @@ def asked(model, partial, **options):
     return predict(model, partial, VIEWS, WORDS, no_tokens=NO_WORDS, **options)
 
 
-def plain_answer(model, partial, seen):
+def plain_answer(model, partial, inputs):
     """Return the logits that nothing has doubted yet."""
-    about = mean_answer(model, seen, (WORDS, NO_WORDS)), seen, partial, VIEWS, (WORDS, NO_WORDS)
+    about = mean_answer(model, inputs, (WORDS, NO_WORDS)), inputs, partial, VIEWS, (WORDS, NO_WORDS)
     return mean_over_placements(model, *about).occupancy
 
 
@@ -49,14 +49,14 @@ def test_the_answer_is_to_what_was_chosen_with_the_prompt_and_without(model):
     guess = asked(model, partial, ends_in_plane=True)
     chosen = choose_symmetries(model, voxelize_partial(partial, VIEWS), WORDS, ends_in_plane=True)
     assert guess.symmetry_score == chosen.symmetry_score
-    for found, expected in zip(guess.seen.symmetries, chosen.seen.symmetries, strict=True):
+    for found, expected in zip(guess.inputs.symmetries, chosen.inputs.symmetries, strict=True):
         assert (found.matrix == expected.matrix).all()
         assert (found.shift == expected.shift).all()
-    again = plain_answer(model, partial, guess.seen)
+    again = plain_answer(model, partial, guess.inputs)
     lost = doubts(partial, again.shape, ends_in_plane=True)
     lost = torch.where(again > -4.0, lost, 0.0)
     assert torch.equal(guess.output.occupancy, again - lost)
-    alone = mean_answer(model, guess.seen, (WORDS, NO_WORDS)).occupancy
+    alone = mean_answer(model, guess.inputs, (WORDS, NO_WORDS)).occupancy
     # the same doubts, as the difference of float32 logits below 10
     assert torch.allclose(guess.in_frame, alone - lost, atol=1e-5)
 
@@ -65,7 +65,7 @@ def test_what_the_prompt_changes_is_counted_and_told(model):
     partial = half(ball())
     guess = asked(model, partial, ends_in_plane=True)
     answers = [
-        mean_answer(model, guess.seen, (tokens, NO_WORDS)).occupancy > 0
+        mean_answer(model, guess.inputs, (tokens, NO_WORDS)).occupancy > 0
         for tokens in (WORDS, NO_WORDS)
     ]
     expected = float((answers[0] ^ answers[1]).sum() / (answers[0] | answers[1]).sum())
@@ -84,7 +84,7 @@ def test_cells_beside_outlines_are_doubted_and_no_others(model):
     whole = ball()
     scan = whole.select(whole.means[:, 0] > 0.1)  # all that a view along x shows
     guess = asked(model, scan, ends_in_plane=False)
-    plain = plain_answer(model, scan, guess.seen)
+    plain = plain_answer(model, scan, guess.inputs)
     lost = torch.where(plain > -4.0, doubts(scan, plain.shape, ends_in_plane=False), 0.0)
     assert lost.max() == 6.0
     assert torch.equal(guess.output.occupancy, plain - lost)
@@ -112,7 +112,7 @@ def test_beside_a_cut_part_only_whole_outlines_count(model, monkeypatch):
     monkeypatch.setattr("gscomplete.shape.predict.doubts_beside_outlines", above)
     partial = half(ball())
     guess = asked(model, partial, ends_in_plane=True, captured=True)
-    plain = plain_answer(model, partial, guess.seen)
+    plain = plain_answer(model, partial, guess.inputs)
     upper = torch.from_numpy(cell_centers(CELLS)[..., 2] > 0.1).reshape(plain.shape)
     doubted = upper & (plain > -4.0)
     assert torch.equal(guess.output.occupancy, torch.where(doubted, plain - 6.0, plain))
@@ -123,5 +123,5 @@ def test_planes_that_users_give_are_taken_at_their_word(model, plane):
     whole = ball()
     scan = whole.select(whole.means[:, 0] > 0.1)
     given = asked(model, scan, ends_in_plane=False, mirror_plane=plane)
-    plain = plain_answer(model, scan, given.seen)
+    plain = plain_answer(model, scan, given.inputs)
     assert torch.equal(given.output.occupancy, plain) == (plane != "none")

@@ -42,7 +42,7 @@ def test_the_copies_that_answers_are_consistent_with_are_given():
     tokens = torch.zeros(4, dtype=torch.long)
     planes = candidate_planes(LOOK, CANDIDATES)
     choice = choose_symmetries(Believer(), LOOK, tokens, ends_in_plane=True)
-    chosen = choice.seen.symmetries
+    chosen = choice.inputs.symmetries
     assert 0.9 < choice.symmetry_score <= 1
     assert len(chosen) == SOURCES - 1
     places = {plane.shift.tobytes() + plane.matrix.tobytes() for plane in planes}
@@ -50,7 +50,7 @@ def test_the_copies_that_answers_are_consistent_with_are_given():
     assert among == [True, True, False]
     farthest = chosen[0].apply(LOOK.positions)[:, 0].min()
     assert farthest < -0.36
-    again = choose_symmetries(Believer(), LOOK, tokens, ends_in_plane=True).seen.symmetries
+    again = choose_symmetries(Believer(), LOOK, tokens, ends_in_plane=True).inputs.symmetries
     assert [c.score for c in chosen] == [c.score for c in again]
 
 
@@ -58,7 +58,7 @@ def test_the_answer_that_decided_is_handed_on():
     tokens = torch.zeros(4, dtype=torch.long)
     for model, ends_in_plane in ((Believer(), True), (Doubter(), False)):
         choice = choose_symmetries(model, LOOK, tokens, ends_in_plane=ends_in_plane)
-        again = ask(model, choice.seen, tokens)
+        again = ask(model, choice.inputs, tokens)
         assert choice.answer is not None
         assert torch.equal(choice.answer.occupancy, again.occupancy)
 
@@ -70,7 +70,7 @@ def test_all_likely_planes_are_asked_about_and_the_best_is_the_one_shown():
     planes = candidate_planes(LOOK, CANDIDATES)
     assert {p.shift.tobytes() for p in asked.planes} == {p.shift.tobytes() for p in planes}
     assert asked.planes[0] is not asked.planes[1]
-    assert (asked.planes[0].shift == shown.seen.symmetries[0].shift).all()
+    assert (asked.planes[0].shift == shown.inputs.symmetries[0].shift).all()
     assert asked.symmetry_scores[0] == shown.symmetry_score
     unlike = asked.distinct(LOOK.positions)
     assert unlike[0] is asked.planes[0]
@@ -84,15 +84,15 @@ def test_users_may_choose_the_plane_or_none():
     tokens = torch.zeros(4, dtype=torch.long)
     none = choose_symmetries(Believer(), LOOK, tokens, ends_in_plane=True, mirror_plane="none")
     assert none.symmetry_score == 0
-    assert all(symmetry.score == 0 for symmetry in none.seen.symmetries)
+    assert all(symmetry.score == 0 for symmetry in none.inputs.symmetries)
     given = choose_symmetries(
         Believer(), LOOK, tokens, ends_in_plane=True, mirror_plane=MirrorPlane(30.0, 0.1)
     )
-    angle, offset = plane_of(given.seen.symmetries[0])
+    angle, offset = plane_of(given.inputs.symmetries[0])
     assert math.degrees(angle) == pytest.approx(30.0, abs=1e-4)
     assert offset == pytest.approx(0.1, abs=1e-6)
     assert given.symmetry_score == 1
-    assert given.seen.symmetries[0].score > 0
+    assert given.inputs.symmetries[0].score > 0
 
 
 class Doubter(torch.nn.Module):
@@ -122,10 +122,10 @@ def test_no_copy_is_shown_where_the_answer_to_none_is_put_first(monkeypatch):
     assert score_planes(Doubter(), LOOK, tokens, ends_in_plane=False).none_is_best
     open_part = choose_symmetries(Doubter(), LOOK, tokens, ends_in_plane=False)
     assert open_part.symmetry_score == 0
-    assert all(symmetry.score == 0 for symmetry in open_part.seen.symmetries)
+    assert all(symmetry.score == 0 for symmetry in open_part.inputs.symmetries)
     # What lies beyond a cut is missing, whatever the answer to P alone would be.
     cut_part = choose_symmetries(Doubter(), LOOK, tokens, ends_in_plane=True)
-    assert cut_part.seen.symmetries[0].score > 0
+    assert cut_part.inputs.symmetries[0].score > 0
     assert not score_planes(Doubter(), LOOK, tokens, ends_in_plane=True).none_is_best
 
 

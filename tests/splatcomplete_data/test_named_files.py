@@ -13,6 +13,7 @@ from PIL import Image
 
 from gscomplete.errors import UserError
 from splatcomplete_data import named_files
+from splatcomplete_data.cli.images import ImagesOptions, make_request
 from splatcomplete_data.dataset.build import build
 from splatcomplete_data.dataset.recipe import Entry, Recipe
 from splatcomplete_data.mesh.files.load import load_mesh
@@ -173,3 +174,15 @@ def test_reach_follows_links_of_the_folder_itself(tmp_path: Path) -> None:
     np.save(tmp_path / "real/a.npy", np.zeros(1))
     (tmp_path / "link").symlink_to(tmp_path / "real")
     assert Reach.of(tmp_path / "link/m.obj").reads(tmp_path / "link/a.npy")
+
+
+def test_a_further_folder_has_to_be_there(tmp_path: Path) -> None:
+    (tmp_path / "a.obj").write_text(TRIANGLE + "f 1 2 3\n")
+    for name, found in (("none", "none"), ("a.obj", "a file")):
+        allowed, message = tmp_path / name, f"--allow-outside .*{name}: .* folder, found {found}"
+        with pytest.raises(UserError, match=message):
+            load_mesh(tmp_path / "a.obj", allow_outside=allowed)
+        with pytest.raises(UserError, match=message):
+            build(Recipe("r", (), ()), tmp_path, tmp_path / "o", workers=1, allow_outside=allowed)
+        with pytest.raises(UserError, match=message):
+            make_request(ImagesOptions(images=tmp_path, allow_outside=allowed))

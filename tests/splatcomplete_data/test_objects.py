@@ -97,6 +97,44 @@ def test_a_failing_writer_leaves_the_old_folder(tmp_path: Path) -> None:
     assert (tmp_path / "a/old").read_text() == "old"
 
 
+def test_files_of_others_outlast_a_replaced_object(tmp_path: Path) -> None:
+    folder = tmp_path / "ball"
+    write_object(folder, object_record(), ball(300, 0.5), ball(400, 0.5))
+    (folder / "notes.txt").write_text("mine")
+    (folder / "photos").mkdir()
+    (folder / "photos/a.txt").write_text("mine, too")
+    write_object(folder, object_record(prompt="another"), ball(400, 0.5), None, overwrite=True)
+    assert read_record(folder).prompt == "another"
+    assert (folder / "notes.txt").read_text() == "mine"
+    assert (folder / "photos/a.txt").read_text() == "mine, too"
+    assert not (folder / "complete.ply").exists()
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_what_appears_meanwhile_stays_and_so_does_what_was_written(
+    tmp_path: Path, overwrite: bool
+) -> None:
+    place = tmp_path / "a"
+
+    def write(temporary: Path) -> None:
+        (temporary / "mark").write_text("new")
+        place.mkdir()
+        (place / "theirs").write_text("theirs")
+
+    with (
+        pytest.raises(UserError, match=r"what was to be written is in .*/a\."),
+        atomic_folder(place, marker="mark", overwrite=overwrite) as temporary,
+    ):
+        write(temporary)
+    assert (place / "theirs").read_text() == "theirs"
+    (kept,) = (path for path in tmp_path.iterdir() if path != place)
+    assert (kept / "mark").read_text() == "new"
+    with atomic_folder(kept, marker="mark", overwrite=True) as temporary:
+        (temporary / "mark").write_text("newer")
+    assert (kept / "mark").read_text() == "newer"
+    assert len(list(tmp_path.iterdir())) == 2
+
+
 def test_leftovers_of_killed_writers_go(tmp_path: Path) -> None:
     (tmp_path / ".ball.abc_1234").mkdir()
     (tmp_path / ".bell.abc_1234").mkdir()
@@ -126,6 +164,7 @@ def test_empty_and_unwritable_objects_are_user_errors(tmp_path: Path) -> None:
         ({"unknown": 1}, "unknown"),
         ({"prompt": " "}, "prompt"),
         ({"prompt": "\udcff"}, "prompt"),
+        ({"prompt": "a \x1b[31mball"}, "prompt: expected a text without control characters"),
         ({"id": "../up"}, "id"),
         ({"subset": "video"}, "subset"),
         ({"views": {}}, "views"),

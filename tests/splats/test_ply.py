@@ -240,3 +240,10 @@ def test_real_splats_pass_through_byte_for_byte(tmp_path):
     assert joined.payload.records[: len(body)].tobytes() == body
     for _, value in joined.splats.fields():
         assert torch.allclose(value[:3], value[3:], atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["a.spz", "a.compressed.ply", "A.GLB", "a.usda", "a.html"])
+def test_a_ply_is_not_named_as_something_else(tmp_path, name):
+    with pytest.raises(UserError, match=r"expected the name of a \.ply file, found \."):
+        write_splats(tmp_path / name, random_splats(5))
+    assert not list(tmp_path.iterdir())

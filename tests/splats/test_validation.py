@@ -8,7 +8,8 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gscomplete.splats import Splats, read_compressed_ply, write_splats
+from gscomplete.splats import Splats, write_splats
+from gscomplete.splats.formats.compressed_ply import read_compressed_ply
 from gscomplete.splats.row_statistics import COUNTS, hash_rows
 from gscomplete.splats.validation import ValidationReport, validate_file
 
@@ -161,6 +162,19 @@ def test_coefficient_major_harmonics(tmp_path):
 def test_wrong_harmonics_count(tmp_path):
     table = sound_table(rest=44)
     assert named(check(tmp_path, table))["sh_layout"][0] == "error"
+
+
+def test_files_of_which_nothing_can_be_seen_are_errors(tmp_path):
+    faint = sound_table()
+    faint["opacity"][:] = -6.0
+    assert named(check(tmp_path, faint))["invisible"] == ("error", 500)
+    faint["opacity"][7] = -5.0
+    assert "invisible" not in named(check(tmp_path, faint))
+    huge = sound_table()
+    huge["x"][:] = 1e25
+    assert named(check(tmp_path, huge))["not_drawable"] == ("error", 500)
+    huge["x"][0] = 0.0
+    assert "not_drawable" not in named(check(tmp_path, huge))
 
 
 def test_outliers_and_frames(tmp_path):

@@ -47,6 +47,17 @@ def test_link_stays_a_link(tmp_path):
     assert real.read_bytes() == b"new"
 
 
+def test_a_link_that_leads_back_to_itself_is_told(tmp_path):
+    (tmp_path / "a").symlink_to("b")
+    (tmp_path / "b").symlink_to("a")
+    with (
+        pytest.raises(UserError, match="cannot write: it is a link that leads back to itself"),
+        atomic_path(tmp_path / "a"),
+    ):
+        pass
+    assert (tmp_path / "a").is_symlink()
+
+
 @pytest.mark.parametrize("name", ["missing/a.ply", "file/a.ply", "folder", "x" * 300])
 def test_unwritable_destination_is_a_user_error(tmp_path, name):
     (tmp_path / "file").write_bytes(b"")

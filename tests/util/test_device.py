@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import threading
 
 import pytest
 import torch
@@ -12,6 +13,7 @@ from gscomplete.evaluate import evaluate
 from gscomplete.util.device import _tell_of_unused_cuda, choose_device, plain_torch
 from tests.builders.objects import ball
 from tests.builders.priors import OraclePrior
+from tests.builders.torch_states import STATES, default_type
 
 
 @pytest.mark.parametrize("cuda", [None, "12.8"])
@@ -31,25 +33,6 @@ TRUTH = ball(600)
 PARTIAL = TRUTH.select(TRUTH.means[:, 0] > 0)
 PRIOR = OraclePrior(TRUTH)
 QUICK = dataclasses.replace(DISTILL, steps=3, new_splats=80, warmup_steps=1)
-
-
-@contextlib.contextmanager
-def default_type(dtype):
-    torch.set_default_dtype(dtype)
-    try:
-        yield
-    finally:
-        torch.set_default_dtype(torch.float32)
-
-
-STATES = {
-    "no gradients": torch.no_grad,
-    "inference mode": torch.inference_mode,
-    "autocast": lambda: torch.autocast("cpu", dtype=torch.bfloat16),
-    "another device": lambda: torch.device("meta"),
-    "float64": lambda: default_type(torch.float64),
-    "bfloat16": lambda: default_type(torch.bfloat16),
-}
 
 
 def completed_and_measured():
@@ -98,3 +81,24 @@ def test_what_the_caller_has_set_is_set_again(state):
             raise RuntimeError
         assert state_now() == before
     assert state_now() == plain
+
+
+def test_threads_that_need_float32_share_it():
+    first, second = threading.Event(), threading.Event()
+
+    def outlast() -> None:
+        with plain_torch():
+            first.set()
+            second.wait(10)
+            seen.append(torch.get_default_dtype())
+
+    seen: list[torch.dtype] = []
+    with default_type(torch.float64):
+        thread = threading.Thread(target=outlast)
+        with plain_torch():
+            thread.start()
+            first.wait(10)
+        second.set()
+        thread.join()
+        assert seen == [torch.float32]
+        assert torch.get_default_dtype() == torch.float64

@@ -9,7 +9,7 @@ from gscomplete.splats.formats.any_file import READ
 from gscomplete.util.file_names import (
     SPLAT_SUFFIXES,
     is_plain_name,
-    require_suffix,
+    require_destination,
     shown_name,
     splat_stem,
 )
@@ -43,10 +43,10 @@ def test_plain_names_stay_within_their_folder():
 
 def test_a_file_to_be_replaced_has_to_be_named_as_one_of_its_kind():
     for path in (None, Path("a.csv"), Path("A.CSV")):
-        require_suffix("--csv", path, (".csv",))
+        require_destination("--csv", path, (".csv",))
     for name in ("mug.ply", "mug", ".csv", "csv"):
         with pytest.raises(UserError, match=r"--csv: expected a file name ending in \.csv, found"):
-            require_suffix("--csv", Path(name), (".csv",))
+            require_destination("--csv", Path(name), (".csv",))
 
 
 def test_bytes_that_are_no_text_are_shown_as_such():

@@ -1,7 +1,15 @@
 import pytest
 
 from gscomplete.errors import UserError
-from gscomplete.util.parse import parse_numbers, parse_view, with_new_names
+from gscomplete.util.parse import (
+    has_controls,
+    parse_numbers,
+    parse_view,
+    require_prompt,
+    shown_text,
+    with_new_names,
+    with_signs_joined,
+)
 
 
 @pytest.mark.parametrize("word", ["--size", "--size=2"])
@@ -17,6 +25,13 @@ def test_other_words_stay_as_they_are(capsys):
     assert capsys.readouterr().err == ""
 
 
+def test_values_that_begin_with_a_minus_belong_to_their_option():
+    words = ["a.ply", "--up", "-Y", "--view", "-30,10", "--json", "--center", "-.5,0,0", "-x", "-1"]
+    expected = ["a.ply", "--up=-Y", "--view=-30,10", "--json", "--center=-.5,0,0", "-x", "-1"]
+    assert with_signs_joined(words) == expected
+    assert with_signs_joined(["--up=X", "-Y"]) == ["--up=X", "-Y"]
+
+
 @pytest.mark.parametrize("text", ["", "1", "1,2,3", "a,b", "1,inf", "1,nan"])
 def test_numbers_of_another_form_are_refused(text):
     with pytest.raises(UserError, match="--view: expected AZIMUTH,ELEVATION, 2 finite numbers"):
@@ -25,3 +40,27 @@ def test_numbers_of_another_form_are_refused(text):
 
 def test_none_stays_none():
     assert parse_numbers(None, 2, "--view", "A,B") is None
+
+
+@pytest.mark.parametrize("control", ["\x1b", "\n", "\x00", "\x7f", "\x9b", "\u2028", "\u202e"])
+def test_a_prompt_of_control_characters_is_refused(control):
+    prompt = f"a {control}[31mmug"
+    assert has_controls(prompt)
+    with pytest.raises(UserError, match="--prompt: expected a text without control") as told:
+        require_prompt(prompt)
+    assert not has_controls(str(told.value))
+
+
+def test_other_characters_are_no_matter():
+    for prompt in (
+        "une tasse à café",
+        "赤い\u3000カップ",
+        "كوب",
+        "a \U0001f469\u200d\U0001f373",
+    ):
+        require_prompt(prompt)
+        assert shown_text(prompt) == prompt
+
+
+def test_control_characters_are_shown_and_not_obeyed():
+    assert shown_text("a\x1b[31m\u202eb\r\n\tc") == "a\\x1b[31m\\u202eb\\r\n\tc"

@@ -13,6 +13,7 @@ from gscomplete.viewer.server import (
     camera_fov,
     covariances,
     layer_colors,
+    listen,
     look_from,
     serve,
     show_layer,
@@ -34,6 +35,13 @@ def test_the_page_is_served(viewer):
     with urllib.request.urlopen(address, timeout=PATIENCE_S) as page:
         assert page.status == 200
         assert b"<html" in page.read().lower()
+
+
+@pytest.mark.parametrize("host", ["192.0.2.1", "no.such.host.invalid", "a" * 100])
+def test_a_host_that_is_not_this_machine_is_refused_at_once(host):
+    pytest.importorskip("viser")
+    with pytest.raises(UserError, match=f"--host {host}: expected a name or an address of this"):
+        listen(host, 18090)
 
 
 def test_boxes_hide_layers_and_the_list_colours_them(viewer):

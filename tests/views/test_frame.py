@@ -112,8 +112,9 @@ def test_from_z_up_center(frame: ObjectFrame) -> None:
 
 
 def test_bad_values_are_named() -> None:
-    with pytest.raises(ValueError, match="size_file"):
-        ObjectFrame("Z", (0.0, 0.0, 0.0), 0.0)
+    for size in (0.0, 5e-324, math.nan):
+        with pytest.raises(ValueError, match="size_file"):
+            ObjectFrame("Z", (0.0, 0.0, 0.0), size)
     with pytest.raises(ValueError, match="center_file"):
         ObjectFrame("Z", (0.0, math.nan, 0.0), 1.0)
     with pytest.raises(ValueError, match="up"):

@@ -102,11 +102,10 @@ class RoundProblem:
     def inside(self, drawn: Render, views: Tensor) -> tuple[Render, Render]:
         """Return the renders from within V over the background, and P's."""
         count = len(views)
-        alpha = drawn.alpha[:count]
-        color = drawn.color[:count] + (1.0 - alpha)[..., None] * self.background
+        within = Render(drawn.color[:count], drawn.alpha[:count], drawn.depth[:count])
         target = self.target
         return (
-            Render(color, alpha, drawn.depth[:count]),
+            within.over(self.background),
             Render(target.color[views], target.alpha[views], target.depth[views]),
         )
 

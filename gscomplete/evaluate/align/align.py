@@ -25,12 +25,13 @@ import torch
 from scipy.spatial import cKDTree
 
 from gscomplete.errors import UserError
-from gscomplete.evaluate.align.nearest_grid import FloatArray, nearest_grid
+from gscomplete.evaluate.align.nearest_grid import nearest_grid
 from gscomplete.evaluate.align.refine import Candidate, Surface, Target, surface_of
 from gscomplete.evaluate.align.search import even_rotations, improve
 from gscomplete.splats import Splats, usable_rows
 from gscomplete.splats.filters import near_rows
 from gscomplete.splats.transform import Similarity
+from gscomplete.util.arrays import Float64Array
 
 _DENSE, _MIDDLE, _SPARSE = 4000, 500, 64
 """Points of each cloud: for exact nearest points, in the second stage of the search, in the
@@ -132,12 +133,12 @@ def align_splats(
 
 
 def align_points(
-    result: FloatArray,  # [n, 3]
-    target: FloatArray,  # [m, 3]
+    result: Float64Array,  # [n, 3]
+    target: Float64Array,  # [m, 3]
     settings: AlignmentSettings | None = None,
     *,
-    colors: FloatArray | None = None,  # [n, 3]
-    target_colors: FloatArray | None = None,  # [m, 3]
+    colors: Float64Array | None = None,  # [n, 3]
+    target_colors: Float64Array | None = None,  # [m, 3]
 ) -> Alignment:
     """Align points on the surface of a complete object with points on a part of it.
 
@@ -229,13 +230,13 @@ def _cost(candidate: Candidate) -> float:
     return candidate.cost
 
 
-def _evened(colors: FloatArray) -> FloatArray:  # [n, 3]
+def _evened(colors: Float64Array) -> Float64Array:  # [n, 3]
     """Scale colours to a common brightness; black stays black."""
     return colors * (_GREY / max(float(np.sqrt((colors**2).mean())), 1e-6))
 
 
 def evenly_spread(
-    points: FloatArray,  # [n, 3]
+    points: Float64Array,  # [n, 3]
     count: int,
     rng: np.random.Generator,
     looked_at: int = _LOOKED_AT,
@@ -271,7 +272,7 @@ def evenly_spread(
     return rows[rng.permutation(first)[:count]]
 
 
-def diameter(points: FloatArray) -> float:  # [n, 3]
+def diameter(points: Float64Array) -> float:  # [n, 3]
     """Return about the largest distance between two points, by three hops to the farthest point."""
     at, largest = points.mean(axis=0), 0.0
     for _ in range(4):
@@ -280,12 +281,12 @@ def diameter(points: FloatArray) -> float:  # [n, 3]
     return largest
 
 
-def _cell_keys(offsets: FloatArray, side: float) -> np.ndarray:
+def _cell_keys(offsets: Float64Array, side: float) -> np.ndarray:
     cells = np.floor(offsets / side).astype(np.int64)
     return np.asarray(cells @ np.array([1, 1 << 20, 1 << 40]))
 
 
-def _normalised(points: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+def _normalised(points: Float64Array) -> tuple[Float64Array, Float64Array, float]:
     """Move the middle of the box to the origin, and make its largest side 1."""
     low, high = points.min(axis=0), points.max(axis=0)
     center, size = (low + high) / 2, float((high - low).max())
@@ -293,7 +294,10 @@ def _normalised(points: FloatArray) -> tuple[FloatArray, FloatArray, float]:
 
 
 def _searched(
-    part: FloatArray, complete: FloatArray, settings: AlignmentSettings, rng: np.random.Generator
+    part: Float64Array,
+    complete: Float64Array,
+    settings: AlignmentSettings,
+    rng: np.random.Generator,
 ) -> list[Candidate]:
     """Return the best candidates of the first two stages."""
     ratio = diameter(complete) / diameter(part)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-FloatArray = NDArray[np.float64]
+from gscomplete.util.arrays import Float64Array
 
 CELLS = 48
 """Cells along an axis."""
@@ -28,10 +28,10 @@ class NearestGrid:
     """Nearest point for every cell."""
 
     index: NDArray[np.int32]  # [CELLS, CELLS, CELLS] row of ``points``
-    points: FloatArray  # [n, 3] means of the points of a cell
+    points: Float64Array  # [n, 3] means of the points of a cell
 
 
-def nearest_grid(points: FloatArray) -> NearestGrid:  # [n, 3]
+def nearest_grid(points: Float64Array) -> NearestGrid:  # [n, 3]
     """Build the look-up for a cloud."""
     cell = np.floor((points + REACH) / (2 * REACH) * CELLS).astype(np.int64).clip(0, CELLS - 1)
     flat = (cell[:, 0] * CELLS + cell[:, 1]) * CELLS + cell[:, 2]

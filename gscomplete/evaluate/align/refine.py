@@ -22,8 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from gscomplete.evaluate.align.nearest_grid import FloatArray
 from gscomplete.splats.geometry.neighbourhood import normals_of
+from gscomplete.util.arrays import Float64Array
 
 _NORMAL_LENGTH, _COLOR_LENGTH = 0.035, 0.05
 """Lengths that differences stand for: of perpendicular normals (times the root of 2), and of black
@@ -48,21 +48,21 @@ class Candidate:
     """A similarity from part to complete cloud, and how well they meet."""
 
     scale: float
-    rotation: FloatArray  # [3, 3]
-    translation: FloatArray  # [3]
+    rotation: Float64Array  # [3, 3]
+    translation: Float64Array  # [3]
     cost: float = np.inf
     gain: float = 1.0
     """Brightness of the complete cloud over the part's."""
 
-    def apply(self, points: FloatArray) -> FloatArray:  # [n, 3]
+    def apply(self, points: Float64Array) -> Float64Array:  # [n, 3]
         """Take points of the part to the complete cloud."""
         return self.scale * points @ self.rotation.T + self.translation
 
-    def undo(self, points: FloatArray) -> FloatArray:  # [n, 3]
+    def undo(self, points: Float64Array) -> Float64Array:  # [n, 3]
         """Take points of the complete cloud to the part."""
         return (points - self.translation) @ self.rotation / self.scale
 
-    def beside(self, place: FloatArray, offset: FloatArray, growth: float) -> Candidate:
+    def beside(self, place: Float64Array, offset: Float64Array, growth: float) -> Candidate:
         """Return the candidate with a changed position and scale.
 
         Args:
@@ -80,16 +80,16 @@ class Candidate:
 class Surface:
     """A cloud with normals and colours."""
 
-    points: FloatArray  # [n, 3]
-    normals: FloatArray  # [n, 3]
-    colors: FloatArray  # [n, 3]
+    points: Float64Array  # [n, 3]
+    normals: Float64Array  # [n, 3]
+    colors: Float64Array  # [n, 3]
 
     def subset(self, rows: np.ndarray) -> Surface:
         """Return a choice of points with the normals that all of them gave."""
         return Surface(self.points[rows], self.normals[rows], self.colors[rows])
 
 
-def surface_of(points: FloatArray, colors: FloatArray | None = None) -> Surface:  # [n, 3] both
+def surface_of(points: Float64Array, colors: Float64Array | None = None) -> Surface:  # [n, 3] both
     """Fit a normal to every point's neighbourhood; without colours all points get the same one."""
     _, near = cKDTree(points).query(points, k=min(_NEIGHBOURS, len(points)))
     normals = normals_of(points[near])
@@ -132,7 +132,9 @@ class Target:
         return best
 
 
-def _joint(points: FloatArray, normals: FloatArray, colors: FloatArray) -> FloatArray:  # [n, 12]
+def _joint(
+    points: Float64Array, normals: Float64Array, colors: Float64Array
+) -> Float64Array:  # [n, 12]
     """Return vectors whose distances combine position, normal (without sign) and colour."""
     x, y, z = normals.T
     root = np.sqrt(2.0)
@@ -140,7 +142,7 @@ def _joint(points: FloatArray, normals: FloatArray, colors: FloatArray) -> Float
     return np.concatenate([points, _NORMAL_LENGTH * outer, _COLOR_LENGTH * colors], axis=1)
 
 
-def _gain(mine: FloatArray, theirs: FloatArray, weights: FloatArray, before: float) -> float:
+def _gain(mine: Float64Array, theirs: Float64Array, weights: Float64Array, before: float) -> float:
     """Return the brightness of the partners over the part's, by least squares."""
     ours = float((weights[:, None] * mine**2).sum())
     found = float((weights[:, None] * mine * theirs).sum()) / max(ours, 1e-12)
@@ -149,9 +151,9 @@ def _gain(mine: FloatArray, theirs: FloatArray, weights: FloatArray, before: flo
 
 def _stepped(
     at: Candidate,
-    moved: FloatArray,
+    moved: Float64Array,
     partners: Surface,
-    weights: FloatArray,
+    weights: Float64Array,
     gain: float,
     point_share: float,
 ) -> Candidate:
@@ -178,7 +180,7 @@ def _stepped(
     return Candidate(growth * at.scale, turn @ at.rotation, shift, gain=gain)
 
 
-def _rotation(vector: FloatArray) -> FloatArray:  # [3] -> [3, 3]
+def _rotation(vector: Float64Array) -> Float64Array:  # [3] -> [3, 3]
     """Return the rotation about an axis by its length in radians (Rodrigues)."""
     angle = float(np.linalg.norm(vector))
     x, y, z = vector

@@ -17,14 +17,15 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from gscomplete.evaluate.align.nearest_grid import CELLS, REACH, FloatArray, NearestGrid
+from gscomplete.evaluate.align.nearest_grid import CELLS, REACH, NearestGrid
 from gscomplete.splats.rotations import matrix_rows
+from gscomplete.util.arrays import Float64Array
 
 KEPT = 0.9
 """Share of the part's points that pairs are made of; the result may lack the rest of the part."""
 
 
-def even_rotations(count: int) -> FloatArray:  # [count, 3, 3]
+def even_rotations(count: int) -> Float64Array:  # [count, 3, 3]
     """Return rotations spread evenly over SO(3): the super-Fibonacci spiral (Alexa 2022)."""
     phi, psi = np.sqrt(2.0), 1.533751168755204288118041
     s = np.arange(count) + 0.5
@@ -35,18 +36,18 @@ def even_rotations(count: int) -> FloatArray:  # [count, 3, 3]
 
 
 def improve(
-    part: FloatArray,  # [n, 3]
-    complete: FloatArray,  # [m, 3]
+    part: Float64Array,  # [n, 3]
+    complete: Float64Array,  # [m, 3]
     part_grid: NearestGrid,
     complete_grid: NearestGrid,
-    rotations: FloatArray,  # [S, 3, 3]
-    scales: FloatArray,  # [S]
-    translations: FloatArray,  # [S, 3]
+    rotations: Float64Array,  # [S, 3, 3]
+    scales: Float64Array,  # [S]
+    translations: Float64Array,  # [S, 3]
     *,
     covered: float,
     iterations: int,
     scale_range: tuple[float, float],
-) -> FloatArray:  # [S]
+) -> Float64Array:  # [S]
     """Take ICP steps from every candidate, in place; return the costs afterwards.
 
     A cost is the mean squared distance of the pairs, of both clouds' points, in units of the

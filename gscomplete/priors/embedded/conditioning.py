@@ -17,11 +17,12 @@ from gscomplete.priors.base import FourViews
 from gscomplete.priors.embedded.inputs import shape_map
 from gscomplete.priors.embedded.model import SHAPE_CHANNELS, VIEWS
 from gscomplete.render import render
+from gscomplete.shape.bank.cell_splats import cell_splats
 from gscomplete.shape.bank.fit import FittedShape
-from gscomplete.shape.bank.pose import FloatArray, surface_centers
+from gscomplete.shape.bank.pose import surface_centers
 from gscomplete.shape.bank.store import read_bank
-from gscomplete.shape.bank.surface_splats import surface_splats
 from gscomplete.splats import Splats
+from gscomplete.util.arrays import Float64Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +42,7 @@ class EmbeddedConditioning:
         """Whether the prompt says anything that the negative prompt does not."""
         return not torch.equal(self.tokens, self.negative_tokens)
 
-    def with_surface(self, centers: FloatArray, scale: float, note: str) -> EmbeddedConditioning:
+    def with_surface(self, centers: Float64Array, scale: float, note: str) -> EmbeddedConditioning:
         """Return the same with a known surface.
 
         Args:
@@ -49,7 +50,7 @@ class EmbeddedConditioning:
             scale: of the bank's cells.
             note: where it comes from, for the user.
         """
-        shape = surface_splats(centers, scale)
+        shape = cell_splats(centers, scale)
         return dataclasses.replace(self, shape=shape, report=(*self.report, note))
 
     def shape_map(

@@ -21,14 +21,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from gscomplete.shape.mirror_plane import Mirror, MirrorPlane
 from gscomplete.splats import Splats
 from gscomplete.splats.transform import stretch_splats
+from gscomplete.util.arrays import Float64Array
 from gscomplete.views import ViewDistribution
 
-FloatArray = NDArray[np.float64]
 _LONG = 0.44
 """P is long if its second extent over its first is smaller ..."""
 _SHORTENED_TO = 0.55
@@ -41,7 +40,7 @@ _LEAST_FACTOR = 0.25
 class Shortening:
     """The map x -> scale * (x + (factor - 1) (axis . x) axis), from the object frame."""
 
-    axis: FloatArray  # [3] unit, upright or level
+    axis: Float64Array  # [3] unit, upright or level
     factor: float
     """Of lengths along the axis, in (0, 1)."""
     scale: float
@@ -53,7 +52,7 @@ class Shortening:
         return f"P is long: it is completed shortened to {self.factor:.0%} of its length"
 
     @property
-    def matrix(self) -> FloatArray:  # [3, 3]
+    def matrix(self) -> Float64Array:  # [3, 3]
         """The map as a matrix."""
         along = np.outer(self.axis, self.axis)
         return self.scale * (np.eye(3) + (self.factor - 1) * along)
@@ -97,7 +96,7 @@ class Shortening:
 
 
 def shortening_of(
-    points: FloatArray,  # [N, 3] P, object frame
+    points: Float64Array,  # [N, 3] P, object frame
     *,
     ends_in_plane: bool,
 ) -> Shortening | None:

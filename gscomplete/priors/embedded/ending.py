@@ -14,18 +14,17 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gscomplete.framing.cut_plane import CutPlane, UprightPlane, find_cut
+from gscomplete.framing.cut_plane import CutPlane, find_cut
 from gscomplete.framing.end_plane import find_end
 from gscomplete.framing.extent import Exposure, is_closed, thickness_of
 from gscomplete.framing.guess import score_partial
 from gscomplete.shape.mirror_plane import HalfCut, Mirror, MirrorPlane
-from gscomplete.shape.voxels import FloatArray as Features
 from gscomplete.splats import Splats
 from gscomplete.splats.geometry.neighbourhood import flat_axes
+from gscomplete.splats.geometry.upright_plane import UprightPlane
+from gscomplete.util.arrays import Float32Array, Float64Array
 
-FloatArray = NDArray[np.float64]
 _LEAST_SHARE = 1e-3
 
 _COMPLETE_NOTE = (
@@ -59,8 +58,8 @@ class Ending:
     """Whether P lacks nothing."""
     notes: tuple[str, ...] = ()
     """The reason, or what the user may do, for the user."""
-    features: Features | None = None  # [len(benefit.OF_ENDING)]
-    """Features that tell whether P lacks anything; None = this is known, or the user decides."""
+    features: Float32Array | None = None  # [len(benefit.OF_ENDING)]
+    """Numbers that tell whether P lacks anything; None = this is known, or the user decides."""
 
 
 def ending_of(
@@ -93,10 +92,10 @@ def ending_of(
 
 
 def features_of_ending(
-    points: FloatArray,  # [N, 3] of P, object frame
+    points: Float64Array,  # [N, 3] of P, object frame
     cut: CutPlane | None,
     exposure: Exposure,
-) -> Features:  # [len(OF_ENDING)]
+) -> Float32Array:  # [len(OF_ENDING)]
     """Return the features of P that tell whether it lacks anything; columns as ``OF_ENDING``."""
     of_cut = (0.0,) * 4
     if cut is not None:

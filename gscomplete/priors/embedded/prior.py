@@ -46,7 +46,7 @@ from gscomplete.priors.embedded.weights import (
 from gscomplete.shape.assemble import image_of_half, mirror_plane_of
 from gscomplete.shape.bank.known import KnownShapes
 from gscomplete.shape.bank.store import BANK_FILE
-from gscomplete.shape.guess import Asked, guess_complete
+from gscomplete.shape.guess import NetworkContext, guess_complete
 from gscomplete.shape.int8 import ByteShapeCompleter
 from gscomplete.shape.mirror_plane import ChosenMirror, HalfCut, MirrorWish
 from gscomplete.shape.network import ShapeCompleter, laid_out
@@ -211,8 +211,8 @@ class EmbeddedPrior:
             nothing = partial.with_sh_degree(0).select(torch.arange(0))
             told = known.notes(()) if prompt_decides else ()
             return FirstGuess(nothing, told + ending.notes)
-        asked = self.asked(conditioning, ends_in_plane=ending.in_plane, captured=captured)
-        assert asked is not None
+        context = self.context(conditioning, ends_in_plane=ending.in_plane, captured=captured)
+        assert context is not None
         is_cut = ending.image_is_all
         if not is_cut and not prompt_decides:
             points = partial.means.double().numpy()
@@ -221,19 +221,19 @@ class EmbeddedPrior:
             if long is not None and through is not None:
                 there = long.splats(partial), long.views(distribution), through
                 guess = guess_complete(
-                    asked, *there, KnownShapes(None, conditioning.prompt), count, generator,
+                    context, *there, KnownShapes(None, conditioning.prompt), count, generator,
                     of_ending=ending.features, plane_back=long.plane_back,
                 )  # fmt: skip
                 told = (long.note, *ending.notes, *guess.notes)
                 return FirstGuess(long.splats_back(guess.splats), told)
         about = partial, distribution, ending.mirror, known, count, generator
-        guess = guess_complete(asked, *about, mirror_is_cut=is_cut, of_ending=ending.features)
+        guess = guess_complete(context, *about, mirror_is_cut=is_cut, of_ending=ending.features)
         notes = ending.notes if guess.heeds_cut and not ending.is_complete else ()
         return FirstGuess(guess.splats, notes + guess.notes)
 
-    def asked(
+    def context(
         self, conditioning: Conditioning, *, ends_in_plane: bool, captured: bool = False
-    ) -> Asked | None:
+    ) -> NetworkContext | None:
         """Return the shape network and how it is asked about a part; None = there is none.
 
         Args:
@@ -244,7 +244,7 @@ class EmbeddedPrior:
         if self._shape is None:
             return None
         assert isinstance(conditioning, EmbeddedConditioning)
-        return Asked(
+        return NetworkContext(
             self._shape,
             conditioning.shape_tokens,
             self._shape_tokenizer.encode(""),
@@ -267,16 +267,16 @@ class EmbeddedPrior:
     ) -> tuple[ChosenMirror, ...]:
         """Return what P may be mirrored through; see :class:`base.ShapePrior`."""
         cut = find_cut(partial.means.double().numpy(), flat_axes(partial))
-        asked = self.asked(conditioning, ends_in_plane=ends_in_plane(cut))
-        if asked is None:
+        context = self.context(conditioning, ends_in_plane=ends_in_plane(cut))
+        if context is None:
             return ()
         voxels = voxelize_partial(partial, distribution)
         scored = score_planes(
-            asked.model,
+            context.model,
             voxels,
-            asked.tokens,
-            ends_in_plane=asked.ends_in_plane,
-            bfloat16=asked.bfloat16,
+            context.tokens,
+            ends_in_plane=context.ends_in_plane,
+            bfloat16=context.bfloat16,
         )
         planes = (mirror_plane_of(plane) for plane in scored.distinct(voxels.positions))
         ends = mirror_of_half(partial, cut, HalfCut()) is not None

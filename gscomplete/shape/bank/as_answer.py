@@ -14,8 +14,8 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from gscomplete.shape.bank.fit import FitLimits, FittedShape
-from gscomplete.shape.bank.pose import FloatArray
 from gscomplete.shape.voxels import CELL_SIDE, CELLS, cell_centers
+from gscomplete.util.arrays import Float64Array
 
 DECIDING = FitLimits(
     most_cost=0.25, most_growth=200.0, in_front_cost=0.15, synonym_cost=0.02, other_noun_cost=0.04
@@ -39,7 +39,7 @@ _POINTS, _NEIGHBOURS = 3000, 24
 
 def occupancy_of(
     shape: FittedShape,
-    part: FloatArray,  # [N, 3] points of P, at least one
+    part: Float64Array,  # [N, 3] points of P, at least one
 ) -> Tensor:  # [1, C, C, C] logits
     """Bend a shape to P and return its occupancy, one cell thick beyond it as the network's is.
 
@@ -55,9 +55,9 @@ def occupancy_of(
 
 def _bending(
     shape: FittedShape,
-    part: FloatArray,  # [N, 3]
-    places: FloatArray,  # [M, 3]
-) -> FloatArray:  # [M, 3]
+    part: Float64Array,  # [N, 3]
+    places: Float64Array,  # [M, 3]
+) -> Float64Array:  # [M, 3]
     """Return, for every place, the offset to where the unbent shape is to be looked up."""
     some = part[np.linspace(0, len(part) - 1, min(len(part), _POINTS)).astype(np.int64)]
     distance, nearest = cKDTree(shape.points).query(some)
@@ -68,5 +68,5 @@ def _bending(
     away, index = cKDTree(points).query(places, k=range(1, min(_NEIGHBOURS, len(points)) + 1))
     weights = np.exp(-0.5 * (away / _WIDTH) ** 2)
     total = weights.sum(axis=1, keepdims=True) + _FALL_OFF
-    bending: FloatArray = np.einsum("mk,mkc->mc", weights, offsets[index]) / total
+    bending: Float64Array = np.einsum("mk,mkc->mc", weights, offsets[index]) / total
     return bending

@@ -19,20 +19,19 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import binary_fill_holes, map_coordinates
 from scipy.spatial import cKDTree
 
 from gscomplete.shape.bank.improve import FAR, improve_poses
 from gscomplete.shape.bank.pose import (
     MARGIN,
-    FloatArray,
     Pose,
     distance_field,
     surface_centers,
-    turn_about_z,
 )
 from gscomplete.shape.bank.store import BANK_CELLS, Naming, ShapeBank, ShapeName
+from gscomplete.splats.rotations import turn_about_z
+from gscomplete.util.arrays import BoolArray, Float64Array
 
 _MOST_SHAPES = 80
 """Most shapes of the prompt's noun that are tried."""
@@ -99,9 +98,9 @@ class FittedShape:
     """A known shape in the place that suits P best."""
 
     name: ShapeName
-    cells: NDArray[np.bool_]  # [C, C, C] that its surface passes, shape's frame
+    cells: BoolArray  # [C, C, C] that its surface passes, shape's frame
     pose: Pose
-    points: FloatArray  # [M, 3] centres of these cells, object frame
+    points: Float64Array  # [M, 3] centres of these cells, object frame
     residual: float
     """Mean distance of P's points from its surface, in units of P's largest side."""
     in_front: float
@@ -119,12 +118,12 @@ class FittedShape:
         contradicted = _IN_FRONT_COST * self.in_front + _UNSEEN_COST * self.unseen
         return self.residual + contradicted + _GROWTH_COST * self.growth + self.added_cost
 
-    def moved(self, scale: float, move: FloatArray) -> FittedShape:  # [3]
+    def moved(self, scale: float, move: Float64Array) -> FittedShape:  # [3]
         """Return the shape for an object whose points p have become ``scale * p + move``."""
         pose = self.pose.of_moved(scale, move)
         return dataclasses.replace(self, pose=pose, points=scale * self.points + move)
 
-    def distances(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N]
+    def distances(self, points: Float64Array) -> Float64Array:  # [N, 3] -> [N]
         """Return the distances of points from the shape, object frame; 0 inside a closed shape.
 
         They are approximate where the pose scales axes differently: the mean scale is used.
@@ -133,17 +132,17 @@ class FittedShape:
         place = self.pose.to_shape(points)
         within = np.clip(place, -0.5 - MARGIN, 0.5 + MARGIN)
         at = (within + 0.5 + MARGIN) * len(solid) - 0.5
-        near: FloatArray = map_coordinates(distance_field(solid), at.T, order=1, mode="nearest")
+        near: Float64Array = map_coordinates(distance_field(solid), at.T, order=1, mode="nearest")
         beyond = np.linalg.norm(place - within, axis=1)
-        far: FloatArray = (near + beyond) / float(self.pose.scales.mean())
+        far: Float64Array = (near + beyond) / float(self.pose.scales.mean())
         return far
 
 
 def fit_known_shapes(
     bank: ShapeBank,
     prompt: str,
-    points: FloatArray,  # [N, 3]
-    toward_c: FloatArray,  # [3]
+    points: Float64Array,  # [N, 3]
+    toward_c: Float64Array,  # [3]
     count: int,
     limits: FitLimits,
 ) -> list[FittedShape]:
@@ -189,7 +188,7 @@ def fit_known_shapes(
     return [shape.moved(size, middle) for shape in best.values()]
 
 
-def _spread(points: FloatArray, count: int) -> FloatArray:
+def _spread(points: Float64Array, count: int) -> Float64Array:
     """Return at most ``count`` of the points, evenly along their order."""
     if len(points) <= count:
         return points
@@ -197,8 +196,8 @@ def _spread(points: FloatArray, count: int) -> FloatArray:
 
 
 def _coarse(
-    surface: NDArray[np.bool_],  # [C, C, C]
-    points: FloatArray,  # [N, 3]
+    surface: BoolArray,  # [C, C, C]
+    points: Float64Array,  # [N, 3]
 ) -> list[tuple[float, Pose]]:
     """Search poses of one shape coarsely; return the best few with their costs, the best first."""
     half = BANK_CELLS // 2
@@ -239,11 +238,11 @@ def _coarse(
 
 def _judged(
     name: ShapeName,
-    cells: NDArray[np.bool_],  # [C, C, C]
+    cells: BoolArray,  # [C, C, C]
     pose: Pose,
     residual: float,
-    part: FloatArray,  # [N, 3]
-    toward_c: FloatArray,  # [3]
+    part: Float64Array,  # [N, 3]
+    toward_c: Float64Array,  # [3]
 ) -> FittedShape:
     """Compare a placed shape with P as seen from c, by parallel rays."""
     surface = pose.to_object(surface_centers(cells))

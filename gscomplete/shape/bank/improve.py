@@ -11,8 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gscomplete.shape.bank.pose import MARGIN, FloatArray, Pose, turn_about_z
+from gscomplete.shape.bank.pose import MARGIN, Pose
 from gscomplete.shape.bank.store import BANK_CELLS
+from gscomplete.splats.rotations import turn_about_z
+from gscomplete.util.arrays import Float64Array
 
 FAR = 0.12
 """Larger distances of P's points from a shape count as this one, in units of P's largest side."""
@@ -30,9 +32,9 @@ _DAMPING, _LESS, _MORE = 1e-2, 0.3, 8.0
 
 
 def improve_poses(
-    fields: Sequence[FloatArray],  # [F, F, F] each
+    fields: Sequence[Float64Array],  # [F, F, F] each
     begun: Sequence[tuple[int, Pose]],
-    points: FloatArray,  # [N, 3]
+    points: Float64Array,  # [N, 3]
 ) -> list[tuple[float, Pose]]:
     """Improve poses of shapes.
 
@@ -65,9 +67,9 @@ class _Problem:
 
     def __init__(
         self,
-        fields: Sequence[FloatArray],  # [F, F, F] each
+        fields: Sequence[Float64Array],  # [F, F, F] each
         begun: Sequence[tuple[int, Pose]],
-        points: FloatArray,  # [N, 3]
+        points: Float64Array,  # [N, 3]
     ) -> None:
         self._fields = np.stack(fields)
         self._field = np.array([index for index, _ in begun])[:, None]
@@ -81,26 +83,28 @@ class _Problem:
         self._stiffness[[0, 4, 5, 6]] = 1 / np.array([_TURN_STEP, *(_SCALE_STEP,) * 3])
         self._stiffness *= _STIFFNESS * np.sqrt(len(points))
 
-    def pose(self, k: int, change: FloatArray) -> Pose:  # [7]
+    def pose(self, k: int, change: Float64Array) -> Pose:  # [7]
         """Return the k-th pose after a change."""
         given = self._poses[k]
-        scales = given.scales * np.exp(change[4:])
+        scales = given.scales * _growth(change)
         return Pose(given.yaw_rad + float(change[0]), scales, given.shift + change[1:4])
 
-    def value(self, change: FloatArray) -> FloatArray:  # [P, 7] -> [P]
+    def value(self, change: Float64Array) -> Float64Array:  # [P, 7] -> [P]
         """Return the objective of every pose."""
         price = ((self._stiffness * change) ** 2).sum(axis=1)
-        total: FloatArray = _WEIGHT * self.distances(change).sum(axis=1) + price
+        total: Float64Array = _WEIGHT * self.distances(change).sum(axis=1) + price
         return total
 
-    def distances(self, change: FloatArray) -> FloatArray:  # [P, 7] -> [P, N]
+    def distances(self, change: Float64Array) -> Float64Array:  # [P, 7] -> [P, N]
         """Return the points' distances from the shapes, at most ``FAR``."""
         turned, scales = self._turned(change)
         at = scales[:, None] * turned + (self._shift + change[:, 1:4])[:, None]
         found, _ = self._looked_up(at)
         return np.minimum(found / self._size, FAR)
 
-    def step(self, change: FloatArray, damping: FloatArray) -> FloatArray:  # [P, 7], [P] -> [P, 7]
+    def step(
+        self, change: Float64Array, damping: Float64Array
+    ) -> Float64Array:  # [P, 7], [P] -> [P, 7]
         """Return the damped step from a change."""
         turned, scales = self._turned(change)
         scaled = scales[:, None] * turned
@@ -117,16 +121,16 @@ class _Problem:
         diagonal = np.einsum("pii->pi", square)
         damped = damping[:, None] * (diagonal + 1e-9)
         square[:, np.arange(7), np.arange(7)] += damped
-        found_step: FloatArray = -np.linalg.solve(square, gradient[..., None])[..., 0]
+        found_step: Float64Array = -np.linalg.solve(square, gradient[..., None])[..., 0]
         return found_step
 
-    def _turned(self, change: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return turned points [P, N, 3] and scales [P, 3]; log scales change by at most 3."""
+    def _turned(self, change: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Return turned points [P, N, 3] and scales [P, 3]."""
         turns = np.stack([turn_about_z(float(yaw)) for yaw in self._yaw + change[:, 0]])
-        turned: FloatArray = np.einsum("pij,nj->pni", turns, self._points)
-        return turned, self._scales * np.exp(np.clip(change[:, 4:], -3, 3))
+        turned: Float64Array = np.einsum("pij,nj->pni", turns, self._points)
+        return turned, self._scales * _growth(change)
 
-    def _looked_up(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:  # [P, N, 3]
+    def _looked_up(self, at: Float64Array) -> tuple[Float64Array, Float64Array]:  # [P, N, 3]
         """Return distances [P, N] at places, by trilinear interpolation, and slopes [P, N, 3]."""
         last = self._fields.shape[1] - 1
         place = (at + 0.5 + MARGIN) * BANK_CELLS - 0.5
@@ -151,5 +155,11 @@ class _Problem:
         return value, slope * (place == inside)
 
 
-def _mixed(share: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+def _mixed(share: Float64Array, low: Float64Array, high: Float64Array) -> Float64Array:
     return low + share * (high - low)
+
+
+def _growth(change: Float64Array) -> Float64Array:  # [..., 7] -> [..., 3]
+    """Return the factors that a change scales by: logarithms change by at most 3."""
+    factors: Float64Array = np.exp(np.clip(change[..., 4:], -3, 3))
+    return factors

@@ -10,13 +10,12 @@ Conventions
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from gscomplete.splats.rotations import turn_about_z
+from gscomplete.util.arrays import BoolArray, Float64Array
 
 MARGIN = 1 / 6
 """Share of the shape's side. It exceeds ``FAR``, the largest distance that counts in a fit, for any
@@ -28,38 +27,32 @@ class Pose:
     """Where a shape is; see the module's description."""
 
     yaw_rad: float
-    scales: FloatArray  # [3]
-    shift: FloatArray  # [3]
+    scales: Float64Array  # [3]
+    shift: Float64Array  # [3]
 
-    def to_shape(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
+    def to_shape(self, points: Float64Array) -> Float64Array:  # [N, 3] -> [N, 3]
         """Take points of the object frame to the shape's frame."""
-        placed: FloatArray = self.scales * (points @ turn_about_z(self.yaw_rad).T) + self.shift
+        placed: Float64Array = self.scales * (points @ turn_about_z(self.yaw_rad).T) + self.shift
         return placed
 
-    def to_object(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
+    def to_object(self, points: Float64Array) -> Float64Array:  # [N, 3] -> [N, 3]
         """Undo :meth:`to_shape`."""
-        placed: FloatArray = ((points - self.shift) / self.scales) @ turn_about_z(self.yaw_rad)
+        placed: Float64Array = ((points - self.shift) / self.scales) @ turn_about_z(self.yaw_rad)
         return placed
 
-    def of_moved(self, scale: float, move: FloatArray) -> Pose:  # [3]
+    def of_moved(self, scale: float, move: Float64Array) -> Pose:  # [3]
         """Return the same place for an object whose points p are now ``scale * p + move``."""
         scales = self.scales / scale
         return Pose(self.yaw_rad, scales, self.shift - scales * (turn_about_z(self.yaw_rad) @ move))
 
 
-def turn_about_z(yaw_rad: float) -> FloatArray:  # [3, 3]
-    """Return the turn R by an angle."""
-    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
-def surface_centers(cells: NDArray[np.bool_]) -> FloatArray:  # [C, C, C] -> [N, 3]
+def surface_centers(cells: BoolArray) -> Float64Array:  # [C, C, C] -> [N, 3]
     """Return the centres of marked cells in the shape's frame."""
-    centers: FloatArray = (np.argwhere(cells) + 0.5) / len(cells) - 0.5
+    centers: Float64Array = (np.argwhere(cells) + 0.5) / len(cells) - 0.5
     return centers
 
 
-def distance_field(cells: NDArray[np.bool_]) -> FloatArray:  # [C, C, C] -> [F, F, F]
+def distance_field(cells: BoolArray) -> Float64Array:  # [C, C, C] -> [F, F, F]
     """Return the distance from a surface in the shape's cube and ``MARGIN`` round it.
 
     The squared distance transform runs along one axis after another; on so small a grid this takes
@@ -79,5 +72,5 @@ def distance_field(cells: NDArray[np.bool_]) -> FloatArray:  # [C, C, C] -> [F, 
         for row, squares in zip(rows[1:], apart[1:], strict=True):
             np.minimum(near, np.add(row, squares[:, None], out=sums), out=near)
         squared = np.moveaxis(near.reshape(squared.shape), 0, 2)
-    field: FloatArray = np.sqrt(squared.astype(np.float64)) / len(cells)
+    field: Float64Array = np.sqrt(squared.astype(np.float64)) / len(cells)
     return field

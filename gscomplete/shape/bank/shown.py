@@ -36,8 +36,8 @@ _LIKELY = -0.5
 def occupancy_by_shapes(
     model: ShapeCompleter,
     voxels: PartialVoxels,
-    seen: ShapeInputs,
-    plain: Tensor,  # [1, C, C, C] logits, the answer to ``seen``
+    inputs: ShapeInputs,
+    plain: Tensor,  # [1, C, C, C] logits, the answer to ``inputs``
     shapes: Sequence[FittedShape],
     tokens: Tensor,  # [L]
     *,
@@ -48,7 +48,7 @@ def occupancy_by_shapes(
     Args:
         model: in evaluation mode, on the CPU.
         voxels: P.
-        seen: the inputs that the plain answer was given to.
+        inputs: the inputs that the plain answer was given to.
         plain: the plain answer.
         shapes: known shapes fitted to P, the best first.
         tokens: the prompt.
@@ -58,7 +58,7 @@ def occupancy_by_shapes(
         return None
     shown = []
     for shape in shapes:
-        given = voxels.with_shape(seen, shape.points)
+        given = voxels.with_shape(inputs, shape.points)
         answer = mean_answer(model, given, (tokens,) * ORIENTATIONS, bfloat16=bfloat16)
         shown.append(answer.occupancy)
     counting = answers_that_count(shown, plain)

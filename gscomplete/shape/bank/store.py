@@ -27,6 +27,7 @@ from safetensors.torch import save
 
 from gscomplete.errors import UserError
 from gscomplete.shape.bank.nouns import forms_of, head_noun, synonyms_of, words_of
+from gscomplete.util.arrays import BoolArray, IntArray
 from gscomplete.util.atomic import atomic_path
 
 BANK_FILE = "shapes.safetensors"
@@ -61,7 +62,7 @@ class ShapeBank:
         self,
         names: Sequence[ShapeName],
         blob: NDArray[np.uint8],  # [B]
-        offsets: NDArray[np.int64],  # [N + 1]
+        offsets: IntArray,  # [N + 1]
     ) -> None:
         """Index the names.
 
@@ -81,7 +82,7 @@ class ShapeBank:
         """Return the number of shapes."""
         return len(self.names)
 
-    def surface(self, index: int) -> NDArray[np.bool_]:  # [C, C, C]
+    def surface(self, index: int) -> BoolArray:  # [C, C, C]
         """Unpack one shape.
 
         Raises:
@@ -152,9 +153,7 @@ def _forms_and_synonyms(noun: str) -> tuple[frozenset[str], frozenset[str]]:
     return forms, frozenset(word for form in forms for word in synonyms_of(form))
 
 
-def write_bank(
-    path: Path, names: Sequence[ShapeName], surfaces: Sequence[NDArray[np.bool_]]
-) -> None:
+def write_bank(path: Path, names: Sequence[ShapeName], surfaces: Sequence[BoolArray]) -> None:
     """Write a bank.
 
     Args:

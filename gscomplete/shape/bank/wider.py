@@ -17,16 +17,16 @@ import numpy as np
 import torch
 
 from gscomplete.shape.bank.fit import FittedShape
-from gscomplete.shape.bank.pose import FloatArray
 from gscomplete.shape.voxels import HALF_SIDE
 from gscomplete.splats.transform import Similarity
+from gscomplete.util.arrays import Float64Array
 
 _LEAST_OUTSIDE = 0.05
 """The frame has no room for the best known shape if at least this share of it is off the grid."""
 
 
 def wider_from_object(
-    points: FloatArray,  # [N, 3] of P
+    points: Float64Array,  # [N, 3] of P
     known: Sequence[FittedShape],
 ) -> Similarity | None:
     """Return the wider frame; None where the object frame has room for the best known shape."""

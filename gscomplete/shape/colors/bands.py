@@ -13,17 +13,15 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
 from gscomplete.splats import Splats
 from gscomplete.splats.geometry.axis_coordinates import Axis, Turning
+from gscomplete.splats.geometry.nearest import query_nearest
 from gscomplete.splats.oklab import oklab_from_srgb
 from gscomplete.splats.thinning import every_nth
-from gscomplete.util.nearest import query_nearest
-
-FloatArray = NDArray[np.float64]
+from gscomplete.util.arrays import Float64Array
 
 _MOST_POINTS = 20_000
 _PROFILE_POINTS = 2000
@@ -82,7 +80,7 @@ def with_bands(
     return weights * torch.from_numpy(mean) + (1 - weights) * colors
 
 
-def _profile(turning: Turning) -> FloatArray:  # [M, 4]
+def _profile(turning: Turning) -> Float64Array:  # [M, 4]
     """Return radius, height and, in lengths, the radial and upward parts of normals."""
     places = turning.radius, turning.points[:, 2]
     facing = _NORMAL_REACH * turning.radial, _NORMAL_REACH * turning.normals[:, 2]

@@ -15,9 +15,9 @@ from scipy.spatial import cKDTree
 
 from gscomplete.shape.symmetry import SymmetryMap
 from gscomplete.splats import Splats
+from gscomplete.splats.geometry.nearest import query_nearest
 from gscomplete.splats.oklab import oklab_from_srgb
 from gscomplete.splats.thinning import every_nth
-from gscomplete.util.nearest import query_nearest
 
 _MOST_COMPARED = 8000
 """About how many of P's splats are compared with those on the other side."""

@@ -19,10 +19,11 @@ import torch
 from scipy.spatial import cKDTree
 
 from gscomplete.splats import Splats, colors_to_sh
+from gscomplete.splats.geometry.nearest import query_nearest
 from gscomplete.splats.geometry.neighbourhood import one_sidedness
 from gscomplete.splats.oklab import oklab_from_srgb
 from gscomplete.splats.thinning import every_nth
-from gscomplete.util.nearest import query_nearest
+from gscomplete.util.arrays import IntArray
 
 _MOST_LOOKED_AT = 40_000
 """Most splats among which the rim is looked for."""
@@ -68,7 +69,10 @@ def without_mixed_edges(partial: Splats) -> tuple[Splats, int]:
 
 
 def _recolored(
-    partial: Splats, edge: np.ndarray, inside: np.ndarray, spacing: float
+    partial: Splats,
+    edge: IntArray,  # [E] rows
+    inside: IntArray,  # [I] rows
+    spacing: float,
 ) -> tuple[Splats, int]:
     """Give edge splats that are unlike those further inside their mean colour."""
     means, base = partial.means.double().numpy(), partial.base_colors.float().clamp(0, 1)

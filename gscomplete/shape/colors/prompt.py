@@ -16,6 +16,7 @@ from torch import Tensor
 from gscomplete.shape.bank.nouns import adjectives_of
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.oklab import oklab_from_srgb, srgb_from_oklab
+from gscomplete.util.same_bits import fixed_mean
 
 _HUES = {
     "red": "b3241f",
@@ -57,7 +58,7 @@ def with_prompt_color(new: Splats, partial: Splats, prompt: str) -> tuple[Splats
         )
     (word,) = named
     lab = oklab_from_srgb(partial.base_colors.detach().cpu().clamp(0.0, 1.0))
-    if float(lab[:, 1:].norm(dim=1).mean()) > _COLOURLESS:
+    if float(fixed_mean(lab[:, 1:].norm(dim=1))) > _COLOURLESS:
         return new, (f"colours: new splats take P's own, whatever the prompt says ({word})",)
     recolored = _recolored(new.base_colors.detach().cpu().clamp(0.0, 1.0), _HUES[word])
     note = f"colours: P has none, so new splats are {word}, as in the prompt"
@@ -68,6 +69,6 @@ def _recolored(colors: Tensor, color: str) -> Tensor:  # [N, 3], six hexadecimal
     """Give colours one hue and mean lightness; their differences in lightness stay."""
     target = torch.tensor([[int(color[k : k + 2], 16) / 255 for k in (0, 2, 4)]])
     lab, wanted = oklab_from_srgb(colors), oklab_from_srgb(target)
-    lightness = wanted[:, 0] + lab[:, 0] - lab[:, 0].mean()
+    lightness = wanted[:, 0] + lab[:, 0] - fixed_mean(lab[:, 0])
     moved = torch.stack([lightness, *(wanted[:, k].expand(len(lab)) for k in (1, 2))], dim=1)
     return srgb_from_oklab(moved).clamp(0.0, 1.0)

@@ -30,6 +30,7 @@ from gscomplete.shape.voxels import CELL_SIDE
 from gscomplete.splats import Splats
 from gscomplete.splats.oklab import oklab_from_srgb
 from gscomplete.splats.thinning import every_nth, thinned
+from gscomplete.util.arrays import Float64Array
 
 _NEIGHBOURS = 8
 """Neighbours of a splat in the graph."""
@@ -95,10 +96,10 @@ def checked_by_rim(
 
 
 def _averaged(
-    values: NDArray[np.float64],  # [N]
+    values: Float64Array,  # [N]
     graph: csr_array,  # [N, N]
-    places: NDArray[np.float64],  # [N, 3]
-) -> NDArray[np.float64]:  # [N]
+    places: Float64Array,  # [N, 3]
+) -> Float64Array:  # [N]
     """Return means over the places about each, by steps of a random walk along the graph's edges.
 
     The variance of a step is the mean squared length of the edges.
@@ -114,8 +115,8 @@ def _averaged(
 
 
 def _neighbour_weights(
-    places: NDArray[np.float64],  # [N, 3]
-    facing: NDArray[np.float64],  # [N, 3]
+    places: Float64Array,  # [N, 3]
+    facing: Float64Array,  # [N, 3]
 ) -> csr_array:  # [N, N], symmetric
     """Return the weights of the graph: large between near splats that face alike."""
     _, index = cKDTree(places).query(places, k=_NEIGHBOURS + 1)
@@ -126,15 +127,15 @@ def _neighbour_weights(
     return csr_array(0.5 * (one_way + one_way.T))
 
 
-def _nearness(offsets: NDArray[np.float64]) -> NDArray[np.float64]:  # [N, 3] -> [N]
+def _nearness(offsets: Float64Array) -> Float64Array:  # [N, 3] -> [N]
     squared = (offsets * (1.0, 1.0, _HEIGHT_WEIGHT)) ** 2
     return 1.0 / np.maximum(squared.sum(axis=1), _TINY)
 
 
 def _rim_colors(
     graph: csr_array,  # [N, N]
-    places: NDArray[np.float64],  # [N, 3]
-    facing: NDArray[np.float64],  # [N, 3]
+    places: Float64Array,  # [N, 3]
+    facing: Float64Array,  # [N, 3]
     partial: Splats,
     colors: Tensor,  # [N, 3] of what the rim does not reach
 ) -> Tensor | None:  # [N, 3]
@@ -170,7 +171,7 @@ def _rim_colors(
     return torch.where(reached, torch.from_numpy(carried).float().clamp(0, 1), colors)
 
 
-def _main_color(colors: NDArray[np.float64]) -> NDArray[np.intp]:  # [N, 3] Oklab -> [N]
+def _main_color(colors: Float64Array) -> NDArray[np.intp]:  # [N, 3] Oklab -> [N]
     """Return which of the main colours each is nearest to."""
     some = every_nth(colors, _MOST_CLUSTERED)
     count = min(_MAIN_COLORS, len(np.unique(some, axis=0)))

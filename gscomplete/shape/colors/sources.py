@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
@@ -25,8 +24,9 @@ from gscomplete.shape.partial_voxels import ShapeInputs
 from gscomplete.shape.symmetry import SOURCES
 from gscomplete.shape.voxels import CELL_SIDE, sample_volume
 from gscomplete.splats import Splats
+from gscomplete.splats.geometry.nearest import query_nearest
 from gscomplete.splats.thinning import thinned
-from gscomplete.util.nearest import query_nearest
+from gscomplete.util.arrays import Float32Array
 
 _SHARPNESS = 8.0
 """Factor on the network's logits, so that sources mix only where one gives way to another."""
@@ -120,7 +120,7 @@ class _Known:
         self._tree = cKDTree(self._means * self._stretch)
         self._nearest = range(1, min(_NEIGHBOURS, len(looked_at)) + 1)
 
-    def near(self, places: NDArray[np.float32]) -> tuple[Tensor, Tensor]:  # [N, 3] -> [N, 3], [N]
+    def near(self, places: Float32Array) -> tuple[Tensor, Tensor]:  # [N, 3] -> [N, 3], [N]
         """Return the mean colour of the nearest splats, weighted by nearness, and a distance.
 
         The nearest splats are chosen with heights scaled by ``_HEIGHT_WEIGHT``; the distance to the

@@ -17,6 +17,7 @@ Conventions
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,9 +27,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from gscomplete.shape.fill.gaps import components
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from gscomplete.util.arrays import BoolArray, Float64Array, IntArray
 
 _MOST_WIDE = 0.25
 """Longer bridges are not built."""
@@ -82,9 +81,9 @@ class Patch:
 
 @dataclass(frozen=True, slots=True)
 class _Nodes:
-    places: FloatArray  # [N, 3]
-    normals: FloatArray  # [N, 3] unit
-    is_sure: NDArray[np.bool_]  # [N]
+    places: Float64Array  # [N, 3]
+    normals: Float64Array  # [N, 3] unit
+    is_sure: BoolArray  # [N]
     spacing: float
 
 
@@ -148,33 +147,38 @@ def _thinned(points: Tensor, normals: Tensor, spacing: float) -> _Nodes:
 
 
 def _cells(
-    places: FloatArray, units: FloatArray, spacing: float
-) -> tuple[IntArray, FloatArray]:  # [N], [C]
+    places: Float64Array, units: Float64Array, spacing: float
+) -> tuple[IntArray, Float64Array]:  # [N], [C]
     """Number the cell of every point, one for each side of a wall, and count their points."""
     axis = np.abs(units).argmax(axis=1)
     side = 2 * axis + (units[np.arange(len(units)), axis] > 0)
     cells = np.column_stack([np.floor(places / spacing).astype(np.int64), side])
     cells -= cells.min(axis=0)
-    # one number instead of four: sorted several times as fast, into the same order
-    number = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
-    cell = np.unique(number, return_inverse=True)[1].reshape(-1).astype(np.int64)
+    sizes = cells.max(axis=0) + 1
+    if math.prod(sizes.tolist()) < 2**62:
+        # one number instead of four: sorted several times as fast, into the same order
+        numbers = np.ravel_multi_index(tuple(cells.T), tuple(sizes))
+        found = np.unique(numbers, return_inverse=True)[1]
+    else:
+        found = np.unique(cells, axis=0, return_inverse=True)[1]
+    cell = found.reshape(-1).astype(np.int64)
     return cell, np.bincount(cell).astype(np.float64)
 
 
-def _means(cell: IntArray, values: FloatArray, counts: FloatArray) -> FloatArray:
+def _means(cell: IntArray, values: Float64Array, counts: Float64Array) -> Float64Array:
     """Return the means of rows of every cell."""
     sums = [np.bincount(cell, column, len(counts)) for column in values.T]
-    mean: FloatArray = np.stack(sums, axis=1) / counts[:, None]
+    mean: Float64Array = np.stack(sums, axis=1) / counts[:, None]
     return mean
 
 
-def _units(vectors: FloatArray) -> FloatArray:  # [N, 3]
+def _units(vectors: Float64Array) -> Float64Array:  # [N, 3]
     """Return vectors of length 1."""
-    units: FloatArray = vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-12)[:, None]
+    units: Float64Array = vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-12)[:, None]
     return units
 
 
-def _rim(nodes: _Nodes) -> tuple[IntArray, FloatArray]:  # [R], [R, 3]
+def _rim(nodes: _Nodes) -> tuple[IntArray, Float64Array]:  # [R], [R, 3]
     """Return the nodes on rims, and the unit directions in which the surface would continue."""
     reach = _REACH * nodes.spacing
     number = min(_NEIGHBOURS, len(nodes.places))
@@ -213,7 +217,7 @@ def _rim(nodes: _Nodes) -> tuple[IntArray, FloatArray]:  # [R], [R, 3]
     return rim, onward
 
 
-def _facing(nodes: _Nodes, rim: IntArray, onward: FloatArray) -> IntArray:  # [K, 2] of the rim
+def _facing(nodes: _Nodes, rim: IntArray, onward: Float64Array) -> IntArray:  # [K, 2] of the rim
     """Return the pairs of rim nodes that face each other across a hole."""
     places, normals = nodes.places[rim], nodes.normals[rim]
     pairs = cKDTree(places).query_pairs(_MOST_WIDE, output_type="ndarray")
@@ -234,23 +238,23 @@ def _facing(nodes: _Nodes, rim: IntArray, onward: FloatArray) -> IntArray:  # [K
 class _Samples:
     """Points on bridges."""
 
-    places: FloatArray  # [S, 3]
-    normals: FloatArray  # [S, 3]
-    along: FloatArray  # [S, 3] the bridge's direction
-    length: FloatArray  # [S] of the bridge
+    places: Float64Array  # [S, 3]
+    normals: Float64Array  # [S, 3]
+    along: Float64Array  # [S, 3] the bridge's direction
+    length: Float64Array  # [S] of the bridge
 
     def select(self, rows: NDArray[np.generic]) -> _Samples:
         return _Samples(self.places[rows], self.normals[rows], self.along[rows], self.length[rows])
 
 
-def _curves(nodes: _Nodes, rim: IntArray, onward: FloatArray, pairs: IntArray) -> _Samples:
+def _curves(nodes: _Nodes, rim: IntArray, onward: Float64Array, pairs: IntArray) -> _Samples:
     """Return points on the cubic curves between pairs, without their ends."""
     a, b = pairs.T
     start, end = nodes.places[rim[a]], nodes.places[rim[b]]
     length = np.linalg.norm(end - start, axis=1)
     along = (end - start) / length[:, None]
 
-    def slope(normals: FloatArray) -> FloatArray:
+    def slope(normals: Float64Array) -> Float64Array:
         # the bridge's direction in the plane of the surface, which the curve leaves along
         return _units(along - (along * normals).sum(axis=1)[:, None] * normals) * length[:, None]
 

@@ -30,6 +30,7 @@ from gscomplete.shape.fill.gaps import (
 from gscomplete.shape.fill.indicator import CELL_SIDE, Solid, solid_through
 from gscomplete.splats import Splats, colors_to_sh, concatenate
 from gscomplete.splats.rotations import quaternions_facing, rotation_matrices
+from gscomplete.util.same_bits import fixed_sum
 
 _POINTS_PER_CELL = 40
 _SEAM_SPACINGS = 0.8
@@ -106,7 +107,7 @@ def _bridges(
     number = min(_SPACING_NEIGHBOURS, len(partial))
     near, _ = cKDTree(partial.means.numpy()).query(partial.means.numpy(), k=number)
     spacing = float(np.median(np.atleast_2d(near)[:, 1:].mean(axis=1))) if number > 1 else 0.0
-    total = float(cover.areas().sum())
+    total = float(fixed_sum(cover.areas().double()))
     splats, regions = [partial.select(torch.arange(0)).with_sh_degree(0)], []
     room = settings.count - len(new)
     for patch in bridged(points, normals, spacing):

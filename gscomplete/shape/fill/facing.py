@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 import torch.nn.functional as F
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
@@ -23,6 +22,7 @@ from gscomplete.render import render
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.geometry.neighbourhood import are_flat
 from gscomplete.splats.rotations import thinnest_axes
+from gscomplete.util.arrays import Float32Array
 from gscomplete.views import Cameras, orbit_cameras, radius_to_fit
 
 _VIEWS = 48
@@ -156,7 +156,7 @@ def _axes(splats: Splats) -> Tensor:  # [N, 3]
 
 
 def _passed_on(
-    points: NDArray[np.float32],  # [N, 3]
+    points: Float32Array,  # [N, 3]
     axes: Tensor,  # [N, 3]
     normals: Tensor,  # [N, 3]
     *,

@@ -24,6 +24,7 @@ from gscomplete.shape.fill.facing import TOLERANCE, Around
 from gscomplete.shape.fill.indicator import CELL_SIDE, Solid
 from gscomplete.splats import Splats
 from gscomplete.splats.rotations import rotation_matrices
+from gscomplete.util.arrays import IntArray
 
 Verdict = Literal["closed", "opening", "too large", "away from P"]
 
@@ -74,6 +75,17 @@ class FillSettings:
     """Most new splats."""
     most_share: float = 0.15
     """Regions with a larger share of the surface are missing parts, not gaps."""
+
+    def __post_init__(self) -> None:
+        """Check ranges.
+
+        Raises:
+            ValueError: a value is out of range; the message names the field.
+        """
+        if self.count < 1:
+            raise ValueError(f"count: expected at least 1, found {self.count}")
+        if not 0 < self.most_share <= 1:
+            raise ValueError(f"most_share: expected 0 to 1, not 0; found {self.most_share}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,7 +233,7 @@ def _is_opening(width: float, up: float, backs: float | None) -> bool:
     return width > _NARROW and (backs is None or backs < _LEAST_BACKS)
 
 
-def components(points: NDArray[np.floating], reach: float) -> NDArray[np.int64]:  # [N, 3] -> [N]
+def components(points: NDArray[np.floating], reach: float) -> IntArray:  # [N, 3] -> [N]
     """Return the connected component of every point."""
     pairs = cKDTree(points).query_pairs(reach, output_type="ndarray")
     ones = np.ones(len(pairs), np.bool_)

@@ -17,8 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 import torch.nn.functional as F
-from numpy.typing import NDArray
 from torch import Tensor
+
+from gscomplete.util.arrays import Float32Array, Float64Array
 
 GRID = 128
 HALF_SIDE = 0.72
@@ -100,7 +101,7 @@ def solid_through(
     return solid
 
 
-def _spread(points: NDArray[np.float32], values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _spread(points: Float32Array, values: Float64Array) -> Float64Array:
     """Add values [N] at points [N, 3] to the eight cells about each, by nearness."""
     place = (points.astype(np.float64) + HALF_SIDE) / CELL_SIDE - 0.5
     corner = np.floor(place).astype(np.int64)

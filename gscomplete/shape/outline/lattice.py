@@ -17,13 +17,12 @@ Conventions
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import label, maximum_filter, minimum_filter
 from scipy.spatial import cKDTree
 
 from gscomplete.shape.outline.views import Mask, axes_of_views
-from gscomplete.shape.voxels import FloatArray
 from gscomplete.splats.thinning import every_nth
+from gscomplete.util.arrays import Float32Array, IntArray
 
 _STEP_DEG, _ELEVATIONS_DEG = 15.0, tuple(range(-80, 81, 20))
 _LEAST_COSINE = 0.75
@@ -57,9 +56,9 @@ _FIRST_VIEWS = 5
 
 
 def off_lattice(
-    points: FloatArray,  # [N, 3] P, z up
-    toward_c: FloatArray,  # [3] unit
-    places: FloatArray,  # [M, 3] in the same frame
+    points: Float32Array,  # [N, 3] P, z up
+    toward_c: Float32Array,  # [3] unit
+    places: Float32Array,  # [M, 3] in the same frame
     *,
     is_scan: bool,
 ) -> Mask:  # [M]
@@ -89,9 +88,9 @@ def off_lattice(
 
 
 def seen_through(
-    points: FloatArray,  # [N, 3] P, z up
-    toward_c: FloatArray,  # [3] unit
-    places: FloatArray,  # [M, 3] in the same frame
+    points: Float32Array,  # [N, 3] P, z up
+    toward_c: Float32Array,  # [3] unit
+    places: Float32Array,  # [M, 3] in the same frame
 ) -> Mask:  # [M]
     """Mark the places where most views near c see through P; none if these show few holes.
 
@@ -116,26 +115,32 @@ def seen_through(
     return found & (np.mean(shares) >= _LEAST_MEAN_SHARE)
 
 
-def _centered(places: FloatArray, points: FloatArray) -> FloatArray:  # [M, 3], [N, 3] -> [M, 3]
+def _centered(
+    places: Float32Array, points: Float32Array
+) -> Float32Array:  # [M, 3], [N, 3] -> [M, 3]
     """Move and scale places so that the box of the points is centred and its largest side 1."""
     low, high = points.min(axis=0), points.max(axis=0)
     return (places - (low + high) / 2) / max(float((high - low).max()), 1e-12)
 
 
-def _near(views: FloatArray, toward_c: FloatArray) -> FloatArray:  # [V, 3, 3], [3] -> [W, 3, 3]
+def _near(
+    views: Float32Array, toward_c: Float32Array
+) -> Float32Array:  # [V, 3, 3], [3] -> [W, 3, 3]
     """Return the views near c, the nearest first."""
     cosines = views[:, 2] @ toward_c
     return views[np.argsort(-cosines, kind="stable")][: (cosines >= _LEAST_COSINE).sum()]
 
 
-def _broadest(points: FloatArray, views: FloatArray) -> FloatArray:  # [N, 3], [V, 3, 3] -> [3, 3]
+def _broadest(
+    points: Float32Array, views: Float32Array
+) -> Float32Array:  # [N, 3], [V, 3, 3] -> [3, 3]
     """Return the axes of the view in which P covers the most pixels."""
     few = every_nth(points, _POINTS)
-    best: FloatArray = max(views, key=lambda axes: int(_picture(few, axes).sum()))
+    best: Float32Array = max(views, key=lambda axes: int(_picture(few, axes).sum()))
     return best
 
 
-def _picture(points: FloatArray, axes: FloatArray) -> Mask:  # [N, 3], [3, 3] -> [P, P]
+def _picture(points: Float32Array, axes: Float32Array) -> Mask:  # [N, 3], [3, 3] -> [P, P]
     """Return where points are seen."""
     picture = np.zeros((_PICTURE_PX,) * 2, np.bool_)
     picture[_pixels(points, axes)] = True
@@ -143,9 +148,9 @@ def _picture(points: FloatArray, axes: FloatArray) -> Mask:  # [N, 3], [3, 3] ->
 
 
 def _pixels(
-    points: FloatArray,  # [N, 3]
-    axes: FloatArray,  # [3, 3]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:  # rows, columns [N]
+    points: Float32Array,  # [N, 3]
+    axes: Float32Array,  # [3, 3]
+) -> tuple[IntArray, IntArray]:  # rows, columns [N]
     """Return the pixels of points; those outside the picture are put on its border."""
     right, up = (_PICTURE_PX / 2 + _PX_PER_SIDE * (axes[:2] @ points.T)).clip(0, _PICTURE_PX - 1)
     return up.astype(np.int64), right.astype(np.int64)
@@ -157,7 +162,7 @@ def _outline(picture: Mask, closed_px: int) -> Mask:  # [P, P]
     return outline
 
 
-def _gap_px(points: FloatArray, least_px: int) -> int:  # [N, 3]
+def _gap_px(points: Float32Array, least_px: int) -> int:  # [N, 3]
     """Return the width up to which gaps lie between samples rather than in P, in pixels."""
     asked = every_nth(points, _ASKED)
     distance, _ = cKDTree(points).query(asked, k=[min(_NEIGHBOUR + 1, len(points))])

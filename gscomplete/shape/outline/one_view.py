@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gscomplete.shape.outline.views import View, axes_of_views
-from gscomplete.shape.voxels import FloatArray
 from gscomplete.splats.thinning import every_nth
+from gscomplete.util.arrays import BoolArray, Float32Array
 from gscomplete.views import ViewDistribution
 
 ONE_VIEW_SHARE = 0.97
@@ -78,10 +78,10 @@ def best_view_share(points: NDArray[np.floating]) -> float:  # [N, 3] z up, in [
 
 
 def beside_scan(
-    points: FloatArray,  # [N, 3] P, object frame
+    points: Float32Array,  # [N, 3] P, object frame
     views: ViewDistribution,
-    places: FloatArray,  # [M, 3]
-) -> NDArray[np.bool_]:  # [M]
+    places: Float32Array,  # [M, 3]
+) -> BoolArray:  # [M]
     """Mark places beside P in every view that may have been its scanner's; none if P is no scan.
 
     Args:
@@ -106,7 +106,7 @@ def beside_scan(
     return beside
 
 
-def _shown(view: View, points: FloatArray) -> float:
+def _shown(view: View, points: Float32Array) -> float:
     """Return the share of points [N, 3] that no other points hide."""
     pixel, depth = view.pixels(points, _SHOWN_PX)
     nearest = np.full(_SHOWN_PX**2, np.inf)

@@ -37,9 +37,9 @@ from gscomplete.shape.outline.views import (
     outline,
     views_at,
 )
-from gscomplete.shape.voxels import FloatArray
 from gscomplete.splats.geometry.neighbourhood import ON_RIM, normals_of, one_sidedness
 from gscomplete.splats.thinning import every_nth
+from gscomplete.util.arrays import Float32Array, IntArray
 from gscomplete.views import ViewDistribution
 
 OUTLINE_SCORER_FILE = "outlines.safetensors"
@@ -105,13 +105,13 @@ def packaged_outline_scorer(*, of_captures: bool = False) -> Perceptron:
 
 
 def doubts_beside_outlines(
-    points: FloatArray,  # [N, 3] P, object frame
+    points: Float32Array,  # [N, 3] P, object frame
     views: ViewDistribution,
-    places: FloatArray,  # [M, 3] object frame
+    places: Float32Array,  # [M, 3] object frame
     *,
     ends_in_plane: bool,
     captured: bool = False,
-) -> FloatArray:  # [M] logits
+) -> Float32Array:  # [M] logits
     """Return the logits that places lose for lying beside whole outlines of P.
 
     Of the views in which a place lies beside P, the one that takes the most counts.
@@ -136,11 +136,11 @@ def doubts_beside_outlines(
 
 
 def outline_features(
-    points: FloatArray,  # [N, 3] P, object frame
+    points: Float32Array,  # [N, 3] P, object frame
     views: ViewDistribution,
     *,
     ends_in_plane: bool,
-) -> FloatArray:  # [V, F]
+) -> Float32Array:  # [V, F]
     """Return what the scorer reads of each view of the grid; columns as ``FEATURES``."""
     chosen = every_nth(points, _POINTS) - np.array(views.target)
     grid = views_at(views.radius)
@@ -158,7 +158,7 @@ def outline_features(
 class _Surface:
     """P's points, which way their surface faces, and which are on a rim."""
 
-    def __init__(self, points: FloatArray) -> None:  # [N, 3]
+    def __init__(self, points: Float32Array) -> None:  # [N, 3]
         self.points = points
         _, index = cKDTree(points).query(points, k=_NEIGHBOURS + 1)
         around = points[index[:, : _NORMAL_NEIGHBOURS + 1]].astype(np.float64)
@@ -190,7 +190,7 @@ class _Surface:
         return [float(value) for value in row], seen
 
 
-def _nearest(pixel: NDArray[np.int64], depth: FloatArray) -> FloatArray:  # [N], [N] -> [P]
+def _nearest(pixel: IntArray, depth: Float32Array) -> Float32Array:  # [N], [N] -> [P]
     """Return the least depth over every pixel and its eight neighbours."""
     nearest = np.full(SIDE_PX**2, np.inf, np.float32)
     np.minimum.at(nearest, pixel, depth)
@@ -209,7 +209,7 @@ def _of_place(
     seen: Mask,  # [V, N]
     best: int,
     ends_in_plane: bool,
-) -> FloatArray:  # [V, len(OF_PLACE)]
+) -> Float32Array:  # [V, len(OF_PLACE)]
     """Return features of where views are and of P as a whole; columns as ``OF_PLACE``."""
     toward = np.stack([view.toward for view in grid])
     c = math.radians(views.azimuth_deg)
@@ -231,7 +231,7 @@ def _of_place(
     return np.stack([np.broadcast_to(np.float32(x), shape) for x in columns], axis=1)
 
 
-def _seen_within(seen: Mask, reach: int) -> FloatArray:  # [V, N] -> [V]
+def _seen_within(seen: Mask, reach: int) -> Float32Array:  # [V, N] -> [V]
     """Return the share of points seen from each view or from one at most ``reach`` steps aside."""
     rings = seen.reshape(len(ELEVATIONS_DEG), AZIMUTHS, -1)
     union = rings.copy()
@@ -240,7 +240,7 @@ def _seen_within(seen: Mask, reach: int) -> FloatArray:  # [V, N] -> [V]
     return union.mean(axis=2).ravel()
 
 
-def _around(local: FloatArray, best: int) -> list[FloatArray]:  # [V, L] -> each [V, L]
+def _around(local: Float32Array, best: int) -> list[Float32Array]:  # [V, L] -> each [V, L]
     """Return the features of other views that go with each view, in the order of ``_AROUND``."""
     rings = local.reshape(len(ELEVATIONS_DEG), AZIMUTHS, -1)
     found = []

@@ -17,10 +17,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
-from gscomplete.shape.voxels import FloatArray
+from gscomplete.util.arrays import BoolArray, Float32Array, Float64Array, IntArray
 
 ELEVATIONS_DEG = (0.0, 15.0, 30.0, 45.0)
 AZIMUTHS = 24
@@ -33,26 +32,26 @@ _HALF_WIDTH = 0.9
 _GROWN_PX = 5
 """Side of the square that each point of an outline is grown to."""
 
-Mask = NDArray[np.bool_]
+Mask = BoolArray
 
 
 @dataclass(frozen=True, slots=True)
 class View:
     """One view."""
 
-    axes: FloatArray  # [3, 3]
+    axes: Float32Array  # [3, 3]
     distance: float
 
     @property
-    def toward(self) -> FloatArray:  # [3]
+    def toward(self) -> Float32Array:  # [3]
         """Direction to the viewer."""
         return self.axes[2]
 
     def pixels(
         self,
-        points: FloatArray,  # [N, 3] about the target
+        points: Float32Array,  # [N, 3] about the target
         side_px: int = SIDE_PX,
-    ) -> tuple[NDArray[np.int64], FloatArray]:  # [N], [N]
+    ) -> tuple[IntArray, Float32Array]:  # [N], [N]
         """Return the pixels of points, numbered row by row, and the points' depths."""
         right, up, toward = self.axes @ points.T
         depth = self.distance - toward
@@ -67,8 +66,8 @@ class View:
 
     def beside(
         self,
-        points: FloatArray,  # [N, 3] about the target
-        places: FloatArray,  # [M, 3] about the target
+        points: Float32Array,  # [N, 3] about the target
+        places: Float32Array,  # [M, 3] about the target
         side_px: int,
         grown_px: int,
     ) -> Mask:  # [M]
@@ -78,7 +77,7 @@ class View:
 
 
 def outline(
-    pixels: NDArray[np.int64],  # [N]
+    pixels: IntArray,  # [N]
     side_px: int = SIDE_PX,
     grown_px: int = _GROWN_PX,
 ) -> Mask:  # [side_px, side_px]
@@ -94,13 +93,11 @@ def views_at(distance: float) -> list[View]:
 
 
 @functools.cache
-def _grid_axes() -> FloatArray:  # [V, 3, 3]
+def _grid_axes() -> Float32Array:  # [V, 3, 3]
     return axes_of_views(360.0 / AZIMUTHS, ELEVATIONS_DEG).astype(np.float32)
 
 
-def axes_of_views(
-    step_deg: float, elevations_deg: Sequence[float]
-) -> NDArray[np.float64]:  # [V, 3, 3]
+def axes_of_views(step_deg: float, elevations_deg: Sequence[float]) -> Float64Array:  # [V, 3, 3]
     """Return the axes of views all round at the given elevations; azimuths change fastest."""
     found = []
     for elevation in np.deg2rad(elevations_deg):

@@ -30,12 +30,12 @@ from gscomplete.shape.symmetry import SymmetryMap, plane_of
 from gscomplete.shape.voxels import (
     CELLS,
     HALF_SIDE,
-    FloatArray,
     cell_centers,
     grown,
     missing_surface_share,
     surface_cells,
 )
+from gscomplete.util.arrays import Float32Array
 from gscomplete.util.same_bits import fixed_sum
 
 ANSWER_SCORER_FILE = "answers.safetensors"
@@ -103,7 +103,7 @@ class Answers:
         return self.filled[: len(self.planes)]
 
 
-def answer_features(answers: Answers) -> FloatArray:  # [K, F] or [K + 1, F]
+def answer_features(answers: Answers) -> Float32Array:  # [K, F] or [K + 1, F]
     """Return what the scorer reads of each answer; columns as ``FEATURES``."""
     filled, count = answers.filled, len(answers.planes)
     of_partial = float((answers.partial > 0).sum()) + 1.0
@@ -167,7 +167,7 @@ def _of_copies(answers: Answers) -> Tensor:  # [K, 5]
 
 def _of_plane(
     plane: SymmetryMap,
-    places: FloatArray,  # [N, 3] P's cells
+    places: Float32Array,  # [N, 3] P's cells
 ) -> tuple[float, float, float]:
     """Return ``outside_grid``, ``smaller_side`` and ``growth`` of ``OF_ANSWER``."""
     if not len(places):

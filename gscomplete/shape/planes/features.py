@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gscomplete.shape.evidence import Evidence, kind_of
-from gscomplete.shape.voxels import CELLS, HALF_SIDE, FloatArray, grown
+from gscomplete.shape.voxels import CELLS, HALF_SIDE, grown
 from gscomplete.splats.geometry.neighbourhood import ON_RIM, one_sidedness
+from gscomplete.util.arrays import Float32Array, IntArray
 from gscomplete.util.kernels import HELPER, KERNEL
 
 ANGLES = 36
@@ -65,22 +66,22 @@ _AT_PLANE = 0.03
 class PartSamples:
     """The samples of P that planes are scored on."""
 
-    points: FloatArray  # [N, 3]
-    colors: FloatArray  # [N, 3]
-    normals: FloatArray  # [N, 3] of either sign
-    rim: FloatArray  # [R, 3]
+    points: Float32Array  # [N, 3]
+    colors: Float32Array  # [N, 3]
+    normals: Float32Array  # [N, 3] of either sign
+    rim: Float32Array  # [R, 3]
     rim_share: float
-    spread: FloatArray  # [M, 3] many points, for extents
+    spread: Float32Array  # [M, 3] many points, for extents
     distance: NDArray[np.uint8]  # [C, C, C] cells to P, at most 3
-    cell_colors: FloatArray  # [3, C, C, C]
-    cell_normals: FloatArray  # [C, C, C, 3]
+    cell_colors: Float32Array  # [3, C, C, C]
+    cell_normals: Float32Array  # [C, C, C, 3]
 
 
 def part_samples(
-    positions: FloatArray,  # [N, 3]
-    tangents: FloatArray,  # [N, 2, 3]
-    colors: FloatArray,  # [N, 3]
-    volume: FloatArray,  # [4, C, C, C] of P
+    positions: Float32Array,  # [N, 3]
+    tangents: Float32Array,  # [N, 2, 3]
+    colors: Float32Array,  # [N, 3]
+    volume: Float32Array,  # [4, C, C, C] of P
 ) -> PartSamples:
     """Draw samples of P and of its rim."""
     normals = np.cross(tangents[:, 0], tangents[:, 1])
@@ -101,7 +102,7 @@ def part_samples(
     )
 
 
-def plane_normals() -> FloatArray:  # [ANGLES, 2]
+def plane_normals() -> Float32Array:  # [ANGLES, 2]
     """Return the planes' normals, x and y."""
     angles = math.pi * np.arange(ANGLES) / ANGLES
     return np.stack([np.cos(angles), np.sin(angles)], axis=1).astype(np.float32)
@@ -109,13 +110,13 @@ def plane_normals() -> FloatArray:  # [ANGLES, 2]
 
 def plane_places(
     planes: NDArray[np.integer],  # [K, 2] angle, offset
-) -> tuple[FloatArray, FloatArray]:  # [K] radians, [K] object sizes
+) -> tuple[Float32Array, Float32Array]:  # [K] radians, [K] object sizes
     """Return the azimuths of planes' normals, and the planes' places along them."""
     angles = (math.pi / ANGLES * planes[:, 0]).astype(np.float32)
     return angles, np.array(OFFSETS, np.float32)[planes[:, 1]]
 
 
-def plane_features(part: PartSamples, evidence: Evidence) -> FloatArray:  # [A, O, F]
+def plane_features(part: PartSamples, evidence: Evidence) -> Float32Array:  # [A, O, F]
     """Measure the evidence for and against each plane."""
     normals, offsets = plane_normals(), np.array(OFFSETS, np.float32)
     counted = np.zeros((len(normals), len(offsets), 11), np.float32)
@@ -141,12 +142,12 @@ def plane_features(part: PartSamples, evidence: Evidence) -> FloatArray:  # [A, 
     return np.concatenate(features, axis=-1, dtype=np.float32)
 
 
-def _every(count: int, most: int) -> NDArray[np.int64]:
+def _every(count: int, most: int) -> IntArray:
     """Return indices of at most ``most`` of ``count``, evenly over them."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
 
 
-def _rim(points: FloatArray) -> tuple[FloatArray, float]:  # [N, 3] -> [R, 3], share
+def _rim(points: Float32Array) -> tuple[Float32Array, float]:  # [N, 3] -> [R, 3], share
     """Return the points whose neighbours lie to one side, at least the most one-sided few."""
     tested = points[_every(len(points), _RIM_TESTED)]
     neighbours = min(_RIM_NEIGHBOURS + 1, len(points))
@@ -167,18 +168,18 @@ def _cell(place: float) -> int:
 
 @numba.njit(**KERNEL)
 def count_samples(
-    points: FloatArray,
-    colors: FloatArray,
-    normals: FloatArray,
+    points: Float32Array,
+    colors: Float32Array,
+    normals: Float32Array,
     distance: NDArray[np.uint8],
-    cell_colors: FloatArray,
-    cell_normals: FloatArray,
-    depth: FloatArray,
-    camera_from_world: FloatArray,
+    cell_colors: Float32Array,
+    cell_normals: Float32Array,
+    depth: Float32Array,
+    camera_from_world: Float32Array,
     focal_px: float,
-    plane_normals: FloatArray,
-    offsets: FloatArray,
-    out: FloatArray,  # [A, O, 11] zeros, written
+    plane_normals: Float32Array,
+    offsets: Float32Array,
+    out: Float32Array,  # [A, O, 11] zeros, written
 ) -> None:
     """Measure the first eleven features."""
     planes, places, samples = len(plane_normals), len(offsets), len(points)
@@ -229,18 +230,18 @@ def count_samples(
                 row[feature] /= samples
 
 
-def _cells_of(places: NDArray[np.floating]) -> NDArray[np.int64]:
+def _cells_of(places: NDArray[np.floating]) -> IntArray:
     """Return ``_cell`` of every coordinate."""
     places = places.astype(np.float64)
     return np.floor((places + HALF_SIDE) * (CELLS / (2 * HALF_SIDE))).astype(np.int64)
 
 
 def _count_rim(
-    rim: FloatArray,  # [R, 3]
+    rim: Float32Array,  # [R, 3]
     distance: NDArray[np.uint8],
-    plane_normals: FloatArray,  # [A, 2]
-    offsets: FloatArray,  # [O]
-) -> FloatArray:  # [A, O, 4]
+    plane_normals: Float32Array,  # [A, 2]
+    offsets: Float32Array,  # [O]
+) -> Float32Array:  # [A, O, 4]
     """Measure the features of the rim's copy, ``rim_on`` to ``rim_closed``."""
     nx, ny = plane_normals.T[:, :, None, None]
     away = offsets[:, None] - rim[:, 0] * nx - rim[:, 1] * ny  # [A, O, R]
@@ -255,7 +256,7 @@ def _count_rim(
     return (np.stack(counts, axis=-1) / len(rim)).astype(np.float32)
 
 
-def _cell_normals(positions: FloatArray, normals: FloatArray) -> FloatArray:  # [C, C, C, 3]
+def _cell_normals(positions: Float32Array, normals: Float32Array) -> Float32Array:  # [C, C, C, 3]
     """Return the normal of the last splat in every cell; zero where there is none."""
     out = np.zeros((CELLS, CELLS, CELLS, 3), np.float32)
     cells = _cells_of(positions)
@@ -264,7 +265,7 @@ def _cell_normals(positions: FloatArray, normals: FloatArray) -> FloatArray:  # 
     return out
 
 
-def _cells_to_surface(occupancy: FloatArray) -> NDArray[np.uint8]:  # [C, C, C]
+def _cells_to_surface(occupancy: Float32Array) -> NDArray[np.uint8]:  # [C, C, C]
     """Return the distance to P in cells (largest coordinate difference), at most 3."""
     near = (torch.from_numpy(occupancy) > 0.2).float()[None]
     distance = 3 - near

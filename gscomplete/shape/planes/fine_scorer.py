@@ -33,7 +33,8 @@ from torch import Tensor, nn
 from gscomplete.errors import UserError
 from gscomplete.networks.packaged import PACKAGED_WEIGHTS
 from gscomplete.shape.planes.features import FEATURES
-from gscomplete.shape.voxels import CELL_SIDE, HALF_SIDE, FloatArray
+from gscomplete.shape.voxels import CELL_SIDE, HALF_SIDE
+from gscomplete.util.arrays import Float32Array
 from gscomplete.util.atomic import atomic_path
 from gscomplete.util.kernels import KERNEL
 from gscomplete.util.same_bits import GroupNorm, fixed_silu
@@ -131,9 +132,11 @@ class FineSymmetryScorer(nn.Module):
         Raises:
             UserError: the file is missing, damaged, or of another network.
         """
-        scorer = cls()
+        with torch.device("meta"):  # weights that are not drawn leave the caller's random state
+            scorer = cls()
         try:
-            scorer.load_state_dict({k: v.float() for k, v in load_file(path).items()})
+            state = {k: v.float() for k, v in load_file(path).items()}
+            scorer.load_state_dict(state, assign=True)
         except (SafetensorError, OSError) as error:
             raise UserError(f"{path}: expected a safetensors file ({error})") from error
         except RuntimeError as error:
@@ -150,17 +153,17 @@ def packaged_fine_scorer() -> FineSymmetryScorer:
 
 
 def folded_volumes(
-    cells: FloatArray,  # [N, 7] centre, colour, occupancy of P's cells
-    evidence: FloatArray,  # [3, C/2, C/2, C/2]
-    angles: FloatArray,  # [K] radians, azimuths of the planes' normals
-    offsets: FloatArray,  # [K]
+    cells: Float32Array,  # [N, 7] centre, colour, occupancy of P's cells
+    evidence: Float32Array,  # [3, C/2, C/2, C/2]
+    angles: Float32Array,  # [K] radians, azimuths of the planes' normals
+    offsets: Float32Array,  # [K]
 ) -> FoldedVolumes:
     """Resample P's cells and evidence into the frame of each plane."""
     fine = torch.from_numpy(_folded(cells, angles, offsets))
     return FoldedVolumes(fine, _folded_evidence(evidence, angles, offsets))
 
 
-def colored_cells(volume: FloatArray) -> FloatArray:  # [4, C, C, C] -> [N, 7]
+def colored_cells(volume: Float32Array) -> Float32Array:  # [4, C, C, C] -> [N, 7]
     """List the filled cells of P: centre, colour, occupancy."""
     filled = np.argwhere(volume[0] > 0)
     x, y, z = filled.T
@@ -170,7 +173,7 @@ def colored_cells(volume: FloatArray) -> FloatArray:  # [4, C, C, C] -> [N, 7]
 
 
 def _folded_evidence(
-    evidence: FloatArray, angles: FloatArray, offsets: FloatArray
+    evidence: Float32Array, angles: Float32Array, offsets: Float32Array
 ) -> Tensor:  # [K, 6, U/2, V/2, Z/2]
     """Look the evidence up at the coarse cells of every plane's frame."""
     step, (nu, nv, nz) = 2 * STEP, (n // 2 for n in SIZE)
@@ -191,10 +194,10 @@ def _folded_evidence(
 
 
 def _folded(
-    cells: FloatArray,  # [N, 7]
-    angles: FloatArray,  # [K]
-    offsets: FloatArray,  # [K]
-) -> FloatArray:  # [K, 8, U, V, Z]
+    cells: Float32Array,  # [N, 7]
+    angles: Float32Array,  # [K]
+    offsets: Float32Array,  # [K]
+) -> Float32Array:  # [K, 8, U, V, Z]
     """Spread cells over the eight cells nearest to them in every plane's frame."""
     out = np.zeros((len(angles), 2, 4, math.prod(SIZE)), np.float32)
     spread_cells(cells, angles, offsets, *SIZE, out)
@@ -205,13 +208,13 @@ def _folded(
 
 @numba.njit(**KERNEL)
 def spread_cells(
-    cells: FloatArray,  # [N, 7]
-    angles: FloatArray,  # [K]
-    offsets: FloatArray,  # [K]
+    cells: Float32Array,  # [N, 7]
+    angles: Float32Array,  # [K]
+    offsets: Float32Array,  # [K]
     nu: int,
     nv: int,
     nz: int,
-    out: FloatArray,  # [K, 2, 4, U V Z] zeros, added to
+    out: Float32Array,  # [K, 2, 4, U V Z] zeros, added to
 ) -> None:
     """Sum occupancy, and colours times occupancy, on both sides of every plane."""
     for k in range(len(angles)):

@@ -37,7 +37,8 @@ from gscomplete.shape.planes.fine_scorer import (
     packaged_fine_scorer,
 )
 from gscomplete.shape.symmetry import SymmetryMap, mirror
-from gscomplete.shape.voxels import CELL_SIDE, FloatArray
+from gscomplete.shape.voxels import CELL_SIDE
+from gscomplete.util.arrays import BoolArray, Float32Array
 
 FINELY_SCORED = 48
 """How many planes the fine scorer ranks. On 45 cuts of 15 real objects the true score of the best
@@ -60,8 +61,8 @@ class RankedPlanes:
     """The planes that the coarse scorer puts first, in its order."""
 
     planes: NDArray[np.intp]  # [K, 2] angle, offset
-    features: FloatArray  # [K, F]
-    logits: FloatArray  # [K] the coarse scorer's
+    features: Float32Array  # [K, F]
+    logits: Float32Array  # [K] the coarse scorer's
 
 
 def ranked_planes(
@@ -76,7 +77,7 @@ def ranked_planes(
 
 
 def distinct_planes(
-    symmetry_scores: FloatArray, count: int
+    symmetry_scores: Float32Array, count: int
 ) -> NDArray[np.intp]:  # [A, O] -> [K, 2]
     """Return at most ``count`` planes that differ from each other, the best first."""
     left = symmetry_scores.astype(np.float64)
@@ -155,7 +156,7 @@ def refined(
 
 def _alike(
     angle_index: int, offset_index: int, apart_deg: float, apart_offset: float
-) -> NDArray[np.bool_]:  # [A, O]
+) -> BoolArray:  # [A, O]
     """Mark the planes that differ from one plane, itself included, by less than both limits."""
     turn = np.abs(np.arange(ANGLES) - angle_index) * (180.0 / ANGLES)
     # A normal turned by half a turn describes the same plane with the opposite offset.

@@ -6,7 +6,8 @@ Conventions
   The network fills the cells of thin walls whole, so the predicted surface lies about ``_INWARD``
   cells outside the true one. Whether a point is new is decided ``_INWARD`` cells inside the
   predicted surface; its splat is then placed at the depth that ``depth`` predicts.
-* Splats are flat discs facing outward, evenly spread. There are none where P has surface already.
+* Splats are flat discs facing outward, evenly spread. There are none where P has surface already,
+  by its centres and, if it is known all around, by what it shows (``solid``).
 * Where P is part of a surface of revolution, P turned about its axis (``turned``) takes the place
   of the predicted surface. It is exact, so it is covered with smaller splats, at its own depth.
 """
@@ -29,14 +30,15 @@ from gscomplete.shape.colors.sources import nearest_colors, source_colors
 from gscomplete.shape.network import ShapeOutput
 from gscomplete.shape.partial_voxels import ShapeInputs
 from gscomplete.shape.surface.depth import surface_depths
+from gscomplete.shape.surface.solid import SolidViews
 from gscomplete.shape.surface.turned import TurnedSurface
 from gscomplete.shape.voxels import CELL_SIDE, HALF_SIDE, grown, sample_volume
 from gscomplete.splats import Splats, colors_to_sh, concatenate
+from gscomplete.splats.geometry.nearest import query_nearest
 from gscomplete.splats.geometry.neighbourhood import one_sidedness
 from gscomplete.splats.geometry.poisson_disk import poisson_disk_sample
 from gscomplete.splats.rotations import quaternions_facing
 from gscomplete.splats.thinning import thinned
-from gscomplete.util.nearest import query_nearest
 
 _INWARD = 1.0
 """Cells. Of the values 0.3 to 1.3, 0.9 to 1.1 give the best silhouettes on 45 parts of 15 real
@@ -115,6 +117,7 @@ def surface_splats(
     generator: torch.Generator,
     mirrored: Splats | None = None,
     turned: TurnedSurface | None = None,
+    solid: SolidViews | None = None,
 ) -> Splats:
     """Return splats that cover the surface of one object where P does not.
 
@@ -126,6 +129,7 @@ def surface_splats(
         generator: chooses where splats are placed.
         mirrored: further splats that exist already and are a source of colours; None = none.
         turned: the surface of revolution that P is part of; None = there is none.
+        solid: where splats that exist show solid surface; None = as far as their centres tell.
     """
     anchor = thinned(partial, 20_000, generator)
     there = anchor.means
@@ -137,29 +141,33 @@ def surface_splats(
     if turned is not None:
         spacing = max(_TURNED_SPACINGS * turned.spacing(), settings.least_spacing)
         settings = dataclasses.replace(settings, count=_TURNED_COUNT, least_spacing=spacing)
-    found = new_surface(output, there, settings, generator, turned)
+    found = new_surface(output, there, settings, generator, turned, solid)
     points, normals = found.points, found.normals
     predicted, facing = points[~found.is_turned], normals[~found.is_turned]
     depths = surface_depths(output, inputs, settings.filled_logit, predicted, facing)
     predicted = on_copies(predicted - depths[:, None] * facing, facing, anchor.means, inputs)
     points = points - _TURNED_SINK * found.spacing * normals
     points[~found.is_turned] = predicted
+    is_turned = found.is_turned
+    if solid is not None:
+        kept = ~solid.cover(points)
+        points, normals, is_turned = points[kept], normals[kept], is_turned[kept]
     if mirrored is None:
         colors, sure = torch.zeros_like(points), torch.zeros(len(points))
-        its = source_colors(output, inputs, partial, predicted, generator)
-        colors[~found.is_turned], sure[~found.is_turned] = its
-        if turned is not None and bool(found.is_turned.any()):
+        its = source_colors(output, inputs, partial, points[~is_turned], generator)
+        colors[~is_turned], sure[~is_turned] = its
+        if turned is not None and bool(is_turned.any()):
             # Beside the inner side of a thin wall, what lies a little outside is the outer one's.
-            places = (points + CELL_SIDE * normals)[found.is_turned]
+            places = (points + CELL_SIDE * normals)[is_turned]
             body = turned.colored_by(partial)
             its = source_colors(output, inputs, body, places, generator)
-            colors[found.is_turned], sure[found.is_turned] = its
+            colors[is_turned], sure[is_turned] = its
         if settings.rim_decides:
             colors = checked_by_rim(colors, sure, points, normals, partial, generator)
         if turned is not None:
-            new = found.is_turned
-            about = points[new], normals[new], partial, turned.body, turned.revolution.axis
-            colors[new] = with_bands(colors[new], *about)
+            about = points[is_turned], normals[is_turned], partial
+            bands = with_bands(colors[is_turned], *about, turned.body, turned.revolution.axis)
+            colors[is_turned] = bands
     else:
         colored = concatenate([partial.with_sh_degree(0), mirrored])
         colors = nearest_colors(colored, points, normals, generator)
@@ -181,6 +189,7 @@ def new_surface(
     settings: SurfaceSettings,
     generator: torch.Generator,
     turned: TurnedSurface | None = None,
+    solid: SolidViews | None = None,
 ) -> SurfacePoints:
     """Return the surface where there are no splats yet: turned where it can be, else predicted.
 
@@ -190,6 +199,7 @@ def new_surface(
         settings: knobs.
         generator: chooses where points lie.
         turned: the surface of revolution that P is part of; None = there is none.
+        solid: where splats that exist show solid surface; None = as far as their centres tell.
     """
     logits = (output.occupancy[0].float() - settings.filled_logit).clamp(-8, 8)
     field = _field(logits)
@@ -204,6 +214,8 @@ def new_surface(
         free = ~(body.contradicts | body.repeats)
         inside, points, normals, insets = (x[free] for x in (inside, points, normals, insets))
     is_new = is_missing(inside, normals, there, settings)
+    if solid is not None:
+        is_new[is_new.clone()] = ~solid.cover(inside[is_new])
     inside, points, normals = inside[is_new], points[is_new], normals[is_new]
     insets = insets[is_new]
     count = len(points)

@@ -25,8 +25,9 @@ from gscomplete.networks.perceptron import Perceptron
 from gscomplete.shape.network import ShapeOutput
 from gscomplete.shape.partial_voxels import ShapeInputs
 from gscomplete.shape.symmetry import SOURCES
-from gscomplete.shape.voxels import CELL_SIDE, FloatArray, sample_volume
-from gscomplete.util.nearest import query_nearest
+from gscomplete.shape.voxels import CELL_SIDE, sample_volume
+from gscomplete.splats.geometry.nearest import query_nearest
+from gscomplete.util.arrays import Float32Array
 from gscomplete.util.same_bits import fixed_softmax
 
 SURFACE_DEPTH_FILE = "surface_depth.safetensors"
@@ -93,7 +94,7 @@ def depth_features(
     level: float,
     points: Tensor,  # [N, 3] where logits cross the level
     normals: Tensor,  # [N, 3] outward
-) -> FloatArray:  # [N, F]
+) -> Float32Array:  # [N, F]
     """Return the small network's input for points of the predicted surface, as ``FEATURES``.
 
     Args:
@@ -132,7 +133,7 @@ def depth_features(
         points.new_full((len(points), 1), level),
         points.new_full((len(points), 1), inputs.symmetries[0].score),
     ]
-    found: FloatArray = torch.cat(columns, dim=1).numpy()
+    found: Float32Array = torch.cat(columns, dim=1).numpy()
     return found
 
 

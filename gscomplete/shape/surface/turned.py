@@ -21,19 +21,17 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
 from gscomplete.shape.evidence import Evidence
 from gscomplete.splats import Splats
 from gscomplete.splats.geometry.axis_coordinates import SECTORS, Turning, turned
+from gscomplete.splats.geometry.nearest import query_nearest
 from gscomplete.splats.geometry.neighbourhood import normals_at, one_sidedness
 from gscomplete.splats.geometry.revolution import Revolution
 from gscomplete.splats.thinning import every_nth
-from gscomplete.util.nearest import query_nearest
-
-FloatArray = NDArray[np.float64]
+from gscomplete.util.arrays import BoolArray, Float32Array, Float64Array, IntArray
 
 _MOST_POINTS = 20_000
 _DRAWN = 60_000
@@ -90,7 +88,7 @@ class TurnedSurface:
     revolution: Revolution
     body: Turning
     """P's body, normals outward."""
-    features: FloatArray  # [F, 3]
+    features: Float64Array  # [F, 3]
     """P's features, axis coordinates."""
 
     def beside_copies(self, is_missing: Tensor) -> TurnedSurface | None:  # [N] bool
@@ -142,8 +140,8 @@ class TurnedSurface:
         return AgainstBody(torch.from_numpy(contradicts), torch.from_numpy(repeats))
 
     def _from_body(
-        self, there: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:  # [M, 3] -> [M], [M], [M, 2]
+        self, there: Float64Array
+    ) -> tuple[Float64Array, Float64Array, Float64Array]:  # [M, 3] -> [M], [M], [M, 2]
         """Turn places in axis coordinates to the nearest of P's body.
 
         Returns:
@@ -155,7 +153,7 @@ class TurnedSurface:
         facing = np.stack([self.body.radial, self.body.normals[:, 2]], axis=1)[nearest]
         return distance, ((places - body[nearest]) * facing).sum(axis=1), facing
 
-    def _is_beside_feature(self, there: FloatArray) -> NDArray[np.bool_]:  # [M, 3] -> [M]
+    def _is_beside_feature(self, there: Float64Array) -> BoolArray:  # [M, 3] -> [M]
         """Mark places in axis coordinates."""
         if not len(self.features):
             return np.zeros(len(there), np.bool_)
@@ -164,11 +162,11 @@ class TurnedSurface:
 
 
 def turned_surface(
-    points: FloatArray,  # [N, 3]
+    points: Float64Array,  # [N, 3]
     revolution: Revolution,
     evidence: Evidence,
     generator: torch.Generator,
-    axes: FloatArray | None = None,  # [N, 3]
+    axes: Float64Array | None = None,  # [N, 3]
 ) -> TurnedSurface | None:
     """Turn P about its axis; None = P lacks next to nothing of the surface, or views contradict it.
 
@@ -206,11 +204,11 @@ def turned_surface(
 
 
 def _outward(
-    points: FloatArray,  # [N, 3]
-    axes: FloatArray | None,  # [N, 3]
+    points: Float64Array,  # [N, 3]
+    axes: Float64Array | None,  # [N, 3]
     revolution: Revolution,
     evidence: Evidence,
-) -> FloatArray:  # [N, 3]
+) -> Float64Array:  # [N, 3]
     """Return P's normals, object frame, turned outward as said above."""
     tree = cKDTree(points)
     normals = normals_at(points, points, tree, axes)
@@ -229,7 +227,7 @@ def _outward(
     return normals * (sign * _against_others(turning, sign))[:, None]
 
 
-def _against_others(turning: Turning, sign: FloatArray) -> FloatArray:  # [N] -> [N]
+def _against_others(turning: Turning, sign: Float64Array) -> Float64Array:  # [N] -> [N]
     """Return -1 where a normal of that sign opposes most of those at the same profile, else 1.
 
     Signs are wrong here and there, and what lies before the wall would seem to be behind it there.
@@ -243,10 +241,10 @@ def _against_others(turning: Turning, sign: FloatArray) -> FloatArray:  # [N] ->
 
 
 def _wall_ahead(
-    points: FloatArray,  # [N, 3]
-    normals: FloatArray,  # [N, 3]
+    points: Float64Array,  # [N, 3]
+    normals: Float64Array,  # [N, 3]
     tree: cKDTree,
-) -> FloatArray:  # [N]
+) -> Float64Array:  # [N]
     """Return 1 where the other side of a thin wall lies ahead, -1 where behind, 0 if unknown."""
     found = []
     for way in (1.0, -1.0):
@@ -263,7 +261,7 @@ def _wall_ahead(
 
 def _profile(
     body: Turning,
-) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:  # [B, 3], [B, 3], [B]
+) -> tuple[Float64Array, Float64Array, IntArray]:  # [B, 3], [B, 3], [B]
     """Return the body's points at azimuth 0 and their normals, averaged over points alike.
 
     Also returns in how many sectors these are: few where a handle's foot is in the body.
@@ -284,7 +282,7 @@ def _profile(
     )
 
 
-def _drawn(weights: FloatArray, generator: torch.Generator) -> NDArray[np.int64]:  # [B] -> [D]
+def _drawn(weights: Float64Array, generator: torch.Generator) -> IntArray:  # [B] -> [D]
     """Draw indices with these weights."""
     ends = np.cumsum(weights)
     at = torch.rand(_DRAWN, generator=generator, dtype=torch.float64).numpy() * ends[-1]
@@ -292,16 +290,16 @@ def _drawn(weights: FloatArray, generator: torch.Generator) -> NDArray[np.int64]
 
 
 def _is_missing(
-    places: FloatArray,  # [D, 3] axis coordinates
-    normals: FloatArray,  # [D, 3]
+    places: Float64Array,  # [D, 3] axis coordinates
+    normals: Float64Array,  # [D, 3]
     own: Turning,
-) -> NDArray[np.bool_]:  # [D]
+) -> BoolArray:  # [D]
     """Mark the places where P has no surface that faces the same way."""
     tree = cKDTree(np.concatenate([own.points, _OWN_NORMAL_REACH * own.normals], axis=1))
     asked = np.concatenate([places, _OWN_NORMAL_REACH * normals], axis=1)
     distance, _ = query_nearest(tree, asked, within=_NEAR)
     beside, _ = query_nearest(cKDTree(own.points), places, within=_NEAR_RIM)
-    missing: NDArray[np.bool_] = ~np.isfinite(distance) & ~np.isfinite(beside)
+    missing: BoolArray = ~np.isfinite(distance) & ~np.isfinite(beside)
     close = np.flatnonzero(np.isfinite(distance) & ~np.isfinite(beside))
     _, index = query_nearest(tree, asked[close], range(1, min(_ALIKE, len(own.points)) + 1))
     offsets = own.points[index] - places[close, None]
@@ -311,10 +309,10 @@ def _is_missing(
 
 
 def _mostly(
-    missing: NDArray[np.bool_],  # [D]
-    places: FloatArray,  # [D, 3]
-    normals: FloatArray,  # [D, 3]
-) -> NDArray[np.bool_]:  # [D]
+    missing: BoolArray,  # [D]
+    places: Float64Array,  # [D, 3]
+    normals: Float64Array,  # [D, 3]
+) -> BoolArray:  # [D]
     """Keep the missing places among whose neighbours most are missing, too: no specks."""
     like = np.concatenate([places, _OWN_NORMAL_REACH * normals], axis=1)
     lacking = np.flatnonzero(missing)
@@ -325,10 +323,10 @@ def _mostly(
 
 
 def _denser(
-    places: FloatArray,  # [D, 3] axis coordinates
-    normals: FloatArray,  # [D, 3]
+    places: Float64Array,  # [D, 3] axis coordinates
+    normals: Float64Array,  # [D, 3]
     generator: torch.Generator,
-) -> tuple[FloatArray, FloatArray]:  # [_TIMES * D, 3]
+) -> tuple[Float64Array, Float64Array]:  # [_TIMES * D, 3]
     """Add places a little to both sides of each one, as seen from the axis."""
     places, normals = (np.tile(rows, (_TIMES, 1)) for rows in (places, normals))
     radius = np.hypot(places[:, 0], places[:, 1])
@@ -340,7 +338,7 @@ def _denser(
 def _seen_empty(
     evidence: Evidence,
     revolution: Revolution,
-    places: FloatArray,  # [N, 3] axis coordinates
-) -> NDArray[np.float32]:  # [N]
+    places: Float64Array,  # [N, 3] axis coordinates
+) -> Float32Array:  # [N]
     """Return the share of views that find each place in front of P."""
     return evidence.classify(revolution.axis.from_axis(places).astype(np.float32))[:, 0]

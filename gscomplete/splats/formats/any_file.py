@@ -24,16 +24,13 @@ from typing import Literal, get_args
 import numpy as np
 
 from gscomplete.errors import UserError
-from gscomplete.splats.compressed_ply import read_compressed_ply
-from gscomplete.splats.filters import in_words, usable_rows
-from gscomplete.splats.formats import dot_splat, glb, ksplat, sog, spz, usd
+from gscomplete.splats.filters import in_words, reason_in_words, usable_rows
+from gscomplete.splats.formats import compressed_ply, dot_splat, glb, ksplat, sog, spz, usd
 from gscomplete.splats.ply import SplatFile, read_splats, write_splats
 from gscomplete.splats.ply_files.header import PlyError, read_header
 from gscomplete.splats.record import Splats
 from gscomplete.splats.transform import Similarity, transform_splats
-from gscomplete.util.atomic import atomic_path
 from gscomplete.util.file_names import COMPLETE_FILE, OBJECT_FILE, PARTIAL_FILE
-from gscomplete.util.optional import import_optional
 
 SplatFormat = Literal[
     "ply", "compressed.ply", "splat", "spz", "glb", "sog", "ksplat", "usd", "usda", "usdc"
@@ -91,12 +88,12 @@ def read_any_splats(path: Path) -> Imported:
     Raises:
         UserError: it is missing, of another kind, or damaged.
     """
+    if not path.exists():
+        raise UserError(f"{path}: expected a splat file, found none")
     kind = format_of(path)
     if kind not in READ:
         expected = ", ".join(f".{name}" for name in READ)
         raise UserError(f"{path}: .{kind} files are written, not read; expected {expected}")
-    if not path.exists():
-        raise UserError(f"{path}: expected a splat file, found none")
     if kind == "spz":
         note = "SPZ axes (right, up, back) turned by 180 degrees about x to PLY's"
         return Imported(spz.read_spz(path), kind, (note,), spz.TURN)
@@ -114,7 +111,7 @@ def read_any_splats(path: Path) -> Imported:
     except PlyError as error:
         if error.finding != "compressed_splat_file":
             raise
-    return Imported(read_compressed_ply(path), "compressed.ply")
+    return Imported(compressed_ply.read_compressed_ply(path), "compressed.ply")
 
 
 _READERS: dict[SplatFormat, Callable[[Path], Splats]] = {
@@ -163,7 +160,9 @@ def as_ply(path: Path) -> Iterator[tuple[Path, tuple[str, ...]]]:
         raise UserError(
             f"{path}: expected splats that can be drawn, found {in_words(reasons) or 'none'}"
         )
-    left = tuple(f"{count:,} splats left out: {reason}" for reason, count in reasons.items())
+    left = tuple(
+        f"{count:,} splats left out: {reason_in_words(reason)}" for reason, count in reasons.items()
+    )
     with tempfile.TemporaryDirectory(prefix="splats.") as folder:
         converted = Path(folder) / "converted.ply"
         write_splats(converted, found.splats.select(usable))
@@ -221,10 +220,7 @@ def write_any_splats(
     if kind == "spz":
         return spz.write_spz(path, splats, spz_version, y_up or spz.TURN)
     if kind == "compressed.ply":
-        gsply = import_optional("gsply", "writing compressed.ply files")
-        with atomic_path(path) as temporary:
-            temporary.write_bytes(gsply.compress_to_bytes(spz.to_gsply(gsply, splats)))
-        return ("values are quantised", "the order of splats")
+        return compressed_ply.write_compressed_ply(path, splats)
     if kind == "ply":
         write_splats(path, splats)
     elif kind == "glb":
@@ -240,11 +236,12 @@ def writable_format_of(path: Path) -> SplatFormat:
     Raises:
         UserError: it says none that is written.
     """
-    kind = format_of(path)
-    if kind not in WRITTEN or path.name.lower() == sog.META_FILE:
-        expected = ", ".join(f".{name}" for name in WRITTEN)
-        raise UserError(f"{path}: expected a format that is written: {expected}; found .{kind}")
-    return kind
+    name = path.name.lower()
+    fitting = [kind for kind in WRITTEN if name.endswith("." + kind)]
+    if not fitting or name == sog.META_FILE:
+        expected = ", ".join(f".{kind}" for kind in WRITTEN)
+        raise UserError(f"{path}: expected a format that is written: {expected}; found {name!r}")
+    return max(fitting, key=len)
 
 
 def axes_note(path: Path, y_up: Similarity | None = None) -> str | None:

@@ -15,8 +15,10 @@ import torch
 
 from gscomplete.errors import UserError
 from gscomplete.splats.record import Splats, colors_to_sh
+from gscomplete.splats.rotations import unit_quaternions
 from gscomplete.util.atomic import atomic_path
 
+_HALF_STEP = 0.5 / 255
 _ROW = np.dtype([("xyz", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rot", "u1", 4)])
 
 
@@ -33,13 +35,11 @@ def read_dot_splat(path: Path) -> Splats:
     negative = int((rows["scale"] < 0).any(axis=1).sum())
     if negative:
         raise UserError(f"{path}: scale: expected no negative one, found {negative:,} splats with")
-    quaternions = (rows["rot"].astype(np.float32) - 128.0) / 128.0
-    length = np.linalg.norm(quaternions, axis=1, keepdims=True)
-    quaternions = np.where(length > 0, quaternions / np.maximum(length, 1e-9), [[1, 0, 0, 0]])
+    quaternions = unit_quaternions((rows["rot"].astype(np.float32) - 128.0) / 128.0)
     colors = rows["rgba"].astype(np.float32) / 255.0
     return Splats(
         torch.from_numpy(rows["xyz"].copy()),
-        torch.from_numpy(quaternions.astype(np.float32)),
+        torch.from_numpy(np.ascontiguousarray(quaternions)),
         torch.from_numpy(rows["scale"].copy()),
         torch.from_numpy(colors[:, 3].copy()),
         colors_to_sh(torch.from_numpy(colors[:, :3].copy())),
@@ -60,6 +60,12 @@ def write_dot_splat(path: Path, splats: Splats) -> tuple[str, ...]:
     turned = (splats.quaternions * 128 + 128).round().clamp(0, 255)
     rows["rot"] = turned.to(torch.uint8).numpy()
     with atomic_path(path) as temporary:
-        rows.tofile(temporary)
-    lost = ("8-bit colours and rotations",)
-    return (*lost, f"harmonics of degree {splats.sh_degree}") if splats.sh_degree else lost
+        temporary.write_bytes(rows.tobytes())
+    lost = ["8-bit colours and rotations"]
+    beyond = (splats.base_colors - splats.base_colors.clamp(0, 1)).abs() > _HALF_STEP
+    count = int(beyond.any(dim=1).sum())
+    if count:
+        lost.append(f"colours outside [0, 1] of {count:,} splats")
+    if splats.sh_degree:
+        lost.append(f"harmonics of degree {splats.sh_degree}")
+    return tuple(lost)

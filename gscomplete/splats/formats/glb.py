@@ -21,13 +21,13 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
 from gscomplete.splats.ply_files.header import MESH_FIRST
 from gscomplete.splats.record import Splats, concatenate
 from gscomplete.splats.rotations import rotation_matrices
 from gscomplete.splats.transform import Similarity, transform_splats
+from gscomplete.util.arrays import Float32Array
 from gscomplete.util.atomic import atomic_path
 
 EXTENSION = "KHR_gaussian_splatting"
@@ -48,7 +48,7 @@ def write_glb_splats(path: Path, splats: Splats) -> None:
     Raises:
         UserError: the file cannot be written.
     """
-    columns: list[tuple[str, str, NDArray[np.float32]]] = [
+    columns: list[tuple[str, str, Float32Array]] = [
         ("POSITION", "VEC3", splats.means.numpy()),
         (f"{EXTENSION}:ROTATION", "VEC4", splats.quaternions.numpy()[:, [1, 2, 3, 0]]),
         (f"{EXTENSION}:SCALE", "VEC3", splats.scales.numpy()),
@@ -240,7 +240,7 @@ def _primitive(file: _File, primitive: dict[str, Any]) -> Splats:
     )
 
 
-def _accessor(file: _File, index: int) -> NDArray[np.float32]:  # [N, components]
+def _accessor(file: _File, index: int) -> Float32Array:  # [N, components]
     """Return an accessor's values; whole numbers are shares of the largest of their type."""
     accessor = file.document["accessors"][index]
     if "sparse" in accessor or "bufferView" not in accessor:

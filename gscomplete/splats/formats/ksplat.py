@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
 from gscomplete.splats.record import Splats, colors_to_sh, concatenate
+from gscomplete.splats.rotations import unit_quaternions
+from gscomplete.util.arrays import Float64Array, IntArray
 
 _HEADER, _SECTION = 4096, 1024
 _HARMONICS = {0: 0, 1: 9, 2: 24}
@@ -132,8 +134,8 @@ def _row(level: int, harmonics: int) -> np.dtype:
 
 
 def _owners(
-    path: Path, index: int, count: int, bucket: int, full: int, sizes: NDArray[np.int64]
-) -> NDArray[np.int64]:  # [count]
+    path: Path, index: int, count: int, bucket: int, full: int, sizes: IntArray
+) -> IntArray:  # [count]
     """Return the bucket of every row: full buckets come first."""
     starts = np.concatenate([bucket * np.arange(1, full + 1), bucket * full + np.cumsum(sizes)])
     if len(starts) == 0 or starts[-1] < count:
@@ -142,13 +144,13 @@ def _owners(
 
 
 def _splats(
-    means: NDArray[np.float64],  # [N, 3]
+    means: Float64Array,  # [N, 3]
     rows: NDArray,  # [N]
     head: _Header,
     degree: int,
 ) -> Splats:
     """Turn rows into splats."""
-    quaternions = torch.from_numpy(rows["rot"].astype(np.float32))
+    quaternions = np.ascontiguousarray(unit_quaternions(rows["rot"].astype(np.float32)))
     rgba = torch.from_numpy(rows["rgba"].astype(np.float32) / 255)
     sh = [colors_to_sh(rgba[:, :3])]
     stored: NDArray[Any] = rows["sh"].astype(np.float32)
@@ -159,7 +161,7 @@ def _splats(
         sh.append(torch.from_numpy(np.ascontiguousarray(band.transpose(0, 2, 1))))
     return Splats(
         torch.from_numpy(means.astype(np.float32)),
-        torch.nn.functional.normalize(quaternions, dim=1),
+        torch.from_numpy(quaternions),
         torch.from_numpy(rows["scale"].astype(np.float32)),
         rgba[:, 3].clone(),
         torch.cat(sh, dim=1),

@@ -12,6 +12,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from gscomplete.util.arrays import Float32Array
+
 CODES = 256
 """Values of a codebook: one byte."""
 _ROUNDS = 24
@@ -20,8 +22,8 @@ _BLOCK_ROWS = 4096
 
 
 def codebook(
-    values: NDArray[np.float32],  # [...]
-) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:  # [CODES], [...]
+    values: Float32Array,  # [...]
+) -> tuple[Float32Array, NDArray[np.uint8]]:  # [CODES], [...]
     """Return ascending values that stand for all, and which one stands for each.
 
     Args:

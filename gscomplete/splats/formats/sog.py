@@ -33,6 +33,7 @@ from gscomplete.splats.formats.palette import CODES, codebook, row_palette
 from gscomplete.splats.ply_files.records import LOG_SCALE_LIMIT
 from gscomplete.splats.record import SH_C0, Splats
 from gscomplete.splats.thinning import space_filling_order
+from gscomplete.util.arrays import Float64Array
 from gscomplete.util.atomic import atomic_path
 from gscomplete.util.limits import check_decoded_bytes, most_decoded_bytes
 
@@ -145,7 +146,7 @@ def _read(source: _Source) -> Splats:
     return Splats(*(torch.from_numpy(array.astype(np.float32)) for array in arrays))
 
 
-def _codes(entry: dict[str, Any]) -> NDArray[np.float64]:  # [CODES]
+def _codes(entry: dict[str, Any]) -> Float64Array:  # [CODES]
     """Return a codebook, filled up to what a byte can name."""
     codes = np.array(entry["codebook"], np.float64).reshape(-1)
     if not 0 < len(codes) <= CODES:
@@ -155,7 +156,7 @@ def _codes(entry: dict[str, Any]) -> NDArray[np.float64]:  # [CODES]
 
 def _read_harmonics(
     source: _Source, meta: dict[str, Any], count: int
-) -> NDArray[np.float64]:  # [N, K - 1, 3]
+) -> Float64Array:  # [N, K - 1, 3]
     """Return the coefficients above the base band; splats without a row of the palette have 0."""
     entry = meta.get("shN")
     if not entry:
@@ -172,7 +173,7 @@ def _read_harmonics(
     return np.where(known[:, None, None], palette[np.where(known, index, 0)], 0.0)
 
 
-def _unpack(pixels: Pixels) -> NDArray[np.float64]:  # [N, 4] -> [N, 4] wxyz
+def _unpack(pixels: Pixels) -> Float64Array:  # [N, 4] -> [N, 4] wxyz
     """Return unit quaternions; those without a tag are no rotation."""
     largest = pixels[:, 3].astype(np.int64) - _FIRST_TAG
     valid = largest >= 0
@@ -283,7 +284,7 @@ def _webp(pixels: Pixels, width: int) -> bytes:  # [N, 4]
     return out.getvalue()
 
 
-def _pack(quaternions: NDArray[np.float64]) -> Pixels:  # [N, 4] wxyz -> [N, 4]
+def _pack(quaternions: Float64Array) -> Pixels:  # [N, 4] wxyz -> [N, 4]
     """Return the three smaller components as bytes, and which one is left out."""
     unit = quaternions / np.maximum(np.linalg.norm(quaternions, axis=1, keepdims=True), 1e-12)
     largest = np.abs(unit).argmax(axis=1)

@@ -19,14 +19,15 @@ import math
 import struct
 import zlib
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import torch
 
 from gscomplete.errors import UserError
-from gscomplete.splats.ply_files.records import LOG_SCALE_LIMIT, LOGIT_LIMIT
-from gscomplete.splats.record import SH_C0, Splats
+from gscomplete.splats.filters import middle_and_extent
+from gscomplete.splats.formats.gsply_values import to_gsply
+from gscomplete.splats.record import Splats
 from gscomplete.splats.transform import Similarity, transform_splats
 from gscomplete.util.atomic import atomic_path
 from gscomplete.util.limits import check_decoded_bytes
@@ -38,6 +39,8 @@ TURN = Similarity(1.0, torch.diag(torch.tensor([1.0, -1.0, -1.0])), torch.zeros(
 
 SCALE_RANGE = (math.exp(-10.0), math.exp(-10.0 + 255 / 16))
 """Scales that the format holds; others are written as the nearest of them."""
+_LARGEST_BASE = 0.5 / 0.15
+"""A byte of a base coefficient holds 0.15 of it, about one half."""
 COARSEST_STEP = 1e-3
 """Positions in coarser steps, over the extent of the splats, are refused."""
 FINE_STEP = 1e-5
@@ -52,8 +55,6 @@ _LARGEST_FIXED = 2**23 - 1
 _FEWEST_BITS, _MOST_BITS = 1, 24
 """Fractional bits that readers take."""
 _HALF_SCALE_STEP = math.exp(1 / 32)
-_INNER = (0.05, 0.95)
-"""Quantiles of the coordinates that bound the splats' extent, so that floaters do not widen it."""
 
 
 def read_spz(path: Path) -> Splats:
@@ -111,10 +112,10 @@ def _fractional_bits(path: Path, splats: Splats) -> int:
     Raises:
         UserError: the steps are too coarse for the splats' extent, or no number of bits is enough.
     """
-    means = splats.means.double().numpy()
-    reach = max(float(np.abs(means).max()), 2.0**-_MOST_BITS)
-    low, high = np.quantile(means, _INNER, axis=0)
-    extent = float((high - low).max()) or float(splats.scales.clamp(*SCALE_RANGE).max())
+    reach = max(float(splats.means.double().abs().max()), 2.0**-_MOST_BITS)
+    extent = middle_and_extent(splats.means.numpy())[1] or float(
+        splats.scales.clamp(*SCALE_RANGE).max()
+    )
     needed = max(math.ceil(-math.log2(FINE_STEP * extent)), _FEWEST_BITS)
     bits = min(_MOST_BITS, needed, math.floor(math.log2(_LARGEST_FIXED / reach)))
     step = 2.0**-bits
@@ -129,7 +130,7 @@ def _fractional_bits(path: Path, splats: Splats) -> int:
 
 
 def _clipped(splats: Splats) -> tuple[str, ...]:
-    """Tell how many splats have a scale beyond what the format holds."""
+    """Tell how many splats have values beyond what the format holds."""
     low, high = SCALE_RANGE
     notes = []
     for count, word, end in (
@@ -138,28 +139,13 @@ def _clipped(splats: Splats) -> tuple[str, ...]:
     ):
         if count:
             notes.append(f"scales {word} {end:.3g} of {count:,} splats (written as {end:.3g})")
+    colors = int(((splats.sh[:, 0].abs() > _LARGEST_BASE).any(dim=1)).sum())
+    if colors:
+        notes.append(f"colours of {colors:,} splats beyond what a byte holds")
+    higher = int((splats.sh[:, 1:].abs() > 1.0).flatten(1).any(dim=1).sum())
+    if higher:
+        notes.append(f"harmonics beyond 1 of {higher:,} splats (written as 1)")
     return tuple(notes)
-
-
-def to_gsply(gsply: Any, splats: Splats) -> Any:
-    """Turn splats into gsply's container of PLY values.
-
-    Args:
-        gsply: the module.
-        splats: activated, finite.
-    """
-    floor = math.exp(LOG_SCALE_LIMIT)
-    opacities = splats.opacities.double()
-    logits = torch.logit(opacities).clamp(-LOGIT_LIMIT, LOGIT_LIMIT)
-    higher = None if splats.sh_degree == 0 else splats.sh[:, 1:].contiguous().numpy()
-    return gsply.GSData(
-        means=splats.means.numpy(),
-        scales=splats.scales.clamp_min(floor).log().numpy(),
-        quats=splats.quaternions.numpy(),
-        opacities=logits.float().numpy(),
-        sh0=((splats.base_colors - 0.5) / SH_C0).contiguous().numpy(),
-        shN=higher,
-    )
 
 
 def check_spz_size(path: Path) -> None:

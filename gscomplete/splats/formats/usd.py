@@ -10,10 +10,12 @@ Conventions
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 
+from gscomplete.errors import UserError
 from gscomplete.splats.record import Splats
 from gscomplete.util.atomic import atomic_path
 from gscomplete.util.optional import import_optional
@@ -53,4 +55,9 @@ def write_usd(path: Path, splats: Splats) -> None:
         prim.CreateRadianceSphericalHarmonicsDegreeAttr(splats.sh_degree)
         prim.CreateRadianceSphericalHarmonicsCoefficientsAttr(array.Vec3fArray.FromNumpy(harmonics))
         prim.CreateExtentAttr(array.Vec3fArray.FromNumpy(extent.astype(np.float32)))
-        stage.GetRootLayer().Save()
+        try:
+            stage.GetRootLayer().Save()
+        except RuntimeError as error:  # USD's own, of several lines, the reason in quotes
+            reason = re.search(r" : '([^']*)'", str(error))
+            text = reason[1] if reason else str(error).strip()
+            raise UserError(f"{path}: cannot write: {text}") from error

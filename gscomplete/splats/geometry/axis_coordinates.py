@@ -15,12 +15,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gscomplete.splats.rotations import turn_onto_z
 from gscomplete.splats.thinning import every_nth
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from gscomplete.util.arrays import BoolArray, Float64Array, IntArray
 
 STEEP = 0.3
 """Only normals whose horizontal part is larger than this tell where the axis is."""
@@ -43,23 +41,21 @@ _BODY_OFF = 1.3
 class Axis:
     """A line that points upward."""
 
-    point: FloatArray  # [3] on the axis
-    direction: FloatArray  # [3] unit
-    rotation: FloatArray  # [3, 3] takes the direction to +z
+    point: Float64Array  # [3] on the axis
+    direction: Float64Array  # [3] unit
+    rotation: Float64Array  # [3, 3] takes the direction to +z
 
     @classmethod
-    def through(cls, point: FloatArray, direction: FloatArray) -> Axis:
-        """Return the axis through a point along a direction that is not -z."""
+    def through(cls, point: Float64Array, direction: Float64Array) -> Axis:
+        """Return the axis through a point along a direction."""
         unit = direction / np.linalg.norm(direction)
-        x, y, z = unit
-        skew = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
-        return cls(point, unit, np.eye(3) + skew + skew @ skew / (1.0 + z))
+        return cls(point, unit, turn_onto_z(unit))
 
-    def to_axis(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
+    def to_axis(self, points: Float64Array) -> Float64Array:  # [N, 3] -> [N, 3]
         """Return points in axis coordinates."""
         return (points - self.point) @ self.rotation.T
 
-    def from_axis(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N, 3]
+    def from_axis(self, points: Float64Array) -> Float64Array:  # [N, 3] -> [N, 3]
         """Return points of axis coordinates."""
         return points @ self.rotation + self.point
 
@@ -68,15 +64,15 @@ class Axis:
 class Turning:
     """Oriented points in axis coordinates."""
 
-    points: FloatArray  # [N, 3]
-    normals: FloatArray  # [N, 3] of either sign
-    radius: FloatArray  # [N]
-    azimuth_rad: FloatArray  # [N]
-    radial: FloatArray  # [N] part of the normal
-    tangential: FloatArray  # [N] part of the normal
+    points: Float64Array  # [N, 3]
+    normals: Float64Array  # [N, 3] of either sign
+    radius: Float64Array  # [N]
+    azimuth_rad: Float64Array  # [N]
+    radial: Float64Array  # [N] part of the normal
+    tangential: Float64Array  # [N] part of the normal
 
     @classmethod
-    def about(cls, axis: Axis, points: FloatArray, normals: FloatArray) -> Turning:
+    def about(cls, axis: Axis, points: Float64Array, normals: Float64Array) -> Turning:
         """Return points and normals, both [N, 3], in coordinates of the axis."""
         there, facing = axis.to_axis(points), normals @ axis.rotation.T
         radius = np.linalg.norm(there[:, :2], axis=1)
@@ -97,21 +93,21 @@ class Turning:
         return Turning(*(part[mask] for part in (*parts, self.radial, self.tangential)))
 
     @property
-    def horizontal(self) -> FloatArray:  # [N]
+    def horizontal(self) -> Float64Array:  # [N]
         """Lengths of the normals' horizontal parts."""
         return np.hypot(self.radial, self.tangential)
 
-    def off_axis(self) -> FloatArray:  # [N]
+    def off_axis(self) -> Float64Array:  # [N]
         """Return how far normals pass the axis, over what is allowed."""
         distance = self.radius * np.abs(self.tangential) / self.horizontal.clip(1e-9)
         return distance / np.maximum(OFF, OFF_SINE * self.radius)
 
-    def sectors(self) -> NDArray[np.int64]:  # [N]
+    def sectors(self) -> IntArray:  # [N]
         """Return the sector that each point is in."""
         turn = (self.azimuth_rad + math.pi) / (2 * math.pi)
         return (turn * SECTORS).astype(np.int64) % SECTORS
 
-    def body(self) -> tuple[BoolArray, NDArray[np.int64]]:  # [N], [N]
+    def body(self) -> tuple[BoolArray, IntArray]:  # [N], [N]
         """Return which points belong to the body, and in how many sectors P has their like."""
         meets = (self.horizontal < STEEP) | (self.off_axis() < _BODY_OFF)
         profile = np.stack([self.radius, self.points[:, 2]], axis=1)
@@ -128,7 +124,7 @@ class Turning:
         return meets & ((sectors >= fewest) | (self.radius < NEAR_AXIS)), sectors
 
 
-def turned(points: FloatArray, angle_rad: FloatArray) -> FloatArray:  # [N, 3], [N] -> [N, 3]
+def turned(points: Float64Array, angle_rad: Float64Array) -> Float64Array:  # [N, 3], [N] -> [N, 3]
     """Turn every point about the z axis by its own angle."""
     cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
     x, y, z = points.T
@@ -136,10 +132,10 @@ def turned(points: FloatArray, angle_rad: FloatArray) -> FloatArray:  # [N, 3], 
 
 
 def in_box_sides(
-    points: FloatArray,  # [N, 3]
-    axes: FloatArray | None,  # [N, 3]
+    points: Float64Array,  # [N, 3]
+    axes: Float64Array | None,  # [N, 3]
     most: int,
-) -> tuple[FloatArray, FloatArray | None, FloatArray, float] | None:  # [K, 3], [K, 3], [3]
+) -> tuple[Float64Array, Float64Array | None, Float64Array, float] | None:  # [K, 3], [K, 3], [3]
     """Return at most so many points about the middle of their box, in its sides, and their axes.
 
     The box's middle and largest side come after them; None = too few points, or no extent.
@@ -153,7 +149,7 @@ def in_box_sides(
     return (chosen - middle) / side, axes, middle, side
 
 
-def off_plane(place: FloatArray, azimuth_rad: float, offset: float) -> float:  # [2] or [3]
+def off_plane(place: Float64Array, azimuth_rad: float, offset: float) -> float:  # [2] or [3]
     """Return how far a place is from the upright plane of that normal and offset."""
     normal = np.array([math.cos(azimuth_rad), math.sin(azimuth_rad)])
     return float(abs(place[:2] @ normal - offset))

@@ -14,16 +14,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gscomplete.splats.geometry.axis_coordinates import in_box_sides, off_plane
 from gscomplete.splats.geometry.neighbourhood import lie_on_surface, normals_at
 from gscomplete.splats.geometry.revolution import ALONG_AXIS, upright_axis
+from gscomplete.splats.rotations import turn_about_z
 from gscomplete.splats.thinning import every_nth
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from gscomplete.util.arrays import BoolArray, Float64Array
 
 _MOST_POINTS = 6000
 _FOLDS = range(5, 17)
@@ -53,21 +51,19 @@ class NFold:
     """An n-fold symmetry about an upright axis."""
 
     folds: int
-    center: FloatArray  # [2] x and y of the axis, in the coordinates of the points given
+    center: Float64Array  # [2] x and y of the axis, in the coordinates of the points given
     is_body: BoolArray  # [N] which points have an image on P: no handle
 
-    def rotation(self, step: int) -> FloatArray:  # [3, 3]
+    def rotation(self, step: int) -> Float64Array:  # [3, 3]
         """Return the turn by whole steps of the symmetry, about the z axis."""
-        matrix = np.eye(3)
-        matrix[:2, :2] = _rotation(step, self.folds)
-        return matrix
+        return turn_about_z(step * 2 * math.pi / self.folds)
 
-    def turned(self, points: FloatArray, step: int) -> FloatArray:  # [N, 3] -> [N, 3]
+    def turned(self, points: Float64Array, step: int) -> Float64Array:  # [N, 3] -> [N, 3]
         """Turn points by whole steps of the symmetry."""
         about = np.array([*self.center, 0.0])
         return (points - about) @ self.rotation(step).T + about
 
-    def box(self, points: FloatArray) -> tuple[FloatArray, float]:  # [N, 3] -> [3]
+    def box(self, points: Float64Array) -> tuple[Float64Array, float]:  # [N, 3] -> [3]
         """Return the centre and the largest side of the box of P and its whole body."""
         body = points[self.is_body]
         whole = [points, *(self.turned(body, k) for k in range(self.folds))]
@@ -77,8 +73,8 @@ class NFold:
 
 
 def find_n_fold(
-    points: FloatArray,  # [N, 3] z up
-    axes: FloatArray | None = None,  # [N, 3]
+    points: Float64Array,  # [N, 3] z up
+    axes: Float64Array | None = None,  # [N, 3]
     cut: tuple[float, float] | None = None,
 ) -> NFold | None:
     """Return P's symmetry with the most folds, five at least; None = none, or P is better mirrored.
@@ -120,7 +116,7 @@ def find_n_fold(
 @dataclass(frozen=True, slots=True)
 class _Found:
     folds: int
-    center: FloatArray  # [2]
+    center: Float64Array  # [2]
     met: float
     """Share of the turned points that have P near."""
     fit: float
@@ -130,15 +126,15 @@ class _Found:
 class _Surface:
     """P's points and normals."""
 
-    def __init__(self, points: FloatArray, axes: FloatArray | None) -> None:
+    def __init__(self, points: Float64Array, axes: Float64Array | None) -> None:
         self.points, self.tree = points, cKDTree(points)
         self.normals = normals_at(points, points, self.tree, axes)
 
-    def thinned(self, count: int) -> tuple[FloatArray, FloatArray]:
+    def thinned(self, count: int) -> tuple[Float64Array, Float64Array]:
         """Return some points and their normals."""
         return every_nth(self.points, count), every_nth(self.normals, count)
 
-    def symmetric(self, center: FloatArray, folds: int, count: int, steps: int) -> _Found:
+    def symmetric(self, center: Float64Array, folds: int, count: int, steps: int) -> _Found:
         """Move an axis to where P meets itself best (Gauss-Newton, point to plane, robust)."""
         points, normals = self.thinned(count)
         for step in range(steps):
@@ -165,11 +161,11 @@ class _Surface:
         share = float(np.mean(met))
         return _Found(folds, center, share, sum(fits) / max(4 * share * len(points), 1.0))
 
-    def compared(self, places: FloatArray, facing: FloatArray) -> tuple[BoolArray, BoolArray]:
+    def compared(self, places: Float64Array, facing: Float64Array) -> tuple[BoolArray, BoolArray]:
         """Return which of N places have P near, and which lie on its surface."""
         return lie_on_surface(places, facing, self.tree, self.normals, _NEIGHBOURS, _SAME_NORMAL)
 
-    def has_image(self, points: FloatArray, normals: FloatArray, found: _Found) -> BoolArray:
+    def has_image(self, points: Float64Array, normals: Float64Array, found: _Found) -> BoolArray:
         """Mark the points that lie on P's surface after some turn."""
         marked = np.zeros(len(points), np.bool_)
         for way in range(1, found.folds):
@@ -180,21 +176,15 @@ class _Surface:
 
 
 def _turn(
-    points: FloatArray,  # [N, 3]
-    normals: FloatArray,  # [N, 3]
-    center: FloatArray,  # [2]
+    points: Float64Array,  # [N, 3]
+    normals: Float64Array,  # [N, 3]
+    center: Float64Array,  # [2]
     way: int,
     folds: int,
-) -> tuple[FloatArray, FloatArray, FloatArray]:  # [N, 3], [N, 3], [2, 2]
+) -> tuple[Float64Array, Float64Array, Float64Array]:  # [N, 3], [N, 3], [2, 2]
     """Turn points and normals by ``way`` steps; return them, and the rotation of x and y."""
-    rotation = _rotation(way, folds)
+    rotation = turn_about_z(way * 2 * math.pi / folds)[:2, :2]
     there, facing = points.copy(), normals.copy()
     there[:, :2] = (points[:, :2] - center) @ rotation.T + center
     facing[:, :2] = normals[:, :2] @ rotation.T
     return there, facing, rotation
-
-
-def _rotation(step: int, folds: int) -> FloatArray:  # [2, 2]
-    """Return the turn of x and y by whole steps."""
-    angle = step * 2 * math.pi / folds
-    return np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])

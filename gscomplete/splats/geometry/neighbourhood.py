@@ -13,6 +13,7 @@ from torch import Tensor
 
 from gscomplete.splats.record import Splats
 from gscomplete.splats.rotations import thinnest_axes
+from gscomplete.util.arrays import BoolArray, Float64Array
 
 ON_RIM = 0.5
 """Points of which ``one_sidedness`` is larger are on the rim."""
@@ -46,8 +47,8 @@ def one_sidedness(ways: NDArray[np.floating]) -> NDArray[np.floating]:  # [N, K,
 
 
 def normals_of(
-    neighbours: NDArray[np.float64],  # [N, K, 3]
-) -> NDArray[np.float64]:  # [N, 3]
+    neighbours: Float64Array,  # [N, K, 3]
+) -> Float64Array:  # [N, 3]
     """Return unit normals, of either sign: the directions along which neighbours vary least.
 
     Args:
@@ -63,18 +64,18 @@ def are_flat(splats: Splats) -> Tensor:  # [N] bool
     return ordered[:, 0] < FLAT * ordered[:, 1]
 
 
-def flat_axes(splats: Splats) -> NDArray[np.float64]:  # [N, 3]
+def flat_axes(splats: Splats) -> Float64Array:  # [N, 3]
     """Return the directions along which splats are thin, unit vectors; zero where not flat."""
     axes = thinnest_axes(splats.quaternions, splats.scales) * are_flat(splats)[:, None]
     return axes.double().cpu().numpy()
 
 
 def normals_at(
-    places: NDArray[np.float64],  # [K, 3]
-    points: NDArray[np.float64],  # [N, 3]
+    places: Float64Array,  # [K, 3]
+    points: Float64Array,  # [N, 3]
     tree: cKDTree,
-    axes: NDArray[np.float64] | None = None,  # [N, 3]
-) -> NDArray[np.float64]:  # [K, 3]
+    axes: Float64Array | None = None,  # [N, 3]
+) -> Float64Array:  # [K, 3]
     """Return unit normals of the surface of points, of either sign.
 
     Where the axes about a place agree, the normal is the direction nearest to them all, else that
@@ -91,20 +92,20 @@ def normals_at(
         return normals_of(points[index])
     near = axes[index]
     shares, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", near, near) / near.shape[1])
-    normals: NDArray[np.float64] = vectors[:, :, 2]
+    normals: Float64Array = vectors[:, :, 2]
     unsure = shares[:, 2] <= _AGREE
     normals[unsure] = normals_of(points[index[unsure]])
     return normals
 
 
 def lie_on_surface(
-    places: NDArray[np.float64],  # [K, 3]
-    facing: NDArray[np.float64],  # [K, 3]
+    places: Float64Array,  # [K, 3]
+    facing: Float64Array,  # [K, 3]
     tree: cKDTree,
-    normals: NDArray[np.float64],  # [N, 3]
+    normals: Float64Array,  # [N, 3]
     neighbours: int,
     least_cosine: float,
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:  # [K], [K]
+) -> tuple[BoolArray, BoolArray]:  # [K], [K]
     """Compare oriented places with a surface that fills about one unit; normals are of either sign.
 
     Args:

@@ -12,6 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from gscomplete.util.arrays import BoolArray, Float64Array
 from gscomplete.util.kernels import KERNEL
 
 _FIRST_SPACING = 0.01
@@ -24,12 +25,10 @@ _CELLS = 1 << 20
 _MIX, _SHIFT = 0x9E3779B97F4A7C1, 20
 """Multiplier and shift that turn cell numbers into places of the hash table."""
 
-FloatArray = NDArray[np.float64]
-
 
 def poisson_disk_sample(
-    points: FloatArray,  # [N, 3]
-    normals: FloatArray,  # [N, 3]
+    points: Float64Array,  # [N, 3]
+    normals: Float64Array,  # [N, 3]
     most: int,
     least_spacing: float,
 ) -> tuple[NDArray[np.intp], float]:  # [K]
@@ -69,10 +68,10 @@ def poisson_disk_sample(
 
 @numba.njit(**KERNEL)
 def keep_apart(
-    points: FloatArray,  # [N, 3] none negative
-    normals: FloatArray,  # [N, 3]
+    points: Float64Array,  # [N, 3] none negative
+    normals: Float64Array,  # [N, 3]
     spacing: float,
-) -> NDArray[np.bool_]:  # [N]
+) -> BoolArray:  # [N]
     """Mark the points that are kept; cells as wide as the spacing are found by hashing."""
     count, size = len(points), 1
     while size < 2 * count:

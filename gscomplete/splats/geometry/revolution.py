@@ -26,8 +26,6 @@ from gscomplete.splats.geometry.axis_coordinates import (
     OFF_SINE,
     STEEP,
     Axis,
-    BoolArray,
-    FloatArray,
     Turning,
     in_box_sides,
     off_plane,
@@ -35,6 +33,7 @@ from gscomplete.splats.geometry.axis_coordinates import (
 )
 from gscomplete.splats.geometry.neighbourhood import lie_on_surface, normals_at
 from gscomplete.splats.thinning import every_nth
+from gscomplete.util.arrays import BoolArray, Float64Array
 
 _MOST_POINTS = 20_000
 _TESTED = 2500
@@ -98,8 +97,8 @@ class Revolution:
 
 
 def find_revolution(
-    points: FloatArray,  # [N, 3] z up
-    axes: FloatArray | None = None,  # [N, 3]
+    points: Float64Array,  # [N, 3] z up
+    axes: Float64Array | None = None,  # [N, 3]
     cut: tuple[float, float] | None = None,
 ) -> Revolution | None:
     """Return the surface of revolution that P is part of; None = none, or P is better mirrored.
@@ -147,8 +146,8 @@ def find_revolution(
 
 def box_of(
     revolution: Revolution,
-    points: FloatArray,  # [N, 3]
-) -> tuple[FloatArray, float]:  # [3]
+    points: Float64Array,  # [N, 3]
+) -> tuple[Float64Array, float]:  # [3]
     """Return the centre and the largest side of the box of P and the whole body."""
     around = np.linspace(0.0, 2 * math.pi, 48, endpoint=False)
     circle = revolution.radius * np.stack([np.cos(around), np.sin(around)], axis=1)
@@ -178,7 +177,7 @@ def _turned_fit(
     return float(met.mean()), float(fits[met].mean()) if met.any() else 0.0
 
 
-def upright_axis(points: FloatArray, normals: FloatArray) -> Axis | None:  # [N, 3] each
+def upright_axis(points: Float64Array, normals: Float64Array) -> Axis | None:  # [N, 3] each
     """Return the upright axis that most normals meet, of those that pairs of them give."""
     steep = np.hypot(normals[:, 0], normals[:, 1])
     weights = np.where(steep > STEEP, steep, 0.0)
@@ -206,7 +205,7 @@ def upright_axis(points: FloatArray, normals: FloatArray) -> Axis | None:  # [N,
     return None if best is None else Axis.through(np.array([*best, 0.0]), np.array([0.0, 0.0, 1.0]))
 
 
-def _share_met(axis: Axis, points: FloatArray, normals: FloatArray) -> float:
+def _share_met(axis: Axis, points: Float64Array, normals: Float64Array) -> float:
     """Return how many of the normals meet the axis; 0 if these do not face several ways."""
     turning = Turning.about(axis, points, normals)
     weights = np.where(turning.horizontal > STEEP, turning.horizontal, 0.0)
@@ -220,7 +219,7 @@ def _share_met(axis: Axis, points: FloatArray, normals: FloatArray) -> float:
     return float(met.sum() / weights.sum())
 
 
-def _by_normals(start: Axis, points: FloatArray, normals: FloatArray) -> Axis:  # [N, 3] each
+def _by_normals(start: Axis, points: Float64Array, normals: Float64Array) -> Axis:  # [N, 3] each
     """Refine place and tilt so that the normals meet the axis (Gauss-Newton, robust)."""
     x0, y0, tilt_x, tilt_y = *start.point[:2], 0.0, 0.0
     steep = np.hypot(normals[:, 0], normals[:, 1])
@@ -241,7 +240,7 @@ def _by_normals(start: Axis, points: FloatArray, normals: FloatArray) -> Axis:  
     return Axis.through(np.array([x0, y0, 0.0]), np.array([tilt_x, tilt_y, 1.0]))
 
 
-def _by_radii(start: Axis, points: FloatArray, normals: FloatArray) -> Axis:  # [N, 3] each
+def _by_radii(start: Axis, points: Float64Array, normals: Float64Array) -> Axis:  # [N, 3] each
     """Refine place and tilt so that points alike in height and normal are equally far from it."""
     axis = start
     for _ in range(_RADIUS_STEPS):
@@ -287,16 +286,16 @@ def _by_radii(start: Axis, points: FloatArray, normals: FloatArray) -> Axis:  # 
 
 
 def _step(
-    slopes: FloatArray,  # [M, 4] by x, y and both tilts
-    passes: FloatArray,  # [M]
-    weights: FloatArray,  # [M]
-    tilt: FloatArray,  # [2]
+    slopes: Float64Array,  # [M, 4] by x, y and both tilts
+    passes: Float64Array,  # [M]
+    weights: Float64Array,  # [M]
+    tilt: Float64Array,  # [2]
     stiffness: tuple[float, float],
-) -> FloatArray:  # [4]
+) -> Float64Array:  # [4]
     """Return a Gauss-Newton step; ``stiffness`` keeps the place where it is and tilts at zero."""
     normal = (slopes * weights[:, None]).T @ slopes
     right = -(slopes * weights[:, None]).T @ passes
     keep = max(float(weights.sum()), 1e-12) * np.repeat(stiffness, 2)
     right[2:] -= keep[2:] * tilt
-    step: FloatArray = np.linalg.solve(normal + np.diag(keep), right).astype(np.float64)
+    step: Float64Array = np.linalg.solve(normal + np.diag(keep), right).astype(np.float64)
     return step

@@ -12,10 +12,9 @@ Conventions
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-FloatArray = NDArray[np.float64]
+from gscomplete.util.arrays import BoolArray, Float64Array
 
 _FEWEST = 300
 """Of fewer points no table is told apart."""
@@ -41,7 +40,7 @@ _FEWEST_BEYOND = 0.01
 """Least share of all points that reach beyond."""
 
 
-def table_rows(points: FloatArray) -> NDArray[np.bool_]:  # [N, 3] -> [N]
+def table_rows(points: Float64Array) -> BoolArray:  # [N, 3] -> [N]
     """Mark the points of the table that an object stands on; none if there is no such table."""
     nothing = np.zeros(len(points), np.bool_)
     if len(points) < _FEWEST:
@@ -66,14 +65,14 @@ def table_rows(points: FloatArray) -> NDArray[np.bool_]:  # [N, 3] -> [N]
     return table if reaching.sum() >= _FEWEST_BEYOND * len(points) else nothing
 
 
-def _densest(heights: FloatArray) -> float:  # [M] increasing
+def _densest(heights: Float64Array) -> float:  # [M] increasing
     """Return the middle of the densest layer."""
     counts = np.searchsorted(heights, heights + _LAYER) - np.arange(len(heights))
     start = int(counts.argmax())
     return float(np.median(heights[start : start + counts[start]]))
 
 
-def _beyond(places: FloatArray, standing: FloatArray) -> NDArray[np.bool_]:  # [M, 2], [K, 2] -> [M]
+def _beyond(places: Float64Array, standing: Float64Array) -> BoolArray:  # [M, 2], [K, 2] -> [M]
     """Mark places outside the convex outline of others and far from all of them."""
     away, _ = cKDTree(standing).query(places, distance_upper_bound=_BEYOND)
     is_far = ~np.isfinite(away)

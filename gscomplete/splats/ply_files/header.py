@@ -209,6 +209,8 @@ def _parse(path: Path, lines: tuple[bytes, ...]) -> PlyHeader:
                 if name in [element.name for element in elements]:
                     fail(number, f"element '{name}' once")
                 elements.append(Element(name, int(count), (), number))
+            case ["element", *_]:
+                fail(number, "'element NAME COUNT' with a whole COUNT from 0")
             case ["property", "list", count_type, value_type, name] if elements:
                 count_code = SCALAR_CODES.get(count_type, "f4")
                 if value_type not in SCALAR_CODES or count_code.startswith("f"):

@@ -17,7 +17,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float32]
+from gscomplete.util.arrays import Float32Array
 
 JIT: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 """Options of the kernels; unsigned indices spare them Python's negative ones."""
@@ -25,13 +25,13 @@ JIT: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 
 @numba.njit(**JIT)
 def split_table(
-    table: FloatArray,  # [B, P]
+    table: Float32Array,  # [B, P]
     places: NDArray[np.uint64],  # [11 + W]
-    means: FloatArray,  # [B, 3] out
-    quaternions: FloatArray,  # [B, 4] out, unit
-    logs: FloatArray,  # [B, 3] out
-    negative_logits: FloatArray,  # [B] out
-    sh: FloatArray,  # [B, W] out
+    means: Float32Array,  # [B, 3] out
+    quaternions: Float32Array,  # [B, 4] out, unit
+    logs: Float32Array,  # [B, 3] out
+    negative_logits: Float32Array,  # [B] out
+    sh: Float32Array,  # [B, W] out
 ) -> None:
     """Copy the values of a block into their arrays; quaternions as ``unit_quaternions``."""
     width = np.uint64(len(places) - 11)
@@ -56,13 +56,13 @@ def split_table(
 
 @numba.njit(**JIT)
 def join_table(
-    means: FloatArray,  # [B, 3]
-    quaternions: FloatArray,  # [B, 4]
-    logs: FloatArray,  # [B, 3] of the scales
-    logits: FloatArray,  # [B] of the opacities
-    sh: FloatArray,  # [B, W]
+    means: Float32Array,  # [B, 3]
+    quaternions: Float32Array,  # [B, 4]
+    logs: Float32Array,  # [B, 3] of the scales
+    logits: Float32Array,  # [B] of the opacities
+    sh: Float32Array,  # [B, W]
     places: NDArray[np.uint64],  # [11 + W]
-    table: FloatArray,  # [B, P] out; other columns are left alone
+    table: Float32Array,  # [B, P] out; other columns are left alone
 ) -> None:
     """Copy the arrays of a block into its records."""
     width = np.uint64(len(places) - 11)

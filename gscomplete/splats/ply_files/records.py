@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from gscomplete.splats.ply_files.layout import SplatLayout
 from gscomplete.splats.ply_files.threads import Scratch, blocks
 from gscomplete.splats.record import Splats
-
-FloatArray = NDArray[np.float32]
+from gscomplete.splats.rotations import unit_quaternions
+from gscomplete.util.arrays import Float32Array
 
 LOGIT_LIMIT = 20.0
 """Opacities 0 and 1 are written as logits of -20 and 20, which read back as 2e-9 and 1."""
@@ -41,11 +41,11 @@ class Decoder:
 
     layout: SplatLayout
     places: NDArray[np.uint64] | None  # for the compiled loops; None = numpy does it
-    means: FloatArray  # [N, 3]
-    quaternions: FloatArray  # [N, 4]
-    scales: FloatArray  # [N, 3]
-    opacities: FloatArray  # [N]
-    sh: FloatArray  # [N, 3 K]
+    means: Float32Array  # [N, 3]
+    quaternions: Float32Array  # [N, 4]
+    scales: Float32Array  # [N, 3]
+    opacities: Float32Array  # [N]
+    sh: Float32Array  # [N, 3 K]
 
     @classmethod
     def for_rows(cls, count: int, layout: SplatLayout, dtype: np.dtype) -> Decoder:
@@ -72,7 +72,7 @@ class Decoder:
             else:
                 self._fill_compiled(rows, records, self.places)
 
-    def _fill(self, rows: slice, table: FloatArray) -> None:
+    def _fill(self, rows: slice, table: Float32Array) -> None:
         layout = self.layout
         self.means[rows] = table.take(layout.means, axis=1)
         np.exp(table.take(layout.scales, axis=1), out=self.scales[rows])
@@ -208,7 +208,7 @@ def _logarithms(part: dict[str, NDArray]) -> tuple[NDArray, NDArray]:  # [B, 3],
     return np.maximum(logs, LOG_SCALE_LIMIT), np.clip(logits, -LOGIT_LIMIT, LOGIT_LIMIT)
 
 
-def _file_values(part: dict[str, NDArray]) -> FloatArray:  # [B, 11 + 3 K]
+def _file_values(part: dict[str, NDArray]) -> Float32Array:  # [B, 11 + 3 K]
     """Turn one block of splats into the numbers files hold, in the order of ``_places``."""
     logs, logits = _logarithms(part)
     count = len(logits)
@@ -221,7 +221,7 @@ def _file_values(part: dict[str, NDArray]) -> FloatArray:  # [B, 11 + 3 K]
     return table
 
 
-def value_table(records: NDArray[np.void]) -> NDArray[np.float32]:  # [B, P]
+def value_table(records: NDArray[np.void]) -> Float32Array:  # [B, P]
     """All values of some records as a float32 table; a view where they are stored as one."""
     names = records.dtype.names or ()
     if _is_uniform(records.dtype):
@@ -236,14 +236,3 @@ def _is_uniform(dtype: np.dtype) -> bool:
     """True when records of this type are float32 numbers in the machine's byte order only."""
     kinds = {dtype[name] for name in dtype.names or ()}
     return kinds == {np.dtype("=f4")}
-
-
-def unit_quaternions(quaternions: NDArray[np.float32]) -> NDArray[np.float32]:  # [B, 4]
-    """Normalise without overflow or underflow; zero quaternions become the identity."""
-    columns = np.ascontiguousarray(quaternions.T)
-    largest = np.abs(columns).max(axis=0)
-    zero = largest == 0
-    columns /= np.where(zero, 1, largest)
-    columns[0, zero] = 1
-    columns /= np.sqrt((columns * columns).sum(axis=0))
-    return columns.T

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+
+from gscomplete.util.arrays import Float32Array
 
 _COUNT = 50
 
@@ -33,7 +34,7 @@ def scan_seeds(folder: Path) -> list[tuple[str, Callable[[Path], object]]]:
     return [(path.name, read_scan) for path in sorted(folder.iterdir())]
 
 
-def _write_pcd(folder: Path, points: NDArray[np.float32]) -> None:  # [N, 3]
+def _write_pcd(folder: Path, points: Float32Array) -> None:  # [N, 3]
     """Write the points as text, as bytes by point, and as packed bytes by field."""
     head = f"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH {_COUNT}\nHEIGHT 1\nPOINTS {_COUNT}\nDATA "
     text = "\n".join(" ".join(f"{value:.4f}" for value in point) for point in points)

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from gscomplete.splats.oklab import oklab_from_srgb
-from recipes.train_embedded_prior.procedural.quads import FloatArray
+from gscomplete.util.arrays import Float32Array
 
 _HUES = {
     "red": "c8281e",
@@ -35,7 +35,7 @@ _FIRST_SHARE, _SECOND_SHARE = 0.4, 0.3
 _HUE_COUNTS, _CHROMA_COUNTS, _LIGHTNESS_COUNTS = 0.15, 0.4, 0.3
 
 
-def color_words(colors: FloatArray) -> tuple[str, ...]:  # [N, 3]
+def color_words(colors: Float32Array) -> tuple[str, ...]:  # [N, 3]
     """Return the names of the one or two colours that most of an object has, if any."""
     codes = [[int(code[k : k + 2], 16) / 255 for k in (0, 2, 4)] for code in _HUES.values()]
     hues = oklab_from_srgb(torch.tensor(codes))

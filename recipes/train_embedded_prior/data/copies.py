@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from gscomplete.shape.planes.answer_scorer import WRONG_WEIGHT
@@ -22,11 +21,11 @@ from gscomplete.shape.voxels import (
     CELL_SIDE,
     CELLS,
     HALF_SIDE,
-    FloatArray,
     fill_colored,
     splat_arrays,
 )
 from gscomplete.splats import Splats
+from gscomplete.util.arrays import BoolArray, Float32Array
 
 _SAMPLES = 400
 
@@ -35,10 +34,10 @@ _SAMPLES = 400
 class Truth:
     """A part and the complete object, by which copies are scored."""
 
-    to_part: FloatArray  # [C, C, C] cells
-    to_complete: FloatArray  # [C, C, C] cells
-    missing: FloatArray  # [M, 3] points of the complete object's surface that P lacks
-    points: FloatArray  # [N, 3] of P
+    to_part: Float32Array  # [C, C, C] cells
+    to_complete: Float32Array  # [C, C, C] cells
+    missing: Float32Array  # [M, 3] points of the complete object's surface that P lacks
+    points: Float32Array  # [N, 3] of P
 
     @classmethod
     def of(cls, partial: Splats, complete: Splats) -> Truth:
@@ -57,7 +56,7 @@ class Truth:
         back, copies = symmetry.undo(self.missing), symmetry.apply(self.points)
         return float(self._true_scores(back[None], copies[None])[0])
 
-    def plane_scores(self) -> FloatArray:  # [A, O]
+    def plane_scores(self) -> Float32Array:  # [A, O]
         """Return the scores of the copies through all planes of ``planes``."""
         rows = [
             self._true_scores(_mirrored(self.missing, normal), _mirrored(self.points, normal))
@@ -67,9 +66,9 @@ class Truth:
 
     def _true_scores(
         self,
-        back: FloatArray,  # [K, M, 3] missing points, mapped back to where P should have them
-        copies: FloatArray,  # [K, N, 3]
-    ) -> FloatArray:  # [K]
+        back: Float32Array,  # [K, M, 3] missing points, mapped back to where P should have them
+        copies: Float32Array,  # [K, N, 3]
+    ) -> Float32Array:  # [K]
         if not len(self.missing):
             return np.zeros(len(back), np.float32)
         covered = _at(self.to_part, back) <= 1.0
@@ -78,7 +77,7 @@ class Truth:
         return score.astype(np.float32)
 
 
-def _mirrored(points: FloatArray, normal: FloatArray) -> FloatArray:  # [N, 3] -> [O, N, 3]
+def _mirrored(points: Float32Array, normal: Float32Array) -> Float32Array:  # [N, 3] -> [O, N, 3]
     """Mirror points through all the planes of one normal."""
     shift = 2 * (np.array(OFFSETS, np.float32)[:, None] - points[:, :2] @ normal)
     copies = np.repeat(points[None], len(OFFSETS), axis=0)
@@ -87,23 +86,23 @@ def _mirrored(points: FloatArray, normal: FloatArray) -> FloatArray:  # [N, 3] -
 
 
 def _cells_to(
-    positions: FloatArray, tangents: FloatArray, opacities: FloatArray, colors: FloatArray
-) -> FloatArray:  # [C, C, C]
+    positions: Float32Array, tangents: Float32Array, opacities: Float32Array, colors: Float32Array
+) -> Float32Array:  # [C, C, C]
     """Return distances to a surface in cells."""
     filled = fill_colored(positions, tangents, opacities, colors, CELLS)[0] > 0
     return cells_away(filled)
 
 
-def cells_away(filled: NDArray[np.bool_]) -> FloatArray:  # [C, C, C] -> [C, C, C]
+def cells_away(filled: BoolArray) -> Float32Array:  # [C, C, C] -> [C, C, C]
     """Return every cell's distance to the nearest filled one in cells; ``CELLS`` if none is."""
     if not filled.any():
         return np.full(filled.shape, CELLS, np.float32)
     return ndimage.distance_transform_edt(~filled).astype(np.float32)
 
 
-def _at(volume: FloatArray, points: FloatArray) -> FloatArray:
+def _at(volume: Float32Array, points: Float32Array) -> Float32Array:
     """Look points up; outside the grid everything is far."""
     cells = np.floor((points + HALF_SIDE) / CELL_SIDE).astype(np.intp)
-    inside: NDArray[np.bool_] = ((cells >= 0) & (cells < CELLS)).all(axis=-1)
+    inside: BoolArray = ((cells >= 0) & (cells < CELLS)).all(axis=-1)
     i, j, k = np.moveaxis(cells.clip(0, CELLS - 1), -1, 0)
     return np.where(inside, volume[i, j, k], np.float32(CELLS))

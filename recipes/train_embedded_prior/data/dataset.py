@@ -22,7 +22,7 @@ from torch import Tensor
 from gscomplete.priors.embedded.inputs import input_map, network_images, shape_map
 from gscomplete.priors.embedded.text import Tokenizer
 from gscomplete.render import render
-from gscomplete.shape.bank.surface_splats import cells_passed, surface_splats
+from gscomplete.shape.bank.cell_splats import cell_splats, cells_passed
 from gscomplete.splats import Splats
 from gscomplete.views.cameras import Cameras, orbit_cameras, radius_to_fit
 from recipes.train_embedded_prior.config import DataConfig
@@ -128,7 +128,7 @@ class SetMaker:
 
     def _render_shape(self, splats: Splats, cameras: Cameras, radius: float) -> np.ndarray:
         """Draw the object as a known shape: the cells that its surface passes."""
-        seen = render(surface_splats(cells_passed(splats.means.double().numpy())), cameras)
+        seen = render(cell_splats(cells_passed(splats.means.double().numpy())), cameras)
         return _stored(shape_map(seen.alpha, seen.depth, radius, self._resolution_px))
 
 

@@ -19,11 +19,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from gscomplete.errors import UserError
-from recipes.train_embedded_prior.procedural.quads import FloatArray
+from gscomplete.util.arrays import Float32Array, IntArray
 
 MANIFEST = "MANIFEST.tsv"
 STEPS = 4095
@@ -53,17 +52,17 @@ class PackEntry:
 class PackMesh:
     """A coloured mesh."""
 
-    vertices: FloatArray  # [V, 3]
-    faces: NDArray[np.int64]  # [F, 3]
-    face_colors: FloatArray | None  # [F, 3]
-    texture: FloatArray | None  # [S, S, 3] top row first
+    vertices: Float32Array  # [V, 3]
+    faces: IntArray  # [F, 3]
+    face_colors: Float32Array | None  # [F, 3]
+    texture: Float32Array | None  # [S, S, 3] top row first
     block_px: int
 
     def colors_at(
         self,
-        face: NDArray[np.int64],  # [N]
-        weights: FloatArray,  # [N, 3] barycentric
-    ) -> FloatArray:  # [N, 3]
+        face: IntArray,  # [N]
+        weights: Float32Array,  # [N, 3] barycentric
+    ) -> Float32Array:  # [N, 3]
         """Return the colours of points on faces."""
         if self.texture is None:
             assert self.face_colors is not None
@@ -75,15 +74,15 @@ class PackMesh:
         right, down = (place - first).astype(np.float32).T[:, :, None]
         upper = self.texture[y, x] * (1 - right) + self.texture[y, x + 1] * right
         lower = self.texture[y + 1, x] * (1 - right) + self.texture[y + 1, x + 1] * right
-        mixed: FloatArray = upper * (1 - down) + lower * down
+        mixed: Float32Array = upper * (1 - down) + lower * down
         return mixed
 
 
 def _corners_px(
-    face: NDArray[np.int64],  # [N]
+    face: IntArray,  # [N]
     block_px: int,
     side_px: int,
-) -> FloatArray:  # [N, 3, 2] x, y
+) -> Float32Array:  # [N, 3, 2] x, y
     """Return where the corners of faces lie in the texture."""
     row, column = np.divmod(face // 2, side_px // block_px)
     reach = block_px - 2

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from gscomplete.splats import Splats
+from gscomplete.util.arrays import Float32Array
 from recipes.train_embedded_prior.data.color_words import color_words, with_color_words
 from recipes.train_embedded_prior.data.dataset import HELD_OUT_SEED_OFFSET, TrainingObject
 from recipes.train_embedded_prior.data.mesh_pack import (
@@ -29,7 +30,7 @@ from recipes.train_embedded_prior.data.source import procedural_source
 from recipes.train_embedded_prior.data.user_parts import user_part
 from recipes.train_embedded_prior.procedural.materials import bake, sample_light
 from recipes.train_embedded_prior.procedural.objects import into_unit_box
-from recipes.train_embedded_prior.procedural.quads import FloatArray, turn_about
+from recipes.train_embedded_prior.procedural.quads import turn_about
 from recipes.train_embedded_prior.procedural.sampling import SurfaceSamples
 from recipes.train_embedded_prior.procedural.warps import draw_warp, warped
 from splatcomplete_data.mesh.discs import discs_at, sample_triangles
@@ -97,7 +98,7 @@ class MixedSource:
 @functools.lru_cache(maxsize=4)
 def _entries(
     folder: Path, split: str, count: int | None = None
-) -> tuple[list[PackEntry], FloatArray]:  # entries, cumulative shares [N]
+) -> tuple[list[PackEntry], Float32Array]:  # entries, cumulative shares [N]
     """Return entries of a split and the ends of their shares of a draw from [0, 1)."""
     entries = [entry for entry in read_manifest(folder) if entry.split == split]
     if count is not None:
@@ -111,7 +112,7 @@ def _entries(
 
 def mesh_splats(
     mesh: PackMesh, entry: PackEntry, rng: np.random.Generator
-) -> tuple[Splats, FloatArray]:  # [N, 3]
+) -> tuple[Splats, Float32Array]:  # [N, 3]
     """Cover a mesh with discs, augmented; object frame. Returns their colours unlit, too."""
     count = int(rng.integers(_SPLATS[0], _SPLATS[1] + 1))
     triangles = mesh.vertices[mesh.faces]
@@ -142,7 +143,7 @@ def mesh_splats(
     return discs, unlit
 
 
-def _painted(samples: SurfaceSamples, rng: np.random.Generator) -> FloatArray:  # [N, 3]
+def _painted(samples: SurfaceSamples, rng: np.random.Generator) -> Float32Array:  # [N, 3]
     """Paint level bands of up to three plain colours."""
     palette = rng.random((3, 3)).astype(np.float32)
     height = samples.points[:, 2]
@@ -171,7 +172,7 @@ def _reshaped(samples: SurfaceSamples, rng: np.random.Generator) -> SurfaceSampl
     return samples
 
 
-def _turn(rng: np.random.Generator) -> FloatArray:  # [3, 3]
+def _turn(rng: np.random.Generator) -> Float32Array:  # [3, 3]
     """Draw a turn about the up axis, rarely with a lean of a few degrees."""
     turned = rng.random() < _TURNED_SHARE
     yaw_deg = float(rng.uniform(0, 360)) if turned else 90.0 * float(rng.integers(4))

@@ -17,15 +17,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 from scipy.spatial import cKDTree
 
 from gscomplete.errors import UserError
+from gscomplete.util.arrays import Float32Array, Float64Array, IntArray
 from gscomplete.util.atomic import atomic_path
 from gscomplete.util.optional import import_optional
 from recipes.train_embedded_prior.data.mesh_pack import STEPS
-from recipes.train_embedded_prior.procedural.quads import FloatArray
 from splatcomplete_data.mesh.discs import sample_triangles, triangle_areas_and_normals
 from splatcomplete_data.mesh.files.load import Mesh
 from splatcomplete_data.mesh.files.parts import GREY
@@ -68,17 +67,17 @@ class PackedMesh:
 class _Texels:
     """The N texels of all faces."""
 
-    face: NDArray[np.int64]  # [N]
-    weights: FloatArray  # [N, 3] barycentric
-    row: NDArray[np.int64]  # [N] row in the picture
-    column: NDArray[np.int64]  # [N]
+    face: IntArray  # [N]
+    weights: Float32Array  # [N, 3] barycentric
+    row: IntArray  # [N] row in the picture
+    column: IntArray  # [N]
     block_px: int
     side_px: int
 
 
 def packed(
     mesh: Mesh,
-    upright: NDArray[np.float64],  # [3, 3] turns the file's axes into z-up ones
+    upright: Float64Array,  # [3, 3] turns the file's axes into z-up ones
     most_faces: int,
 ) -> PackedMesh:
     """Turn a mesh z up, centre its box, scale its longest side to 1, and reduce it to few faces.
@@ -144,19 +143,19 @@ def write_packed(path: Path, mesh: PackedMesh, *, unit_m: float, made_of: str) -
         np.savez_compressed(file, **mesh.fields, **told, size_m=size_m)
 
 
-def _alphas(mesh: Mesh) -> FloatArray:  # [T]
+def _alphas(mesh: Mesh) -> Float32Array:  # [T]
     """Return the mean alpha of every face."""
     faces = np.arange(mesh.triangles)
     weights = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]], np.float32)
     weights /= weights.sum(axis=1, keepdims=True)
     every = [mesh.colors_at(faces, np.tile(row, (len(faces), 1)))[:, 3] for row in weights]
-    mean: FloatArray = np.mean(every, axis=0)
+    mean: Float32Array = np.mean(every, axis=0)
     return mean
 
 
 def _merged(
-    corners: NDArray[np.float64],  # [T, 3, 3]
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:  # [V, 3], [F, 3], [F]
+    corners: Float64Array,  # [T, 3, 3]
+) -> tuple[Float64Array, IntArray, IntArray]:  # [V, 3], [F, 3], [F]
     """Merge corners in the same place; return vertices, faces, and the triangle of each face.
 
     Triangles that lose a corner by it are left out.
@@ -169,10 +168,10 @@ def _merged(
 
 
 def _decimated(
-    vertices: NDArray[np.float64],  # [V, 3]
-    faces: NDArray[np.int64],  # [F, 3]
+    vertices: Float64Array,  # [V, 3]
+    faces: IntArray,  # [F, 3]
     count: int,
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+) -> tuple[Float64Array, IntArray]:
     """Decimate a mesh to about so many faces; return its vertices and faces.
 
     Raises:
@@ -218,11 +217,11 @@ def _texels(faces: int) -> _Texels:
 
 def _nearest_colors(
     mesh: Mesh,
-    source: NDArray[np.float64],  # [T, 3, 3] triangles of the mesh, as placed in the pack
-    seen: NDArray[np.int64],  # [S] numbers of the triangles that are not left out
-    corners: NDArray[np.float64],  # [F, 3, 3] corners of the decimated faces
+    source: Float64Array,  # [T, 3, 3] triangles of the mesh, as placed in the pack
+    seen: IntArray,  # [S] numbers of the triangles that are not left out
+    corners: Float64Array,  # [F, 3, 3] corners of the decimated faces
     texels: _Texels,
-) -> FloatArray:  # [N, 3]
+) -> Float32Array:  # [N, 3]
     """Return mean colours of the nearest places of the old surface that face the same way."""
     triangle, weights = sample_triangles(source[seen].astype(np.float32), _SAMPLES, 1)
     colors = mesh.colors_at(seen[triangle], weights)[:, :3]
@@ -232,11 +231,11 @@ def _nearest_colors(
     distance, index = cKDTree(places).query(asked, k=_NEAREST)
     cosine = np.einsum("nkc,nc->nk", facing[index], _units(corners)[texels.face])
     order = np.argsort(distance + _FACING * (1 - cosine), axis=1)[:, :_MEAN_OF]
-    mean: FloatArray = colors[np.take_along_axis(index, order, axis=1)].mean(axis=1)
+    mean: Float32Array = colors[np.take_along_axis(index, order, axis=1)].mean(axis=1)
     return mean
 
 
-def _units(corners: NDArray[np.float64]) -> NDArray[np.float64]:  # [F, 3, 3] -> [F, 3]
+def _units(corners: Float64Array) -> Float64Array:  # [F, 3, 3] -> [F, 3]
     """Return the unit normals of triangles; zero for triangles without area."""
     _, normals = triangle_areas_and_normals(corners)  # type: ignore[arg-type]
     length = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -244,7 +243,7 @@ def _units(corners: NDArray[np.float64]) -> NDArray[np.float64]:  # [F, 3, 3] ->
 
 
 def _stored_colors(
-    colors: FloatArray,  # [N, 3] of the texels
+    colors: Float32Array,  # [N, 3] of the texels
     texels: _Texels,
     faces: int,
 ) -> tuple[str, dict[str, Any]]:

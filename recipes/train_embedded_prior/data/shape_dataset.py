@@ -40,12 +40,12 @@ from gscomplete.shape.symmetry_choice import CANDIDATES
 from gscomplete.shape.voxels import (
     CELLS,
     COARSE_CELLS,
-    FloatArray,
     fill_colored,
     splat_arrays,
 )
 from gscomplete.splats import Splats
 from gscomplete.splats.transform import Similarity, transform_splats
+from gscomplete.util.arrays import Float32Array
 from gscomplete.util.jsonio import dumps
 from gscomplete.views import ObjectFrame, ViewDistribution
 from recipes.train_embedded_prior.config import ShapeDataConfig
@@ -299,7 +299,7 @@ def _moved_plane(plane: SymmetryMap, move: Similarity, yaw: float) -> SymmetryMa
 
 
 def pack_cells(
-    volume: FloatArray,  # [4, C, C, C]
+    volume: Float32Array,  # [4, C, C, C]
     most: int,
     rng: np.random.Generator,
 ) -> NDArray[np.uint8]:  # [most, 7]
@@ -317,7 +317,7 @@ def pack_cells(
 
 def unpack_cells(
     packed: NDArray[np.uint8],  # [K, most, 7]
-) -> FloatArray:  # [K, 4, C, C, C]
+) -> Float32Array:  # [K, 4, C, C, C]
     """Undo :func:`pack_cells` for many volumes."""
     volumes = np.zeros((len(packed), 4, CELLS**3), np.float32)
     for volume, cells in zip(volumes, packed, strict=True):

@@ -17,13 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from gscomplete.shape.voxels import CELLS, HALF_SIDE, FloatArray
+from gscomplete.shape.voxels import CELLS, HALF_SIDE
+from gscomplete.util.arrays import Float32Array
 
 _CLOSING = 2
 """Steps of one cell that the surface is grown by, at most, to close its gaps."""
 
 
-def solid_cells(positions: FloatArray, tangents: FloatArray) -> NDArray[np.uint8]:  # [C, C, C]
+def solid_cells(positions: Float32Array, tangents: Float32Array) -> NDArray[np.uint8]:  # [C, C, C]
     """Return 1 where a complete object fills its cell, from its splats."""
     shell = fill_shell(positions, tangents, CELLS, 1.2)
     solid = fill_inside(shell) > 0
@@ -45,8 +46,8 @@ def _grow(mask: NDArray[np.uint8], cells: int) -> NDArray[np.uint8]:
 
 @numba.njit(cache=True)
 def fill_shell(
-    positions: FloatArray,  # [N, 3]
-    tangents: FloatArray,  # [N, 2, 3]
+    positions: Float32Array,  # [N, 3]
+    tangents: Float32Array,  # [N, 2, 3]
     cells: int,
     reach: float,
 ) -> NDArray[np.uint8]:  # [cells, cells, cells]

@@ -13,12 +13,11 @@ import math
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.rotations import thinnest_axes
-from recipes.train_embedded_prior.procedural.quads import FloatArray
+from gscomplete.util.arrays import BoolArray, Float32Array
 from splatcomplete_data.cuts.geometry import eyes_at, splat_points
 
 _FEWEST = 300
@@ -45,8 +44,8 @@ class StrayPart:
     """A part, and which of its splats are strays."""
 
     splats: Splats
-    is_stray: NDArray[np.bool_]  # [N]
-    is_surface: NDArray[np.bool_]  # [N] splats that are neither were added on the surface
+    is_stray: BoolArray  # [N]
+    is_surface: BoolArray  # [N] splats that are neither were added on the surface
 
 
 def stray_part(part: Splats, complete: Splats, rng: np.random.Generator) -> StrayPart | None:
@@ -167,7 +166,7 @@ def _count(part: Splats, shares: tuple[float, float], rng: np.random.Generator) 
     return max(1, round(math.exp(float(rng.uniform(low, high))) * len(part)))
 
 
-def _moved(splats: Splats, offsets: FloatArray) -> Splats:  # [N, 3]
+def _moved(splats: Splats, offsets: Float32Array) -> Splats:  # [N, 3]
     return dataclasses.replace(
         splats, means=splats.means + torch.from_numpy(offsets.astype(np.float32))
     )

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from gscomplete.splats import Splats, concatenate
 from gscomplete.splats.rotations import thinnest_axes
-from recipes.train_embedded_prior.procedural.quads import FloatArray
+from gscomplete.util.arrays import Float32Array
 from splatcomplete_data.cuts.geometry import (
     by_box,
     by_plane,
@@ -97,13 +97,13 @@ def cut_again(part: Splats, rng: np.random.Generator) -> Splats:
     return part.select(mask) if float(mask.float().mean()) < _ALMOST_ALL else part
 
 
-def _eyes(azimuth: NDArray[np.floating], rng: np.random.Generator) -> FloatArray:  # [V] -> [V, 3]
+def _eyes(azimuth: NDArray[np.floating], rng: np.random.Generator) -> Float32Array:  # [V] -> [V, 3]
     """Place scanners at one distance and about one elevation."""
     elevation = np.radians(rng.uniform(-5, 40) + rng.uniform(-6, 6, len(azimuth)))
     return (eyes_at(azimuth, elevation) * rng.uniform(1.4, 2.8)).astype(np.float32)
 
 
-def _normal(rng: np.random.Generator) -> FloatArray:  # [3]
+def _normal(rng: np.random.Generator) -> Float32Array:  # [3]
     """Draw a plane's normal: upright in two of three, else at any tilt."""
     azimuth = float(rng.uniform(0, 2 * math.pi))
     tilt = 0.0 if rng.random() < 0.67 else float(rng.uniform(-math.pi / 2, math.pi / 2))
@@ -113,7 +113,9 @@ def _normal(rng: np.random.Generator) -> FloatArray:  # [3]
     )
 
 
-def _scanned(part: Splats, complete: Splats, eyes: FloatArray, rng: np.random.Generator) -> Splats:
+def _scanned(
+    part: Splats, complete: Splats, eyes: Float32Array, rng: np.random.Generator
+) -> Splats:
     """Give a scan the flaws of a depth camera."""
     points = splat_points(part)
     nearest = np.square(points[:, None] - eyes[None]).sum(axis=2).argmin(axis=1)

@@ -14,11 +14,9 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gscomplete.util.arrays import BoolArray, Float32Array
 from recipes.train_embedded_prior.procedural.sampling import SurfaceSamples
-
-FloatArray = NDArray[np.float32]
 
 Pattern = Literal[
     "solid",
@@ -53,7 +51,7 @@ class Mark:
     """Direction from the surface to who looks at the mark; need not be unit."""
     size: tuple[float, float]
     """Half width and half height; for discs and stars the radius and its vertical counterpart."""
-    color: FloatArray
+    color: Float32Array
     shape: MarkShape = "disc"
     reach: float = 1e9
     """How far from its centre, along ``facing``, the surface may lie."""
@@ -63,8 +61,8 @@ class Mark:
 class Material:
     """How one or several parts are coloured."""
 
-    color: FloatArray
-    accent: FloatArray | None = None
+    color: Float32Array
+    accent: Float32Array | None = None
     pattern: Pattern = "solid"
     frequency: float = 8.0
     duty: float = 0.5
@@ -73,7 +71,7 @@ class Material:
     marks: tuple[Mark, ...] = field(default=())
 
 
-def paint(material: Material, samples: SurfaceSamples) -> FloatArray:  # [N, 3]
+def paint(material: Material, samples: SurfaceSamples) -> Float32Array:  # [N, 3]
     """Return the colours of samples that all carry one material."""
     colors = np.broadcast_to(material.color, (len(samples.points), 3)).copy()
     if material.accent is not None and material.pattern != "solid":
@@ -84,7 +82,7 @@ def paint(material: Material, samples: SurfaceSamples) -> FloatArray:  # [N, 3]
     return colors
 
 
-def _pattern_amount(material: Material, samples: SurfaceSamples) -> FloatArray:  # [N] in [0, 1]
+def _pattern_amount(material: Material, samples: SurfaceSamples) -> Float32Array:  # [N] in [0, 1]
     """Return how much of the accent every sample shows."""
     if material.pattern in ("stripes", "diagonal", "checks", "dots", "bricks", "tiles", "planks"):
         return _uv_pattern(material, samples.uv)
@@ -95,7 +93,7 @@ def _pattern_amount(material: Material, samples: SurfaceSamples) -> FloatArray: 
     return _height_pattern(material, samples.points[:, 2])
 
 
-def _uv_pattern(material: Material, uv: FloatArray) -> FloatArray:
+def _uv_pattern(material: Material, uv: Float32Array) -> Float32Array:
     """Patterns in surface coordinates: every one has a period of 1 in x = u * frequency."""
     x = uv[:, 0] * material.frequency + material.phase
     y = uv[:, 1] * material.frequency + material.phase
@@ -125,7 +123,7 @@ def _uv_pattern(material: Material, uv: FloatArray) -> FloatArray:
     return inside.astype(np.float32)
 
 
-def _solid_pattern(material: Material, points: FloatArray) -> FloatArray:
+def _solid_pattern(material: Material, points: Float32Array) -> Float32Array:
     """Patterns carved from a solid: smooth sums of waves with random-looking directions."""
     p = points * np.float32(material.frequency)
     phase = material.phase
@@ -143,7 +141,7 @@ def _solid_pattern(material: Material, points: FloatArray) -> FloatArray:
     return (0.5 * (first + second) > 0.6 - 0.8 * material.duty).astype(np.float32)
 
 
-def _height_pattern(material: Material, z: FloatArray) -> FloatArray:
+def _height_pattern(material: Material, z: Float32Array) -> Float32Array:
     """Patterns along the height of the painted parts."""
     low, high = float(z.min()), float(z.max())
     height = (z - low) / max(high - low, 1e-6)
@@ -157,12 +155,12 @@ def _height_pattern(material: Material, z: FloatArray) -> FloatArray:
     return (wave % 1.0 < material.duty).astype(np.float32)
 
 
-def _hash(values: FloatArray) -> FloatArray:
+def _hash(values: Float32Array) -> Float32Array:
     """Return noise in [0, 1) as a function of a number."""
     return np.abs(np.sin(values * 12.9898 + 4.1) * 43758.547) % 1.0
 
 
-def _paint_mark(mark: Mark, samples: SurfaceSamples, colors: FloatArray) -> None:
+def _paint_mark(mark: Mark, samples: SurfaceSamples, colors: Float32Array) -> None:
     """Paint one mark into ``colors`` [N, 3]."""
     offset = samples.points - np.asarray(mark.center, np.float32)
     if mark.shape == "ball":
@@ -195,7 +193,7 @@ def _paint_mark(mark: Mark, samples: SurfaceSamples, colors: FloatArray) -> None
 
 
 def _paint_label(
-    mark: Mark, inside: NDArray[np.bool_], x: FloatArray, y: FloatArray, colors: FloatArray
+    mark: Mark, inside: BoolArray, x: Float32Array, y: Float32Array, colors: Float32Array
 ) -> None:
     """Paint a pale or dark label with a picture block and lines of letter-like dashes."""
     tone = mark.color
@@ -211,7 +209,7 @@ def _paint_label(
 class BakedLight:
     """Soft light multiplied into the colours, as in textures with baked shading."""
 
-    direction: FloatArray  # [3] unit, towards the light
+    direction: Float32Array  # [3] unit, towards the light
     strength: float
     """0 = none, 0.5 = sides away from the light at half brightness."""
     occlusion: float
@@ -234,7 +232,9 @@ def sample_light(rng: np.random.Generator) -> BakedLight:
     )
 
 
-def bake(light: BakedLight, samples: SurfaceSamples, colors: FloatArray) -> FloatArray:  # [N, 3]
+def bake(
+    light: BakedLight, samples: SurfaceSamples, colors: Float32Array
+) -> Float32Array:  # [N, 3]
     """Return the colours [N, 3] with the light's shading multiplied in."""
     if light.strength == 0.0 and light.occlusion == 0.0 and light.gloss == 0.0:
         return colors

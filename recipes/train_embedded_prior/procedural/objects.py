@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gscomplete.splats.record import Splats
+from gscomplete.util.arrays import Float32Array
 from recipes.train_embedded_prior.procedural.assembly import Assembly, Description
 from recipes.train_embedded_prior.procedural.captions import caption
 from recipes.train_embedded_prior.procedural.home import (
@@ -27,7 +28,7 @@ from recipes.train_embedded_prior.procedural.home import (
     wear,
 )
 from recipes.train_embedded_prior.procedural.materials import bake, paint, sample_light
-from recipes.train_embedded_prior.procedural.quads import FloatArray, turn_about
+from recipes.train_embedded_prior.procedural.quads import turn_about
 from recipes.train_embedded_prior.procedural.sampling import SurfaceSamples, sample_quads
 from recipes.train_embedded_prior.procedural.warps import draw_warp, warped
 from recipes.train_embedded_prior.procedural.world import (
@@ -131,14 +132,14 @@ def make_object_of(family: str, seed: int, index: int) -> ProceduralObject:
     return ProceduralObject(splats, words, family)
 
 
-def into_unit_box(points: FloatArray) -> tuple[FloatArray, float]:  # [N, 3]
+def into_unit_box(points: Float32Array) -> tuple[Float32Array, float]:  # [N, 3]
     """Centre points on their box and scale its largest side to 1; return them and the scale."""
     low, high = points.min(axis=0), points.max(axis=0)
     scale = 1.0 / float((high - low).max())
     return (points - 0.5 * (low + high)) * np.float32(scale), scale
 
 
-def _colors(assembly: Assembly, samples: SurfaceSamples) -> FloatArray:  # [N, 3]
+def _colors(assembly: Assembly, samples: SurfaceSamples) -> Float32Array:  # [N, 3]
     """Paint every material once, over all the parts that carry it."""
     kinds: dict[int, int] = {}
     kind_of_part = [kinds.setdefault(id(m), len(kinds)) for m in assembly.materials]
@@ -154,7 +155,7 @@ def _colors(assembly: Assembly, samples: SurfaceSamples) -> FloatArray:  # [N, 3
     return colors
 
 
-def _pose(rng: np.random.Generator) -> FloatArray:  # [3, 3]
+def _pose(rng: np.random.Generator) -> Float32Array:  # [3, 3]
     """Draw a yaw over the full circle, and rarely a tilt or a fall to the side."""
     yaw, tilt_axis, tilt = (float(value) for value in rng.uniform(0, 360, 3))
     turn = turn_about("z", yaw)

@@ -12,9 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float32]
+from gscomplete.util.arrays import Float32Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +85,7 @@ SUBSTANCES: dict[str, tuple[str, ...]] = {
 """Substance word -> colours that things made of it come in."""
 
 
-def sample_color(name: str, rng: np.random.Generator) -> FloatArray:  # [3]
+def sample_color(name: str, rng: np.random.Generator) -> Float32Array:  # [3]
     """Draw a colour near a named one."""
     named = COLORS[name]
     shift = rng.uniform(-named.spread, named.spread, 4)
@@ -103,7 +102,7 @@ def pick_color(
     return options[int(np.searchsorted(weights, rng.random() * weights[-1], side="right"))]
 
 
-def contrast(first: FloatArray, second: FloatArray) -> float:
+def contrast(first: Float32Array, second: Float32Array) -> float:
     """Return the distance of two colours, weighting lightness most."""
     luma = np.array([0.3, 0.59, 0.11], np.float32)
     return float(np.abs(first - second).mean() + abs((first - second) @ luma))

@@ -14,8 +14,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gscomplete.util.arrays import Float32Array
 from recipes.train_embedded_prior.procedural.quads import (
-    FloatArray,
     Quads,
     arc_lengths,
     grid,
@@ -51,7 +51,7 @@ def ellipsoid(
         segments: quads around.
     """
 
-    def signed_power(a: FloatArray, exponent: float) -> FloatArray:
+    def signed_power(a: Float32Array, exponent: float) -> Float32Array:
         return a if exponent == 1.0 else np.sign(a) * np.abs(a) ** np.float32(exponent)
 
     phi = np.linspace(-0.5 * math.pi, 0.5 * math.pi, rows + 1, dtype=np.float32)
@@ -130,7 +130,7 @@ def tray(size: Sequence[float], wall: float, taper: float = 1.0) -> Quads:
     return join([grid(rings, uv, None), Quads(flat, flat[..., :2].copy(), None)])
 
 
-def polygon_fan(outline: FloatArray, height: float, up: bool) -> Quads:
+def polygon_fan(outline: Float32Array, height: float, up: bool) -> Quads:
     """Fill a polygon [P, 2] that is star-shaped about its mean with a fan of quads."""
     ring = np.concatenate([outline, outline[:1]])
     start, end = (ring[:-1], ring[1:]) if up else (ring[1:], ring[:-1])
@@ -165,7 +165,7 @@ def prism(
 
 def sheet(
     size: Sequence[float],  # (x, y)
-    heights: FloatArray,  # [R, C]
+    heights: Float32Array,  # [R, C]
     feature: float | None = None,
 ) -> Quads:
     """Return a height field over a centred rectangle, facing up."""
@@ -181,7 +181,7 @@ def disc(radius: float, segments: int = 20) -> Quads:
     return revolve([(radius, 0), (0, 0)], segments)
 
 
-def regular_polygon(sides: int, radius: float, *, star: float = 1.0) -> FloatArray:
+def regular_polygon(sides: int, radius: float, *, star: float = 1.0) -> Float32Array:
     """Return an anticlockwise polygon [sides, 2]; ``star`` < 1 pulls in every second corner."""
     count = sides if star == 1.0 else 2 * sides
     angle = np.linspace(0.0, 2 * math.pi, count, endpoint=False)

@@ -18,9 +18,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float32]
+from gscomplete.util.arrays import Float32Array
 
 SEAM_UNIT = 0.25
 
@@ -29,8 +29,8 @@ SEAM_UNIT = 0.25
 class Quads:
     """Q quads with surface coordinates."""
 
-    corners: FloatArray  # [Q, 4, 3]
-    uv: FloatArray  # [Q, 4, 2]
+    corners: Float32Array  # [Q, 4, 3]
+    uv: Float32Array  # [Q, 4, 2]
     feature: float | None = None
 
     def moved(self, turn: ArrayLike | None, at: Sequence[float]) -> Quads:
@@ -55,7 +55,7 @@ def join(parts: Sequence[Quads]) -> Quads:
     )
 
 
-def turn_about(axis: str, angle_deg: float) -> FloatArray:
+def turn_about(axis: str, angle_deg: float) -> Float32Array:
     """Return the [3, 3] right-handed rotation about the x, y or z axis."""
     cos, sin = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
     rows = {
@@ -66,10 +66,10 @@ def turn_about(axis: str, angle_deg: float) -> FloatArray:
     return np.array(rows[axis], np.float32)
 
 
-def grid(vertices: FloatArray, uv: FloatArray, feature: float | None = None) -> Quads:
+def grid(vertices: Float32Array, uv: Float32Array, feature: float | None = None) -> Quads:
     """Turn a vertex grid [R+1, C+1, 3] (v along rows, u along columns) into R x C quads."""
 
-    def corners_of(a: FloatArray) -> FloatArray:
+    def corners_of(a: Float32Array) -> Float32Array:
         quads = np.stack([a[:-1, :-1], a[:-1, 1:], a[1:, 1:], a[1:, :-1]], axis=2)
         return quads.reshape(-1, 4, a.shape[-1])
 
@@ -81,7 +81,7 @@ def seam_length(length: float) -> float:
     return max(1, round(length / SEAM_UNIT)) * SEAM_UNIT
 
 
-def arc_lengths(path: FloatArray) -> FloatArray:  # [P, D] -> [P]
+def arc_lengths(path: Float32Array) -> Float32Array:  # [P, D] -> [P]
     """Return the distance travelled along a polyline at each of its points."""
     steps = np.sqrt(np.square(np.diff(path, axis=0)).sum(axis=1))
     return np.concatenate([np.zeros(1, np.float32), np.cumsum(steps)]).astype(np.float32)

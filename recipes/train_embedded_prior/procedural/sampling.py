@@ -14,24 +14,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from recipes.train_embedded_prior.procedural.quads import FloatArray, Quads
-
-IntArray = NDArray[np.int64]
+from gscomplete.util.arrays import BoolArray, Float32Array, IntArray
+from recipes.train_embedded_prior.procedural.quads import Quads
 
 
 @dataclass(frozen=True, slots=True)
 class SurfaceSamples:
     """N points on surfaces, in ascending order of the part they lie on."""
 
-    points: FloatArray  # [N, 3]
-    normals: FloatArray  # [N, 3] unit, outward
-    uv: FloatArray  # [N, 2] surface coordinates of the quads
-    spacing: FloatArray  # [N]
+    points: Float32Array  # [N, 3]
+    normals: Float32Array  # [N, 3] unit, outward
+    uv: Float32Array  # [N, 2] surface coordinates of the quads
+    spacing: Float32Array  # [N]
     part: IntArray  # [N] index into the list of parts
 
-    def select(self, index: slice | IntArray | NDArray[np.bool_]) -> SurfaceSamples:
+    def select(self, index: slice | IntArray | BoolArray) -> SurfaceSamples:
         """Return some of the samples."""
         return SurfaceSamples(
             self.points[index],
@@ -49,10 +47,10 @@ FINEST = 0.4
 
 
 def spacing_per_part(
-    areas: FloatArray,  # [P]
-    features: FloatArray,  # [P], inf where thick
+    areas: Float32Array,  # [P]
+    features: Float32Array,  # [P], inf where thick
     count: int,
-) -> FloatArray:  # [P]
+) -> Float32Array:  # [P]
     """Choose spacings so that all parts together use about ``count`` points.
 
     The common spacing s solves sum(area / min(s, limit)^2) = count up to the clamp at ``FINEST``,
@@ -116,13 +114,13 @@ def sample_quads(parts: list[Quads], count: int, rng: np.random.Generator) -> Su
     return SurfaceSamples(points, normals, uv_at, pitch[quad], part_of_quad[quad])
 
 
-def _even(fraction: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
+def _even(fraction: Float32Array, start: Float32Array, end: Float32Array) -> Float32Array:
     """Warp [0, 1] so that points are even on a strip whose width goes from start to end."""
     root = np.sqrt(start * start + fraction * (end * end - start * start))
     return fraction * (start + end) / np.maximum(start + root, 1e-12)
 
 
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:  # [N, 3] x [N, 3]
+def _cross(a: Float32Array, b: Float32Array) -> Float32Array:  # [N, 3] x [N, 3]
     """Cross product; several times faster than numpy's on small rows."""
     out = np.empty_like(a)
     out[:, 0] = a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1]
@@ -131,7 +129,7 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:  # [N, 3] x [N, 3]
     return out
 
 
-def _half_cross(a: FloatArray, b: FloatArray) -> FloatArray:  # [N]
+def _half_cross(a: Float32Array, b: Float32Array) -> Float32Array:  # [N]
     """Half the length of the cross product: a quad's area from its diagonals."""
     product = _cross(a, b)
     return 0.5 * np.sqrt(np.einsum("ij,ij->i", product, product))

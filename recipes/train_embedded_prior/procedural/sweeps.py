@@ -14,8 +14,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gscomplete.util.arrays import Float32Array
 from recipes.train_embedded_prior.procedural.quads import (
-    FloatArray,
     Quads,
     arc_lengths,
     grid,
@@ -61,7 +61,7 @@ def revolve(
     return grid(vertices, uv, feature)
 
 
-def smooth_profile(points: ArrayLike, count: int = 16) -> FloatArray:
+def smooth_profile(points: ArrayLike, count: int = 16) -> Float32Array:
     """Draw a smooth curve [count, D] through a few control points (Catmull-Rom)."""
     knots = np.asarray(points, np.float64)
     padded = np.concatenate([2 * knots[:1] - knots[1:2], knots, 2 * knots[-1:] - knots[-2:-1]])
@@ -75,7 +75,7 @@ def smooth_profile(points: ArrayLike, count: int = 16) -> FloatArray:
     return curve.astype(np.float32)
 
 
-def shell_profile(outer: ArrayLike, wall: float, floor: float | None = None) -> FloatArray:
+def shell_profile(outer: ArrayLike, wall: float, floor: float | None = None) -> Float32Array:
     """Close an outer profile [P, 2] (bottom rim upward) into an open vessel with a thick wall.
 
     Args:
@@ -93,7 +93,7 @@ def shell_profile(outer: ArrayLike, wall: float, floor: float | None = None) -> 
     return np.concatenate([start, line, inner, end])
 
 
-def loft(sections: FloatArray) -> Quads:
+def loft(sections: Float32Array) -> Quads:
     """Skin closed sections [R, C, 3] (anticlockwise about the direction of travel), with caps.
 
     A section's points are joined to the next section's and the first and last are filled.
@@ -154,7 +154,7 @@ def tube(
     return replace(join(parts), feature=float(radii.max()) * min(1.0, flatten))
 
 
-def _end_cap(ring: FloatArray, center: FloatArray, flip: bool) -> Quads:
+def _end_cap(ring: Float32Array, center: Float32Array, flip: bool) -> Quads:
     """Fill the end of a tube whose ring [S+1, 3] is closed."""
     start, end = (ring[1:], ring[:-1]) if flip else (ring[:-1], ring[1:])
     middle = np.broadcast_to(center, start.shape)
@@ -183,7 +183,7 @@ def torus(radius: float, thickness: float, *, segments: int = 24, sides: int = 1
 
 def arc(
     start_deg: float, end_deg: float, radius: float, count: int = 9, *, plane: str = "xz"
-) -> FloatArray:
+) -> Float32Array:
     """Return points [count, 3] of a circle arc about the origin in the xz, yz or xy plane."""
     angle = np.radians(np.linspace(start_deg, end_deg, count))
     points = np.zeros((count, 3), np.float32)

@@ -17,7 +17,7 @@ from typing import Literal
 
 import numpy as np
 
-from recipes.train_embedded_prior.procedural.quads import FloatArray
+from gscomplete.util.arrays import Float32Array
 from recipes.train_embedded_prior.procedural.sampling import SurfaceSamples
 
 _STEP = 1e-3
@@ -36,7 +36,7 @@ class Wave:
     rate_z: float
     phase: float
 
-    def __call__(self, points: FloatArray) -> FloatArray:  # [N, 3] -> [N]
+    def __call__(self, points: Float32Array) -> Float32Array:  # [N, 3] -> [N]
         """Return the displacement: odd in y if it is along y, else even."""
         across = self.rate_y * points[:, 1]
         sideways = np.sin(across) if self.along == 1 else np.cos(across)
@@ -59,7 +59,7 @@ class Warp:
     """Displacement along x at one unit from the middle, growing with the square of the height."""
     waves: tuple[Wave, ...]
 
-    def __call__(self, points: FloatArray) -> FloatArray:  # [N, 3]
+    def __call__(self, points: Float32Array) -> Float32Array:  # [N, 3]
         """Return the deformed points."""
         out = points * np.array(self.stretch, np.float32)
         height = points[:, 2]
@@ -114,7 +114,7 @@ def warped(samples: SurfaceSamples, warp: Warp) -> SurfaceSamples:
     )
 
 
-def _tangents(normals: FloatArray) -> tuple[FloatArray, FloatArray]:  # [N, 3]
+def _tangents(normals: Float32Array) -> tuple[Float32Array, Float32Array]:  # [N, 3]
     """Return two unit vectors per normal that make a right-handed frame with it."""
     helper = np.where(np.abs(normals[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     first = np.cross(helper, normals)

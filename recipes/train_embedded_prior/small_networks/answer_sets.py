@@ -30,7 +30,8 @@ from gscomplete.shape.planes.answer_scorer import (
 from gscomplete.shape.planes.coarse_scorer import COARSE_SCORER_FILE
 from gscomplete.shape.planes.fine_scorer import FINE_SCORER_FILE
 from gscomplete.shape.symmetry_choice import CANDIDATES, ask_about_planes
-from gscomplete.shape.voxels import FloatArray, shadows, splat_arrays
+from gscomplete.shape.voxels import shadows, splat_arrays
+from gscomplete.util.arrays import Float32Array
 from gscomplete.util.digests import sha256_of
 from recipes.real_objects.compare import FramedObject
 from recipes.real_objects.unseen import PartKind
@@ -61,9 +62,9 @@ whose surfaces lie at that level, too."""
 class AnswerSets:
     """N parts with up to ``ANSWERS`` answers each."""
 
-    features: FloatArray  # [N, ANSWERS, F] 0 where there is no answer
-    true_scores: FloatArray  # [N, ANSWERS] NaN where there is no answer
-    weights: FloatArray  # [N]
+    features: Float32Array  # [N, ANSWERS, F] 0 where there is no answer
+    true_scores: Float32Array  # [N, ANSWERS] NaN where there is no answer
+    weights: Float32Array  # [N]
 
     def __len__(self) -> int:
         return len(self.true_scores)
@@ -105,14 +106,14 @@ def asked_part(framed: FramedObject | None) -> AskedPart | None:
     ending = ending_of(framed.partial, "guess")
     if ending.is_complete or ending.mirror != "guess":
         return None
-    asked = prior.asked(prior.condition(framed.item.prompt), ends_in_plane=ending.in_plane)
-    assert asked is not None
+    context = prior.context(prior.condition(framed.item.prompt), ends_in_plane=ending.in_plane)
+    assert context is not None
     answers = ask_about_planes(
-        asked.model,
+        context.model,
         voxelize_partial(framed.partial, framed.views),
-        asked.tokens,
+        context.tokens,
         ends_in_plane=ending.in_plane,
-        bfloat16=asked.bfloat16,
+        bfloat16=context.bfloat16,
     ).answers
     positions, tangents, *_ = splat_arrays(framed.truth)
     return AskedPart(ending, answers, torch.from_numpy(solid_cells(positions, tangents) > 0))
@@ -143,7 +144,7 @@ def _no_sets() -> AnswerSets:
     return AnswerSets(*(np.empty(shape, np.float32) for shape in shapes))
 
 
-def _padded(features: FloatArray, true_scores: FloatArray, weight: float) -> AnswerSets:
+def _padded(features: Float32Array, true_scores: Float32Array, weight: float) -> AnswerSets:
     """Return the sets of one part, filled up to ``ANSWERS`` answers."""
     missing = ANSWERS - len(true_scores)
     return AnswerSets(

@@ -19,7 +19,7 @@ import torch
 
 from gscomplete.shape.benefit import FEATURES, features_of_answers
 from gscomplete.shape.planes.answer_scorer import Answers, answer_features, packaged_answer_scorer
-from gscomplete.shape.voxels import FloatArray
+from gscomplete.util.arrays import Float32Array
 from recipes.real_objects.unseen import PartKind
 from recipes.train_embedded_prior.small_networks.answer_sets import (
     LEVEL,
@@ -43,15 +43,15 @@ _KINDS: tuple[PartKind, ...] = (
 class BenefitSets:
     """N parts and complete objects."""
 
-    features: FloatArray  # [N, F]
-    gains: FloatArray  # [N]
-    complete: FloatArray  # [N] 1 for complete objects, 0 for parts
+    features: Float32Array  # [N, F]
+    gains: Float32Array  # [N]
+    complete: Float32Array  # [N] 1 for complete objects, 0 for parts
 
     def __len__(self) -> int:
         return len(self.gains)
 
 
-def benefit_of(asked: AskedPart) -> tuple[FloatArray, float]:  # [F]
+def benefit_of(asked: AskedPart) -> tuple[Float32Array, float]:  # [F]
     """Return the scorer's input for a part, and what completing the part gains."""
     answers = asked.answers
     chosen = int(packaged_answer_scorer()(answer_features(answers)).argmax())

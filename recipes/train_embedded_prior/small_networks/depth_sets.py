@@ -16,17 +16,22 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gscomplete.priors.embedded.ending import ending_of
-from gscomplete.shape.assemble import AssembleSettings, mirrored_copies, surface_settings
+from gscomplete.shape.assemble import (
+    AssembleSettings,
+    mirrored_copies,
+    surface_settings,
+    where_solid,
+)
 from gscomplete.shape.benefit import is_better_left
 from gscomplete.shape.guess import ask_about
 from gscomplete.shape.placements import placements
 from gscomplete.shape.surface.cover import new_surface
 from gscomplete.shape.surface.depth import FEATURES, depth_features
-from gscomplete.shape.voxels import CELL_SIDE, FloatArray
+from gscomplete.shape.voxels import CELL_SIDE
+from gscomplete.util.arrays import Float32Array, Float64Array
 from recipes.real_objects.compare import FramedObject
 from recipes.real_objects.unseen import PartKind
 from recipes.train_embedded_prior.small_networks.answer_sets import asked_with
@@ -62,19 +67,19 @@ _FARTHEST = 2.5
 class DepthSets:
     """N points of predicted surfaces."""
 
-    features: FloatArray  # [N, F]
-    depths: FloatArray  # [N] true ones, cells
-    insets: FloatArray  # [N] depths that are taken without a network, cells
+    features: Float32Array  # [N, F]
+    depths: Float32Array  # [N] true ones, cells
+    insets: Float32Array  # [N] depths that are taken without a network, cells
 
     def __len__(self) -> int:
         return len(self.depths)
 
 
 def first_depths(
-    distance: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    points: FloatArray,  # [N, 3]
-    normals: FloatArray,  # [N, 3] outward
-) -> FloatArray:  # [N]
+    distance: Callable[[Float64Array], Float64Array],
+    points: Float32Array,  # [N, 3]
+    normals: Float32Array,  # [N, 3] outward
+) -> Float32Array:  # [N]
     """Return how deep the first surface lies inside points, cells; NaN where none is near.
 
     Args:
@@ -111,29 +116,30 @@ def _sets_of_part(framed: FramedObject, seed: int) -> list[DepthSets]:  # one or
     ending = ending_of(partial, "guess")
     if ending.is_complete:
         return []
-    asked = prior.asked(prior.condition(framed.item.prompt), ends_in_plane=ending.in_plane)
-    assert asked is not None
+    context = prior.context(prior.condition(framed.item.prompt), ends_in_plane=ending.in_plane)
+    assert context is not None
     assert framed.truth is not None
-    prediction = ask_about(asked, partial, framed.views, ending.mirror)
+    prediction = ask_about(context, partial, framed.views, ending.mirror)
     if is_better_left(ending.features, prediction.added):
         return []
     generator = torch.Generator().manual_seed(seed)
-    copies, _ = mirrored_copies(prediction, partial, generator)
+    solid = where_solid(prediction, partial)
+    copies, _ = mirrored_copies(prediction, partial, generator, solid=solid)
     if copies is not None and ending.image_is_all:
         return []
     settings = surface_settings(prediction, AssembleSettings(), copies)
     there = partial.means if copies is None else torch.cat([partial.means, copies.means])
-    surface = new_surface(prediction.output, there, settings, generator)
+    surface = new_surface(prediction.output, there, settings, generator, solid=solid)
     chosen = torch.randperm(len(surface.points), generator=generator)[:_POINTS]
     if not len(chosen):
         return []
     points, normals = surface.points[chosen], surface.normals[chosen]
     features = depth_features(
-        prediction.output, prediction.seen, settings.filled_logit, points, normals
+        prediction.output, prediction.inputs, settings.filled_logit, points, normals
     )
     truth = cKDTree(framed.truth.means.numpy())
 
-    def distance(places: NDArray[np.float64]) -> NDArray[np.float64]:
+    def distance(places: Float64Array) -> Float64Array:
         found, _ = truth.query(places, distance_upper_bound=_FARTHEST * CELL_SIDE)
         return np.asarray(found / CELL_SIDE)
 

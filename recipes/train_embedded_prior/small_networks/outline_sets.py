@@ -24,11 +24,11 @@ from gscomplete.framing.cut_plane import find_cut
 from gscomplete.priors.embedded.ending import ends_in_plane
 from gscomplete.shape.outline.scorer import FEATURES, outline_features
 from gscomplete.shape.outline.views import SIDE_PX, outline, views_at
-from gscomplete.shape.voxels import FloatArray
 from gscomplete.splats import Splats
 from gscomplete.splats.geometry.neighbourhood import flat_axes
 from gscomplete.splats.strays import packaged_stray_scorer
 from gscomplete.splats.working_set import working_set
+from gscomplete.util.arrays import Float32Array
 from gscomplete.views import ViewDistribution
 from gscomplete.views.frame import up_rotation
 from recipes.real_objects.unseen import PartKind, seen_from
@@ -64,9 +64,9 @@ _FEWEST_SPLATS = 500
 class OutlineSets:
     """N parts, each from V views."""
 
-    features: FloatArray  # [N, V, F]
-    shares: FloatArray  # [N, V] of the complete object's outline
-    kinds: FloatArray  # [N] index into ``KINDS``
+    features: Float32Array  # [N, V, F]
+    shares: Float32Array  # [N, V] of the complete object's outline
+    kinds: Float32Array  # [N] index into ``KINDS``
 
     def __len__(self) -> int:
         return len(self.shares)
@@ -161,10 +161,10 @@ def _worn(part: Splats, rng: np.random.Generator) -> Splats:
 
 
 def outline_shares(
-    points: FloatArray,  # [N, 3] P's points, object frame
-    truth: FloatArray,  # [M, 3] points of the complete object
+    points: Float32Array,  # [N, 3] P's points, object frame
+    truth: Float32Array,  # [M, 3] points of the complete object
     views: ViewDistribution,
-) -> FloatArray:  # [V]
+) -> Float32Array:  # [V]
     """Return the share of the complete object's outline that P's covers, from each view."""
     target = np.array(views.target, np.float32)
     shares = []

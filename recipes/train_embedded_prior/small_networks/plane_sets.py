@@ -27,7 +27,7 @@ from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.planes.coarse_scorer import packaged_coarse_scorer
 from gscomplete.shape.planes.features import plane_features
 from gscomplete.shape.planes.proposals import FINELY_SCORED, distinct_planes
-from gscomplete.shape.voxels import FloatArray
+from gscomplete.util.arrays import Float32Array
 from recipes.train_embedded_prior.config import ShapeDataConfig
 from recipes.train_embedded_prior.data.copies import Truth
 from recipes.train_embedded_prior.data.dataset import HELD_OUT_SEED_OFFSET, Source
@@ -49,9 +49,9 @@ class PlaneSets:
     cells: NDArray[np.uint8]  # [N, n, 7] place, colour, occupancy; occupancy 0 = unused
     evidence: NDArray[np.uint8]  # [N, 3, C/2, C/2, C/2] shares in 255ths
     planes: NDArray[np.int16]  # [N, K, 2] angle, offset
-    features: FloatArray  # [N, K, F]
-    logits: FloatArray  # [N, K] of the coarse scorer
-    true_scores: FloatArray  # [N, K]
+    features: Float32Array  # [N, K, F]
+    logits: Float32Array  # [N, K] of the coarse scorer
+    true_scores: Float32Array  # [N, K]
 
     def __len__(self) -> int:
         return len(self.true_scores)

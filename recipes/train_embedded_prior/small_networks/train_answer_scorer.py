@@ -28,7 +28,7 @@ from gscomplete.evaluate.bootstrap import bootstrap_interval
 from gscomplete.networks.perceptron import Perceptron
 from gscomplete.priors.embedded.weights import packaged_weights
 from gscomplete.shape.planes.answer_scorer import ANSWER_SCORER_FILE, OF_ANSWER
-from gscomplete.shape.voxels import FloatArray
+from gscomplete.util.arrays import Float32Array
 from recipes.entry_point import start
 from recipes.train_embedded_prior.small_networks.answer_sets import AnswerSets, answer_sets
 from recipes.train_embedded_prior.small_networks.perceptron_training import (
@@ -102,7 +102,7 @@ def loss_of(
 
 def true_scores_of_choice(
     scorer: Perceptron, sets: AnswerSets
-) -> tuple[FloatArray, FloatArray, FloatArray]:  # [N] each
+) -> tuple[Float32Array, Float32Array, Float32Array]:  # [N] each
     """Return true scores of the first answers, of those to the likeliest planes, of the best."""
     rows = np.arange(len(sets))
     asked = ~np.isnan(sets.true_scores)

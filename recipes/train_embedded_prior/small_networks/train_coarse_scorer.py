@@ -30,7 +30,7 @@ from gscomplete.priors.embedded.weights import packaged_weights
 from gscomplete.shape.partial_voxels import voxelize_partial
 from gscomplete.shape.planes.coarse_scorer import COARSE_SCORER_FILE
 from gscomplete.shape.planes.features import FEATURES, plane_features
-from gscomplete.shape.voxels import FloatArray
+from gscomplete.util.arrays import Float32Array
 from recipes.entry_point import start
 from recipes.train_embedded_prior.data.copies import Truth
 from recipes.train_embedded_prior.small_networks.plane_sets import Task, posed_object
@@ -61,7 +61,7 @@ class CoarseScorerConfig:
     """Processes that make objects."""
 
 
-def _measured(task: Task) -> tuple[FloatArray, FloatArray]:
+def _measured(task: Task) -> tuple[Float32Array, Float32Array]:
     """Return the planes' features and true scores for one object."""
     torch.set_num_threads(1)
     posed, _ = posed_object(task)

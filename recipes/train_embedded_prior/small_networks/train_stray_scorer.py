@@ -28,7 +28,6 @@ from torch import Tensor, nn
 
 from gscomplete.networks.perceptron import Perceptron
 from gscomplete.priors.embedded.weights import packaged_weights
-from gscomplete.shape.voxels import FloatArray
 from gscomplete.splats.strays import (
     FAINT,
     FEATURES,
@@ -38,6 +37,7 @@ from gscomplete.splats.strays import (
     STRAY_SCORER_FILE,
     standing_out,
 )
+from gscomplete.util.arrays import Float32Array
 from recipes.entry_point import start
 from recipes.real_objects.unseen import PartKind
 from recipes.train_embedded_prior.data.stray_parts import StrayPart, stray_part
@@ -90,10 +90,10 @@ class StrayScorerConfig(CapturesConfig):
 class StraySets:
     """N splats that stand out."""
 
-    features: FloatArray  # [N, F]
-    is_stray: FloatArray  # [N] 0 or 1
-    stands_for: FloatArray  # [N] splats of its class and part that each stands for
-    is_captured: FloatArray  # [N] 0 or 1
+    features: Float32Array  # [N, F]
+    is_stray: Float32Array  # [N] 0 or 1
+    stands_for: Float32Array  # [N] splats of its class and part that each stands for
+    is_captured: Float32Array  # [N] 0 or 1
 
     def __len__(self) -> int:
         return len(self.is_stray)

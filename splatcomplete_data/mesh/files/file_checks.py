@@ -119,9 +119,17 @@ def _check_zeros(path: Path, text: str) -> None:
             )
 
 
-def lost_files(path: Path, reach: Reach) -> Iterator[str]:
-    """Yield a note for every file that a mesh names and that is missing or not read."""
+def lost_files(path: Path, reach: Reach, *, with_pictures: bool) -> Iterator[str]:
+    """Yield a note for every file that a mesh names and that is missing or not read.
+
+    Args:
+        path: the mesh file.
+        reach: which files are read.
+        with_pictures: whether its textures matter.
+    """
     for name, file in side_files(path, reach).items():
+        if not with_pictures and file.suffix.lower() in _PICTURE_SUFFIXES:
+            continue
         refusal = reach.refusal(file)
         if refusal is not None:
             yield f"file {name} {refusal}; parts of the mesh lack it"

@@ -23,12 +23,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gscomplete.util.arrays import Float64Array
 from splatcomplete_data.mesh.files.side_files import beside, gltf_binary, gltf_text
 from splatcomplete_data.named_files import Reach
-
-FloatArray = NDArray[np.float64]
 
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _FLOAT = 5126
@@ -41,7 +39,7 @@ _MODES_READ = (0, 1, 4, 5)
 class OwnNumbers:
     """Correct numbers of a file where trimesh reads others; see the module's conventions."""
 
-    coordinates: list[FloatArray | None]  # [V, 2] each
+    coordinates: list[Float64Array | None]  # [V, 2] each
     position_ranges: list[int | None]
     """The stored integer that means 1, where positions are shares of it."""
     has_inner_texture: list[bool]
@@ -82,7 +80,7 @@ class _Gltf:
         self.header: Any = json.loads(gltf_text(path))
         self.buffers: dict[int, bytes] = {}
 
-    def coordinates(self, primitive: Any) -> FloatArray | None:
+    def coordinates(self, primitive: Any) -> Float64Array | None:
         """Return a primitive's coordinates, if trimesh does not read them as they are meant."""
         texture = self.base_texture(primitive)
         transform = texture.get("extensions", {}).get("KHR_texture_transform", {})
@@ -124,7 +122,7 @@ class _Gltf:
         images = [self.header["images"][source] for source in sources]
         return any("bufferView" in i or i.get("uri", "").startswith("data:") for i in images)
 
-    def numbers(self, accessor: Any) -> FloatArray:  # [V, 2]
+    def numbers(self, accessor: Any) -> Float64Array:  # [V, 2]
         """Return what an accessor of pairs holds."""
         dtype, count = np.dtype(_COMPONENTS[accessor["componentType"]]), accessor["count"]
         if accessor["type"] != "VEC2":
@@ -157,7 +155,7 @@ class _Gltf:
         return self.buffers[index]
 
 
-def _transformed(uv: FloatArray, transform: Any) -> FloatArray:  # [V, 2] -> [V, 2]
+def _transformed(uv: Float64Array, transform: Any) -> Float64Array:  # [V, 2] -> [V, 2]
     """Apply KHR_texture_transform, v downwards."""
     angle = transform.get("rotation", 0.0)
     cosine, sine = math.cos(angle), math.sin(angle)

@@ -26,6 +26,7 @@ from trimesh.resolvers import Resolver
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats
+from gscomplete.util.arrays import Float32Array, Float64Array, IntArray
 from gscomplete.util.file_names import shown_name
 from gscomplete.util.parse import is_text
 from gscomplete.views import UpAxis, up_rotation
@@ -46,7 +47,6 @@ from splatcomplete_data.mesh.files.textures import open_image
 from splatcomplete_data.named_files import Reach
 from splatcomplete_data.points import Offset, offset_for_float32
 
-FloatArray = NDArray[np.float32]
 GltfColors = Literal["linear", "srgb"]
 """What the numbers of a glTF's colour factors are; ``srgb`` for exporters that got it wrong."""
 
@@ -71,7 +71,7 @@ class BakedLight:
         x, y, z = (up_rotation(up).T @ torch.tensor(_ABOVE_Z_UP, dtype=torch.float64)).tolist()
         return cls((x, y, z))
 
-    def shade(self, normals: NDArray[np.floating]) -> FloatArray:  # [N, 3] unit, outward -> [N]
+    def shade(self, normals: NDArray[np.floating]) -> Float32Array:  # [N, 3] unit, outward -> [N]
         """Return the factor on the colours: 1 towards the light, 1 - strength away from it."""
         direction = np.asarray(self.direction, np.float64)
         cosine = normals @ (direction / np.linalg.norm(direction))
@@ -97,16 +97,16 @@ class Mesh:
         """Number of triangles of all parts."""
         return sum(len(part.vertices) for part in self.parts)
 
-    def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def bounds(self) -> tuple[Float64Array, Float64Array]:
         """Return the corners [3] of the axis-aligned box."""
         corners = np.concatenate([part.vertices.reshape(-1, 3) for part in self.parts])
         return corners.min(axis=0).astype(np.float64), corners.max(axis=0).astype(np.float64)
 
     def colors_at(
         self,
-        triangle: NDArray[np.int64],  # [N] index into all parts' triangles
-        weights: FloatArray,  # [N, 3] barycentric
-    ) -> FloatArray:  # [N, 4]
+        triangle: IntArray,  # [N] index into all parts' triangles
+        weights: Float32Array,  # [N, 3] barycentric
+    ) -> Float32Array:  # [N, 4]
         """Return sRGB and alpha at surface points."""
         rgba, first = np.empty((len(triangle), 4), np.float32), 0
         for part in self.parts:
@@ -136,8 +136,8 @@ def load_mesh(
             those below its own folder. Others are listed in notes.
 
     Raises:
-        UserError: the file cannot be read, or has no surface (a Draco-compressed file without a
-            decoder gives one point).
+        UserError: the file cannot be read, has no surface (a Draco-compressed file without a
+            decoder gives one point), or no texture coordinates for ``texture``.
     """
     if not path.is_file():
         raise UserError(
@@ -151,7 +151,8 @@ def load_mesh(
     reach = Reach.of(path, allow_outside)
     try:
         resolver = _NamedFiles(path, reach)
-        scene, lost = _load_scene(path, resolver)
+        with np.errstate(all="ignore"):  # of coordinates that no integer holds
+            scene, lost = _load_scene(path, resolver)
     except Exception as error:  # trimesh raises whatever its format readers happen to raise
         raise UserError(f"{path}: cannot read it as a mesh ({error})") from error
     is_gltf = path.suffix.lower() in file_checks.GLTF_SUFFIXES
@@ -172,7 +173,13 @@ def load_mesh(
         raise UserError(
             f"{path}: expected a surface, found no usable triangle ({found}; a point cloud?)"
         )
-    notes = [*file_checks.lost_files(path, reach), *dict.fromkeys(reader.notes)]
+    if texture is not None and not any(part.uv is not None for part in parts):
+        raise UserError(
+            f"{path}: --texture: expected a mesh with texture coordinates to lay {texture} on, "
+            "found none"
+        )
+    lost_files = file_checks.lost_files(path, reach, with_pictures=texture is None)
+    notes = [*lost_files, *dict.fromkeys(reader.notes)]
     return Mesh(parts, tuple(notes), reader.degenerate, reader.non_finite, reader.offset)
 
 
@@ -287,7 +294,7 @@ def _load_file(path: Path, resolver: Resolver, **more: Any) -> Any:
         return trimesh.load_scene(stream, file_type=path.suffix[1:], resolver=resolver, **more)
 
 
-def _offset(placed: Iterator[tuple[str, NDArray[np.float64]]]) -> Offset | None:
+def _offset(placed: Iterator[tuple[str, Float64Array]]) -> Offset | None:
     """Choose what is taken from the coordinates of all meshes of a file."""
     lows, highs = [], []
     for _, corners in placed:

@@ -23,10 +23,10 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 from PIL import Image
 
 from gscomplete.errors import UserError
+from gscomplete.util.arrays import Float32Array, Float64Array, IntArray
 from splatcomplete_data.mesh.discs import triangle_areas_and_normals
 from splatcomplete_data.mesh.files.gltf_numbers import own_numbers
 from splatcomplete_data.mesh.files.textures import (
@@ -40,8 +40,6 @@ from splatcomplete_data.named_files import Reach
 from splatcomplete_data.pictures import UNREADABLE
 from splatcomplete_data.points import Offset
 
-FloatArray = NDArray[np.float32]
-
 GREY = 0.7
 """Colour of a surface without any."""
 _logger = logging.getLogger(__name__)
@@ -51,18 +49,18 @@ _logger = logging.getLogger(__name__)
 class MeshPart:
     """Triangles of one material: corner colours times an optional texture."""
 
-    vertices: FloatArray  # [T, 3, 3] corners, file frame
-    colors: FloatArray  # [T, 3, 3] sRGB in [0, 1] at the corners
-    uv: FloatArray | None = None  # [T, 3, 2]
-    texture: FloatArray | None = None  # [H, W, 4] sRGB and alpha in [0, 1], top row first
+    vertices: Float32Array  # [T, 3, 3] corners, file frame
+    colors: Float32Array  # [T, 3, 3] sRGB in [0, 1] at the corners
+    uv: Float32Array | None = None  # [T, 3, 2]
+    texture: Float32Array | None = None  # [H, W, 4] sRGB and alpha in [0, 1], top row first
     alpha: float = 1.0  # factor on the texture's alpha
     blended: bool = False  # True = alpha is opacity; False = what is below 1/2 is cut out
 
     def colors_at(
         self,
-        triangle: NDArray[np.int64],  # [N]
-        weights: FloatArray,  # [N, 3] barycentric
-    ) -> FloatArray:  # [N, 4]
+        triangle: IntArray,  # [N]
+        weights: Float32Array,  # [N, 3] barycentric
+    ) -> Float32Array:  # [N, 4]
         """Return sRGB and alpha at surface points."""
         rgba = np.ones((len(triangle), 4), np.float32)
         rgba[:, :3] = np.einsum("nk,nkc->nc", weights, self.colors[triangle])
@@ -81,14 +79,14 @@ class PartReader:
     is_linear: bool
     max_texture_px: int
     reach: Reach
-    override: FloatArray | None = None
+    override: Float32Array | None = None
     notes: list[str] = field(default_factory=list)
     degenerate: int = 0
     non_finite: int = 0
-    textures: dict[tuple[int, bool], FloatArray] = field(default_factory=dict)
-    coordinates: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    textures: dict[tuple[int, bool], Float32Array] = field(default_factory=dict)
+    coordinates: dict[str, Float64Array] = field(default_factory=dict)
     """Texture coordinates by geometry, where trimesh's are not those that the file means."""
-    vertices: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    vertices: dict[str, Float64Array] = field(default_factory=dict)
     """Vertices [V, 3] by geometry, where trimesh's are not those that the file means."""
     textured: set[str] = field(default_factory=set)
     """Geometries whose colour texture lies within the file itself."""
@@ -111,7 +109,7 @@ class PartReader:
         if len(self.coordinates) < sum(uv is not None for uv in own.coordinates):
             self.note("texture transforms, additional or integer coordinates: some are not applied")
 
-    def placed(self, scene: Any) -> Iterator[tuple[str, NDArray[np.float64]]]:
+    def placed(self, scene: Any) -> Iterator[tuple[str, Float64Array]]:
         """Yield the name and the triangles [T, 3, 3] of every mesh that the scene graph places."""
         for node in scene.graph.nodes_geometry:
             transform, name = scene.graph[node]
@@ -134,7 +132,9 @@ class PartReader:
             if not kept.any():
                 continue
             part = self.appearance(scene.geometry[name], self.coordinates.get(name))
-            if part.texture is None and name in self.textured:
+            if part.texture is None and self.override is not None:
+                self.note(f"{name}: it has no texture coordinates, and keeps its colours")
+            elif part.texture is None and name in self.textured:
                 self.note(f"{name}: its texture is not read (perhaps KTX2)")
             yield MeshPart(
                 vertices[kept].astype(np.float32),
@@ -145,7 +145,7 @@ class PartReader:
                 part.blended,
             )
 
-    def appearance(self, geometry: Any, uv: NDArray[np.float64] | None) -> MeshPart:
+    def appearance(self, geometry: Any, uv: Float64Array | None) -> MeshPart:
         """Return colours, texture coordinates and texture of one mesh; its vertices are unused.
 
         ``uv`` replaces the mesh's own texture coordinates where those are not the ones meant.
@@ -161,7 +161,7 @@ class PartReader:
             return MeshPart(corners, corners * np.float32(GREY))
         uv = getattr(visual, "uv", None) if uv is None else uv
         material = visual.material
-        image = self.base_image(material)
+        image = self.base_image(material) if self.override is None else None
         mode = str(getattr(material, "alphaMode", None) or "OPAQUE").upper()
         texture = self.override if uv is not None else None
         if texture is None and image is not None and uv is not None:
@@ -202,7 +202,7 @@ class PartReader:
         _logger.warning("%s: %s", self.path, text)
         self.notes.append(text)
 
-    def texture_array(self, image: Image.Image, has_alpha: bool) -> FloatArray:  # [H, W, 4]
+    def texture_array(self, image: Image.Image, has_alpha: bool) -> Float32Array:  # [H, W, 4]
         """Turn an image into colours in [0, 1], reduced to ``max_texture_px``.
 
         Raises:

@@ -17,15 +17,14 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from gscomplete.errors import UserError
+from gscomplete.util.arrays import Float32Array
 from splatcomplete_data.pictures import UNREADABLE, eight_bits
-
-FloatArray = NDArray[np.float32]
 
 
 def sample_texture(
-    texture: FloatArray,  # [H, W, C], top row first
-    uv: FloatArray,  # [N, 2], v upwards
-) -> FloatArray:  # [N, C]
+    texture: Float32Array,  # [H, W, C], top row first
+    uv: Float32Array,  # [N, 2], v upwards
+) -> Float32Array:  # [N, C]
     """Look a texture up bilinearly, wrapping round at its edges."""
     height, width = texture.shape[:2]
     x = np.nan_to_num(uv[:, 0].astype(np.float64)) * width - 0.5
@@ -39,7 +38,7 @@ def sample_texture(
     return (upper * (1 - fy) + lower * fy).astype(np.float32)
 
 
-def srgb_from_linear(values: FloatArray) -> FloatArray:
+def srgb_from_linear(values: Float32Array) -> Float32Array:
     """Encode linear light in [0, 1] as sRGB."""
     values = np.clip(values, 0.0, 1.0)
     encoded = np.where(
@@ -60,7 +59,7 @@ def open_image(path: Path) -> Image.Image:
         raise UserError(f"{path}: cannot read it as an image ({error})") from error
 
 
-def texture_array(image: Image.Image, has_alpha: bool, max_px: int) -> FloatArray:  # [H, W, 4]
+def texture_array(image: Image.Image, has_alpha: bool, max_px: int) -> Float32Array:  # [H, W, 4]
     """Turn an image into colours in [0, 1], reduced so that no side is above twice ``max_px``."""
     image = eight_bits(image).convert("RGBA")
     factor = max(image.size) // max_px
@@ -73,18 +72,18 @@ def texture_array(image: Image.Image, has_alpha: bool, max_px: int) -> FloatArra
     return pixels
 
 
-def unit_rgb(colors: NDArray[Any]) -> FloatArray:
+def unit_rgb(colors: NDArray[Any]) -> Float32Array:
     """Scale colours [..., 3 or 4] of any type to RGB in [0, 1]."""
     return unit_colors(np.asarray(colors)[..., :3])
 
 
-def unit_colors(values: NDArray[Any]) -> FloatArray:
+def unit_colors(values: NDArray[Any]) -> Float32Array:
     """Scale colours of any type to [0, 1]."""
     if np.issubdtype(values.dtype, np.integer):
         return (values / np.iinfo(values.dtype).max).astype(np.float32)
     return values.astype(np.float32)
 
 
-def as_srgb(colors: FloatArray, is_linear: bool) -> FloatArray:
+def as_srgb(colors: Float32Array, is_linear: bool) -> Float32Array:
     """Encode colours as sRGB if they are linear."""
     return srgb_from_linear(colors) if is_linear else colors

@@ -18,10 +18,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Similarity
+from gscomplete.splats.rotations import turn_about_z, turn_onto_z
+from gscomplete.util.arrays import Float64Array
 from splatcomplete_data.multiview.photos.colmap_model import find_model, image_names, read_colmap
 from splatcomplete_data.multiview.photos.images import PHOTO_SUFFIXES, left_out_note, shown_axes
 from splatcomplete_data.multiview.photos.posed import PosedPhotos
@@ -144,7 +145,7 @@ def find_masks(folder: Path) -> Path | None:
     return None
 
 
-def up_direction(posed: PosedPhotos) -> NDArray[np.float64]:  # [3]
+def up_direction(posed: PosedPhotos) -> Float64Array:  # [3]
     """Return the world direction that is up in most photos.
 
     People hold cameras level, so the photos' x axes, as they are shown, are horizontal; where
@@ -169,9 +170,9 @@ def levelled(posed: PosedPhotos) -> Capture:
     middle = posed.look_at()
     distance = float(np.linalg.norm(posed.positions - middle, axis=1).mean())
     scale = 1.0 / distance if distance > 0 else 1.0
-    rotation = _turn_to_z(up)
+    rotation = turn_onto_z(up)
     first = rotation @ (posed.positions[0] - middle)
-    rotation = _turn_about_z(-float(np.arctan2(first[1], first[0]))) @ rotation
+    rotation = turn_about_z(-float(np.arctan2(first[1], first[0]))) @ rotation
     world = Similarity(
         scale, torch.from_numpy(rotation), torch.from_numpy(-scale * rotation @ middle)
     )
@@ -193,18 +194,3 @@ def transformed(posed: PosedPhotos, world: Similarity) -> PosedPhotos:
         moved = world.apply(torch.from_numpy(np.ascontiguousarray(points.points))).numpy()
         points = dataclasses.replace(points, points=moved)
     return dataclasses.replace(posed, photos=tuple(photos), points=points)
-
-
-def _turn_to_z(direction: NDArray[np.float64]) -> NDArray[np.float64]:  # [3] -> [3, 3]
-    """Return the shortest rotation that takes a unit vector to +z."""
-    x, y, z = direction
-    if z < -1 + 1e-9:
-        return np.diag([1.0, -1.0, -1.0])
-    cross = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
-    return np.eye(3) + cross + cross @ cross / (1 + z)
-
-
-def _turn_about_z(angle_rad: float) -> NDArray[np.float64]:  # -> [3, 3]
-    """Return the rotation about z by an angle."""
-    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
-    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
 from gscomplete.splats.rotations import matrix_rows
+from gscomplete.util.arrays import Float64Array
 from splatcomplete_data.multiview.photos.images import photo_size
 from splatcomplete_data.multiview.photos.lens import Lens
 from splatcomplete_data.multiview.photos.posed import PosedPhoto, PosedPhotos
@@ -343,7 +343,7 @@ def _points_txt(path: Path) -> Iterator[tuple[float, ...]]:
         yield row
 
 
-def _pose(image: _Image, path: Path) -> NDArray[np.float64]:  # [4, 4]
+def _pose(image: _Image, path: Path) -> Float64Array:  # [4, 4]
     """Turn a stored pose into a matrix.
 
     Raises:

@@ -2,7 +2,7 @@
 
 Conventions
 -----------
-* A view holds 8-bit sRGB colours [H, W, 3] and two masks [H, W] in [0, 1]: ``weight``, how much a
+* A view holds 8-bit sRGB colours [H, W, 3] and two masks [H, W] of 8 bits: ``weight``, how much a
   pixel counts (0 where the undistorted image shows nothing), and ``alpha``, whether it shows the
   object. Without masks ``alpha`` is None: everything is to be reconstructed.
 * Masks: the photo's own alpha channel, a mask named by the capture, or ``masks/NAME.png`` (also
@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from gscomplete.errors import UserError
+from gscomplete.util.arrays import Float64Array
 from gscomplete.views import Cameras
 from splatcomplete_data.multiview.photos.lens import Lens, SourceMap, undistort
 from splatcomplete_data.multiview.photos.posed import PosedPhoto, PosedPhotos
@@ -266,7 +267,7 @@ def scaled_size(width: int, height: int, max_side_px: int) -> tuple[int, int]:
     return max(1, round(width * factor)), max(1, round(height * factor))
 
 
-def pinhole_camera(lens: Lens, camera_from_world: NDArray[np.float64]) -> Cameras:
+def pinhole_camera(lens: Lens, camera_from_world: Float64Array) -> Cameras:
     """Return the pinhole camera of an undistorted photo, in float64."""
     return Cameras(
         torch.from_numpy(camera_from_world)[None],

@@ -20,6 +20,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from gscomplete.util.arrays import BoolArray, Float64Array
+
 LensKind = Literal["brown", "fisheye"]
 """``brown``: radial and tangential; ``fisheye``: equidistant."""
 
@@ -70,9 +72,9 @@ class Lens:
 
     def distort(
         self,
-        x: NDArray[np.float64],  # any shape, normalised
-        y: NDArray[np.float64],
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        x: Float64Array,  # any shape, normalised
+        y: Float64Array,
+    ) -> tuple[Float64Array, Float64Array]:
         """Return the normalised coordinates at which the lens shows (x, y)."""
         k1, k2, k3, k4, k5, k6 = self.radial
         if self.kind == "fisheye":
@@ -103,7 +105,7 @@ class Lens:
         return float(radius[falling[0]]) if len(falling) else float("inf")
 
 
-def _fisheye_radius(theta: NDArray[np.float64], radial: tuple[float, ...]) -> NDArray[np.float64]:
+def _fisheye_radius(theta: Float64Array, radial: tuple[float, ...]) -> Float64Array:
     """Return the distorted radius of the equidistant model."""
     k1, k2, k3, k4 = radial[:4]
     t2 = theta * theta
@@ -115,9 +117,9 @@ class SourceMap:
     """Where the pixels of an undistorted photo are in the photo as it was taken."""
 
     lens: Lens
-    x: NDArray[np.float64]  # [H, W] columns, 0 at the centre of the first pixel
-    y: NDArray[np.float64]  # [H, W] rows
-    inside: NDArray[np.bool_]  # [H, W] those that the photo shows
+    x: Float64Array  # [H, W] columns, 0 at the centre of the first pixel
+    y: Float64Array  # [H, W] rows
+    inside: BoolArray  # [H, W] those that the photo shows
 
     @staticmethod
     def of(lens: Lens) -> SourceMap:
@@ -139,7 +141,7 @@ class SourceMap:
 def undistort(
     photo: NDArray[np.uint8],  # [H, W, C]
     source: SourceMap,
-) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:  # [H, W, C], [H, W]
+) -> tuple[NDArray[np.uint8], BoolArray]:  # [H, W, C], [H, W]
     """Resample a photo as a pinhole camera would have taken it.
 
     Returns:

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
+from gscomplete.util.arrays import Float64Array
 from splatcomplete_data.multiview.photos.lens import Lens
 from splatcomplete_data.scan import PointCloud
 
@@ -32,7 +32,7 @@ class PosedPhoto:
 
     path: Path
     lens: Lens
-    camera_from_world: NDArray[np.float64]  # [4, 4]
+    camera_from_world: Float64Array  # [4, 4]
     mask_path: Path | None = None  # None = the photo has no mask of its own
 
 
@@ -80,17 +80,17 @@ class PosedPhotos:
         return tuple(path.relative_to(folder).as_posix() for path in paths)
 
     @property
-    def positions(self) -> NDArray[np.float64]:  # [V, 3]
+    def positions(self) -> Float64Array:  # [V, 3]
         """Camera centres in world coordinates."""
         matrices = np.stack([photo.camera_from_world for photo in self.photos])
         return -np.einsum("vji,vj->vi", matrices[:, :3, :3], matrices[:, :3, 3])
 
     @property
-    def forwards(self) -> NDArray[np.float64]:  # [V, 3]
+    def forwards(self) -> Float64Array:  # [V, 3]
         """Unit viewing directions in world coordinates."""
         return np.stack([photo.camera_from_world[2, :3] for photo in self.photos])
 
-    def look_at(self) -> NDArray[np.float64]:  # [3]
+    def look_at(self) -> Float64Array:  # [3]
         """Return the point closest to all optical axes: what the cameras look at.
 
         Parallel axes have no such point; the normal equations are then solved in the least-norm

@@ -22,10 +22,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gscomplete.errors import UserError
 from gscomplete.util import jsonio
+from gscomplete.util.arrays import Float64Array
 from splatcomplete_data.multiview.photos.images import photo_size
 from splatcomplete_data.multiview.photos.lens import Lens
 from splatcomplete_data.multiview.photos.posed import PosedPhoto, PosedPhotos
@@ -186,7 +186,7 @@ def _lens(values: Mapping[str, Any], photo: Path, where: str) -> Lens:
         raise UserError(f"{where}: {error}") from error
 
 
-def _camera_from_world(value: Any, where: str) -> NDArray[np.float64]:  # [4, 4]
+def _camera_from_world(value: Any, where: str) -> Float64Array:  # [4, 4]
     """Turn a frame's matrix into OpenCV's camera-from-world.
 
     Raises:
@@ -205,5 +205,5 @@ def _camera_from_world(value: Any, where: str) -> NDArray[np.float64]:  # [4, 4]
     if not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0]):
         last = " ".join(f"{number:g}" for number in matrix[3])
         raise UserError(f"{where}: transform_matrix: expected a last row of 0 0 0 1, found {last}")
-    inverse: NDArray[np.float64] = np.linalg.inv(matrix @ _OPENCV_FROM_OPENGL).astype(np.float64)
+    inverse: Float64Array = np.linalg.inv(matrix @ _OPENCV_FROM_OPENGL).astype(np.float64)
     return inverse

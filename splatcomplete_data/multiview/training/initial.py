@@ -16,12 +16,12 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gscomplete.errors import UserError
 from gscomplete.splats import Splats, colors_to_sh
 from gscomplete.splats.thinning import thinned
+from gscomplete.util.arrays import Float32Array, Float64Array, IntArray
 from gscomplete.util.randomness import generator_for
 from splatcomplete_data.multiview.photos.images import View
 from splatcomplete_data.multiview.photos.posed import PosedPhotos
@@ -121,9 +121,9 @@ def masked_points(cloud: PointCloud, views: Sequence[View]) -> PointCloud:
 
 
 def _seen(
-    points: NDArray[np.float64],  # [N, 3]
+    points: Float64Array,  # [N, 3]
     views: Sequence[View],
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:  # [N], [N], [N, 3]
+) -> tuple[IntArray, IntArray, Float32Array]:  # [N], [N], [N, 3]
     """Return how many photos show each point, how many outside a mask, and its mean colour."""
     times, outside = np.zeros((2, len(points)), np.int64)
     total = np.zeros((len(points), 3), np.float32)
@@ -146,5 +146,5 @@ def _seen(
         times[index[shown]] += 1
         colors = view.colors[row[shown], column[shown]]
         total[index[shown]] += colors.astype(np.float32) / 255.0
-    mean: NDArray[np.float32] = total / np.maximum(times, 1).astype(np.float32)[:, None]
+    mean: Float32Array = total / np.maximum(times, 1).astype(np.float32)[:, None]
     return times, outside, mean

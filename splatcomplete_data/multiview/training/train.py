@@ -10,6 +10,7 @@ Conventions
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -57,6 +58,7 @@ class StepReport:
     loss: float
     splats: int
     growth: GrowthReport | None  # None: no division in this step
+    seconds: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,6 +189,7 @@ class Training:
         Raises:
             NonFiniteError: a parameter is no longer finite.
         """
+        started = time.perf_counter()
         settings, number = self.settings, self.step_number
         target = self._target(number)
         degree = settings.sh_degree
@@ -222,7 +225,14 @@ class Training:
             bad = self.parameters.first_nonfinite()
             if bad is not None:
                 raise NonFiniteError(number, bad)
-        return StepReport(number, target.name, float(loss.detach()), len(self.parameters), report)
+        return StepReport(
+            number,
+            target.name,
+            float(loss.detach()),
+            len(self.parameters),
+            report,
+            time.perf_counter() - started,
+        )
 
     def _target(self, number: int) -> Target:
         """Return the photo of a step: every photo once per round, in an order of its own."""

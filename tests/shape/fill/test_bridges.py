@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from gscomplete.shape.fill.bridges import Patch, bridged
+from gscomplete.shape.fill.bridges import Patch, _cells, bridged
 from gscomplete.shape.fill.close import close_gaps
 from gscomplete.splats import Splats, colors_to_sh, concatenate
 from gscomplete.splats.rotations import quaternions_facing
@@ -140,3 +140,13 @@ def test_a_niche_stays_open() -> None:
     behind = discs(floor, torch.tensor([1.0, 0.0, 0.0]))
     open_ = concatenate([whole.select(~gone), behind])
     assert len(close_gaps(open_, torch.Generator().manual_seed(0)).splats) == 0
+
+
+def test_more_cells_than_a_number_can_count_are_numbered_alike() -> None:
+    """Places up to 1e9 cells apart, against the same ones up to 10 cells apart."""
+    places = np.random.default_rng(0).integers(0, 10, (500, 3)).astype(float)
+    units = np.random.default_rng(1).normal(size=(500, 3))
+    near, counts = _cells(places, units, 1.0)
+    far, same = _cells(1e8 * places, units, 1.0)
+    np.testing.assert_array_equal(near, far)
+    np.testing.assert_array_equal(counts, same)

@@ -12,7 +12,6 @@ from gscomplete.cli.complete import run
 from gscomplete.cli.complete_options import CompleteOptions
 from gscomplete.errors import UserError
 from gscomplete.shape.fill.close import Filled, close_gaps
-from gscomplete.shape.fill.facing import look_around, outward_normals
 from gscomplete.splats import Splats, concatenate, read_splats, write_splats
 from tests.builders.objects import ball, even_ball
 
@@ -72,18 +71,6 @@ def test_an_opening_that_shows_the_inside_stays() -> None:
     cup = concatenate([part.select(part.means[:, 2] < 0.1) for part in (outer, inner)])
     new = close(cup).splats
     assert not ((new.means[:, :2].norm(dim=1) < 0.25) & (new.means[:, 2] > 0.0)).any()
-
-
-def test_normals_point_outward_and_a_sheet_has_none() -> None:
-    whole = ball(3000)
-    normals = outward_normals(whole, look_around(whole))
-    assert ((normals * whole.means).sum(dim=1) / 0.4 > 0.8).all()
-    flat = whole.means.clone()
-    flat[:, 2] *= 0.001
-    sheet = dataclasses.replace(
-        whole, means=flat, quaternions=torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(3000, 1)
-    )
-    assert outward_normals(sheet, look_around(sheet)).norm(dim=1).mean() < 0.1
 
 
 def test_the_command_fills_without_a_prompt(tmp_path, capsys) -> None:

@@ -118,3 +118,10 @@ def test_files_are_checked(tmp_path):
     save_file({k: v.contiguous() for k, v in tensors.items() if k != "trust"}, path)
     with pytest.raises(UserError, match="expected tensors of the fine symmetry scorer"):
         FineSymmetryScorer.load(path)
+
+
+def test_reading_draws_no_random_numbers(tmp_path):
+    FineSymmetryScorer().save(tmp_path / "a.safetensors")
+    before = torch.get_rng_state()
+    FineSymmetryScorer.load(tmp_path / "a.safetensors")
+    assert torch.equal(torch.get_rng_state(), before)

@@ -152,6 +152,11 @@ def test_the_command_copies_records_and_tells_counts(tmp_path, monkeypatch, caps
     assert main(["clean", "a.ply", "--picture", "mine.png"]) == 2
     assert "mine.png: it exists; replace it with --overwrite" in capsys.readouterr().err
     assert Path("mine.png").read_text() == "mine"
+    Path("clean.png").write_text("mine")
+    assert main(["clean", "a.ply"]) == 2
+    assert "clean.png: would be replaced, but was not drawn by this" in capsys.readouterr().err
+    assert Path("clean.png").read_text() == "mine"
+    Path("clean.png").unlink()
     assert main(["clean", "a.ply", "--strength", "2"]) == 2
     assert "--strength: expected 0 to 1, found 2" in capsys.readouterr().err
     assert main(["clean", "a.ply", "--out", "c.sog", "--rules", "haze", "--strength", "0.4"]) == 0

@@ -54,3 +54,14 @@ def test_a_file_whose_name_is_no_text_becomes_an_object(tmp_path, capsys, monkey
     record = read_record(tmp_path / "n\udcff_object")
     assert (record.id, record.prompt) == ("n\ufffd_object", "n\ufffd")
     assert record.source.file == "n\udcff.ply"
+
+
+def test_control_characters_of_a_file_name_reach_neither_prompt_nor_terminal(tmp_path, capsys):
+    path = tmp_path / "a\x1b[31m\nball.ply"
+    write_splats(path, BALL)
+    out = tmp_path / "out"
+    assert cli.main(["partial", str(path), "--cut=plane:90", "--out", str(out)]) == 0
+    assert read_record(out).prompt == "a [31m ball"
+    assert cli.main(["crop", str(path), "--box=0,0,0,1,1,.2", "--out", f"{out}\x1b"]) == 2
+    told = capsys.readouterr()
+    assert "\x1b" not in told.out + told.err

@@ -1,5 +1,7 @@
 """Files are converted so that what is up in them stays up."""
 
+import json
+
 import pytest
 import torch
 import trimesh
@@ -8,6 +10,7 @@ from gscomplete.splats import read_splats
 from gscomplete.splats.formats import glb, spz
 from gscomplete.splats.formats.any_file import write_any_splats
 from splatcomplete_data.cli import main
+from tests.builders.folders import write_run_folder
 from tests.builders.objects import BALL
 
 
@@ -60,3 +63,29 @@ def test_a_folders_up_is_up_in_spz(tall, tmp_path):
     assert raw[:, 1].min() == pytest.approx(sunk, abs=step)
     assert raw[:, 1].max() == pytest.approx(3.0 - sunk, abs=step)
     assert spz.read_spz(target).means[:, 1].max() == pytest.approx(-sunk, abs=step)
+
+
+@pytest.mark.parametrize(
+    ("target", "flags"),
+    [
+        ("a.ply", ["--up=Y"]),
+        ("a.splat", ["--spz-version", "4"]),
+        ("a.glb", ["--most-splats", "300"]),
+    ],
+)
+def test_options_that_have_no_effect_are_refused(tmp_path, capsys, target, flags):
+    write_any_splats(tmp_path / "b.ply", BALL)
+    assert main(["convert", str(tmp_path / "b.ply"), str(tmp_path / target), *flags]) == 2
+    assert f"{flags[0].partition('=')[0]} " in capsys.readouterr().err
+    assert not (tmp_path / target).exists()
+
+
+def test_a_runs_result_has_the_up_axis_of_its_run(tall, tmp_path, capsys):
+    run = write_run_folder(tmp_path / "run", tall, BALL)
+    for source in (run, run / "completed.ply"):
+        target = tmp_path / "a.glb"
+        assert main(["convert", str(source), str(target), "--overwrite"]) == 0
+        assert "written y up: not turned (Y is up, by its run)" in capsys.readouterr().out
+    arguments = ["partial", str(run / "completed.ply"), "--cut", "plane:0", "--prompt", "a thing"]
+    assert main([*arguments, "--out", str(tmp_path / "part")]) == 0
+    assert json.loads((tmp_path / "part/object.json").read_text())["frame"]["up"] == "Y"

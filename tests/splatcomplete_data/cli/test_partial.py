@@ -10,7 +10,8 @@ import trimesh
 from gscomplete.splats import Similarity, read_splats, write_splats
 from gscomplete.splats.formats.any_file import write_any_splats
 from splatcomplete_data import cli
-from tests.builders.objects import BALL
+from tests.builders.folders import write_object_folder
+from tests.builders.objects import BALL, half, moved
 
 
 def file_with(path, means, rows):
@@ -171,3 +172,14 @@ def test_a_mesh_that_is_scanned_is_seen_from_the_scanner(tmp_path):
     assert found == pytest.approx((200, 35), abs=1e-3)
     assert cli.main([*words, "--view", "10,20", "--out", str(tmp_path / "other")]) == 0
     assert record_of(tmp_path / "other")["views"]["azimuth_deg"] == 10
+
+
+def test_a_replaced_complete_object_is_doubted(tmp_path, capsys):
+    folder = write_object_folder(tmp_path / "ball", half(BALL), BALL)
+    words = ["partial", str(folder), "--cut=plane:90", "--out", str(tmp_path / "o"), "--overwrite"]
+    assert cli.main(words) == 0
+    assert "doubtful" not in capsys.readouterr().out
+    write_splats(folder / "complete.ply", moved(BALL, (0.1, 0.0, 0.0)))
+    assert cli.main(words) == 0
+    told = f"doubtful: {folder / 'complete.ply'} is not the file that object.json records"
+    assert told in capsys.readouterr().out

@@ -80,6 +80,40 @@ def test_lengths_in_spacings_are_positive(tmp_path, capsys, name, value):
     assert f"{name}: expected a positive number, found {value}" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("more", "looks_for"),
+    [
+        (["--cluster-radius=3"], "clusters"),
+        (["--cluster-radius=3", "--clusters=1", "--seed-point=.5,.5,.5"], "clusters"),
+        (["--cluster-radius=3", "--clusters=1", "--propose"], "clusters"),
+        (["--plane-thickness=3"], "planes"),
+        (["--plane-thickness=3", "--planes=0", "--propose"], "planes"),
+        (["--plane-thickness=3", "--planes=1", "--pick=boxes.txt"], "planes"),
+    ],
+)
+def test_lengths_that_nothing_uses_are_refused(tmp_path, capsys, monkeypatch, more, looks_for):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("splatcomplete_data.cli.pick.run_page", lambda *_: 0)
+    np.savetxt("a.xyz", np.random.default_rng(0).uniform(0, 1, (500, 3)))
+    assert cli.main(["scan", "a.xyz", "--out", "o", *more]) == 2
+    name = more[0].replace("=", " ")
+    told = f"{name}: has no effect where nothing looks for {looks_for}"
+    assert told in capsys.readouterr().err
+
+
+def test_lengths_are_taken_where_something_uses_them(tmp_path):
+    np.savetxt(tmp_path / "a.xyz", np.random.default_rng(0).uniform(0, 1, (500, 3)))
+    words = ["scan", str(tmp_path / "a.xyz"), "--planes=1", "--plane-thickness=3", "--clusters=1"]
+    assert cli.main([*words, "--cluster-radius=20", "--out", str(tmp_path / "o")]) == 0
+
+
+@pytest.mark.parametrize("name", ["", "a/b", ".hidden", "a\nb"])
+def test_an_id_that_is_no_plain_name_is_refused_before_the_work(tmp_path, capsys, name):
+    words = ["scan", str(tmp_path / "none.xyz"), "--id", name, "--out", str(tmp_path / "o")]
+    assert cli.main(words) == 2
+    assert f"--id: expected a plain file name, found {name!r}" in capsys.readouterr().err
+
+
 def test_the_current_folder_is_no_folder_to_create(tmp_path, capsys, monkeypatch):
     np.savetxt(tmp_path / "a.xyz", np.random.default_rng(0).uniform(0, 1, (500, 3)))
     (tmp_path / "here").mkdir()
@@ -138,6 +172,9 @@ def test_proposed_clusters_lead_to_their_objects(tmp_path, capsys):
     found = json.loads(told.out)["clusters"]
     assert [path.name for path in (tmp_path / "p").iterdir()] == ["clusters.png"]
     assert len(found) == 2
+    (tmp_path / "p/clusters.png").write_text("mine")
+    assert cli.main([*words, "--propose", "--out", str(tmp_path / "p")]) == 2
+    assert "clusters.png: would be replaced" in capsys.readouterr().err
     assert "2: " in told.err
     for cluster, place, side in zip(found, (-0.2, 0.25), (0.15, 0.1), strict=True):
         # on the box; of its sides only the near ones are seen

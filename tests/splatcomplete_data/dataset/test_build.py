@@ -137,7 +137,10 @@ def test_stats_and_list(
 
 
 def test_stray_folders_and_forgotten_objects_are_named(
-    built: tuple[Path, Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    built: tuple[Path, Path, Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     out = tmp_path / "out"
     shutil.copytree(built[0], out)
@@ -155,6 +158,13 @@ def test_stray_folders_and_forgotten_objects_are_named(
     assert main(["stats", str(out), "--sheet", str(tmp_path / "sheet.png")]) == 0
     most = record["counts"]["partial"]
     assert f"10 / 30.5 / {most:,}" in capsys.readouterr().out
+    monkeypatch.chdir(tmp_path)
+    for _ in range(2):
+        assert main(["stats", str(out)]) == 0
+    Path("contact_sheet.png").write_text("mine")
+    assert main(["stats", str(out)]) == 2
+    assert Path("contact_sheet.png").read_text() == "mine"
+    capsys.readouterr()
     assert main(["stats", str(out), "--json"]) == 0
     printed = capsys.readouterr()
     assert len(json.loads(printed.out)["objects"]) == 4
@@ -242,6 +252,17 @@ def test_masks_that_a_capture_finds_by_itself_are_in_its_fingerprint(
         (data / place / "a.png").write_bytes(content)
         seen.add(fingerprint(entry, data, tmp_path))
     assert len(seen) == 3
+
+
+def test_a_damaged_object_that_is_not_asked_for_does_not_stop_others(
+    built: tuple[Path, Path, Path], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    _, path, data = built
+    (tmp_path / "out/broken").mkdir(parents=True)
+    (tmp_path / "out/broken/object.json").write_text("{")
+    outcomes = build(read_recipe(path), data, tmp_path / "out", workers=1, only=("box",))
+    assert [outcome.status for outcome in outcomes] == ["built"]
+    assert any("broken/object.json" in record.getMessage() for record in caplog.records)
 
 
 def test_captures_resume_only_what_was_made_from_the_same_things(tmp_path: Path) -> None:

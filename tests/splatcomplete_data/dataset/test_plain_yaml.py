@@ -37,6 +37,8 @@ def test_aliases_and_merge_keys_are_followed(tmp_path: Path) -> None:
         ("objects: &a\n  <<: *a\n", r"objects\.<<"),
         ("? &k [*k]\n: 1\n", r"\?\[0\]"),
         ("schema: &s [*s]\n", r"schema\[0\]"),
+        ("objects: [{id: a, id: b}]\n", r"objects\[0\] \(line 3\): .* found 'id' again"),
+        ("objects: []\nversion: 2\n", r"the top level \(line 4\): .* found 'version' again"),
         (bomb("version", "[{}]"), r"l\d.* expected at most"),
         (bomb("objects", "{{<<: [{}]}}"), r"l\d.* expected at most"),
     ],

@@ -109,6 +109,22 @@ def test_auto_box_turns_with_the_scene():
     assert inside[2000:].mean() < 0.001
 
 
+@pytest.mark.parametrize("width", [0.4, 3.0])
+def test_a_wall_goes_and_a_flat_back_stays(width):
+    """A figure of half a cylinder whose flat back is all it has, or part of a wall behind it."""
+    generator = torch.Generator().manual_seed(5)
+    draw = torch.rand(8000, 3, generator=generator)
+    front, back = captures.ball(4000), captures.ball(4000)
+    angle = math.pi * (draw[:4000, 0] - 0.5)
+    places = [0.4 * angle.cos(), 0.4 * angle.sin(), 2 * draw[:4000, 1] - 1]
+    front = dataclasses.replace(front, means=torch.stack(places, dim=1))
+    flat = (2 * draw[4000:] - 1) * torch.tensor([0.0, width, 1.0])
+    back = dataclasses.replace(back, means=flat)
+    splats = concatenate([front, back])
+    proposal = propose_box(splats, Focus(np.zeros(3), 1.3, np.array([0, 0, 1.0])))
+    assert len(proposal.planes) == (width > 1)
+
+
 def test_auto_box_where_nothing_is():
     with pytest.raises(UserError, match="expected splats where the cameras look"):
         propose_box(captures.ball(50), Focus(np.full(3, 90.0), 1.0, np.array([0, 0, 1.0])))
@@ -148,6 +164,9 @@ def test_the_up_axis_that_is_given_decides_the_box_and_the_pictures(tmp_path, ca
         printed = capsys.readouterr()
         assert ("up axis assumed" in printed.err) == (more == [])
         found.append((json.loads(printed.out)["boxes"], (tmp_path / "p/boxes.png").read_bytes()))
+    (tmp_path / "p/boxes.png").write_text("mine")
+    assert main([*arguments, "--out", str(tmp_path / "p")]) == 2
+    assert "boxes.png: would be replaced" in capsys.readouterr().err
     along = [np.array(up, float) for up in ((0, 1, 0), (0, 0, 1), (0, -1, 0))]
     splats = read_splats(tmp_path / "scene.ply").splats
     for (boxes, _), up in zip(found, along, strict=False):

@@ -241,6 +241,7 @@ def test_photos_of_one_name_in_two_folders_are_two(tmp_path):
         (["--steps", "0"], "--steps: expected at least 1"),
         (["--hold-out", "1"], "--hold-out: expected 0 or at least 2"),
         (["--max-side", "2"], "--max-side"),
+        (["--seed", "-1"], "--seed: expected 0 to 2,147,483,647, found -1"),
         (["--masks", "nowhere"], "expected a mask for every photo"),
         (["--device", "cuda:9"], "--device"),
     ],

@@ -131,6 +131,8 @@ def test_semicolons_free_the_comma_for_decimals(tmp_path):
         ("# x y z\n", "found none"),
         ("a letter\nto a\nfriend\n1 2 3\n", "found 'a letter' before the first row"),
         ("1 2 3\n1 2 b\n", "expected numbers"),
+        ("# x y z\n\n1 2 3\n\n1 2\n", ":5: expected rows of equal length"),
+        ("1 2 3\n# a remark\n1 2 b\n", ":3: expected numbers, found '1 2 b'"),
     ],
 )
 def test_other_texts_are_named(tmp_path, content, message):

@@ -282,3 +282,22 @@ def test_a_principal_point_alone_says_nothing(tmp_path: Path) -> None:
     settings = SingleViewSettings(center_px=(3.0, 4.0))
     with pytest.raises(UserError, match="--center-px"):
         load_single_view(picture(tmp_path), write_depth(tmp_path, "npy"), settings)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"fov_deg": 60.0, "intrinsics": Path("a.json")}, "--fov, --intrinsics: expected one of"),
+        ({"focal_px": (9.0,), "intrinsics": Path("a.json")}, "--focal, --intrinsics: expected one"),
+        ({"fov_deg": 60.0, "baseline": 0.1}, "--baseline: expected --kind disparity with it"),
+        ({"fov_deg": 60.0, "disparity_offset": 1.0}, "--disparity-offset: expected --kind"),
+        ({"fov_deg": 60.0, "flying_jump": -1.0}, "--flying: expected 0 or more, found -1"),
+    ],
+)
+def test_settings_that_would_be_set_aside_are_refused(
+    tmp_path: Path, settings: dict, message: str
+) -> None:
+    with pytest.raises(UserError, match=message):
+        load_single_view(
+            picture(tmp_path), write_depth(tmp_path, "npy"), SingleViewSettings(**settings)
+        )

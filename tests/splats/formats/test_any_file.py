@@ -1,5 +1,6 @@
 """Splat files of other formats come and go with what they can hold."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from gscomplete.splats.formats.any_file import (
     write_any_splats,
 )
 from splatcomplete_data.cli import main
+from tests.builders.full_disk import files_end_at
 from tests.builders.ply_files import FORMATS, make_ply, random_table
 
 DATA = Path(__file__).resolve().parents[3] / "../shared/data/splats"
@@ -142,6 +144,56 @@ def test_files_of_any_format_can_be_appended_to(tmp_path: Path, kind: str) -> No
     both = read_splats(tmp_path / "b.ply")
     assert both.n_rows == 22
     assert bytes(both.payload.records).startswith(bytes(file.payload.records))
+
+
+@pytest.mark.parametrize("kind", [*HALF_STEPS, "usda", "usdc"])
+def test_a_full_disk_is_told_and_leaves_nothing(tmp_path: Path, kind: str) -> None:
+    if kind in ("spz", "compressed.ply"):
+        pytest.importorskip("gsply")
+    if kind in ("usda", "usdc"):
+        pytest.importorskip("pxr")
+    told = rf"{tmp_path}/a.{kind}: cannot write: .*(?i:large)"
+    with files_end_at(10_000), pytest.raises(UserError, match=told):
+        write_any_splats(tmp_path / f"a.{kind}", some_splats(5000))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("floaters", "told"), [(0, False), (2, True)])
+def test_positions_that_floaters_make_coarse_are_told(
+    tmp_path: Path, floaters: int, told: bool
+) -> None:
+    pytest.importorskip("gsply")
+    splats = some_splats(1000)
+    splats.means[:floaters] *= 1e4
+    path = tmp_path / "a.compressed.ply"
+    lost = write_any_splats(path, splats)
+    assert any("floaters" in note for note in lost) == told
+    back = read_any_splats(path).splats
+    near = torch.cdist(splats.means[floaters:], back.means).amin(dim=1)
+    assert (near > 0.1).any().item() == told
+
+
+@pytest.mark.parametrize(
+    ("kind", "change", "words"),
+    [
+        ("splat", {"sh": 9.0}, "colours outside"),
+        ("spz", {"sh": 9.0}, "colours of 5 splats"),
+        ("spz", {"sh": 9.0}, "harmonics beyond 1 of 5"),
+        ("compressed.ply", {"scales": 1e-12}, "scales below 2.1e-09 of 5"),
+    ],
+)
+def test_values_beyond_a_format_are_told(
+    tmp_path: Path, kind: str, change: dict[str, float], words: str
+) -> None:
+    if kind != "splat":
+        pytest.importorskip("gsply")
+    splats = some_splats(100)
+    splats = dataclasses.replace(splats, sh=splats.sh.clamp(-0.9, 0.9))
+    sound = write_any_splats(tmp_path / f"a.{kind}", splats)
+    assert not any(words in note for note in sound)
+    for name, value in change.items():
+        getattr(splats, name)[:5] = value
+    assert any(words in note for note in write_any_splats(tmp_path / f"b.{kind}", splats))
 
 
 @pytest.mark.parametrize("kind", ["spz", "splat"])

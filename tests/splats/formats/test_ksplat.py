@@ -84,6 +84,13 @@ def test_every_level_and_degree_is_read(tmp_path: Path, level: int, bands: int) 
     torch.testing.assert_close(found.sh[:, 1:], splats.sh[:, 1:], atol=step, rtol=0)
 
 
+def test_a_quaternion_of_zeros_is_no_rotation(tmp_path: Path) -> None:
+    splats = some_splats(3)
+    splats.quaternions[1] = 0.0
+    found = read_ksplat(written(tmp_path / "a.ksplat", splats, 0))
+    assert found.quaternions[1].tolist() == [1.0, 0.0, 0.0, 0.0]
+
+
 def test_a_file_of_another_writer_is_read() -> None:
     if not (DATA / "minimal.ksplat").is_file():
         pytest.skip("real data are not here (../shared/data)")

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from gscomplete.util.arrays import Float32Array
 from recipes.train_embedded_prior.procedural.assembly import (
     DECORATIONS,
     Assembly,
@@ -14,7 +15,7 @@ from recipes.train_embedded_prior.procedural.assembly import (
 )
 from recipes.train_embedded_prior.procedural.captions import detail
 from recipes.train_embedded_prior.procedural.primitives import box, cylinder, ellipsoid, prism
-from recipes.train_embedded_prior.procedural.quads import FloatArray, Quads, turn_about
+from recipes.train_embedded_prior.procedural.quads import Quads, turn_about
 from recipes.train_embedded_prior.procedural.sweeps import revolve, torus
 
 SIDEWAYS = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]], np.float32)
@@ -271,7 +272,9 @@ def train(a: Assembly) -> Description:
     )
 
 
-def ring_of(x: float, half_width: float, half_height: float, z: float, power: float) -> FloatArray:
+def ring_of(
+    x: float, half_width: float, half_height: float, z: float, power: float
+) -> Float32Array:
     """Return a superellipse section [16, 3] in the yz plane at x."""
     angle = np.linspace(0, 2 * math.pi, 16, endpoint=False)
     cos, sin = np.cos(angle), np.sin(angle)

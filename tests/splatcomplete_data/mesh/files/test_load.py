@@ -67,6 +67,22 @@ def test_override_texture_and_missing_override(tmp_path: Path) -> None:
         load_mesh(path, texture=tmp_path / "none.png")
 
 
+def test_a_texture_that_cannot_be_laid_on_is_told(tmp_path: Path) -> None:
+    Image.new("RGB", (8, 8), (10, 200, 30)).save(tmp_path / "other.png")
+    path = textured_quad(tmp_path)
+    (tmp_path / "picture.png").unlink()
+    assert load_mesh(path).notes
+    assert not load_mesh(path, texture=tmp_path / "other.png").notes
+    plain = trimesh.creation.box()
+    plain.export(tmp_path / "box.ply")
+    with pytest.raises(UserError, match="--texture: expected a mesh with texture coordinates"):
+        load_mesh(tmp_path / "box.ply", texture=tmp_path / "other.png")
+    with_both = trimesh.Scene([trimesh.load(path, process=False), plain])
+    with_both.export(tmp_path / "both.glb")
+    found = load_mesh(tmp_path / "both.glb", texture=tmp_path / "other.png")
+    assert any("it has no texture coordinates, and keeps" in note for note in found.notes)
+
+
 def test_textures_are_found_by_the_names_that_exporters_write(tmp_path: Path) -> None:
     textured_quad(tmp_path)
     (tmp_path / "lib" / "maps").mkdir(parents=True)

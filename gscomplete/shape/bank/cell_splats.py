@@ -8,16 +8,16 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from gscomplete.shape.bank.pose import FloatArray
 from gscomplete.shape.bank.store import BANK_CELLS
 from gscomplete.splats import Splats
+from gscomplete.util.arrays import Float64Array
 
 _WIDTH = 0.5
 """Standard deviation of a splat, cells."""
 _OPACITY = 0.95
 
 
-def surface_splats(centers: FloatArray, scale: float = 1.0) -> Splats:  # [N, 3]
+def cell_splats(centers: Float64Array, scale: float = 1.0) -> Splats:  # [N, 3]
     """Return grey splats at the centres of the bank's cells, whose cube has the side ``scale``."""
     count = len(centers)
     quaternions = torch.zeros(count, 4)
@@ -31,8 +31,8 @@ def surface_splats(centers: FloatArray, scale: float = 1.0) -> Splats:  # [N, 3]
     )
 
 
-def cells_passed(points: FloatArray) -> FloatArray:  # [N, 3] -> [M, 3]
+def cells_passed(points: Float64Array) -> Float64Array:  # [N, 3] -> [M, 3]
     """Return the centres of the bank's cells that hold points of the unit cube about the origin."""
     cell = np.floor((points + 0.5) * BANK_CELLS).clip(0, BANK_CELLS - 1).astype(np.int64)
-    centers: FloatArray = (np.unique(cell, axis=0) + 0.5) / BANK_CELLS - 0.5
+    centers: Float64Array = (np.unique(cell, axis=0) + 0.5) / BANK_CELLS - 0.5
     return centers

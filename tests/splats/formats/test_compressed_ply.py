@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from gscomplete.splats import PlyError, write_splats
-from gscomplete.splats.compressed_ply import read_compressed_ply
+from gscomplete.splats.formats.compressed_ply import read_compressed_ply
 from gscomplete.splats.record import SH_C0, Splats
 
 DATA = (Path(__file__).resolve().parents[2] / "../shared/data").resolve()

@@ -20,6 +20,8 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from gscomplete.util.arrays import Float64Array
+
 _FEWEST_ROWS = 4096
 """A thread is started for at least this many points."""
 
@@ -29,7 +31,7 @@ def query_nearest(
     points: NDArray[Any],  # [N, D]
     k: int | Sequence[int] = 1,
     within: float = math.inf,
-) -> tuple[NDArray[np.float64], NDArray[np.intp]]:  # [N], or [N, K] for a sequence or k > 1
+) -> tuple[Float64Array, NDArray[np.intp]]:  # [N], or [N, K] for a sequence or k > 1
     """Return distances and indices of the nearest points of a tree, as ``cKDTree.query`` does.
 
     Args:
@@ -39,7 +41,7 @@ def query_nearest(
         within: neighbours at this distance or beyond count as infinitely far, which saves time.
     """
 
-    def ask(rows: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    def ask(rows: NDArray[Any]) -> tuple[Float64Array, NDArray[np.intp]]:
         return tree.query(rows, k=k, distance_upper_bound=within)
 
     threads = min(torch.get_num_threads(), len(points) // _FEWEST_ROWS)

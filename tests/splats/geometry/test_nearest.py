@@ -9,7 +9,7 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 
-from gscomplete.util.nearest import query_nearest
+from gscomplete.splats.geometry.nearest import query_nearest
 
 RNG = np.random.default_rng(0)
 

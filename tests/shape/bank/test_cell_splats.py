@@ -2,8 +2,8 @@ import numpy as np
 import torch
 
 from gscomplete.render import render
+from gscomplete.shape.bank.cell_splats import cell_splats, cells_passed
 from gscomplete.shape.bank.store import BANK_CELLS
-from gscomplete.shape.bank.surface_splats import cells_passed, surface_splats
 from gscomplete.views import four_view_orbit
 from tests.builders.known_shapes import box_cells, cell_points
 
@@ -23,7 +23,7 @@ def test_what_sticks_out_of_the_cube_counts_to_its_rim():
 def test_a_surface_is_closed_when_drawn():
     cameras = four_view_orbit(20.0, 15.0, radius=2.2, fov_deg=40.0, size_px=64)
     for scale in (1.0, 0.6):
-        box = surface_splats(scale * cell_points(box_cells((48, 48, 48))), scale)
+        box = cell_splats(scale * cell_points(box_cells((48, 48, 48))), scale)
         alpha = render(box, cameras).alpha
         corner = (
             scale

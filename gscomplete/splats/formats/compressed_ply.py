@@ -1,4 +1,4 @@
-"""Read SuperSplat's compressed PLY: trained splats packed to 16 bytes each.
+"""SuperSplat's compressed PLY: trained splats packed to 16 bytes each; written through gsply.
 
 Conventions
 -----------
@@ -20,15 +20,27 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from gscomplete.splats.filters import middle_and_extent
+from gscomplete.splats.formats.gsply_values import to_gsply
 from gscomplete.splats.ply_files.header import Element, PlyError, PlyHeader, read_header
 from gscomplete.splats.ply_files.payload import read_payload
 from gscomplete.splats.record import SH_C0, Splats
+from gscomplete.util.arrays import Float64Array
+from gscomplete.util.atomic import atomic_path
+from gscomplete.util.optional import import_optional
 
 CHUNK_ROWS = 256
 """Splats that share one row of ranges."""
 
 _PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 _POSITION_RANGE = tuple(f"{end}_{axis}" for end in ("min", "max") for axis in "xyz")
+_POSITION_CODES = (2**11 - 1, 2**10 - 1, 2**11 - 1)
+"""Largest codes of a position's fields."""
+_LEAST_SCALE = math.exp(-20.0)
+"""Smaller scales are written as this one."""
+_COARSE_STEP = 4 / 1023
+"""Steps of positions, over the splats' extent, that are told to be lost: those of a range four
+times as wide, which only floaters make."""
 _SCALE_RANGE = tuple(f"{end}_scale_{axis}" for end in ("min", "max") for axis in "xyz")
 _COLOR_RANGE = tuple(f"{end}_{channel}" for end in ("min", "max") for channel in "rgb")
 
@@ -46,17 +58,7 @@ def read_compressed_ply(path: str | Path) -> Splats:
         PlyError: the file is not such a file, or it is truncated.
     """
     path = Path(path)
-    header = read_header(path)
-    vertex, chunk = header.find("vertex"), header.find("chunk")
-    if vertex is None or chunk is None or header.elements[0] is not chunk:
-        message = "expected a SuperSplat compressed PLY with an element 'chunk' before 'vertex'"
-        raise PlyError(path, "not_a_splat_file", message)
-    _check_properties(path, header, vertex, _PACKED, "u4")
-    _check_properties(path, header, chunk, _POSITION_RANGE + _SCALE_RANGE, "f4")
-    expected = -(-vertex.count // CHUNK_ROWS)
-    if chunk.count != expected or header.elements[1] is not vertex:
-        message = f"element chunk: expected {expected} rows next to the vertices"
-        raise PlyError(path, "bad_payload", f"{message}, found {chunk.count}")
+    header, vertex, chunk = _layout(path)
     payload = read_payload(path, header, vertex)
     order = header.byte_order
     ranges = _columns(payload.before, chunk, order)
@@ -79,6 +81,74 @@ def read_compressed_ply(path: str | Path) -> Splats:
     return Splats(*(torch.from_numpy(array.astype(np.float32)) for array in arrays))
 
 
+def write_compressed_ply(path: Path, splats: Splats) -> tuple[str, ...]:
+    """Write splats as such a file; return what is lost.
+
+    Args:
+        path: destination.
+        splats: activated, finite.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
+    gsply = import_optional("gsply", "writing compressed.ply files")
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(gsply.compress_to_bytes(to_gsply(gsply, splats)))
+        steps = _position_steps(temporary)
+    notes = ["values are quantised", "the order of splats"]
+    tiny = int((splats.scales < _LEAST_SCALE).any(dim=1).sum())
+    if tiny:
+        notes.append(f"scales below {_LEAST_SCALE:.2g} of {tiny:,} splats")
+    coarse = steps > _COARSE_STEP * middle_and_extent(splats.means.numpy())[1]
+    if coarse.any():
+        notes.append(
+            f"positions of {int(coarse.sum()):,} splats, which share their ranges with floaters "
+            f"(steps of up to {float(steps.max()):.2g}; leave floaters out with "
+            "splatcomplete-data clean)"
+        )
+    return tuple(notes)
+
+
+def _position_steps(path: Path) -> Float64Array:  # [N]
+    """Return how coarse each splat's position is: the largest step along an axis.
+
+    Args:
+        path: a file of ``read_compressed_ply``.
+
+    Returns:
+        Steps in the units of positions: the extent of a splat's chunk over 2,047 (y: 1,023).
+    """
+    header, vertex, chunk = _layout(path)
+    payload = read_payload(path, header, vertex)
+    ranges = _columns(payload.before, chunk, header.byte_order)
+    low, high = (
+        np.stack([ranges[name].astype(np.float64) for name in names], axis=1)
+        for names in (_POSITION_RANGE[:3], _POSITION_RANGE[3:])
+    )
+    steps = ((high - low) / _POSITION_CODES).max(axis=1)
+    return np.repeat(steps, CHUNK_ROWS)[: vertex.count]
+
+
+def _layout(path: Path) -> tuple[PlyHeader, Element, Element]:
+    """Read a file's header; return it with its elements of splats and of chunks.
+
+    Raises:
+        PlyError: the file is not such a file.
+    """
+    header = read_header(path)
+    vertex, chunk = header.find("vertex"), header.find("chunk")
+    if vertex is None or chunk is None or header.elements[0] is not chunk:
+        message = "expected a SuperSplat compressed PLY with an element 'chunk' before 'vertex'"
+        raise PlyError(path, "not_a_splat_file", message)
+    _check_properties(path, header, vertex, _PACKED, "u4")
+    _check_properties(path, header, chunk, _POSITION_RANGE + _SCALE_RANGE, "f4")
+    expected = -(-vertex.count // CHUNK_ROWS)
+    if chunk.count != expected or header.elements[1] is not vertex:
+        message = f"element chunk: expected {expected} rows next to the vertices"
+        raise PlyError(path, "bad_payload", f"{message}, found {chunk.count}")
+    return header, vertex, chunk
+
+
 def _check_properties(
     path: Path, header: PlyHeader, element: Element, names: tuple[str, ...], code: str
 ) -> None:
@@ -96,29 +166,29 @@ def _columns(data: bytes, element: Element, order: str) -> dict[str, NDArray]:
     return {name: rows[f"p{i}"] for i, name in enumerate(element.names)}
 
 
-def _bits(words: NDArray, shift: int, count: int) -> NDArray[np.float64]:  # [N]
+def _bits(words: NDArray, shift: int, count: int) -> Float64Array:  # [N]
     """Return a bit field of 32-bit words as a fraction in [0, 1]."""
     top = (1 << count) - 1
     return ((words >> np.uint32(shift)) & np.uint32(top)) / top
 
 
-def _unpack_11_10_11(words: NDArray) -> NDArray[np.float64]:  # [N] -> [N, 3]
+def _unpack_11_10_11(words: NDArray) -> Float64Array:  # [N] -> [N, 3]
     """Return the three fractions of a position or scale word."""
     return np.stack([_bits(words, 21, 11), _bits(words, 11, 10), _bits(words, 0, 11)], axis=1)
 
 
 def _stretch(
-    fractions: NDArray[np.float64],  # [N, 3]
+    fractions: Float64Array,  # [N, 3]
     ranges: dict[str, NDArray],  # [chunks] each
     names: tuple[str, ...],  # 3 minima, 3 maxima
-) -> NDArray[np.float64]:  # [N, 3]
+) -> Float64Array:  # [N, 3]
     """Spread fractions over the ranges of their chunks."""
     ends = np.stack([ranges[name].astype(np.float64) for name in names], axis=1)
     ends = np.repeat(ends, CHUNK_ROWS, axis=0)[: len(fractions)]
     return ends[:, :3] * (1 - fractions) + ends[:, 3:] * fractions
 
 
-def _unpack_rotation(words: NDArray) -> NDArray[np.float64]:  # [N] -> [N, 4]
+def _unpack_rotation(words: NDArray) -> Float64Array:  # [N] -> [N, 4]
     """Return unit quaternions (w, x, y, z); the largest component is positive."""
     small = np.stack([_bits(words, shift, 10) for shift in (20, 10, 0)], axis=1) - 0.5
     small *= math.sqrt(2)
@@ -133,7 +203,7 @@ def _unpack_rotation(words: NDArray) -> NDArray[np.float64]:  # [N] -> [N, 4]
 
 def _higher_sh(
     path: Path, header: PlyHeader, count: int, data: bytes
-) -> NDArray[np.float64]:  # [N, K - 1, 3]
+) -> Float64Array:  # [N, K - 1, 3]
     """Return the coefficients above the base band; none without an element ``sh``.
 
     The end codes 0 and 255 stand for -4 and 4, the others for the middle of their interval.
