@@ -37,7 +37,7 @@ _LEAST_CONTACT = -0.3
 """Patches whose contact has a lower score stay apart."""
 
 
-# Chosen on nine labelled table-top scenes (docs/benchmarks.md).
+# Chosen on nine labelled table-top scenes (docs/benchmarks/dataset.md).
 VOTES = ((3.7, 11.0), (4.3, 12.3), (4.9, 12.3), (4.3, 14.8), (4.0, 13.5))
 """For every vote the sides of cubes and of patches, in spacings."""
 _NORMAL_REACH = 2.5

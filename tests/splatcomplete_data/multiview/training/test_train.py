@@ -246,7 +246,7 @@ def test_short_runs_move_farther_per_step(steps, factor):
 
 
 def test_a_short_run_learns_more_for_it(capture):
-    """Real captures gain 1 to 4 dB in 750 to 1,500 steps (docs/benchmarks.md)."""
+    """Real captures gain 1 to 4 dB in 750 to 1,500 steps (docs/benchmarks/dataset.md)."""
     views, _ = capture
     settings = TrainingSettings(steps=150, growth=GrowthSettings(max_splats=2000))
     slow = dataclasses.replace(settings, rates=LearningRates())
