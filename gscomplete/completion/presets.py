@@ -105,7 +105,8 @@ REFINE = dataclasses.replace(
 )
 """Score distillation of colours alone, from the first guess, if P has several colours: patterns
 continue and the shape stays. All steps are within the warm-up. They gain less with a masked loss
-from the start, with more steps or noise, or when shapes move too (docs/decisions/distillation.md)."""
+from the start, with more steps or noise, or when shapes move too
+(docs/decisions/distillation.md)."""
 
 FILL = dataclasses.replace(GUESS, start="fill", hard_preservation=None)
 """P's gaps are closed and nothing else is done. There are no bounds on P's appearance, because what
